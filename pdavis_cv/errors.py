@@ -1,0 +1,54 @@
+"""Errors and warnings: one family, each also the builtin it refines."""
+
+__all__ = [
+    "BusWarning",
+    "CalibrationError",
+    "CalibrationWarning",
+    "DamagedFileWarning",
+    "ExposureWarning",
+    "LayoutError",
+    "LayoutWarning",
+    "PdavisError",
+    "PdavisWarning",
+    "RecordingError",
+]
+
+
+class PdavisError(Exception):
+    """Root of the errors that this library defines."""
+
+
+class RecordingError(PdavisError, OSError):
+    """Raised when a recording is not what it says; names file, byte and finding."""
+
+
+class LayoutError(PdavisError, ValueError):
+    """Raised when two sources disagree about the polarizer layout."""
+
+
+class CalibrationError(PdavisError, ValueError):
+    """Raised when a calibration does not belong to the recording or cannot be read."""
+
+
+class PdavisWarning(UserWarning):
+    """Root of the warnings that this library gives, once per recording."""
+
+
+class LayoutWarning(PdavisWarning):
+    """The polarizer layout was assumed, not known."""
+
+
+class DamagedFileWarning(PdavisWarning):
+    """A part of a file could not be read; the rest was delivered."""
+
+
+class ExposureWarning(PdavisWarning):
+    """Exposure times are missing, uncertain or too long for what was asked."""
+
+
+class CalibrationWarning(PdavisWarning):
+    """A calibration was used outside the conditions that it was made in."""
+
+
+class BusWarning(PdavisWarning):
+    """The event rate is near what the camera's read-out can carry."""

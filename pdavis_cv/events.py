@@ -1,0 +1,140 @@
+"""Events: one dtype, and what becomes of them."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["EVENT_DTYPE", "as_events", "check_order"]
+
+EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+"""Time in microseconds, column, row (0 at the top), polarity (1 = ON); 13 bytes."""
+
+_ALIASES = {
+    "t": ("t", "timestamp", "ts"),
+    "x": ("x",),
+    "y": ("y",),
+    "p": ("p", "on", "polarity"),
+}
+
+
+def as_events(events: Any) -> NDArray[Any]:
+    """Return events as a C-contiguous EVENT_DTYPE array, a view where possible.
+
+    Parameters
+    ----------
+    events : ndarray, structured, shape (N,), or mapping of columns
+        Fields ``t`` (or ``timestamp``, ``ts``), ``x``, ``y`` and ``p`` (or ``on``,
+        ``polarity``), integers or bool.  The memory layout of EVENT_DTYPE under
+        other names, or with an unsigned ``t`` or a bool ``p``, gives a view;
+        other layouts and columns give a copy.
+
+    Returns
+    -------
+    ndarray of EVENT_DTYPE, shape (N,)
+
+    Raises
+    ------
+    TypeError
+        If a field is missing or does not hold integers; the message names it.
+    ValueError
+        If the array is not one-dimensional, columns differ in length, or a value
+        does not fit (a polarity other than 0 and 1, a negative coordinate).
+    """
+    if isinstance(events, np.ndarray) and events.dtype == EVENT_DTYPE:
+        return np.ascontiguousarray(_one_dimensional(events))
+    if isinstance(events, Mapping):
+        columns = {str(name): np.asarray(column) for name, column in events.items()}
+        found = _find_fields(tuple(columns))
+        return _copy({name: columns[field] for name, field in found.items()}, found)
+    if not isinstance(events, np.ndarray):
+        raise TypeError(
+            "events must be a structured array or a mapping of columns, got "
+            f"{type(events).__name__}")
+    dtype = events.dtype
+    if dtype.fields is None or dtype.names is None:
+        raise TypeError(f"events must be a structured array, got dtype {dtype}")
+    found = _find_fields(dtype.names)
+    for field in found.values():
+        _require_integers(field, dtype[field])
+    _one_dimensional(events)
+    if _same_memory(dtype, found):
+        return np.ascontiguousarray(events).view(EVENT_DTYPE)
+    return _copy({name: events[field] for name, field in found.items()}, found)
+
+
+def check_order(events: NDArray[Any], name: str = "events") -> None:
+    """Raise ValueError naming the first event whose time is before its predecessor's.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        Events that should be time-ordered.
+    name : str
+        What to call the argument in the message.
+
+    Raises
+    ------
+    ValueError
+        If time runs backward; the message names the first such event.
+    """
+    t = events["t"]
+    back = np.flatnonzero(t[1:] < t[:-1])
+    if back.size:
+        i = int(back[0]) + 1
+        raise ValueError(
+            f"{name} must be time-ordered, but event {i} at t={t[i]} comes after "
+            f"t={t[i - 1]}")
+
+
+def _find_fields(names: tuple[str, ...]) -> dict[str, str]:
+    found = {}
+    for name, aliases in _ALIASES.items():
+        field = next((alias for alias in aliases if alias in names), None)
+        if field is None:
+            raise TypeError(f"events have no field {' or '.join(aliases)}: {names}")
+        found[name] = field
+    return found
+
+
+def _require_integers(field: str, dtype: np.dtype[Any]) -> None:
+    if dtype.kind not in "iub" or dtype.subdtype is not None:
+        raise TypeError(f"events field {field} must hold integers, got {dtype}")
+
+
+def _one_dimensional(events: NDArray[Any]) -> NDArray[Any]:
+    if events.ndim != 1:
+        raise ValueError(f"events must be one-dimensional, got shape {events.shape}")
+    return events
+
+
+def _same_memory(dtype: np.dtype[Any], found: dict[str, str]) -> bool:
+    fields, wanted = dtype.fields or {}, EVENT_DTYPE.fields or {}
+    return dtype.itemsize == EVENT_DTYPE.itemsize and all(
+        fields[field][1] == wanted[name][1]
+        and dtype[field].itemsize == EVENT_DTYPE[name].itemsize
+        and dtype[field].isnative
+        and (name == "p" or dtype[field].kind in ("i" if name == "t" else "") + "u")
+        and (name != "p" or dtype[field].kind in "ub")
+        for name, field in found.items())
+
+
+def _copy(columns: dict[str, NDArray[Any]], found: dict[str, str]) -> NDArray[Any]:
+    lengths = {found[name]: column.shape for name, column in columns.items()}
+    if len(set(lengths.values())) != 1 or columns["t"].ndim != 1:
+        raise ValueError(
+            f"events columns must be one-dimensional and equally long, got {lengths}")
+    out = np.empty(columns["t"].shape, EVENT_DTYPE)
+    for name, column in columns.items():
+        _require_integers(found[name], column.dtype)
+        out[name] = column
+        limit = 1 if name == "p" else int(np.iinfo(EVENT_DTYPE[name]).max)
+        if column.dtype.kind != "b" and column.size and name != "t":
+            bad = np.flatnonzero((column < 0) | (column > limit))
+            if bad.size:
+                raise ValueError(
+                    f"events field {found[name]} must lie in 0..{limit}, but event "
+                    f"{bad[0]} has {column[bad[0]]}")
+    return out

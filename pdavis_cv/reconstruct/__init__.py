@@ -1,0 +1,1 @@
+"""Reconstruction methods, one module each; they take arrays, never files."""

@@ -1,0 +1,142 @@
+"""What every reconstruction method is: a Reconstructor of log intensity."""
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["Estimate", "Reconstructor", "Snapshot"]
+
+
+class Estimate(NamedTuple):
+    """Log intensity of every pixel at one time.
+
+    Attributes
+    ----------
+    log_intensity : ndarray of float32, shape (H, W)
+        Natural log of DN per ms of exposure (of DN where no exposure is known).
+    variance : ndarray of float32, shape (H, W), or None
+        Variance of ``log_intensity``, where the method knows it.
+    valid : ndarray of bool, shape (H, W)
+        True = usable.
+    """
+
+    log_intensity: NDArray[np.float32]
+    variance: NDArray[np.float32] | None
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The whole state of a Reconstructor at one time; deep and picklable.
+
+    Parameters
+    ----------
+    method : str
+        Name of the method.
+    shape : (int, int)
+        (height, width).
+    parameters : mapping of str to object
+        Parameters that the Reconstructor was made with.
+    state : mapping of str to object
+        Arrays and numbers, none of them shared with the Reconstructor.
+    """
+
+    method: str
+    shape: tuple[int, int]
+    parameters: Mapping[str, Any]
+    state: Mapping[str, Any]
+
+
+class Reconstructor(ABC):
+    """Turns a time-ordered stream of events and frames into log intensity.
+
+    It is fed in time order and never reorders; an object belongs to one thread.
+    A frame is fed at its mid-exposure: ``fuse`` sees to that.
+    """
+
+    method: str
+    """Name of the method, as in ``METHODS``."""
+
+    lookahead_us: int | None = 0
+    """What must be fed after t before ``read(t)``; 0 = causal, None = everything."""
+
+    shape: tuple[int, int]
+    """(height, width)."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> Mapping[str, Any]:
+        """Parameters that make an equal Reconstructor."""
+
+    @abstractmethod
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Feed events (EVENT_DTYPE, time-ordered, not before anything fed earlier).
+
+        Raises
+        ------
+        ValueError
+            If an event lies outside ``shape`` or before the last time seen; the
+            message names it, and the events before it have been taken.
+        """
+
+    @abstractmethod
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Feed a frame; its time is ``frame.mid_us``.
+
+        Raises
+        ------
+        ValueError
+            If the frame has another shape or lies before the last time seen.
+        """
+
+    @abstractmethod
+    def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
+        """Return the estimate at t_us without changing the state.
+
+        Parameters
+        ----------
+        t_us : int
+            Not before the last time seen, less ``lookahead_us``.
+        out : ndarray of float32, shape (H, W), optional
+            Receives ``log_intensity``.
+        """
+
+    def snapshot(self) -> Snapshot:
+        """Return a deep, picklable copy of the state."""
+        return Snapshot(self.method, self.shape, dict(self.parameters), self._state())
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to the state of a snapshot of an equal Reconstructor.
+
+        Raises
+        ------
+        ValueError
+            If the snapshot is of another method, shape or parameters.
+        """
+        for name in ("method", "shape"):
+            mine, other = getattr(self, name), getattr(snapshot, name)
+            if mine != other:
+                raise ValueError(f"snapshot is of {name} {other!r}, not {mine!r}")
+        mine, other = dict(self.parameters), dict(snapshot.parameters)
+        differing = [name for name in mine.keys() | other.keys()
+                     if not np.array_equal(np.asarray(mine.get(name)),
+                                           np.asarray(other.get(name)))]
+        if differing:
+            raise ValueError(
+                f"snapshot was made with other parameters: {', '.join(differing)}")
+        self._restore(snapshot.state)
+
+    @abstractmethod
+    def _state(self) -> Mapping[str, Any]:
+        """Copies of everything that feeding changes."""
+
+    @abstractmethod
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        """Take over copies of what `_state` returned."""

@@ -1,0 +1,1 @@
+"""Reading and writing recordings; nothing else in the library touches files."""

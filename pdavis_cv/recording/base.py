@@ -1,0 +1,425 @@
+"""What a recording is: Recording, Packet, ApsFrame, and the facts about one."""
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = [
+    "IMU_DTYPE",
+    "MAX_PACKET_EVENTS",
+    "MAX_PACKET_US",
+    "TRIGGER_DTYPE",
+    "ApsFrame",
+    "Packet",
+    "Problem",
+    "Recording",
+    "RecordingInfo",
+    "Report",
+]
+
+MAX_PACKET_EVENTS = 65_536
+MAX_PACKET_US = 10_000
+
+IMU_DTYPE = np.dtype([
+    ("t", "<i8"), ("temperature", "<f4"), ("accel", "<f4", 3), ("gyro", "<f4", 3)])
+"""Time in us, degrees Celsius, g, degrees per second; axes as iniVation's: x to the
+right, y up, z towards the scene, rotation counter-clockwise positive."""
+
+TRIGGER_DTYPE = np.dtype([("t", "<i8"), ("type", "u1")])
+"""Time in us; type as in AEDAT-4: 0 time reset, 1/2/3 external rising/falling/pulse,
+4/5 generator rising/falling, 6/7 frame start/end, 8/9 exposure start/end."""
+
+
+class ApsFrame:
+    """One intensity frame after correlated double sampling.
+
+    Parameters
+    ----------
+    dn : array_like, shape (H, W)
+        Reset minus signal in DN, stored as float32; may be negative.
+    exposure_start_us, exposure_end_us : int, or ndarray of int, shape (W,)
+        Exposure times on the recording's clock; per column for a rolling shutter.
+    valid : ndarray of bool, shape (H, W), optional
+        True = usable; None means that every pixel is.
+    available_us : int, optional
+        When the readout had ended; default: the end of exposure.
+    full_scale_dn : int
+        Largest DN that the converter gives.
+    reset, signal : ndarray of uint16, shape (H, W), optional
+        The two reads, if the file has them.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ or the exposure ends before it starts.
+    """
+
+    __slots__ = ("available_us", "dn", "exposure_end_us", "exposure_start_us",
+                 "full_scale_dn", "reset", "signal", "valid")
+
+    dn: NDArray[np.float32]
+    exposure_start_us: int | NDArray[np.int64]
+    exposure_end_us: int | NDArray[np.int64]
+    valid: NDArray[np.bool_] | None
+    available_us: int
+    full_scale_dn: int
+    reset: NDArray[np.uint16] | None
+    signal: NDArray[np.uint16] | None
+
+    def __init__(
+        self,
+        dn: ArrayLike,
+        exposure_start_us: int | NDArray[Any],
+        exposure_end_us: int | NDArray[Any],
+        *,
+        valid: NDArray[np.bool_] | None = None,
+        available_us: int | None = None,
+        full_scale_dn: int = 1023,
+        reset: NDArray[np.uint16] | None = None,
+        signal: NDArray[np.uint16] | None = None,
+    ) -> None:
+        self.dn = np.ascontiguousarray(dn, np.float32)
+        if self.dn.ndim != 2:
+            raise ValueError(f"dn must be (H, W), got shape {self.dn.shape}")
+        for name, array in (("valid", valid), ("reset", reset), ("signal", signal)):
+            if array is not None and array.shape != self.dn.shape:
+                raise ValueError(
+                    f"{name} must have dn's shape {self.dn.shape}, got {array.shape}")
+        if valid is not None and valid.dtype != np.bool_:
+            raise TypeError(f"valid must be bool, got {valid.dtype}")
+        self.exposure_start_us = self._times("exposure_start_us", exposure_start_us)
+        self.exposure_end_us = self._times("exposure_end_us", exposure_end_us)
+        if np.any(np.asarray(self.exposure_end_us) < self.exposure_start_us):
+            raise ValueError(
+                "exposure_end_us must not be before exposure_start_us, got "
+                f"{self.exposure_start_us} .. {self.exposure_end_us}")
+        end = int(np.max(self.exposure_end_us))
+        self.available_us = end if available_us is None else int(available_us)
+        if self.available_us < end:
+            raise ValueError(
+                f"available_us must not be before the exposure's end {end}, got "
+                f"{available_us}")
+        self.valid, self.reset, self.signal = valid, reset, signal
+        self.full_scale_dn = int(full_scale_dn)
+
+    def _times(self, name: str, value: int | NDArray[Any]) -> int | NDArray[np.int64]:
+        array = np.asarray(value)
+        if array.dtype.kind not in "iu":
+            raise TypeError(f"{name} must be integer microseconds, got {array.dtype}")
+        if array.ndim == 0:
+            return int(array)
+        if array.shape != (self.dn.shape[1],):
+            raise ValueError(
+                f"{name} must be one number or one per column ({self.dn.shape[1]},), "
+                f"got shape {array.shape}")
+        return np.ascontiguousarray(array, np.int64)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        height, width = self.dn.shape
+        return height, width
+
+    @property
+    def mid_us(self) -> int:
+        """Middle of the exposure; for a rolling shutter, the mean over columns."""
+        start = np.asarray(self.exposure_start_us)
+        end = np.asarray(self.exposure_end_us)
+        if start.ndim == 0 and end.ndim == 0:
+            return int(start + (end - start) // 2)
+        columns = start + (end - start) / 2
+        base = int(columns.flat[0])
+        return base + round(float(np.mean(columns - base)))
+
+    @property
+    def column_mid_us(self) -> NDArray[np.int64]:
+        """Middle of each column's exposure, shape (W,)."""
+        start = np.asarray(self.exposure_start_us)
+        mid = start + (np.asarray(self.exposure_end_us) - start) // 2
+        return np.broadcast_to(mid, (self.dn.shape[1],)).astype(np.int64)
+
+    @property
+    def exposure_ms(self) -> float:
+        """Exposure in milliseconds (mean over columns); 0 where unknown."""
+        duration = np.asarray(self.exposure_end_us) - self.exposure_start_us
+        return float(np.mean(duration)) / 1000
+
+    def cropped(self, rows: slice, columns: slice) -> ApsFrame:
+        """Return the frame of a part of the sensor; arrays are views where possible."""
+        def part(array: NDArray[Any] | None) -> NDArray[Any] | None:
+            return None if array is None else array[rows, columns]
+
+        def times(value: int | NDArray[np.int64]) -> int | NDArray[np.int64]:
+            return value if isinstance(value, int) else value[columns]
+
+        return ApsFrame(
+            self.dn[rows, columns], times(self.exposure_start_us),
+            times(self.exposure_end_us), valid=part(self.valid),
+            available_us=self.available_us, full_scale_dn=self.full_scale_dn,
+            reset=part(self.reset), signal=part(self.signal))
+
+    def __repr__(self) -> str:
+        height, width = self.dn.shape
+        return (f"ApsFrame({width}x{height}, mid {self.mid_us} us, "
+                f"exposure {self.exposure_ms:g} ms)")
+
+
+def _no_events() -> NDArray[Any]:
+    return np.empty(0, EVENT_DTYPE)
+
+
+def _no_imu() -> NDArray[Any]:
+    return np.empty(0, IMU_DTYPE)
+
+
+def _no_triggers() -> NDArray[Any]:
+    return np.empty(0, TRIGGER_DTYPE)
+
+
+@dataclass(slots=True, eq=False)
+class Packet:
+    """A short piece of a recording; its arrays belong to the receiver.
+
+    Packets of a recording do not overlap and come in time order.  Each holds at
+    most 65,536 events and one frame, and spans at most 10 ms.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        Time-ordered events.
+    frames : tuple of ApsFrame
+        At most one, placed in time by its ``available_us``.
+    imu : ndarray of IMU_DTYPE, shape (M,)
+    triggers : ndarray of TRIGGER_DTYPE, shape (K,)
+    """
+
+    events: NDArray[Any] = field(default_factory=_no_events)
+    frames: tuple[ApsFrame, ...] = ()
+    imu: NDArray[Any] = field(default_factory=_no_imu)
+    triggers: NDArray[Any] = field(default_factory=_no_triggers)
+
+    @property
+    def start_us(self) -> int | None:
+        """Time of the first sample of any kind, None if the packet is empty."""
+        return min(self._ends(0), default=None)
+
+    @property
+    def stop_us(self) -> int | None:
+        """One past the last sample of any kind, None if the packet is empty."""
+        last = max(self._ends(-1), default=None)
+        return None if last is None else last + 1
+
+    def _ends(self, i: int) -> list[int]:
+        arrays = (self.events, self.imu, self.triggers)
+        times = [int(array["t"][i]) for array in arrays if len(array)]
+        return times + [frame.available_us for frame in self.frames]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingInfo:
+    """What is known about a recording without reading it: header facts.
+
+    Counts and ``stop_us`` are None when the file has no index.
+
+    Parameters
+    ----------
+    format : str
+        ``"AEDAT-4"``, ``"AEDAT-2.0"``, ``"memory"``, ``"mosaic video"``, ...
+    sensor_size : (int, int)
+        (height, width).
+    writer : str, optional
+        The program that wrote the file.
+    camera : str, optional
+        Name of the camera as the file gives it, with the serial number if known.
+    serial : str, optional
+        Serial number of the camera.
+    sensor : Sensor, optional
+        The kind of polarization sensor, if known; gives the extinction ratio.
+    layout : Layout, optional
+        Polarizer layout, if the caller or the file gives it.
+    start_us, stop_us : int, optional
+        Half-open interval that holds every sample.
+    event_count, frame_count, imu_count, trigger_count : int, optional
+        0 when the file has no such stream.
+    exposure_us : int, optional
+        Exposure time that the header gives.
+    wall_clock_us : int, optional
+        Unix time in microseconds that belongs to time 0 of the recording.
+    biases : mapping of str to float
+        Bias currents in ampere, if the header has them.
+    header : mapping of str to object
+        Everything else that the header says.
+    """
+
+    format: str
+    sensor_size: tuple[int, int]
+    writer: str | None = None
+    camera: str | None = None
+    serial: str | None = None
+    sensor: Sensor | None = None
+    layout: Layout | None = None
+    start_us: int | None = None
+    stop_us: int | None = None
+    event_count: int | None = None
+    frame_count: int | None = None
+    imu_count: int | None = None
+    trigger_count: int | None = None
+    exposure_us: int | None = None
+    wall_clock_us: int | None = None
+    biases: Mapping[str, float] = field(default_factory=dict)
+    header: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("biases", "header"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        values["biases"], values["header"] = dict(self.biases), dict(self.header)
+        return _restore_info, (values,)
+
+
+def _restore_info(values: dict[str, Any]) -> RecordingInfo:
+    return RecordingInfo(**values)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Something that was wrong in a recording and what was done about it.
+
+    Parameters
+    ----------
+    kind : str
+        ``"damage"``, ``"backward time"``, ``"outside sensor"``, ``"segment"``, ...
+    message : str
+        One sentence for a person.
+    count : int
+        How many events, frames or packets it concerns.
+    offset : int, optional
+        Byte offset in the file.
+    start_us, stop_us : int, optional
+        Time range that is affected.
+    """
+
+    kind: str
+    message: str
+    count: int = 1
+    offset: int | None = None
+    start_us: int | None = None
+    stop_us: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What reading a recording from end to end found.
+
+    Parameters
+    ----------
+    start_us, stop_us : int or None
+        Half-open interval that holds every sample; None for an empty recording.
+    event_count, on_count, frame_count, imu_count, trigger_count : int
+    first_frame_mid_us : int or None
+    first_event_us : int or None
+    problems : tuple of Problem
+    """
+
+    start_us: int | None
+    stop_us: int | None
+    event_count: int
+    on_count: int
+    frame_count: int
+    imu_count: int
+    trigger_count: int
+    first_frame_mid_us: int | None
+    first_event_us: int | None
+    problems: tuple[Problem, ...]
+
+
+class Recording(ABC):
+    """A source of packets that can be read again and concurrently.
+
+    ``open_recording`` and ``recording_from_arrays`` make them.  Use as a context
+    manager, or call `close`.  Pickles by path (in-memory recordings by value).
+    """
+
+    @property
+    @abstractmethod
+    def info(self) -> RecordingInfo:
+        """Header facts; frozen, and known without reading the data."""
+
+    @property
+    @abstractmethod
+    def problems(self) -> Sequence[Problem]:
+        """What was found wrong so far; grows while reading, each finding once."""
+
+    @abstractmethod
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order.
+
+        A frame's time is its ``available_us``.  Packet boundaries come from the
+        recording, never from the interval: a packet that straddles ``start_us``
+        or ``stop_us`` is cut, and all others are the same for every interval.
+
+        Parameters
+        ----------
+        start_us, stop_us : int, optional
+            Half-open interval; default all.
+
+        Yields
+        ------
+        Packet
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the file; reading afterwards raises ValueError."""
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is read, None for a recording in memory."""
+        return None
+
+    def scan(self) -> Report:
+        """Read everything once and return what was found."""
+        start: int | None = None
+        stop: int | None = None
+        events = on = frames = imu = triggers = 0
+        first_mid: int | None = None
+        first_event: int | None = None
+        for packet in self.packets():
+            if packet.start_us is not None and packet.stop_us is not None:
+                start = packet.start_us if start is None else start
+                stop = max(packet.stop_us, stop or packet.stop_us)
+            if first_event is None and len(packet.events):
+                first_event = int(packet.events["t"][0])
+            if first_mid is None and packet.frames:
+                first_mid = packet.frames[0].mid_us
+            events += len(packet.events)
+            on += int(np.count_nonzero(packet.events["p"]))
+            frames += len(packet.frames)
+            imu += len(packet.imu)
+            triggers += len(packet.triggers)
+        return Report(
+            start_us=start, stop_us=stop, event_count=events, on_count=on,
+            frame_count=frames, imu_count=imu, trigger_count=triggers,
+            first_frame_mid_us=first_mid, first_event_us=first_event,
+            problems=tuple(self.problems))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

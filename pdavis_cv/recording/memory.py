@@ -1,0 +1,205 @@
+"""Recordings in memory."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.events import EVENT_DTYPE, as_events, check_order
+from pdavis_cv.recording.base import (
+    IMU_DTYPE,
+    MAX_PACKET_EVENTS,
+    MAX_PACKET_US,
+    TRIGGER_DTYPE,
+    ApsFrame,
+    Packet,
+    Problem,
+    Recording,
+    RecordingInfo,
+)
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["MemoryRecording", "recording_from_arrays"]
+
+
+class MemoryRecording(Recording):
+    """A recording whose samples are arrays; see `recording_from_arrays`."""
+
+    def __init__(
+        self, info: RecordingInfo, events: NDArray[Any],
+        frames: tuple[ApsFrame, ...], imu: NDArray[Any], triggers: NDArray[Any],
+    ) -> None:
+        self._info = info
+        self._events, self._frames = events, frames
+        self._imu, self._triggers = imu, triggers
+        self._frame_t = np.array([frame.available_us for frame in frames], np.int64)
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """Always empty: arrays are checked when the recording is made."""
+        return ()
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        first, end = self._info.start_us, self._info.stop_us
+        if first is None or end is None:
+            return
+        start = first if start_us is None else max(first, int(start_us))
+        stop = end if stop_us is None else min(end, int(stop_us))
+        # Packets end on a grid of the recording's own, or at a frame.
+        at = start
+        while at < stop:
+            cell = first + (at - first) // MAX_PACKET_US * MAX_PACKET_US
+            cell_end = cell + MAX_PACKET_US
+            f = int(np.searchsorted(self._frame_t, at))
+            if f and self._frame_t[f - 1] >= cell:
+                cell = int(self._frame_t[f - 1]) + 1
+            frames: tuple[ApsFrame, ...] = ()
+            if f < len(self._frames) and self._frame_t[f] < cell_end:
+                # A frame closes its packet, so that at most one is in it.
+                cell_end = int(self._frame_t[f]) + 1
+                if cell_end <= stop:
+                    frames = (self._frames[f],)
+            until = min(cell_end, stop)
+            yield from self._split(cell, at, until, frames)
+            at = until
+
+    def _split(
+        self, cell: int, start: int, stop: int, frames: tuple[ApsFrame, ...]
+    ) -> Iterator[Packet]:
+        origin, lo, hi = (
+            int(i) for i in np.searchsorted(self._events["t"], (cell, start, stop)))
+        inner = range(origin + MAX_PACKET_EVENTS, hi, MAX_PACKET_EVENTS)
+        cuts = [lo, *(i for i in inner if i > lo), hi]
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            last = b == hi
+            until = stop if last else int(self._events["t"][b])
+            packet = Packet(
+                self._events[a:b].copy(), frames if last else (),
+                _between(self._imu, start, until),
+                _between(self._triggers, start, until))
+            start = until
+            if packet.start_us is not None:
+                yield packet
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def recording_from_arrays(
+    events: Any,
+    frames: Iterable[ApsFrame] = (),
+    *,
+    sensor_size: tuple[int, int],
+    layout: Layout | None = None,
+    imu: NDArray[Any] | None = None,
+    triggers: NDArray[Any] | None = None,
+) -> Recording:
+    """Make a recording from arrays that the caller has.
+
+    Parameters
+    ----------
+    events : ndarray or mapping of columns, shape (N,)
+        Time-ordered events, anything that `as_events` takes; None for no events.
+    frames : iterable of ApsFrame
+        Frames in the order of ``available_us`` and of ``mid_us``.
+    sensor_size : (int, int)
+        (height, width).
+    layout : Layout, optional
+        Polarizer layout.
+    imu : ndarray of IMU_DTYPE, optional
+    triggers : ndarray of TRIGGER_DTYPE, optional
+
+    Returns
+    -------
+    Recording
+        Arrays are kept, not copied; do not change them afterwards.
+
+    Raises
+    ------
+    TypeError
+        If an array has the wrong dtype.
+    ValueError
+        If time runs backward, or an event or a frame lies outside the sensor.
+    """
+    events = np.empty(0, EVENT_DTYPE) if events is None else as_events(events)
+    frames = tuple(frames)
+    height, width = _checked_size(sensor_size)
+    check_order(events)
+    outside = np.flatnonzero(
+        (events["x"] >= width) | (events["y"] >= height) | (events["p"] > 1))
+    if outside.size:
+        i = int(outside[0])
+        raise ValueError(
+            f"event {i} at (x={events['x'][i]}, y={events['y'][i]}, "
+            f"p={events['p'][i]}) lies outside the {width}x{height} sensor")
+    for i, frame in enumerate(frames):
+        if frame.shape != (height, width):
+            raise ValueError(
+                f"frame {i} is {frame.shape[1]}x{frame.shape[0]}, the sensor "
+                f"{width}x{height}")
+        if i and (frame.available_us <= frames[i - 1].available_us
+                  or frame.mid_us <= frames[i - 1].mid_us):
+            raise ValueError(
+                f"frames must be in time order, but frame {i} at {frame.mid_us} us "
+                f"comes after {frames[i - 1].mid_us} us")
+    imu = _checked_samples("imu", imu, IMU_DTYPE)
+    triggers = _checked_samples("triggers", triggers, TRIGGER_DTYPE)
+    whole = Packet(events, (), imu, triggers)
+    starts = [t for t in (whole.start_us, *(f.available_us for f in frames[:1]))
+              if t is not None]
+    stops = [t for t in (whole.stop_us, *(f.available_us + 1 for f in frames[-1:]))
+             if t is not None]
+    info = RecordingInfo(
+        format="memory", sensor_size=(height, width), layout=layout,
+        sensor=_likely_sensor((height, width), events, layout),
+        start_us=min(starts, default=None), stop_us=max(stops, default=None),
+        event_count=len(events), frame_count=len(frames), imu_count=len(imu),
+        trigger_count=len(triggers))
+    return MemoryRecording(info, events, frames, imu, triggers)
+
+
+def _likely_sensor(
+    size: tuple[int, int], events: NDArray[Any], layout: Layout | None
+) -> Sensor | None:
+    """Frames alone with Sony's layout come from a Sony camera, events from a PDAVIS."""
+    if len(events) or size == Sensor.PDAVIS.size:
+        return Sensor.PDAVIS
+    return Sensor.SONY if layout == Layout.SONY else None
+
+
+def _between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
+    lo, hi = np.searchsorted(samples["t"], (start, stop))
+    return samples[lo:hi].copy()
+
+
+def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        height, width = (int(side) for side in size)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"sensor_size must be (height, width), got {size!r}") from None
+    if not (0 < height <= 65_536 and 0 < width <= 65_536):
+        raise ValueError(f"sensor_size must lie in 1..65536, got {size!r}")
+    return height, width
+
+
+def _checked_samples(
+    name: str, samples: NDArray[Any] | None, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    if samples is None:
+        return np.empty(0, dtype)
+    if samples.dtype != dtype or samples.ndim != 1:
+        raise TypeError(
+            f"{name} must be one-dimensional {dtype.names}, got {samples.dtype}")
+    check_order(samples, name)
+    return samples

@@ -1,0 +1,197 @@
+"""Sensor and polarizer layout: what stands in front of which pixel."""
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from pdavis_cv.errors import LayoutError, LayoutWarning
+
+__all__ = ["CHANNELS", "Layout", "Sensor", "resolve_layout"]
+
+CHANNELS = (0, 45, 90, 135)
+"""Polarizer angle in degrees of each plane of a (4, H, W) array."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Polarizer angles of the 2x2 cell, ``angles_deg[row % 2][col % 2]``.
+
+    Angles are in degrees, counter-clockwise as displayed with row 0 at the top,
+    0 along a row, the camera looking towards the source.  Operations return the
+    layout of the image after the same operation on its pixels; mirrors and turns
+    also turn the angles, because the world is mirrored or turned with the image.
+
+    Parameters
+    ----------
+    row0, row1 : (int, int)
+        Angles of the pixels in even and in odd rows, left to right; together a
+        permutation of 0, 45, 90, 135.
+
+    Raises
+    ------
+    LayoutError
+        If the four angles are not a permutation of 0, 45, 90, 135.
+
+    Examples
+    --------
+    >>> Layout.PDAVIS.flip_x() == Layout.SONY
+    True
+    """
+
+    row0: tuple[int, int]
+    row1: tuple[int, int]
+
+    PDAVIS: ClassVar[Layout]
+    SONY: ClassVar[Layout]
+
+    def __post_init__(self) -> None:
+        try:
+            rows = tuple(tuple(int(a) for a in row) for row in (self.row0, self.row1))
+            exact = all(
+                a == b for row, got in zip(rows, (self.row0, self.row1), strict=True)
+                for a, b in zip(row, got, strict=True))
+        except (TypeError, ValueError):
+            rows, exact = (), False
+        if (not exact or [len(row) for row in rows] != [2, 2]
+                or sorted(rows[0] + rows[1]) != list(CHANNELS)):
+            raise LayoutError(
+                "layout must hold each of 0, 45, 90, 135 degrees once in two rows of "
+                f"two, got {self.row0!r}, {self.row1!r}")
+        object.__setattr__(self, "row0", rows[0])
+        object.__setattr__(self, "row1", rows[1])
+
+    @property
+    def angles_deg(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The cell, ``angles_deg[row % 2][col % 2]``, in degrees."""
+        return self.row0, self.row1
+
+    @property
+    def places(self) -> tuple[int, int, int, int]:
+        """Place of each channel in the cell: ``2 * (row % 2) + col % 2``."""
+        cell = (*self.row0, *self.row1)
+        a, b, c, d = (cell.index(angle) for angle in CHANNELS)
+        return a, b, c, d
+
+    def flip_x(self, width: int = 2) -> Layout:
+        """Layout after a left-right mirror (``np.fliplr``) of an image this wide."""
+        cell = self.angles_deg
+        return _from_cell([[-cell[r][(width - 1 - c) % 2] for c in (0, 1)]
+                           for r in (0, 1)])
+
+    def flip_y(self, height: int = 2) -> Layout:
+        """Layout after a top-bottom mirror (``np.flipud``) of an image this high."""
+        cell = self.angles_deg
+        return _from_cell([[-cell[(height - 1 - r) % 2][c] for c in (0, 1)]
+                           for r in (0, 1)])
+
+    def rot90(self, k: int = 1, size: tuple[int, int] = (2, 2)) -> Layout:
+        """Layout after ``np.rot90(image, k)`` (counter-clockwise).
+
+        Parameters
+        ----------
+        k : int
+            Number of quarter turns.
+        size : (int, int)
+            (height, width) of the image before turning; only parity matters.
+        """
+        layout, (height, width) = self, size
+        for _ in range(k % 4):
+            cell = layout.angles_deg
+            # np.rot90: new[r, c] = old[c, width - 1 - r]
+            layout = _from_cell([[cell[c][(width - 1 - r) % 2] + 90 for c in (0, 1)]
+                                 for r in (0, 1)])
+            height, width = width, height
+        return layout
+
+    def crop(self, x: int, y: int) -> Layout:
+        """Layout of an image whose first pixel was at column x, row y of this one."""
+        cell = self.angles_deg
+        return _from_cell([[cell[(r + y) % 2][(c + x) % 2] for c in (0, 1)]
+                           for r in (0, 1)])
+
+    def __str__(self) -> str:
+        return f"(({self.row0[0]}, {self.row0[1]}), ({self.row1[0]}, {self.row1[1]}))"
+
+
+def _from_cell(cell: Sequence[Sequence[int]]) -> Layout:
+    (a, b), (c, d) = cell
+    return Layout((a % 180, b % 180), (c % 180, d % 180))
+
+
+Layout.PDAVIS = Layout((135, 90), (0, 45))
+Layout.SONY = Layout((90, 45), (135, 0))
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Facts about a polarization sensor that hold for every specimen.
+
+    Parameters
+    ----------
+    name : str
+        Name of the sensor or camera.
+    size : (int, int)
+        (height, width) in pixels.
+    layout : Layout
+        Nominal polarizer layout.
+    extinction_ratio : float
+        Nominal ratio of largest to smallest response to linearly polarized light.
+    full_scale_dn : int
+        Largest value of the converter.
+    pixel_um : float
+        Pixel pitch in micrometres.
+    """
+
+    name: str
+    size: tuple[int, int]
+    layout: Layout
+    extinction_ratio: float
+    full_scale_dn: int
+    pixel_um: float
+
+    PDAVIS: ClassVar[Sensor]
+    SONY: ClassVar[Sensor]
+
+
+# Haessig et al., "Sensor design and fabrication" and Fig. 1; IMX250MZR data sheet.
+Sensor.PDAVIS = Sensor("PDAVIS", (260, 346), Layout.PDAVIS, 40.0, 1023, 18.5)
+Sensor.SONY = Sensor("Sony IMX250MZR", (2048, 2448), Layout.SONY, 350.0, 4095, 3.45)
+
+
+def resolve_layout(
+    caller: Layout | None = None,
+    calibration: Layout | None = None,
+    recording: Layout | None = None,
+    *,
+    stacklevel: int = 2,
+) -> Layout:
+    """Return the layout to use: the caller's, the calibration's, the recording's.
+
+    Raises
+    ------
+    LayoutError
+        If two of them are given and disagree.
+
+    Warns
+    -----
+    LayoutWarning
+        If none is known: PDAVIS is assumed, and AoP has an unknown zero.
+    """
+    known = [(name, layout) for name, layout in (
+        ("layout argument", caller), ("calibration", calibration),
+        ("recording", recording)) if layout is not None]
+    for name, layout in known[1:]:
+        if layout != known[0][1]:
+            raise LayoutError(
+                f"the {known[0][0]} says {known[0][1]}, the {name} says {layout}: "
+                "one of them is wrong")
+    if known:
+        return known[0][1]
+    warnings.warn(
+        f"polarizer layout unknown: assuming Layout.PDAVIS = {Layout.PDAVIS}; the "
+        f"alternative is Layout.SONY = {Layout.SONY}. Until one is given "
+        "(layout=...), AoP has an unknown zero.",
+        LayoutWarning, stacklevel=stacklevel + 1)
+    return Layout.PDAVIS

@@ -1,0 +1,55 @@
+"""Compile _kernels/*.pyx into the private package pdavis_cv._kernels.
+
+Everything declarative is in pyproject.toml.  PDAVIS_CV_DEBUG=1 builds with
+bounds checks on; for sanitizers add CFLAGS/LDFLAGS.  Each flavour has its own
+build folder: setuptools compares times, not flags, and would reuse the other's.
+"""
+import os
+import sys
+import sysconfig
+
+from setuptools import Extension, setup
+
+# An explicit list: a missing source must fail, not vanish from the wheel.
+KERNELS = ("_build",)
+DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
+ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
+
+DIRECTIVES = {
+    "language_level": 3,
+    "boundscheck": DEBUG,
+    "initializedcheck": DEBUG,
+    "wraparound": False,
+    "cdivision": not DEBUG,
+    "freethreading_compatible": True,
+}
+if sys.platform == "win32":
+    CFLAGS = ["/Od", "/Zi"] if DEBUG else ["/O2"]
+else:
+    # -ffp-contract=off: the same bits with and without FMA
+    CFLAGS = [*(["-O0", "-g"] if DEBUG else ["-O3", "-g0"]), "-ffp-contract=off"]
+
+
+def kernel(name):
+    ext = Extension(
+        f"pdavis_cv._kernels.{name}",
+        sources=[f"_kernels/{name}.pyx"],
+        depends=["_kernels/_types.pxd"],
+        extra_compile_args=CFLAGS,
+        define_macros=[("PDAVIS_CV_DEBUG", str(int(DEBUG))),
+                       *([("Py_LIMITED_API", "0x030B0000")] if ABI3 else [])],
+        py_limited_api=ABI3,
+    )
+    ext.cython_directives = DIRECTIVES
+    ext.cython_c_in_temp = True  # generated C goes to build/, never beside the .pyx
+    return ext
+
+
+OPTIONS = {
+    "build": {"build_base": f"build/{'debug' if DEBUG else 'release'}"},
+    "build_ext": {"force": DEBUG},
+}
+if ABI3:
+    OPTIONS["bdist_wheel"] = {"py_limited_api": "cp311"}
+
+setup(ext_modules=[kernel(name) for name in KERNELS], options=OPTIONS)
