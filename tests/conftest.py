@@ -1,0 +1,63 @@
+"""Fixtures and hooks of every test."""
+import gc
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = Path(os.environ.get("PDAVIS_TEST_DATA") or "/nowhere")
+DATA_WORDS = ("PDAVIS_TEST_DATA", "test data", "real data")
+
+
+@pytest.fixture(scope="session")
+def data_dir():
+    """Return the folder of real recordings; skip where there is none."""
+    if not DATA.is_dir():
+        pytest.skip("PDAVIS_TEST_DATA names no folder")
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def root():
+    """Return the top folder of the sources."""
+    return ROOT
+
+
+@pytest.fixture(autouse=True)
+def _no_file_stays_open():
+    before = _open_files()
+    yield
+    if _open_files() - before:
+        gc.collect()  # a traceback may hold one until its cycle is broken
+    left = {path for _, path in _open_files() - before}
+    assert not left, f"left open: {sorted(left)}"
+
+
+def _open_files():
+    """Return (descriptor, path) of each regular file that this process holds."""
+    found = set()
+    for entry in Path("/proc/self/fd").glob("*"):
+        try:
+            path = Path(os.readlink(entry))
+        except OSError:
+            continue  # the descriptor of the listing itself
+        if path.is_absolute() and path.is_file() and path.parts[1] not in DEVICES:
+            found.add((entry.name, str(path)))
+    return found
+
+
+DEVICES = ("dev", "proc", "sys")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Turn a data test's skip into a failure where the data are there."""
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail") and DATA.is_dir():
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else ""
+        uses_data = "data_dir" in getattr(item, "fixturenames", ())
+        if uses_data or any(word in reason for word in DATA_WORDS):
+            report.outcome = "failed"
+            report.longrepr = f"a data test skipped though {DATA} exists: {reason}"
+    return report

@@ -1,0 +1,87 @@
+import ast
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import files as installed_files
+from importlib.resources import files
+
+import pytest
+
+import pdavis_cv
+from pdavis_cv import _kernels
+
+
+def test_stub_lists_every_kernel():
+    tree = ast.parse(files(pdavis_cv).joinpath("_kernels.pyi").read_text())
+    stubbed = {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}
+    stubbed |= {n.target.id for n in tree.body if isinstance(n, ast.AnnAssign)}
+    assert stubbed == set(_kernels.__all__)
+    for name in stubbed:
+        assert hasattr(_kernels, name)
+
+
+def test_the_flavour_under_test_is_the_one_asked_for():
+    assert (os.environ.get("PDAVIS_CV_DEBUG", "0") != "0") == _kernels.DEBUG
+
+
+def test_every_kernel_source_is_compiled(root):
+    setup = ast.parse((root / "setup.py").read_text())
+    listed = next(ast.literal_eval(n.value) for n in setup.body
+                  if isinstance(n, ast.Assign) and n.targets[0].id == "KERNELS")
+    sources = {path.stem for path in (root / "_kernels").glob("*.pyx")}
+    assert sources == set(listed)
+
+
+def test_every_folder_with_code_is_packaged(root):
+    project = tomllib.loads((root / "pyproject.toml").read_text())
+    folders = {path.parent for path in (root / "pdavis_cv").rglob("__init__.py")}
+    names = {".".join(folder.relative_to(root).parts) for folder in folders}
+    listed = project["tool"]["setuptools"]["packages"]
+    assert names | {"pdavis_cv._kernels", "pdavis_cv.tools"} == set(listed)
+    assert listed == sorted(listed)
+
+
+def test_every_public_name_comes_from_its_home():
+    import importlib
+    for name in pdavis_cv.__all__:
+        value = getattr(pdavis_cv, name)
+        home = pdavis_cv._HOME.get(name)
+        if home is not None:
+            module = importlib.import_module(f"pdavis_cv.{home}")
+            assert name in module.__all__
+            assert getattr(module, name) is value
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'fuze'"):
+        pdavis_cv.fuze  # noqa: B018
+
+
+def test_import_loads_neither_scipy_nor_cv2_nor_numpy_submodules():
+    code = ("import sys, pdavis_cv; "
+            "print(*sorted({'numpy', 'scipy', 'cv2', 'tqdm'} & set(sys.modules)))")
+    out = subprocess.run([sys.executable, "-P", "-c", code], check=True,
+                         capture_output=True, text=True).stdout
+    assert out.split() == []
+
+
+def test_every_shipped_datum_is_named_and_its_notice_ships(root):
+    shipped = {entry.name for entry in files("pdavis_cv.data").iterdir()
+               if entry.is_file() and entry.suffix not in (".py", ".pyc")}
+    data = {name for name in shipped if not name.startswith("LICENSE.")}
+    assert "davis346_short.aedat4" in data
+    table = (root / "THIRD_PARTY.md").read_text()
+    carried = {path.name for path in installed_files("pdavis-cv") or ()
+               if ".dist-info" in str(path)}
+    assert "THIRD_PARTY.md" in carried
+    for name in data:
+        row = next((row for row in table.splitlines()
+                    if row.startswith("|") and f"`{name}`" in row), "")
+        assert row, f"THIRD_PARTY.md does not name {name}"
+        notices = re.findall(r"LICENSE\.[\w-]+", row)
+        for notice in notices:
+            assert notice in shipped
+            assert notice in carried
+        assert notices or "made by this project" in row, f"{name}: no notice"
