@@ -39,10 +39,10 @@ _HOME = {
 }
 _ROOMS = ("calibration", "simulation")
 
-__all__ = ["__version__", *_HOME, *_ROOMS]  # noqa: PLE0604
+__all__ = ["__version__", *_HOME, *_ROOMS]
 
 if TYPE_CHECKING:
-    from pdavis_cv import calibration, simulation  # noqa: F401
+    from pdavis_cv import calibration, simulation
     from pdavis_cv.calibration.model import Calibration
     from pdavis_cv.errors import (
         BusWarning,

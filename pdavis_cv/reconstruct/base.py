@@ -135,7 +135,7 @@ class Reconstructor(ABC):
 
     @abstractmethod
     def _state(self) -> Mapping[str, Any]:
-        """Copies of everything that feeding changes."""
+        """Return copies of everything that feeding changes."""
 
     @abstractmethod
     def _restore(self, state: Mapping[str, Any]) -> None:

@@ -1,6 +1,7 @@
 """Recordings in memory."""
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -80,7 +81,7 @@ class MemoryRecording(Recording):
             int(i) for i in np.searchsorted(self._events["t"], (cell, start, stop)))
         inner = range(origin + MAX_PACKET_EVENTS, hi, MAX_PACKET_EVENTS)
         cuts = [lo, *(i for i in inner if i > lo), hi]
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        for a, b in itertools.pairwise(cuts):
             last = b == hi
             until = stop if last else int(self._events["t"][b])
             packet = Packet(
