@@ -111,7 +111,8 @@ def _one_dimensional(events: NDArray[Any]) -> NDArray[Any]:
 
 
 def _same_memory(dtype: np.dtype[Any], found: dict[str, str]) -> bool:
-    fields, wanted = dtype.fields or {}, EVENT_DTYPE.fields or {}
+    fields: Mapping[str, Any] = dtype.fields or {}
+    wanted: Mapping[str, Any] = EVENT_DTYPE.fields or {}
     return dtype.itemsize == EVENT_DTYPE.itemsize and all(
         fields[field][1] == wanted[name][1]
         and dtype[field].itemsize == EVENT_DTYPE[name].itemsize

@@ -17,7 +17,7 @@ __all__ = ["Estimate", "Reconstructor", "Snapshot"]
 class Estimate(NamedTuple):
     """Log intensity of every pixel at one time.
 
-    Attributes
+    Parameters
     ----------
     log_intensity : ndarray of float32, shape (H, W)
         Natural log of DN per ms of exposure (of DN where no exposure is known).

@@ -1,0 +1,29 @@
+# make demo: pictures and videos into demo/.   make test: the tests.
+# make asan: the tests under the address and undefined-behaviour sanitizers.
+# Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
+
+VENV := .venv
+SOURCES := pyproject.toml setup.py $(wildcard _kernels/*.pyx _kernels/*.pxd _kernels/*.h)
+export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
+
+# Real recordings: the first of these folders that exists.
+export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
+	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
+
+.PHONY: demo test asan clean
+
+demo: $(VENV)/.with-cv2
+	$(VENV)/bin/pdavis demo -o demo
+
+test: $(VENV)/.with-test
+	$(VENV)/bin/pytest -q
+
+asan: $(SOURCES)
+	.ci/asan
+
+$(VENV)/.with-%: $(SOURCES) .ci/venv
+	.ci/venv $(VENV) $*
+	touch $@
+
+clean:
+	rm -rf build dist demo $(VENV) _kernels/*.so *.egg-info

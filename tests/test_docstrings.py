@@ -1,0 +1,39 @@
+"""Docstrings of the public names, as numpydoc sees them."""
+import inspect
+
+import pytest
+from numpydoc.validate import validate
+
+import pdavis_cv
+
+# Sections that are not asked for everywhere, and punctuation of lists of facts.
+OPTIONAL = {"ES01", "EX01", "SA01", "PR07", "PR08", "PR09", "RT03", "RT04", "RT05",
+            "YD01", "GL01", "GL02", "GL03", "RT02"}
+# A method whose summary line says everything needs no sections.
+OPTIONAL_IN_METHODS = {"PR01", "RT01", "SS05"}
+
+
+def public_objects():
+    """Return the dotted names of public functions, classes and their methods."""
+    names = []
+    for name in pdavis_cv.__all__:
+        value, home = getattr(pdavis_cv, name), pdavis_cv._HOME.get(name)
+        if home is None or not callable(value):
+            continue
+        names.append(f"pdavis_cv.{home}.{name}")
+        if inspect.isclass(value) and not issubclass(value, Exception):
+            names += [f"pdavis_cv.{home}.{name}.{member}"
+                      for member, what in vars(value).items()
+                      if not member.startswith("_")
+                      and (inspect.isroutine(what) or isinstance(what, property))]
+    return names
+
+
+@pytest.mark.parametrize("name", public_objects())
+def test_docstring_is_complete(name):
+    found = validate(name)
+    method = name.split(".")[-2][0].isupper()
+    optional = OPTIONAL | (OPTIONAL_IN_METHODS if method else set())
+    errors = [f"{code} {text}" for code, text in found["errors"]
+              if code not in optional]
+    assert not errors
