@@ -11,7 +11,11 @@ import sysconfig
 from setuptools import Extension, setup
 
 # An explicit list: a missing source must fail, not vanish from the wheel.
-KERNELS = ("_build",)
+KERNELS = (
+    "_build",
+    "_floor",
+    "_leaky",
+)
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
 
@@ -34,7 +38,7 @@ def kernel(name):
     ext = Extension(
         f"pdavis_cv._kernels.{name}",
         sources=[f"_kernels/{name}.pyx"],
-        depends=["_kernels/_types.pxd"],
+        depends=["_kernels/_math.pxd", "_kernels/_types.pxd"],
         extra_compile_args=CFLAGS,
         define_macros=[("PDAVIS_CV_DEBUG", str(int(DEBUG))),
                        *([("Py_LIMITED_API", "0x030B0000")] if ABI3 else [])],

@@ -32,6 +32,8 @@ _HOME = {
     "Packet": "recording.base",
     "Recording": "recording.base",
     "recording_from_arrays": "recording.memory",
+    "ComplementaryFilter": "reconstruct.cf",
+    "FrameHold": "reconstruct.frames",
     "Estimate": "reconstruct.base",
     "Reconstructor": "reconstruct.base",
     "Snapshot": "reconstruct.base",
@@ -58,6 +60,8 @@ if TYPE_CHECKING:
     )
     from pdavis_cv.events import EVENT_DTYPE, as_events
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
+    from pdavis_cv.reconstruct.cf import ComplementaryFilter
+    from pdavis_cv.reconstruct.frames import FrameHold
     from pdavis_cv.recording.base import (
         IMU_DTYPE,
         TRIGGER_DTYPE,

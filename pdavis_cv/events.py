@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EVENT_DTYPE", "as_events", "check_order"]
+__all__ = ["EVENT_DTYPE", "as_events", "bad_event", "check_order"]
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """Time in microseconds, column, row (0 at the top), polarity (1 = ON); 13 bytes."""
@@ -87,6 +87,38 @@ def check_order(events: NDArray[Any], name: str = "events") -> None:
         raise ValueError(
             f"{name} must be time-ordered, but event {i} at t={t[i]} comes after "
             f"t={t[i - 1]}")
+
+
+def bad_event(
+    events: NDArray[Any], i: int, shape: tuple[int, int], last_us: int | None = None
+) -> ValueError:
+    """Return the error for event i, at which a kernel stopped.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        What the kernel was given.
+    i : int
+        Index of the event.
+    shape : (int, int)
+        (height, width) of the sensor.
+    last_us : int, optional
+        Last time seen before ``events``.
+
+    Returns
+    -------
+    ValueError
+        Names the event, and says whether it lies outside the sensor or is late.
+    """
+    event, (height, width) = events[i], shape
+    if event["y"] >= height or event["x"] >= width or event["p"] > 1:
+        return ValueError(
+            f"event {i} at (x={event['x']}, y={event['y']}, p={event['p']}) lies "
+            f"outside the {width}x{height} sensor")
+    before = int(events["t"][i - 1]) if i else last_us
+    return ValueError(
+        f"events must be time-ordered, but event {i} at t={event['t']} comes after "
+        f"t={before}")
 
 
 def _find_fields(names: tuple[str, ...]) -> dict[str, str]:

@@ -18,7 +18,7 @@ LINES = (
     ("reconstruct",),
     ("recording",),
     ("polarization", "mosaic", "aps", "events"),
-    ("sensor", "errors"),
+    ("sensor", "errors", "_checks"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

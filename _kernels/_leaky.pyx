@@ -1,0 +1,192 @@
+"""Leaky pixels: state that decays between events, for the filters of fusion.md 1.
+
+Each pixel holds the time of its last update, a value that decays towards 0, and its
+rate in 1/us.  For the complementary filter the value is L - L_F, for the printed
+equation L, for the events method the high-passed log intensity.
+"""
+from libc.stdint cimport int64_t, uint8_t
+
+from _kernels._math cimport expm1_f, log_f
+from _kernels._types cimport event_t
+
+cdef packed struct cell_t:
+    double t          # microseconds, exact to 2**53
+    double value      # float32 would lose 1e-4 within some 10,000 events
+    float rate
+    float unused      # keeps the doubles aligned
+
+
+cdef inline void leak(cell_t* cell, double t) noexcept nogil:
+    cell.value += cell.value * expm1_f(-(cell.rate * <float>(t - cell.t)))
+    cell.t = t
+
+
+def check_events(const event_t[::1] events not None, int64_t last, Py_ssize_t h,
+                 Py_ssize_t w):
+    """Return the index of the first event that leak_events would stop at."""
+    cdef Py_ssize_t n = events.shape[0], i
+    with nogil:
+        for i in range(n):
+            if (events[i].y >= h or events[i].x >= w or events[i].p > 1
+                    or events[i].t < last):
+                break
+            last = events[i].t
+        else:
+            i = n
+    return i
+
+
+def leak_events(const event_t[::1] events not None, const float[::1] step not None,
+                int64_t last, cell_t[:, ::1] cells not None):
+    """Decay and add step[p] at each event; return how many were taken.
+
+    Stops at the first event outside cells, or before its predecessor (the first:
+    before last).
+    """
+    cdef Py_ssize_t n = events.shape[0], h = cells.shape[0], w = cells.shape[1]
+    cdef Py_ssize_t i, y, x, p
+    cdef int64_t t
+    if step.shape[0] != 2:
+        raise ValueError("leak_events: step must be (2,)")
+    with nogil:
+        for i in range(n):
+            t = events[i].t
+            y = events[i].y
+            x = events[i].x
+            p = events[i].p
+            if y >= h or x >= w or p > 1 or t < last:
+                break
+            last = t
+            leak(&cells[y, x], <double>t)
+            cells[y, x].value += step[p]
+        else:
+            i = n
+    return i
+
+
+def leak_events_map(const event_t[::1] events not None,
+                    const float[:, :, ::1] step not None, int64_t last,
+                    cell_t[:, ::1] cells not None):
+    """As leak_events, with a step (row, column, polarity) per pixel."""
+    cdef Py_ssize_t n = events.shape[0], h = cells.shape[0], w = cells.shape[1]
+    cdef Py_ssize_t i, y, x, p
+    cdef int64_t t
+    if step.shape[0] != h or step.shape[1] != w or step.shape[2] != 2:
+        raise ValueError("leak_events_map: step must be (h, w, 2)")
+    with nogil:
+        for i in range(n):
+            t = events[i].t
+            y = events[i].y
+            x = events[i].x
+            p = events[i].p
+            if y >= h or x >= w or p > 1 or t < last:
+                break
+            last = t
+            leak(&cells[y, x], <double>t)
+            cells[y, x].value += step[y, x, p]
+        else:
+            i = n
+    return i
+
+
+def leak_read(const cell_t[:, ::1] cells not None, const float[:, ::1] base not None,
+              double t, float[:, ::1] out not None):
+    """Write base + value decayed to t; cells stay as they are."""
+    cdef Py_ssize_t h = out.shape[0], w = out.shape[1]
+    cdef Py_ssize_t y, x
+    cdef double v
+    if cells.shape[0] != h or base.shape[0] != h:
+        raise ValueError("leak_read: cells, base and out must have one shape")
+    if cells.shape[1] != w or base.shape[1] != w:
+        raise ValueError("leak_read: cells, base and out must have one shape")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                v = cells[y, x].value
+                v += v * expm1_f(-(cells[y, x].rate * <float>(t - cells[y, x].t)))
+                out[y, x] = <float>(base[y, x] + v)
+
+
+def log_frame(const float[:, ::1] dn not None, const uint8_t[:, ::1] usable not None,
+              const float[::1] log_exposure not None, float[:, ::1] out not None,
+              uint8_t[:, ::1] valid not None):
+    """Write ln(max(dn, 1)) - log_exposure[column], and usable where dn >= 1."""
+    cdef Py_ssize_t h = out.shape[0], w = out.shape[1]
+    cdef Py_ssize_t y, x
+    cdef float one = 1.0, v
+    if (dn.shape[0] != h or usable.shape[0] != h or valid.shape[0] != h
+            or dn.shape[1] != w or usable.shape[1] != w or valid.shape[1] != w
+            or log_exposure.shape[0] != w):
+        raise ValueError("log_frame: all arrays must have one shape")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                v = dn[y, x]
+                valid[y, x] = (usable[y, x] != 0) & (v >= one)
+                v = v if v >= one else one       # a NaN counts as the floor
+                out[y, x] = log_f(v) - log_exposure[x]
+
+
+cdef inline float gain_of(float log_v, float floor) noexcept nogil:
+    """Adaptive gain m(v) of fusion.md 1 from ln v, v on the 8-bit scale."""
+    cdef float per_ln_10 = 0.43429448, ln_255 = 5.5412635, per_top = 4.116138
+    cdef float one = 1.0, low, high
+    low = log_v * per_ln_10
+    high = (ln_255 - log_v) * per_top
+    low = low if low < high else high
+    low = low if low < one else one
+    low = low if low > 0 else 0
+    return floor + (one - floor) * low
+
+
+def cf_frame(const float[:, ::1] sample not None, const uint8_t[:, ::1] valid not None,
+             const float[::1] log_8bit not None, const float[::1] age not None,
+             double t, float rate, float floor, float[:, ::1] held not None,
+             cell_t[:, ::1] cells not None):
+    """Complementary filter: take a frame at time t.
+
+    sample is ln F; log_8bit[column] turns it into ln of the 8-bit value; age[column]
+    is how long ago (us, may be negative) the column was exposed; rate is 1/tau per
+    us, floor the adaptive gain's lambda (1 = no adaptive gain).  held is L_F.
+    """
+    cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1]
+    cdef Py_ssize_t y, x
+    cdef float r, jump
+    if (sample.shape[0] != h or valid.shape[0] != h or held.shape[0] != h
+            or sample.shape[1] != w or valid.shape[1] != w or held.shape[1] != w
+            or log_8bit.shape[0] != w or age.shape[0] != w):
+        raise ValueError("cf_frame: all arrays must have one shape")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                leak(&cells[y, x], t)
+                r = gain_of(sample[y, x] + log_8bit[x], floor) if valid[y, x] else floor
+                r *= rate
+                # As if L_F had changed when the column was exposed: the rest of
+                # the jump has decayed since (or will, up to then).
+                jump = held[y, x] - sample[y, x]
+                cells[y, x].value += jump + jump * expm1_f(-(r * age[x]))
+                cells[y, x].rate = r
+                held[y, x] = sample[y, x]
+
+
+def cf_frame_literal(const float[:, ::1] sample not None,
+                     const uint8_t[:, ::1] valid not None, double t, float rate,
+                     float floor, float log_scale, cell_t[:, ::1] cells not None):
+    """Printed equation: L <- a L + (1 - a) sample, sample in ln DN."""
+    cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1]
+    cdef Py_ssize_t y, x
+    cdef double old
+    cdef float fall, r
+    if (sample.shape[0] != h or valid.shape[0] != h or sample.shape[1] != w
+            or valid.shape[1] != w):
+        raise ValueError("cf_frame_literal: all arrays must have one shape")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                old = cells[y, x].value
+                fall = expm1_f(-(cells[y, x].rate * <float>(t - cells[y, x].t)))
+                cells[y, x].value = old + (old - sample[y, x]) * fall
+                cells[y, x].t = t
+                r = gain_of(sample[y, x] + log_scale, floor) if valid[y, x] else floor
+                cells[y, x].rate = r * rate

@@ -1,0 +1,125 @@
+"""Checks of arguments that several rooms share."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+__all__ = ["output", "outputs", "positive", "sensor_shape"]
+
+
+def output(
+    out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLike,
+    *inputs: NDArray[Any] | None, name: str = "out",
+) -> NDArray[Any]:
+    """Return ``out`` after checking it, or a new array when it is None.
+
+    Parameters
+    ----------
+    out : ndarray or None
+        What the caller gave.
+    shape : tuple of int
+        Exact shape that it must have.
+    dtype : dtype_like
+        Exact dtype that it must have.
+    *inputs : ndarray or None
+        Arrays that it must not overlap.
+    name : str
+        What to call the argument in messages.
+
+    Returns
+    -------
+    ndarray
+        ``out`` itself, or a new array with undefined contents.
+
+    Raises
+    ------
+    TypeError
+        If ``out`` is not an array or has another dtype.
+    ValueError
+        If it has another shape, is not C-contiguous or not writeable, or overlaps
+        an input.
+    """
+    dtype = np.dtype(dtype)
+    if out is None:
+        return np.empty(shape, dtype)
+    if not isinstance(out, np.ndarray):
+        raise TypeError(f"{name} must be an ndarray, got {type(out).__name__}")
+    if out.dtype != dtype:
+        raise TypeError(f"{name} must be {dtype}, got {out.dtype}")
+    if out.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {out.shape}")
+    if not out.flags.c_contiguous:
+        raise ValueError(f"{name} must be C-contiguous, got strides {out.strides}")
+    if not out.flags.writeable:
+        raise ValueError(f"{name} must be writeable, got a read-only array")
+    for array in inputs:
+        # may_share_memory compares bounds only, so it is quick; it can be wrong
+        # about a strided input, shares_memory cannot.
+        if (array is not None and np.may_share_memory(out, array)
+                and np.shares_memory(out, array)):
+            raise ValueError(f"{name} must not overlap an input, got memory of one")
+    return out
+
+
+def outputs(
+    out: Sequence[NDArray[Any] | None] | None,
+    specs: Sequence[tuple[str, tuple[int, ...], DTypeLike]],
+    *inputs: NDArray[Any] | None,
+) -> tuple[NDArray[Any], ...]:
+    """Return one checked or new array per (name, shape, dtype) of ``specs``.
+
+    Parameters
+    ----------
+    out : tuple of (ndarray or None), or None
+        What the caller gave, in the order in which results are returned.
+    specs : sequence of (str, tuple of int, dtype_like)
+        Name, shape and dtype of each result.
+    *inputs : ndarray or None
+        Arrays that none of them may overlap.
+
+    Raises
+    ------
+    TypeError
+        If ``out`` is not a tuple, or an entry is not an array of its dtype.
+    ValueError
+        If the number of entries differs, an entry is unfit (see `output`), or two
+        entries overlap.
+    """
+    names = ", ".join(name for name, _, _ in specs)
+    if out is None:
+        out = (None,) * len(specs)
+    if not isinstance(out, tuple):
+        raise TypeError(
+            f"out must be a tuple ({names}) of arrays or None, got "
+            f"{type(out).__name__}")
+    if len(out) != len(specs):
+        raise ValueError(
+            f"out must have {len(specs)} entries ({names}), got {len(out)}")
+    checked: list[NDArray[Any]] = []
+    for array, (name, shape, dtype) in zip(out, specs, strict=True):
+        # A new array cannot overlap the others, so only given ones are compared.
+        others = () if array is None else (*inputs, *checked)
+        checked.append(output(array, shape, dtype, *others, name=f"out ({name})"))
+    return tuple(checked)
+
+
+def positive(name: str, value: float) -> float:
+    """Return value as a float; raise ValueError unless it is positive and finite."""
+    number = float(value)
+    if not (np.isfinite(number) and number > 0):
+        raise ValueError(f"{name} must be positive and finite, got {value!r}")
+    return number
+
+
+def sensor_shape(shape: Sequence[int]) -> tuple[int, int]:
+    """Return shape as (height, width); raise ValueError unless both are positive."""
+    try:
+        height, width = (int(side) for side in shape)
+    except (TypeError, ValueError):
+        raise ValueError(f"shape must be (height, width), got {shape!r}") from None
+    if not (0 < height <= 65_536 and 0 < width <= 65_536):
+        raise ValueError(f"shape must lie in 1..65536, got {shape!r}")
+    return height, width

@@ -1,0 +1,129 @@
+"""What every method checks about what it is fed: order in time, shape, thresholds."""
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.events import as_events, bad_event
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["NEVER", "Clock", "checked_threshold", "steps"]
+
+NEVER = int(np.iinfo(np.int64).min)
+
+
+class Clock:
+    """The last time that a Reconstructor has seen.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width) of what it is fed.
+
+    Attributes
+    ----------
+    last_us : int
+        Time of the last event or frame; `NEVER` before the first.
+    """
+
+    __slots__ = ("last_us", "shape")
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.shape = shape
+        self.last_us = NEVER
+
+    def took(self, events: NDArray[Any], taken: int) -> None:
+        """Note that a kernel took so many events; raise ValueError if not all.
+
+        Raises
+        ------
+        ValueError
+            Names the first event that was not taken, and why.
+        """
+        before = self.last_us
+        if taken:
+            self.last_us = int(events["t"][taken - 1])
+        if taken < len(events):
+            raise bad_event(events, taken, self.shape, before)
+
+    def check_events(self, events: NDArray[Any]) -> NDArray[Any]:
+        """Check events that are not otherwise looked at.
+
+        Raises
+        ------
+        ValueError
+            If one lies outside the sensor or is late; the message names it.
+        """
+        events = as_events(events)
+        height, width = self.shape
+        self.took(events, _kernels.check_events(events, self.last_us, height, width))
+        return events
+
+    def check_frame(self, frame: ApsFrame) -> int:
+        """Return the time of a frame, its mid-exposure, and note it.
+
+        Raises
+        ------
+        ValueError
+            If it has another shape or lies before the last time seen.
+        """
+        if frame.shape != self.shape:
+            raise ValueError(
+                f"frame must be {self.shape[1]}x{self.shape[0]}, got "
+                f"{frame.shape[1]}x{frame.shape[0]}")
+        mid = frame.mid_us
+        if mid < self.last_us:
+            raise ValueError(
+                "frames must be fed in time order, but this one's mid-exposure "
+                f"{mid} us lies before the last time seen, {self.last_us} us")
+        self.last_us = mid
+        return mid
+
+    def check_read(self, t_us: int) -> int:
+        """Return the time to read at.
+
+        Raises
+        ------
+        ValueError
+            If it lies before the last time seen.
+        """
+        t = int(t_us)
+        if t < self.last_us:
+            raise ValueError(
+                f"t_us must not lie before the last time seen, {self.last_us}, "
+                f"got {t}")
+        return t
+
+
+def checked_threshold(
+    name: str, value: ArrayLike, shape: tuple[int, int]
+) -> float | NDArray[np.float64]:
+    """Return a threshold as a float, or as a read-only copy of shape (H, W).
+
+    Raises
+    ------
+    ValueError
+        If it is neither a scalar nor (H, W), or not positive and finite.
+    """
+    array = np.array(value, np.float64)
+    if array.shape not in ((), shape):
+        raise ValueError(
+            f"{name} must be a scalar or have shape {shape}, got {array.shape}")
+    if not np.all(np.isfinite(array) & (array > 0)):
+        bad = array[~(np.isfinite(array) & (array > 0))].flat[0]
+        raise ValueError(f"{name} must be positive and finite, got {bad}")
+    if array.ndim == 0:
+        return float(array)
+    array.flags.writeable = False
+    return array
+
+
+def steps(
+    theta_on: float | NDArray[np.float64], theta_off: float | NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the step of log intensity by polarity: (2,), or (H, W, 2) for maps."""
+    off, on = np.broadcast_arrays(np.negative(theta_off), theta_on)
+    return np.stack([off, on], axis=-1).astype(np.float32)

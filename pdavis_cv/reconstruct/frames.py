@@ -1,0 +1,128 @@
+"""The ``frames`` method, and how a frame becomes log intensity."""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._checks import output, sensor_shape
+from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.clock import Clock
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["FrameHold", "log_exposure", "log_samples"]
+
+
+def log_exposure(frame: ApsFrame) -> NDArray[np.float32]:
+    """Return ln of each column's exposure in ms; 0 (plain DN) where it is unknown.
+
+    Returns
+    -------
+    ndarray of float32, shape (W,)
+    """
+    ms = np.subtract(frame.exposure_end_us, frame.exposure_start_us) / 1000
+    log = np.log(ms, out=np.zeros(np.shape(ms)), where=ms > 0)
+    return np.broadcast_to(log, frame.shape[1:]).astype(np.float32)
+
+
+def log_samples(
+    frame: ApsFrame, exposure: NDArray[np.float32] | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the log intensity of a frame, and which of its samples are usable.
+
+    Parameters
+    ----------
+    frame : ApsFrame
+        The frame; ``dn`` on the 10-bit scale.
+    exposure : ndarray of float32, shape (W,), optional
+        Natural log of the unit that the result is per; default `log_exposure`.
+
+    Returns
+    -------
+    log_intensity : ndarray of float32, shape (H, W)
+        ``ln(max(DN, 1)) - exposure``: DN per ms, or DN where no exposure is known.
+        A NaN counts as below the floor.
+    valid : ndarray of bool, shape (H, W)
+        The frame's ``valid``, and False below 1 DN.
+    """
+    if exposure is None:
+        exposure = log_exposure(frame)
+    log = np.empty(frame.shape, np.float32)
+    valid = np.empty(frame.shape, np.bool_)
+    usable = np.ones(frame.shape, np.uint8) if frame.valid is None else (
+        np.ascontiguousarray(frame.valid).view(np.uint8))
+    _kernels.log_frame(frame.dn, usable, exposure, log, valid.view(np.uint8))
+    return log, valid
+
+
+class FrameHold(Reconstructor):
+    """Hold the last frame; events are ignored.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width).
+    hold : {"readout", "mid"}
+        From when on a frame is shown: the end of its readout (``available_us``), or
+        its mid-exposure.  Before the first one nothing is valid.
+
+    Raises
+    ------
+    ValueError
+        If ``hold`` or ``shape`` is something else.
+    """
+
+    method = "frames"
+
+    def __init__(self, shape: Sequence[int], *, hold: str = "readout") -> None:
+        if hold not in ("readout", "mid"):
+            raise ValueError(f"hold must be 'readout' or 'mid', got {hold!r}")
+        self.shape = sensor_shape(shape)
+        self._hold = hold
+        self._clock = Clock(self.shape)
+        # (shown from, log intensity, valid): the frame shown, then those to come.
+        # The arrays are never written to, so snapshots may share them.
+        self._frames: tuple[
+            tuple[int, NDArray[np.float32], NDArray[np.bool_]], ...] = ()
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Parameters that make an equal FrameHold."""
+        return {"hold": self._hold}
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Check the events and note their time."""
+        self._clock.check_events(events)
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Queue the frame until it may be shown."""
+        mid = self._clock.check_frame(frame)
+        start = mid if self._hold == "mid" else max(mid, frame.available_us)
+        log, valid = log_samples(frame)
+        shown = [f for f in self._frames if f[0] <= mid][-1:]
+        coming = [f for f in self._frames if f[0] > mid]
+        self._frames = (*shown, *coming, (start, log, valid))
+
+    def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
+        """Return the log intensity of the frame that is held at t_us."""
+        t = self._clock.check_read(t_us)
+        log = output(out, self.shape, np.float32)
+        held = [frame for frame in self._frames if frame[0] <= t]
+        if not held:
+            log.fill(0)
+            return Estimate(log, None, np.zeros(self.shape, np.bool_))
+        log[:] = held[-1][1]
+        return Estimate(log, None, held[-1][2].copy())
+
+    def _state(self) -> Mapping[str, Any]:
+        return {"last_us": self._clock.last_us,
+                "frames": [(t, log.copy(), valid.copy())
+                           for t, log, valid in self._frames]}
+
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        self._clock.last_us = state["last_us"]
+        self._frames = tuple((t, log.copy(), valid.copy())
+                             for t, log, valid in state["frames"])

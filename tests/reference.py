@@ -1,0 +1,66 @@
+"""Plain NumPy versions of the kernels, written to be read."""
+import numpy as np
+
+
+def floor_sum(events, step, out):
+    np.add.at(out, (events["y"], events["x"]), step[events["p"]])
+
+
+def log_frame(dn, usable, log_exposure):
+    above = dn >= 1
+    return np.log(np.where(above, dn, 1.0)) - log_exposure, above & usable
+
+
+class ComplementaryFilter:
+    """fusion.md 1 in float64, an event at a time."""
+
+    def __init__(self, shape, theta_on, theta_off, cutoff_hz, adaptive_gain, literal):
+        self.on = np.broadcast_to(theta_on, shape)
+        self.off = np.broadcast_to(theta_off, shape)
+        self.tau_us = 1e6 / (2 * np.pi * cutoff_hz)
+        self.adaptive_gain, self.literal = adaptive_gain, literal
+        self.t = np.zeros(shape)
+        self.L, self.held, self.log_exposure = np.zeros((3, *shape))
+        self.gain = np.ones(shape)
+        self.valid = np.zeros(shape, bool)
+        self.started = False
+
+    def add_events(self, events):
+        for e in events:
+            at = e["y"], e["x"]
+            a = np.exp(-(e["t"] - self.t[at]) * self.gain[at] / self.tau_us)
+            step = self.on[at] if e["p"] else -self.off[at]
+            pull = 0 if self.literal else (1 - a) * self.held[at]
+            self.L[at] = a * self.L[at] + pull + step
+            self.t[at] = e["t"]
+
+    def add_frame(self, frame):
+        dn = np.maximum(frame.dn.astype(float), 1)
+        log_exposure = np.log(frame.exposure_ms) if frame.exposure_ms else 0.0
+        sample = np.log(dn) - (0 if self.literal else log_exposure)
+        if not self.started:
+            self.L, self.held, self.started = sample.copy(), sample, True
+        a = np.exp(-(frame.mid_us - self.t) * self.gain / self.tau_us)
+        pull = sample if self.literal else self.held
+        self.L = a * self.L + (1 - a) * pull
+        self.held, self.log_exposure = sample, log_exposure
+        self.t[:] = frame.mid_us
+        self.valid = frame.dn >= 1
+        if frame.valid is not None:
+            self.valid &= frame.valid
+        if self.adaptive_gain:
+            self.gain = np.where(self.valid, adaptive_gain(frame.dn), 0.1)
+
+    def read(self, t_us):
+        if self.literal:
+            return self.L - self.log_exposure
+        a = np.exp(-(t_us - self.t) * self.gain / self.tau_us)
+        return a * self.L + (1 - a) * self.held
+
+
+def adaptive_gain(dn):
+    """m(v) for 10-bit DN."""
+    v = np.maximum(np.minimum(dn.astype(float), 1023) / 4, 1)
+    low = np.clip(np.log(v) / np.log(10), 0, 1)
+    high = np.clip(np.log(255 / v) / np.log(255 / 200), 0, 1)
+    return 0.1 + 0.9 * np.where(v < 10, low, np.where(v > 200, high, 1))

@@ -1,0 +1,36 @@
+"""Random event streams and frames for the tests."""
+import numpy as np
+
+import pdavis_cv
+
+
+def random_events(n, shape, *, seed=0, start_us=0, stop_us=1_000_000, read_only=True):
+    """Return n time-ordered events, uniform over the sensor and the interval."""
+    rng = np.random.default_rng(seed)
+    out = np.zeros(n, pdavis_cv.EVENT_DTYPE)
+    out["t"] = np.sort(rng.integers(start_us, stop_us, n))
+    out["x"] = rng.integers(0, shape[1], n)
+    out["y"] = rng.integers(0, shape[0], n)
+    out["p"] = rng.integers(0, 2, n)
+    out.flags.writeable = not read_only
+    return out
+
+
+def random_frame(shape, mid_us, *, seed=0, exposure_us=10_000, low=-20, high=1100):
+    """Return a frame of uniform noise; a tenth of its samples is marked unusable."""
+    rng = np.random.default_rng(seed)
+    start = mid_us - exposure_us // 2
+    return pdavis_cv.ApsFrame(
+        rng.uniform(low, high, shape), start, start + exposure_us,
+        valid=rng.random(shape) > 0.1, available_us=start + exposure_us + 2_000)
+
+
+def feed(method, events, frames):
+    """Feed a Reconstructor in time order, a frame before events of its time."""
+    at = 0
+    for frame in frames:
+        end = int(np.searchsorted(events["t"], frame.mid_us))
+        method.add_events(events[at:end])
+        method.add_frame(frame)
+        at = end
+    method.add_events(events[at:])
