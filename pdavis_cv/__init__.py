@@ -39,12 +39,12 @@ _HOME = {
     "Snapshot": "reconstruct.base",
     "Calibration": "calibration.model",
 }
-_ROOMS = ("calibration", "simulation")
+_ROOMS = ("calibration", "export", "render", "simulation")
 
 __all__ = ["__version__", *_HOME, *_ROOMS]
 
 if TYPE_CHECKING:
-    from pdavis_cv import calibration, simulation
+    from pdavis_cv import calibration, export, render, simulation
     from pdavis_cv.calibration.model import Calibration
     from pdavis_cv.errors import (
         BusWarning,

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LINES = (
     ("tools",),
     ("capture",),
-    ("fusion",),
+    ("fusion", "_arguments", "_feed"),
     ("analysis", "export", "render"),
     ("calibration",),
     ("simulation",),

@@ -1,0 +1,217 @@
+"""Videos and PNG through OpenCV; odd sides are padded before a codec sees them."""
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.export.files import beside
+from pdavis_cv.render import even, opencv
+
+__all__ = ["PlaneVideo", "VideoFile", "write_png"]
+
+_CODECS = {".mp4": "mp4v", ".m4v": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
+
+
+class VideoFile:
+    """A colour video, written picture by picture.
+
+    Parameters
+    ----------
+    path : path
+        ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; appears when it is whole.
+    fps : float
+        Pictures per second of playing.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another or the rate not positive.
+    OSError
+        When writing, if the codec cannot write there.
+    """
+
+    _grey = False
+
+    def __init__(self, path: str | os.PathLike[str], fps: float) -> None:
+        self.path = Path(path)
+        self._fourcc = self._codec(self.path.suffix.lower())
+        if not 0 < fps < float("inf"):
+            raise ValueError(f"fps must be positive, got {fps}")
+        self.fps, self.count = float(fps), 0
+        self._cv2 = opencv()
+        self._stack = contextlib.ExitStack()
+        self._part = self._stack.enter_context(beside(self.path))
+        self._part.touch()  # fails here, with the system's reason, if it must
+        self._writer: Any = None
+        self._shape: tuple[int, ...] = ()
+
+    @staticmethod
+    def _codec(suffix: str) -> str:
+        if suffix not in _CODECS:
+            raise ValueError(
+                f"video file must end in {', '.join(_CODECS)}, got {suffix!r}")
+        return _CODECS[suffix]
+
+    def add(self, picture: NDArray[Any]) -> None:
+        """Append a picture.
+
+        Parameters
+        ----------
+        picture : ndarray of uint8, shape (H, W, 3)
+            BGR; the same shape each time.
+
+        Raises
+        ------
+        ValueError
+            If the shape differs from the first picture's.
+        OSError
+            If it cannot be written.
+        """
+        if self._writer is None:
+            self._shape = picture.shape
+            self._open(even(picture).shape)
+        elif picture.shape != self._shape:
+            raise ValueError(
+                f"picture must have the first one's shape {self._shape}, got "
+                f"{picture.shape}")
+        self._writer.write(np.ascontiguousarray(even(picture)))
+        self.count += 1
+
+    def _open(self, shape: tuple[int, ...]) -> None:
+        cv2 = self._cv2
+        parameters = [cv2.VIDEOWRITER_PROP_IS_COLOR, int(not self._grey)]
+        if self._grey:
+            parameters += [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U]
+        self._writer = cv2.VideoWriter(
+            str(self._part), cv2.CAP_FFMPEG,
+            cv2.VideoWriter_fourcc(*self._fourcc), self.fps, (shape[1], shape[0]),
+            parameters)
+        if not self._writer.isOpened():
+            raise OSError(
+                f"{self.path}: OpenCV cannot write {self._fourcc} of "
+                f"{shape[1]}x{shape[0]} here")
+
+    def _finish(self) -> None:
+        """Check that what was written can be read to its end."""
+        if self._writer is None:
+            raise ValueError(f"{self.path}: no picture to write")
+        self._writer.release()
+        reader = self._cv2.VideoCapture(str(self._part), self._cv2.CAP_FFMPEG)
+        count = 0
+        while reader.grab():
+            count += 1
+        reader.release()
+        if count != self.count:  # VideoWriter reports no error, e.g. of a full disk
+            raise OSError(
+                f"{self.path}: only {count} of {self.count} pictures were written: "
+                "is the disk full?")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            try:
+                self._finish()
+            except BaseException as failure:
+                self._stack.__exit__(type(failure), failure, failure.__traceback__)
+                raise
+        elif self._writer is not None:
+            self._writer.release()
+        self._stack.__exit__(kind, error, traceback)
+
+
+class PlaneVideo(VideoFile):
+    """A lossless 16-bit video (FFV1) of one quantity, on a fixed linear scale.
+
+    Code 0 stands for a pixel that is not valid, 1..65535 for `low`..`high`; values
+    beyond are clipped and counted.  A side that is odd is padded by repeating the
+    last row or column.
+
+    Parameters
+    ----------
+    path : path
+        ``.mkv`` or ``.avi``; appears when it is whole.
+    fps : float
+        Pictures per second of playing.
+    low, high : float
+        Values of codes 1 and 65535.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another, or `high` is not above `low`.
+    """
+
+    _grey = True
+
+    def __init__(
+        self, path: str | os.PathLike[str], fps: float, low: float, high: float
+    ) -> None:
+        if not high > low:
+            raise ValueError(f"high must be above low {low}, got {high}")
+        super().__init__(path, fps)
+        self.low, self.high, self.clipped = float(low), float(high), 0
+
+    @staticmethod
+    def _codec(suffix: str) -> str:
+        if suffix not in (".mkv", ".avi"):
+            raise ValueError(f"lossless video must end in .mkv or .avi, got {suffix!r}")
+        return "FFV1"
+
+    @property
+    def scale(self) -> dict[str, float]:
+        """How to return to values: ``offset + step * code``."""
+        step = (self.high - self.low) / 65534
+        return {"offset": self.low - step, "step": step, "invalid_code": 0}
+
+    def add_plane(
+        self, plane: NDArray[Any], valid: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Append one image of the quantity.
+
+        Parameters
+        ----------
+        plane : ndarray of float, shape (H, W)
+            Values.
+        valid : ndarray of bool, shape (H, W), optional
+            True = usable.
+        """
+        usable = np.isfinite(plane)
+        if valid is not None:
+            usable &= valid
+        code = (plane.astype(np.float64) - self.low) * (65534 / (self.high - self.low))
+        self.clipped += int(np.count_nonzero(usable & ((code < 0) | (code > 65534))))
+        code = np.rint(np.clip(np.where(usable, code, 0), 0, 65534)) + 1
+        self.add(np.where(usable, code, 0).astype(np.uint16))
+
+
+def write_png(path: str | os.PathLike[str], picture: NDArray[Any]) -> None:
+    """Write a picture as PNG.
+
+    Parameters
+    ----------
+    path : path
+        File to write; appears when it is whole.
+    picture : ndarray of uint8 or uint16, shape (H, W, 3) or (H, W)
+        BGR or grey.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    done, data = opencv().imencode(".png", picture)
+    if not done:
+        raise OSError(f"{path}: OpenCV cannot encode {picture.shape} as PNG")
+    with beside(path) as part:
+        part.write_bytes(data.tobytes())

@@ -1,0 +1,382 @@
+"""Colour pictures of polarization: what each value looks like, and its legend.
+
+Colours depend on the value alone, never on the rest of the image, so that two
+pictures, or two frames of a video, can be compared.  Computing needs NumPy only;
+text is drawn by OpenCV.
+"""
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "INVALID",
+    "aop_bgr",
+    "aop_legend",
+    "bar_legend",
+    "caption",
+    "dolp_bgr",
+    "even",
+    "grey_bgr",
+    "opencv",
+    "panel",
+    "tile",
+]
+
+Picture = NDArray[np.uint8]
+
+INVALID = (96, 96, 96)
+"""Colour of pixels that are not valid, BGR."""
+
+# A full turn of hue at full saturation and value: every such uint8 colour once.
+_HUES = 6 * 255
+
+# matplotlib's viridis (CC0) at sixteenths, RGB; linear between, within 6 of 255.
+_VIRIDIS = np.array([
+    (68, 1, 84), (72, 24, 106), (71, 45, 123), (66, 64, 134), (59, 82, 139),
+    (51, 99, 141), (44, 114, 142), (38, 130, 142), (33, 145, 140), (31, 160, 136),
+    (40, 174, 128), (63, 188, 115), (94, 201, 98), (132, 212, 75), (173, 220, 48),
+    (216, 226, 25), (253, 231, 37)], np.float64)
+
+
+def _hue_table() -> Picture:
+    step = np.arange(_HUES)[:, None]
+    phase = (step - np.array([4, 2, 0]) * 255) % _HUES  # distance past B, G, R
+    off = np.minimum(phase, _HUES - phase)  # 0 at the pure colour, 3 * 255 opposite
+    table: Picture = np.clip(2 * 255 - off, 0, 255).astype(np.uint8)
+    return table
+
+
+_HUE_TABLE = _hue_table()
+_DOLP_TABLE = np.stack([
+    np.rint(np.interp(np.linspace(0, 16, 256), np.arange(17), _VIRIDIS[:, c]))
+    for c in (2, 1, 0)], axis=1).astype(np.uint8)
+
+
+def aop_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
+    """Colour an angle of polarization: hue = AoP / 180 degrees of a full turn.
+
+    Parameters
+    ----------
+    aop : array_like of float, shape (H, W)
+        Radians; red at 0 and at pi, yellow-green at 45 degrees, cyan at 90, violet
+        at 135.
+    valid : ndarray of bool, shape (H, W), optional
+        Pixels that are False become `INVALID`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR at full saturation and value.
+    """
+    turn = np.asarray(aop, np.float64) * (_HUES / np.pi)
+    with np.errstate(invalid="ignore"):
+        index = np.rint(turn).astype(np.int64) % _HUES
+    return _masked(_HUE_TABLE[index], valid, turn)
+
+
+def dolp_bgr(
+    dolp: ArrayLike, valid: NDArray[np.bool_] | None = None, *, top: float = 1.0
+) -> Picture:
+    """Colour a degree of linear polarization, dark blue at 0 to yellow at `top`.
+
+    Parameters
+    ----------
+    dolp : array_like of float, shape (H, W)
+        Values beyond 0..top take the colour of the nearer end.
+    valid : ndarray of bool, shape (H, W), optional
+        Pixels that are False become `INVALID`.
+    top : float
+        DoLP of the brightest colour.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR.
+    """
+    value = np.asarray(dolp, np.float64)
+    return _masked(_DOLP_TABLE[_bytes(value, top)], valid, value)
+
+
+def grey_bgr(
+    intensity: ArrayLike, white: float, valid: NDArray[np.bool_] | None = None
+) -> Picture:
+    """Show an intensity in grey, linear from 0 to `white`.
+
+    Parameters
+    ----------
+    intensity : array_like of float, shape (H, W)
+        S0 or the intensity of a channel.
+    white : float
+        Intensity that becomes 255, in the same unit; above it stays 255.
+    valid : ndarray of bool, shape (H, W), optional
+        Pixels that are False become `INVALID`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR.
+
+    Raises
+    ------
+    ValueError
+        If `white` is not positive.
+    """
+    if not white > 0:
+        raise ValueError(f"white must be positive, got {white}")
+    value = np.asarray(intensity, np.float64)
+    grey = _bytes(value, white)
+    return _masked(np.repeat(grey[..., None], 3, axis=-1), valid, value)
+
+
+def aop_legend(radius: int, background: int = 0) -> Picture:
+    """Draw the half-turn wheel that explains `aop_bgr`.
+
+    Parameters
+    ----------
+    radius : int
+        Outer radius in pixels; the ring is half as wide.
+    background : int
+        Grey value around the ring, 0..255.
+
+    Returns
+    -------
+    ndarray of uint8, shape (radius, 2 * radius, 3)
+        BGR; seen from the middle of the bottom edge, a pixel of the ring in
+        direction a has the colour of AoP a, counter-clockwise from the right.
+    """
+    across, up, distance = _wheel_places(radius)
+    picture = np.full((radius, 2 * radius, 3), background, np.uint8)
+    ring = (distance <= radius) & (distance >= radius / 2)
+    picture[ring] = aop_bgr(np.arctan2(up, across))[ring]
+    return picture
+
+
+def _wheel_places(
+    radius: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Pixel centres relative to the middle of the bottom edge: right, up, distance."""
+    place = np.mgrid[:radius, :2 * radius].astype(np.float64)
+    up, across = radius - 0.5 - place[0], place[1] - radius + 0.5
+    return across, up, np.hypot(across, up)
+
+
+def bar_legend(width: int, height: int, *, kind: str = "dolp") -> Picture:
+    """Draw the bar that explains `dolp_bgr` or `grey_bgr`, from 0 to its end.
+
+    Parameters
+    ----------
+    width, height : int
+        Size in pixels.
+    kind : {"dolp", "grey"}
+        Which colours to show.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width, 3)
+        BGR.
+    """
+    ramp = np.broadcast_to(np.linspace(0, 1, width), (height, width))
+    return dolp_bgr(ramp) if kind == "dolp" else grey_bgr(ramp, 1.0)
+
+
+def panel(
+    picture: Picture, title: str, *, legend: str | None = None, end: str = "1",
+    scale: int = 1,
+) -> Picture:
+    """Put a title above a picture and the legend of its colours below it.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR.
+    title : str
+        One line.
+    legend : {"aop", "dolp", "grey"}, optional
+        What the colours mean.
+    end : str
+        What the right end of the bar stands for, e.g. ``"36 DN/ms"``.
+    scale : int
+        Each pixel of the picture becomes a square of this side.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR; W' = scale * W, at least the width that title and legend need.
+    """
+    picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
+    parts = [_line(title), picture]
+    if legend == "aop":
+        parts.append(_aop_strip())
+    elif legend is not None:
+        parts.append(_bar_strip(legend, end))
+    return _stack(parts)
+
+
+def tile(
+    pictures: Sequence[Picture], *, columns: int, title: str = "", gap: int = 8
+) -> Picture:
+    """Put pictures side by side, `columns` in a row, under a common title.
+
+    Parameters
+    ----------
+    pictures : sequence of ndarray of uint8, shape (H, W, 3)
+        BGR; smaller ones are centred in the size of the largest.
+    columns : int
+        How many stand in a row.
+    title : str
+        One line over all of them.
+    gap : int
+        Pixels between them and around.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR; H' and W' are even, as video codecs need them.
+    """
+    height = max(picture.shape[0] for picture in pictures)
+    width = max(picture.shape[1] for picture in pictures)
+    rows = -(-len(pictures) // columns)
+    columns = min(columns, len(pictures))
+    sheet = np.zeros(
+        (rows * (height + gap) + gap, columns * (width + gap) + gap, 3), np.uint8)
+    for i, picture in enumerate(pictures):
+        row, column = divmod(i, columns)
+        top = gap + row * (height + gap)
+        left = gap + column * (width + gap) + (width - picture.shape[1]) // 2
+        sheet[top:top + picture.shape[0], left:left + picture.shape[1]] = picture
+    if title:
+        sheet = _stack([_line(title), sheet])
+    return even(sheet)
+
+
+def even(picture: NDArray[Any]) -> NDArray[Any]:
+    """Repeat the last row or column of a picture of odd height or width.
+
+    Video codecs cut such a row or column off without a word.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W) or (H, W, C)
+        Any image.
+
+    Returns
+    -------
+    ndarray
+        The picture itself if both sides are even.
+    """
+    pad = [(0, picture.shape[0] % 2), (0, picture.shape[1] % 2)]
+    if pad == [(0, 0), (0, 0)]:
+        return picture
+    return np.pad(picture, pad + [(0, 0)] * (picture.ndim - 2), mode="edge")
+
+
+def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int:
+    """Write text into a picture.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR, C-contiguous; changed.
+    text : str
+        One line; characters beyond ASCII are not drawn by every OpenCV.
+    x, y : int
+        Left end of the base line.
+    grey : int
+        Grey value of the text.
+
+    Returns
+    -------
+    int
+        Width of the text in pixels.
+    """
+    cv2 = opencv()
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+    cv2.putText(picture, text, (x, y), font, size, (grey, grey, grey), 1, cv2.LINE_AA)
+    return _text_width(text)
+
+
+def opencv() -> Any:
+    """Return the module cv2, or say how to get it.
+
+    Returns
+    -------
+    module
+        OpenCV, any of its four wheels.
+
+    Raises
+    ------
+    ImportError
+        If no OpenCV is installed.
+    """
+    try:
+        return importlib.import_module("cv2")
+    except ImportError as error:
+        raise ImportError(
+            "this needs OpenCV, which comes as an extra because its four wheels "
+            "exclude each other: pip install 'pdavis-cv[cv2]', or any OpenCV wheel "
+            "that you already use") from error
+
+
+def _text_width(text: str) -> int:
+    cv2 = opencv()
+    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)[0][0])
+
+
+def _bytes(value: NDArray[np.float64], top: float) -> NDArray[np.uint8]:
+    with np.errstate(invalid="ignore"):
+        return np.rint(np.clip(value * (255 / top), 0, 255)).astype(np.uint8)
+
+
+def _masked(
+    picture: Picture, valid: NDArray[np.bool_] | None, value: NDArray[np.float64]
+) -> Picture:
+    bad = ~np.isfinite(value)
+    if valid is not None:
+        bad |= ~valid
+    picture[bad] = INVALID
+    return picture
+
+
+_LINE = 20  # height of a line of text
+
+
+def _line(text: str) -> Picture:
+    strip = np.zeros((_LINE, _text_width(text) + 8, 3), np.uint8)
+    caption(strip, text, 4, 14)
+    return strip
+
+
+def _aop_strip(radius: int = 30) -> Picture:
+    margin = 40
+    strip = np.zeros((radius + 20, 2 * (radius + margin), 3), np.uint8)
+    strip[16:16 + radius, margin:margin + 2 * radius] = aop_legend(radius)
+    for text, x, y in (("180", margin - 28, 16 + radius), ("135", 24, 24),
+                       ("90", margin + radius - 7, 12), ("45", 100, 24),
+                       ("0 deg", margin + 2 * radius + 4, 16 + radius)):
+        caption(strip, text, x, y)
+    return strip
+
+
+def _bar_strip(kind: str, end: str, width: int = 120) -> Picture:
+    left = 18
+    strip = np.zeros((50, left + width + 12 + _text_width(end), 3), np.uint8)
+    strip[20:34, left:left + width] = bar_legend(width, 14, kind=kind)
+    caption(strip, "0", 4, 31)
+    caption(strip, end, left + width + 6, 31)
+    return strip
+
+
+def _stack(parts: Sequence[Picture]) -> Picture:
+    width = max(part.shape[1] for part in parts)
+    height = sum(part.shape[0] for part in parts)
+    sheet = np.zeros((height, width, 3), np.uint8)
+    top = 0
+    for part in parts:
+        sheet[top:top + part.shape[0], :part.shape[1]] = part
+        top += part.shape[0]
+    return sheet
