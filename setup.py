@@ -12,10 +12,14 @@ from setuptools import Extension, setup
 
 # An explicit list: a missing source must fail, not vanish from the wheel.
 KERNELS = (
+    "_aps",
     "_build",
+    "_demosaic",
     "_floor",
     "_leaky",
+    "_polarization",
 )
+SHARED = ("_math.pxd", "_rows.pxd", "_stencil.h", "_types.pxd")
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
 
@@ -30,15 +34,18 @@ DIRECTIVES = {
 if sys.platform == "win32":
     CFLAGS = ["/Od", "/Zi"] if DEBUG else ["/O2"]
 else:
-    # -ffp-contract=off: the same bits with and without FMA
-    CFLAGS = [*(["-O0", "-g"] if DEBUG else ["-O3", "-g0"]), "-ffp-contract=off"]
+    # -ffp-contract=off: the same bits with and without FMA.  The other two let
+    # sqrtf and selects vectorise; neither changes a value.
+    CFLAGS = [*(["-O0", "-g"] if DEBUG else ["-O3", "-g0"]), "-ffp-contract=off",
+              "-fno-math-errno", "-fno-trapping-math"]
 
 
 def kernel(name):
     ext = Extension(
         f"pdavis_cv._kernels.{name}",
         sources=[f"_kernels/{name}.pyx"],
-        depends=["_kernels/_math.pxd", "_kernels/_types.pxd"],
+        depends=[f"_kernels/{name}" for name in SHARED],
+        include_dirs=["_kernels"],
         extra_compile_args=CFLAGS,
         define_macros=[("PDAVIS_CV_DEBUG", str(int(DEBUG))),
                        *([("Py_LIMITED_API", "0x030B0000")] if ABI3 else [])],

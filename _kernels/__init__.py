@@ -1,5 +1,7 @@
 """Compiled kernels (private); typed in pdavis_cv/_kernels.pyi."""
+from ._aps import cds, correct
 from ._build import DEBUG
+from ._demosaic import bilinear, superpixel
 from ._floor import floor_sum
 from ._leaky import (
     cf_frame,
@@ -10,15 +12,26 @@ from ._leaky import (
     leak_read,
     log_frame,
 )
+from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 
 __all__ = [
     "DEBUG",
+    "aop",
+    "aop_dolp",
+    "bilinear",
+    "cds",
     "cf_frame",
     "cf_frame_literal",
     "check_events",
+    "correct",
+    "dolp",
     "floor_sum",
     "leak_events",
     "leak_events_map",
     "leak_read",
     "log_frame",
+    "mix",
+    "polarize",
+    "stokes",
+    "superpixel",
 ]

@@ -26,6 +26,13 @@ _HOME = {
     "Sensor": "sensor",
     "EVENT_DTYPE": "events",
     "as_events": "events",
+    "cds": "aps",
+    "demosaic": "mosaic",
+    "PolarFrame": "polarimetry",
+    "aop": "polarimetry",
+    "dolp": "polarimetry",
+    "polarization": "polarimetry",
+    "stokes": "polarimetry",
     "IMU_DTYPE": "recording.base",
     "TRIGGER_DTYPE": "recording.base",
     "ApsFrame": "recording.base",
@@ -45,6 +52,7 @@ __all__ = ["__version__", *_HOME, *_ROOMS]
 
 if TYPE_CHECKING:
     from pdavis_cv import calibration, export, render, simulation
+    from pdavis_cv.aps import cds
     from pdavis_cv.calibration.model import Calibration
     from pdavis_cv.errors import (
         BusWarning,
@@ -59,6 +67,8 @@ if TYPE_CHECKING:
         RecordingError,
     )
     from pdavis_cv.events import EVENT_DTYPE, as_events
+    from pdavis_cv.mosaic import demosaic
+    from pdavis_cv.polarimetry import PolarFrame, aop, dolp, polarization, stokes
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
     from pdavis_cv.reconstruct.frames import FrameHold

@@ -1,26 +1,47 @@
 """The whole Python/C boundary, one line per kernel."""
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+_F32 = NDArray[np.float32]
+_U8 = NDArray[np.uint8]
+_Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
+
 __all__ = [
     "DEBUG",
+    "aop",
+    "aop_dolp",
+    "bilinear",
+    "cds",
     "cf_frame",
     "cf_frame_literal",
     "check_events",
+    "correct",
+    "dolp",
     "floor_sum",
     "leak_events",
     "leak_events_map",
     "leak_read",
     "log_frame",
+    "mix",
+    "polarize",
+    "stokes",
+    "superpixel",
 ]
 
 DEBUG: bool
 
-_F32 = NDArray[np.float32]
-_U8 = NDArray[np.uint8]
-
+def aop(s1: _F32, s2: _F32, out: _F32) -> None: ...
+def aop_dolp(quad: _F32, gain: float, aop: _F32, dolp: _F32) -> None: ...
+def bilinear(
+    mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
+) -> None: ...
+def cds(
+    reset: NDArray[np.uint16], signal: NDArray[np.uint16], dark: _F32 | None,
+    gain: _F32 | None, least_reset: int, least_signal: int, dn: _F32,
+    valid: NDArray[np.uint8]
+) -> None: ...
 def cf_frame(
     sample: _F32, valid: _U8, log_8bit: _F32, age: _F32, t: float, rate: float,
     floor: float, held: _F32, cells: NDArray[Any],
@@ -30,6 +51,11 @@ def cf_frame_literal(
     cells: NDArray[Any],
 ) -> None: ...
 def check_events(events: NDArray[Any], last: int, h: int, w: int) -> int: ...
+def correct(
+    raw: _F32, dark: _F32 | None, gain: _F32 | None, clip_dn: float, dn: _F32,
+    valid: NDArray[np.uint8]
+) -> None: ...
+def dolp(s0: _F32, s1: _F32, s2: _F32, out: _F32) -> None: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
@@ -40,4 +66,13 @@ def leak_events_map(
 def leak_read(cells: NDArray[Any], base: _F32, t: float, out: _F32) -> None: ...
 def log_frame(
     dn: _F32, usable: _U8, log_exposure: _F32, out: _F32, valid: _U8
+) -> None: ...
+def mix(quad: _F32, solution: _F32, out: _F32) -> None: ...
+def polarize(
+    mosaic: NDArray[_Pixel], places: NDArray[np.intp], gain: float, scratch: _F32,
+    aop: _F32, dolp: _F32
+) -> None: ...
+def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
+def superpixel(
+    mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
 ) -> None: ...

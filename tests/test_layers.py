@@ -17,7 +17,7 @@ LINES = (
     ("simulation",),
     ("reconstruct",),
     ("recording",),
-    ("polarization", "mosaic", "aps", "events"),
+    ("polarimetry", "mosaic", "aps", "events"),
     ("sensor", "errors", "_checks"),
     ("_kernels",),
 )

@@ -1,0 +1,68 @@
+"""Row functions of _stencil.h, and what the image kernels share around them."""
+from libc.stdint cimport uint8_t, uint16_t
+
+from _kernels._types cimport pixel_t
+
+
+cdef extern from "_stencil.h" nogil:
+    void bilinear_row_u8(
+        const uint8_t*, const uint8_t*, const uint8_t*, int, Py_ssize_t, float*, float*,
+        float*, float*, float*, float*)
+    void bilinear_row_u16(
+        const uint16_t*, const uint16_t*, const uint16_t*, int, Py_ssize_t, float*,
+        float*, float*, float*, float*, float*)
+    void bilinear_row_f32(
+        const float*, const float*, const float*, int, Py_ssize_t, float*, float*,
+        float*, float*, float*, float*)
+    void aop_row(const float*, const float*, Py_ssize_t, float*)
+    void dolp_row(const float*, const float*, const float*, Py_ssize_t, float*)
+    void mix_row(
+        const float*, const float*, const float*, const float*, const float*,
+        const float*, const float*, const float*, Py_ssize_t, Py_ssize_t, float*)
+    void stokes_row(
+        const float*, const float*, const float*, const float*, float, Py_ssize_t,
+        float*, float*, float*)
+    void polarization_row(
+        const float*, const float*, const float*, const float*, float, Py_ssize_t,
+        float*, float*)
+
+
+cdef inline int check_places(const Py_ssize_t[::1] places) except -1:
+    cdef Py_ssize_t c, seen = 0
+    if places.shape[0] == 4:
+        for c in range(4):
+            if 0 <= places[c] < 4:
+                seen |= 1 << places[c]
+    if seen != 15:
+        raise ValueError("places must be a permutation of 0, 1, 2, 3")
+    return 0
+
+
+cdef inline void plane_of_place(
+        const Py_ssize_t[::1] places, Py_ssize_t* plane) noexcept nogil:
+    cdef Py_ssize_t c
+    for c in range(4):
+        plane[places[c]] = c
+
+
+cdef inline void bilinear_row(
+        const pixel_t* mosaic, Py_ssize_t y, Py_ssize_t h, Py_ssize_t w, float* own,
+        float* other, float** to) noexcept nogil:
+    """Row y of the planes; to[p] receives the channel at place p of the cell."""
+    cdef Py_ssize_t up = y - 1, down = y + 1, p = 2 * (y & 1), q = 2 - p
+    cdef int edge = up < 0 or down == h
+    if up < 0:
+        up = 1
+        down = 3 if h > 3 else 1
+    elif down == h:
+        up = h - 2
+        down = h - 4 if h > 3 else h - 2
+    if pixel_t is uint8_t:
+        bilinear_row_u8(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge, w,
+                        own, other, to[p], to[p + 1], to[q], to[q + 1])
+    elif pixel_t is uint16_t:
+        bilinear_row_u16(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge, w,
+                         own, other, to[p], to[p + 1], to[q], to[q + 1])
+    else:
+        bilinear_row_f32(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge, w,
+                         own, other, to[p], to[p + 1], to[q], to[q + 1])

@@ -1,0 +1,188 @@
+/* Row functions of the image kernels: one image row per call, over memory handed in.
+
+   Plain C so that gcc under glibc can compile each twice and pick at load time
+   (2x at x86-64-v3).  The bits are the same in every version: no contraction, no
+   libm, and sqrtf is exact by IEEE 754. */
+#ifndef PDAVIS_CV_STENCIL_H
+#define PDAVIS_CV_STENCIL_H
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#if defined(__GLIBC__) && defined(__x86_64__) && defined(__GNUC__) \
+    && !defined(__clang__) && __GNUC__ >= 12 && defined(__OPTIMIZE__) \
+    && !defined(__SANITIZE_ADDRESS__)
+#define PDAVIS_CLONES __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define PDAVIS_CLONES
+#endif
+
+#if defined(__GNUC__)
+#define PDAVIS_INLINE static inline __attribute__((always_inline))
+#define PDAVIS_UNUSED __attribute__((unused))
+#else
+#define PDAVIS_INLINE static __inline
+#define PDAVIS_UNUSED
+#endif
+#if defined(_MSC_VER)
+#define restrict __restrict
+#endif
+
+/* ---- bilinear demosaicing ---------------------------------------------------- */
+
+/* One row of the four planes.  `near` and `far` are the rows above and below, or,
+   at the top and bottom (edge = 1), the nearest row of the other parity and the next
+   one of that parity: the missing row is extrapolated as 2 near - far.  own and
+   other point one float into scratch rows of w + 2.  The planes come by place in the
+   cell: even and odd column of this row's parity, then of the other's. */
+#define PDAVIS_BILINEAR(T, SUFFIX)                                                   \
+    PDAVIS_CLONES PDAVIS_UNUSED static void bilinear_row_##SUFFIX(                   \
+        const T *restrict row, const T *near_row, const T *far_row, int edge,        \
+        ptrdiff_t w, float *restrict own, float *restrict other,                     \
+        float *restrict own0, float *restrict own1, float *restrict other0,          \
+        float *restrict other1)                                                      \
+    {                                                                                \
+        ptrdiff_t x;                                                                 \
+        for (x = 0; x < w; x++)                                                      \
+            own[x] = (float)row[x];                                                  \
+        if (edge)                                                                    \
+            for (x = 0; x < w; x++) {                                                \
+                float near_dn = (float)near_row[x];                                  \
+                float beyond = 2.0f * near_dn - (float)far_row[x];                   \
+                other[x] = 0.5f * (beyond + near_dn);                                \
+            }                                                                        \
+        else                                                                         \
+            for (x = 0; x < w; x++)                                                  \
+                other[x] = 0.5f * ((float)near_row[x] + (float)far_row[x]);          \
+        spread_row(own, w, own0, own1);                                              \
+        spread_row(other, w, other0, other1);                                        \
+    }
+
+/* Samples of two channels alternate in a row (one float of room at either end):
+   give each its own value where it has one and else the mean of its neighbours. */
+PDAVIS_INLINE void spread_row(
+    float *restrict row, ptrdiff_t w, float *restrict even, float *restrict odd)
+{
+    ptrdiff_t x, far_left = w > 3 ? 3 : 1, far_right = w > 3 ? w - 4 : w - 2;
+    row[-1] = 2.0f * row[1] - row[far_left];
+    row[w] = 2.0f * row[w - 2] - row[far_right];
+    for (x = 0; x + 1 < w; x += 2) {
+        even[x] = row[x];
+        even[x + 1] = 0.5f * (row[x] + row[x + 2]);
+        odd[x] = 0.5f * (row[x - 1] + row[x + 1]);
+        odd[x + 1] = row[x + 1];
+    }
+    if (x < w) {
+        even[x] = row[x];
+        odd[x] = 0.5f * (row[x - 1] + row[x + 1]);
+    }
+}
+
+PDAVIS_BILINEAR(uint8_t, u8)
+PDAVIS_BILINEAR(uint16_t, u16)
+PDAVIS_BILINEAR(float, f32)
+
+/* ---- Stokes parameters, angle and degree ------------------------------------- */
+
+/* atan2(s2, s1) / 2 in [0, pi).  With r = min / max in [0, 1],
+   atan(r) / 2 = r / 2 + r^3 p(r^2); p is a minimax fit, error 2.5e-8 rad.  The octant
+   adds a multiple of pi/4, held as a rounded value and its remainder. */
+PDAVIS_INLINE float half_atan2(float s2, float s1)
+{
+    float a1 = s1 < 0.0f ? -s1 : s1, a2 = s2 < 0.0f ? -s2 : s2;
+    float large = a2 > a1 ? a2 : a1, small = a2 > a1 ? a1 : a2;
+    float r = small / (large == 0.0f ? 1.0f : large), t = r * r;
+    float p = -2.177702961e-03f, angle, base, rest;
+    p = p * t + 1.152006816e-02f;
+    p = p * t - 2.888679504e-02f;
+    p = p * t + 4.897117242e-02f;
+    p = p * t - 6.988291442e-02f;
+    p = p * t + 9.981352091e-02f;
+    p = p * t - 1.666582972e-01f;
+    angle = 0.5f * r + r * t * p;
+    /* folded at pi/4, then at pi/2, then at pi: three signs and one constant */
+    base = a2 > a1 ? 7.853981853e-01f : 0.0f;
+    rest = a2 > a1 ? -2.185569414e-08f : 0.0f;
+    angle = a2 > a1 ? -angle : angle;
+    base = s1 < 0.0f ? 1.570796371e+00f - base : base;
+    rest = s1 < 0.0f ? -4.371138829e-08f - rest : rest;
+    angle = s1 < 0.0f ? -angle : angle;
+    base = s2 < 0.0f ? 3.141592741e+00f - base : base;
+    rest = s2 < 0.0f ? -8.742277657e-08f - rest : rest;
+    angle = s2 < 0.0f ? -angle : angle;
+    angle = base + (rest + angle);
+    return angle >= 3.141592741e+00f || angle < 0.0f ? 0.0f : angle;
+}
+
+/* Scaled by the larger of the two, so that no square over- or underflows. */
+PDAVIS_INLINE float degree(float s0, float s1, float s2)
+{
+    float a1 = s1 < 0.0f ? -s1 : s1, a2 = s2 < 0.0f ? -s2 : s2;
+    float large = a2 > a1 ? a2 : a1, small = a2 > a1 ? a1 : a2;
+    float r = small / (large == 0.0f ? 1.0f : large);
+    float size = large * sqrtf(1.0f + r * r);
+    float value = size / (s0 > 0.0f ? s0 : 1.0f);
+    return s0 > 0.0f ? value : 0.0f;
+}
+
+PDAVIS_CLONES PDAVIS_UNUSED static void aop_row(
+    const float *restrict s1, const float *restrict s2, ptrdiff_t n,
+    float *restrict aop)
+{
+    for (ptrdiff_t i = 0; i < n; i++)
+        aop[i] = half_atan2(s2[i], s1[i]);
+}
+
+PDAVIS_CLONES PDAVIS_UNUSED static void dolp_row(
+    const float *restrict s0, const float *restrict s1, const float *restrict s2,
+    ptrdiff_t n, float *restrict dolp)
+{
+    for (ptrdiff_t i = 0; i < n; i++)
+        dolp[i] = degree(s0[i], s1[i], s2[i]);
+}
+
+/* gain multiplies s1 and s2: what the polarizers' leakage took from them. */
+PDAVIS_CLONES PDAVIS_UNUSED static void stokes_row(
+    const float *restrict i0, const float *restrict i45, const float *restrict i90,
+    const float *restrict i135, float gain, ptrdiff_t n, float *restrict s0,
+    float *restrict s1, float *restrict s2)
+{
+    for (ptrdiff_t i = 0; i < n; i++) {
+        s0[i] = 0.5f * ((i0[i] + i90[i]) + (i45[i] + i135[i]));
+        s1[i] = gain * (i0[i] - i90[i]);
+        s2[i] = gain * (i45[i] - i135[i]);
+    }
+}
+
+/* A weighted sum of the four; step is 0 when the weights are one for all. */
+PDAVIS_CLONES PDAVIS_UNUSED static void mix_row(
+    const float *restrict i0, const float *restrict i45, const float *restrict i90,
+    const float *restrict i135, const float *restrict w0, const float *restrict w45,
+    const float *restrict w90, const float *restrict w135, ptrdiff_t step, ptrdiff_t n,
+    float *restrict out)
+{
+    if (step)
+        for (ptrdiff_t i = 0; i < n; i++)
+            out[i] = (w0[i] * i0[i] + w90[i] * i90[i])
+                     + (w45[i] * i45[i] + w135[i] * i135[i]);
+    else
+        for (ptrdiff_t i = 0; i < n; i++)
+            out[i] = (w0[0] * i0[i] + w90[0] * i90[i])
+                     + (w45[0] * i45[i] + w135[0] * i135[i]);
+}
+
+PDAVIS_CLONES PDAVIS_UNUSED static void polarization_row(
+    const float *restrict i0, const float *restrict i45, const float *restrict i90,
+    const float *restrict i135, float gain, ptrdiff_t n, float *restrict aop,
+    float *restrict dolp)
+{
+    for (ptrdiff_t i = 0; i < n; i++) {
+        float s0 = 0.5f * ((i0[i] + i90[i]) + (i45[i] + i135[i]));
+        float s1 = gain * (i0[i] - i90[i]), s2 = gain * (i45[i] - i135[i]);
+        aop[i] = half_atan2(s2, s1);
+        dolp[i] = degree(s0, s1, s2);
+    }
+}
+
+#endif

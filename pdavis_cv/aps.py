@@ -1,0 +1,207 @@
+"""Frames of the active pixel sensor: double sampling, dark, gain, saturation."""
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._checks import outputs
+
+__all__ = ["LEAST_RESET_DN", "LEAST_SIGNAL_DN", "cds", "clip_level", "correct"]
+
+LEAST_RESET_DN = 384
+"""A reset below this is saturated (libcaer's rule): the column never recovered."""
+
+LEAST_SIGNAL_DN = 3
+"""A signal below this lies at the end of the converter."""
+
+
+def cds(
+    reset: NDArray[np.uint16],
+    signal: NDArray[np.uint16],
+    dark: ArrayLike | None = None,
+    gain: ArrayLike | None = None,
+    out: tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None] | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Correlated double sampling: (reset - signal - dark) * gain.
+
+    Nothing is clamped, so that the noise of dark pixels averages to zero.
+
+    Parameters
+    ----------
+    reset, signal : ndarray of uint16, shape (H, W)
+        The two reads in DN; signal falls with light.
+    dark : array_like, shape (H, W) or scalar, optional
+        Offset in DN that remains without light.
+    gain : array_like, shape (H, W) or scalar, optional
+        Factor that evens out the pixels.
+    out : tuple of (float32 array, bool array), shape (H, W), optional
+        Receives the results; an entry may be None.
+
+    Returns
+    -------
+    dn : ndarray of float32, shape (H, W)
+        DN, larger = brighter; may be negative.
+    valid : ndarray of bool, shape (H, W)
+        False where signal <= 2 or reset < 384: the value is a lower bound.  A pixel
+        may clip before the converter does; see `clip_level`.
+
+    Raises
+    ------
+    TypeError
+        If a read is not uint16.
+    ValueError
+        If shapes differ or ``out`` does not fit.
+
+    Examples
+    --------
+    >>> dn, valid = cds(np.array([[700, 700]], np.uint16), np.array([[710, 2]], "u2"))
+    >>> dn.tolist(), valid.tolist()
+    ([[-10.0, 698.0]], [[True, False]])
+    """
+    reads = []
+    for name, read in (("reset", reset), ("signal", signal)):
+        if not isinstance(read, np.ndarray) or read.dtype != np.uint16:
+            kind = getattr(read, "dtype", type(read).__name__)
+            raise TypeError(f"{name} must be uint16, got {kind}")
+        if read.ndim != 2:
+            raise ValueError(f"{name} must be (H, W), got shape {read.shape}")
+        reads.append(np.ascontiguousarray(read, np.uint16))
+    shape = reads[0].shape
+    if reads[1].shape != shape:
+        raise ValueError(
+            f"signal must have the shape of reset, {shape}, got {reads[1].shape}")
+    offsets, factors = _plane("dark", dark, shape), _plane("gain", gain, shape)
+    dn, valid = outputs(
+        out, (("dn", shape, np.float32), ("valid", shape, np.bool_)),
+        *reads, offsets, factors)
+    _kernels.cds(*reads, offsets, factors, LEAST_RESET_DN, LEAST_SIGNAL_DN, dn,
+                 valid.view(np.uint8))
+    return dn, valid
+
+
+def correct(
+    dn: NDArray[np.float32],
+    dark: ArrayLike | None = None,
+    gain: ArrayLike | None = None,
+    clip_dn: float | None = None,
+    valid: NDArray[np.bool_] | None = None,
+    out: tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None] | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Take dark and gain out of a frame and mark its saturated pixels.
+
+    Parameters
+    ----------
+    dn : ndarray of float32, shape (H, W)
+        Reset minus signal, as read.
+    dark : array_like, shape (H, W) or scalar, optional
+        Subtracted, without clamping.
+    gain : array_like, shape (H, W) or scalar, optional
+        Multiplied after that.
+    clip_dn : float, optional
+        Pixels whose ``dn``, as read, is at or above this are saturated.
+    valid : ndarray of bool, shape (H, W), optional
+        What is usable already; default: everything.
+    out : tuple of (float32 array, bool array), shape (H, W), optional
+        Receives the results; an entry may be None.
+
+    Returns
+    -------
+    dn : ndarray of float32, shape (H, W)
+        ``(dn - dark) * gain``; may be negative.
+    valid : ndarray of bool, shape (H, W)
+        False where it was, and where ``dn`` is saturated or NaN.
+
+    Raises
+    ------
+    TypeError
+        If ``dn`` is not float32 or ``valid`` not bool.
+    ValueError
+        If shapes differ or ``out`` does not fit.
+    """
+    if not isinstance(dn, np.ndarray) or dn.dtype != np.float32:
+        kind = getattr(dn, "dtype", type(dn).__name__)
+        raise TypeError(f"dn must be float32, got {kind}")
+    if dn.ndim != 2:
+        raise ValueError(f"dn must be (H, W), got shape {dn.shape}")
+    if valid is not None and valid.dtype != np.bool_:
+        raise TypeError(f"valid must be bool, got {valid.dtype}")
+    if valid is not None and valid.shape != dn.shape:
+        raise ValueError(f"valid must have shape {dn.shape}, got {valid.shape}")
+    raw = np.ascontiguousarray(dn)
+    offsets, factors = _plane("dark", dark, raw.shape), _plane("gain", gain, raw.shape)
+    result, usable = outputs(
+        out, (("dn", raw.shape, np.float32), ("valid", raw.shape, np.bool_)),
+        raw, offsets, factors, valid)
+    usable[...] = True if valid is None else valid
+    # No finite value and no NaN is below -inf or at +inf, but +inf itself is clipped.
+    limit = np.inf if clip_dn is None else float(clip_dn)
+    _kernels.correct(raw, offsets, factors, limit, result, usable.view(np.uint8))
+    return result, usable
+
+
+def clip_level(
+    dn: NDArray[Any],
+    full_scale_dn: int = 1023,
+    *,
+    least_pixels: int = 64,
+) -> float | None:
+    """Find the DN at which pixels saturate, from the pile-up at the histogram's top.
+
+    A full pixel stays at its own limit however bright the light, so the brightest
+    values of a clipped frame form a narrow peak with nothing above it.  A scene whose
+    brightest part is one uniform patch looks the same: several frames at once
+    (shape (N, H, W)), or a calibration, are surer than one.
+
+    Parameters
+    ----------
+    dn : ndarray, shape (H, W) or (N, H, W)
+        Reset minus signal, as read, without dark and gain.
+    full_scale_dn : int
+        Largest DN that the converter gives.
+    least_pixels : int
+        Fewer samples in the peak are not taken for saturation.
+
+    Returns
+    -------
+    float or None
+        The lower edge of the peak; None if there is no peak in the upper half of the
+        converter's range.
+    """
+    values = np.asarray(dn, np.float32)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return None
+    counts = np.bincount(
+        np.clip(np.rint(values), 0, full_scale_dn).astype(np.intp),
+        minlength=full_scale_dn + 1)
+    band = max(full_scale_dn // 64, 1)
+    # Isolated hot pixels lie above the peak: leave out the brightest 1 in 10,000.
+    from_top = np.cumsum(counts[::-1])[::-1]
+    top = int(np.flatnonzero(from_top > values.size // 10_000)[-1])
+    if top < full_scale_dn // 2:
+        return None
+    # The peak is at most two bands wide; what lies below it is the scene.
+    low = max(top - 2 * band + 1, 0)
+    peak = int(counts[low:top + 1].sum())
+    scene = int(counts[max(low - 2 * band, 0):low].sum())
+    if peak < least_pixels or peak < 4 * scene + 4 * np.sqrt(scene):
+        return None
+    inside = np.cumsum(counts[low:top + 1])
+    # The edge leaves out as many samples as the scene would put into the peak.
+    edge = low + int(np.searchsorted(inside, scene, side="right"))
+    return float(edge)
+
+
+def _plane(
+    name: str, value: ArrayLike | None, shape: tuple[int, ...]
+) -> NDArray[np.float32] | None:
+    if value is None:
+        return None
+    plane = np.asarray(value, np.float32)
+    if plane.ndim and plane.shape != shape:
+        raise ValueError(
+            f"{name} must be one number or have shape {shape}, got {plane.shape}")
+    return np.ascontiguousarray(np.broadcast_to(plane, shape))
