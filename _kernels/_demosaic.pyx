@@ -1,6 +1,4 @@
 """Demosaicing kernels."""
-from libc.stdint cimport uint8_t, uint16_t
-
 from _kernels._rows cimport bilinear_row, check_places, plane_of_place
 from _kernels._types cimport pixel_t
 

@@ -26,6 +26,7 @@ _HOME = {
     "Sensor": "sensor",
     "EVENT_DTYPE": "events",
     "as_events": "events",
+    "Analyser": "analyser",
     "cds": "aps",
     "demosaic": "mosaic",
     "PolarFrame": "polarimetry",
@@ -52,6 +53,8 @@ __all__ = ["__version__", *_HOME, *_ROOMS]
 
 if TYPE_CHECKING:
     from pdavis_cv import calibration, export, render, simulation
+    from pdavis_cv.analyser import Analyser
+    from pdavis_cv.aps import cds
     from pdavis_cv.aps import cds
     from pdavis_cv.calibration.model import Calibration
     from pdavis_cv.errors import (

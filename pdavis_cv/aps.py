@@ -61,7 +61,7 @@ def cds(
     >>> dn.tolist(), valid.tolist()
     ([[-10.0, 698.0]], [[True, False]])
     """
-    reads = []
+    reads: list[NDArray[np.uint16]] = []
     for name, read in (("reset", reset), ("signal", signal)):
         if not isinstance(read, np.ndarray) or read.dtype != np.uint16:
             kind = getattr(read, "dtype", type(read).__name__)
@@ -77,8 +77,8 @@ def cds(
     dn, valid = outputs(
         out, (("dn", shape, np.float32), ("valid", shape, np.bool_)),
         *reads, offsets, factors)
-    _kernels.cds(*reads, offsets, factors, LEAST_RESET_DN, LEAST_SIGNAL_DN, dn,
-                 valid.view(np.uint8))
+    _kernels.cds(reads[0], reads[1], offsets, factors, LEAST_RESET_DN,
+                 LEAST_SIGNAL_DN, dn, valid.view(np.uint8))
     return dn, valid
 
 

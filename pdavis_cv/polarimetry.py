@@ -11,139 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, outputs
+from pdavis_cv.analyser import Analyser, stokes_gain
 from pdavis_cv.mosaic import check_method, checked_mosaic, places_of
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
-from pdavis_cv.sensor import CHANNELS, Layout
+from pdavis_cv.sensor import Layout
 
-__all__ = ["Analyser", "PolarFrame", "aop", "dolp", "polarization", "stokes"]
+__all__ = ["PolarFrame", "aop", "dolp", "polarization", "stokes"]
 
 _Array = TypeVar("_Array", bound=NDArray[Any])
 
 UNIFORM_SIGMA_RAD = math.pi / math.sqrt(12)
 """Standard deviation of an angle about which nothing is known."""
-
-
-class Analyser:
-    """Responses of the four channels to the Stokes parameters, and their solution.
-
-    ``stokes`` and ``PolarFrame`` take the plain array too; an Analyser that is used
-    again and again saves solving for it each time.
-
-    Parameters
-    ----------
-    response : array_like, shape (4, 3) or (4, 3, H, W)
-        ``I[k] = sum(response[k, j] * S[j])``, channels in the order of ``CHANNELS``;
-        an ideal polarizer at angle a has (1, cos 2a, sin 2a) / 2.
-    weight : array_like, shape (4,) or (4, H, W), optional
-        Weights of the channels in the least squares, 1 / variance; default: equal.
-
-    Attributes
-    ----------
-    response : ndarray of float64, read-only
-    solution : ndarray of float32, shape (3, 4) or (3, 4, H, W), read-only
-        ``S[j] = sum(solution[j, k] * I[k])`` is the least-squares solution.
-
-    Raises
-    ------
-    ValueError
-        If the shape is another, or the responses do not determine the Stokes
-        parameters somewhere; the message names the first such pixel.
-    """
-
-    __slots__ = ("response", "solution")
-
-    response: NDArray[np.float64]
-    solution: NDArray[np.float32]
-
-    def __init__(self, response: ArrayLike, weight: ArrayLike | None = None) -> None:
-        a = np.array(response, np.float64)
-        if a.shape[:2] != (4, 3) or a.ndim not in (2, 4):
-            raise ValueError(
-                f"analyser must have shape (4, 3) or (4, 3, H, W), got {a.shape}")
-        w = np.ones(4) if weight is None else np.asarray(weight, np.float64)
-        if w.shape not in ((4,), (4, *a.shape[2:])):
-            raise ValueError(
-                f"weight must have shape (4,) or (4, H, W) like analyser {a.shape}, "
-                f"got {w.shape}")
-        if a.ndim == 4 and w.ndim == 1:
-            w = w[:, None, None]
-        elif a.ndim == 2 and w.ndim == 3:
-            a = a[:, :, None, None]
-        self.response = a
-        self.solution = _least_squares(a, w)
-        self.response.flags.writeable = self.solution.flags.writeable = False
-
-    @classmethod
-    def ideal(cls, extinction_ratio: float | None = None) -> Self:
-        """Return four polarizers of this extinction ratio (None: perfect)."""
-        angle = np.deg2rad(np.array(CHANNELS, np.float64))
-        purity = 1 / stokes_gain(extinction_ratio)
-        rows = [np.ones(4), purity * np.cos(2 * angle), purity * np.sin(2 * angle)]
-        return cls(np.stack(rows, 1) / 2)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _restored_analyser, (self.response, self.solution)
-
-    def __repr__(self) -> str:
-        kind = "one for all pixels" if self.response.ndim == 2 else "per pixel"
-        return f"Analyser({kind}, shape {self.response.shape})"
-
-
-def _restored_analyser(
-    response: NDArray[np.float64], solution: NDArray[np.float32]
-) -> Analyser:
-    analyser = Analyser.__new__(Analyser)
-    analyser.response, analyser.solution = response, solution
-    response.flags.writeable = solution.flags.writeable = False
-    return analyser
-
-
-def _least_squares(
-    a: NDArray[np.float64], w: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    """Solve the normal equations by Cramer's rule: the same bits on every machine."""
-    normal = [[(w * a[:, i] * a[:, j]).sum(0) for j in range(3)] for i in range(3)]
-
-    def cofactor(i: int, j: int) -> NDArray[np.float64]:
-        p, q = (i + 1) % 3, (i + 2) % 3
-        r, s = (j + 1) % 3, (j + 2) % 3
-        return np.asarray(normal[p][r] * normal[q][s] - normal[p][s] * normal[q][r])
-
-    minors = [[cofactor(i, j) for j in range(3)] for i in range(3)]
-    determinant = sum(normal[0][j] * minors[0][j] for j in range(3))
-    scale = normal[0][0] * normal[1][1] * normal[2][2]
-    with np.errstate(invalid="ignore"):
-        bad = np.argwhere(~(np.asarray(determinant) > 1e-9 * scale))
-    if len(bad):
-        where = f" at (y={bad[0][0]}, x={bad[0][1]})" if a.ndim == 4 else ""
-        raise ValueError(
-            "analyser must determine S0, S1 and S2, but its rows are linearly "
-            f"dependent{where}")
-    rows = [[sum(minors[i][j] * w[k] * a[k, j] for j in range(3)) / determinant
-             for k in range(4)] for i in range(3)]
-    return np.array(rows, np.float32)
-
-
-def stokes_gain(extinction_ratio: float | None) -> float:
-    """Return what S1 and S2 are multiplied by to undo the polarizers' leakage.
-
-    Parameters
-    ----------
-    extinction_ratio : float or None
-        Ratio of largest to smallest response to linearly polarized light; None:
-        infinite.
-
-    Raises
-    ------
-    ValueError
-        If it is not greater than 1.
-    """
-    if extinction_ratio is None or extinction_ratio == math.inf:
-        return 1.0
-    if not extinction_ratio > 1:
-        raise ValueError(
-            f"extinction_ratio must be greater than 1, got {extinction_ratio}")
-    return (extinction_ratio + 1) / (extinction_ratio - 1)
 
 
 def stokes(
@@ -319,7 +197,8 @@ class PolarFrame:
     _mosaic: tuple[NDArray[Any], Layout] | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: tuple[NDArray[np.float32], NDArray[np.float32]] | None
-    _stokes: NDArray[np.float32] | None
+    _stokes: tuple[
+        NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
     _usable: NDArray[np.bool_] | None
     _valid: NDArray[np.bool_] | None
     _variance: NDArray[np.float32] | None
@@ -445,17 +324,17 @@ class PolarFrame:
     @property
     def s0(self) -> NDArray[np.float32]:
         """Intensity in front of the polarizers; float32, shape (H, W)."""
-        return self._planes[0]
+        return self._planes()[0]
 
     @property
     def s1(self) -> NDArray[np.float32]:
         """I0 - I90 in front of the polarizers; float32, shape (H, W)."""
-        return self._planes[1]
+        return self._planes()[1]
 
     @property
     def s2(self) -> NDArray[np.float32]:
         """I45 - I135 in front of the polarizers; float32, shape (H, W)."""
-        return self._planes[2]
+        return self._planes()[2]
 
     @property
     def aop(self) -> NDArray[np.float32]:
@@ -496,11 +375,13 @@ class PolarFrame:
         sigmas = self._propagated()
         return None if sigmas is None else sigmas[1]
 
-    @property
-    def _planes(self) -> NDArray[np.float32]:
+    def _planes(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         if self._stokes is None:
-            self._stokes = _frozen(stokes(
+            s0, s1, s2 = _frozen(stokes(
                 self.quad, self._analyser, extinction_ratio=self.extinction_ratio))
+            self._stokes = s0, s1, s2
         return self._stokes
 
     def _angle_and_degree(
@@ -512,7 +393,7 @@ class PolarFrame:
             out, (("aop", self.shape, np.float32), ("dolp", self.shape, np.float32)))
         gain = stokes_gain(self.extinction_ratio)
         if self._analyser is not None or self._stokes is not None:
-            s0, s1, s2 = self._planes
+            s0, s1, s2 = self._planes()
             aop(s1, s2, angle)
             dolp(s0, s1, s2, degree)
         elif self._quad is None and self._mosaic is not None:
@@ -533,7 +414,7 @@ class PolarFrame:
         if self._sigmas is None:
             analyser = self._analyser or Analyser.ideal(self.extinction_ratio)
             self._sigmas = _sigmas(
-                self._planes, analyser.solution, self._variance * self.quad**2)
+                self._planes(), analyser.solution, self._variance * self.quad**2)
         return self._sigmas
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -609,7 +490,7 @@ def polarization(
 
 
 def _sigmas(
-    planes: NDArray[np.float32],
+    planes: tuple[NDArray[np.float32], ...],
     solution: NDArray[np.float32],
     variance: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

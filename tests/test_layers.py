@@ -17,7 +17,7 @@ LINES = (
     ("simulation",),
     ("reconstruct",),
     ("recording",),
-    ("polarimetry", "mosaic", "aps", "events"),
+    ("polarimetry", "analyser", "mosaic", "aps", "events"),
     ("sensor", "errors", "_checks"),
     ("_kernels",),
 )
