@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from pdavis_cv import calibration, export, render, simulation
     from pdavis_cv.analyser import Analyser
     from pdavis_cv.aps import cds
-    from pdavis_cv.aps import cds
     from pdavis_cv.calibration.model import Calibration
     from pdavis_cv.errors import (
         BusWarning,

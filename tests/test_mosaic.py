@@ -14,7 +14,7 @@ def test_a_linear_ramp_demosaics_to_itself():
 
 
 def test_an_invalid_pixel_spoils_its_neighbours_only():
-    valid = np.ones((8, 8), bool)
+    valid = np.ones((10, 10), bool)
     valid[4, 4] = False
     spoilt = ~demosaic_valid(valid, Layout.PDAVIS)
     assert np.argwhere(spoilt).min() == 3
