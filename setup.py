@@ -15,6 +15,7 @@ KERNELS = (
     "_aps",
     "_build",
     "_demosaic",
+    "_elementwise",
     "_floor",
     "_leaky",
     "_polarization",

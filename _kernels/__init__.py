@@ -2,6 +2,7 @@
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._demosaic import bilinear, superpixel
+from ._elementwise import exp
 from ._floor import floor_sum
 from ._leaky import (
     cf_frame,
@@ -25,6 +26,7 @@ __all__ = [
     "check_events",
     "correct",
     "dolp",
+    "exp",
     "floor_sum",
     "leak_events",
     "leak_events_map",

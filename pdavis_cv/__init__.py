@@ -45,7 +45,10 @@ _HOME = {
     "Estimate": "reconstruct.base",
     "Reconstructor": "reconstruct.base",
     "Snapshot": "reconstruct.base",
+    "METHODS": "reconstruct.methods",
     "Calibration": "calibration.model",
+    "DEFAULT_METHOD": "fusion",
+    "fuse": "fusion",
 }
 _ROOMS = ("calibration", "export", "render", "simulation")
 
@@ -69,11 +72,13 @@ if TYPE_CHECKING:
         RecordingError,
     )
     from pdavis_cv.events import EVENT_DTYPE, as_events
+    from pdavis_cv.fusion import DEFAULT_METHOD, fuse
     from pdavis_cv.mosaic import demosaic
     from pdavis_cv.polarimetry import PolarFrame, aop, dolp, polarization, stokes
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
     from pdavis_cv.reconstruct.frames import FrameHold
+    from pdavis_cv.reconstruct.methods import METHODS
     from pdavis_cv.recording.base import (
         IMU_DTYPE,
         TRIGGER_DTYPE,

@@ -19,6 +19,7 @@ __all__ = [
     "check_events",
     "correct",
     "dolp",
+    "exp",
     "floor_sum",
     "leak_events",
     "leak_events_map",
@@ -56,6 +57,7 @@ def correct(
     valid: NDArray[np.uint8]
 ) -> None: ...
 def dolp(s0: _F32, s1: _F32, s2: _F32, out: _F32) -> None: ...
+def exp(x: _F32, out: _F32) -> None: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]

@@ -167,8 +167,8 @@ def clip_level(
     Returns
     -------
     float or None
-        The lower edge of the peak; None if there is no peak in the upper half of the
-        converter's range.
+        The lower edge of the peak; None if there is no peak in the upper quarter
+        of the converter's range.
     """
     values = np.asarray(dn, np.float32)
     values = values[np.isfinite(values)]
@@ -181,7 +181,7 @@ def clip_level(
     # Isolated hot pixels lie above the peak: leave out the brightest 1 in 10,000.
     from_top = np.cumsum(counts[::-1])[::-1]
     top = int(np.flatnonzero(from_top > values.size // 10_000)[-1])
-    if top < full_scale_dn // 2:
+    if top < 3 * full_scale_dn // 4:
         return None
     # The peak is at most two bands wide; what lies below it is the scene.
     low = max(top - 2 * band + 1, 0)

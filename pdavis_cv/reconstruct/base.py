@@ -67,6 +67,9 @@ class Reconstructor(ABC):
     lookahead_us: int | None = 0
     """What must be fed after t before ``read(t)``; 0 = causal, None = everything."""
 
+    margin: int = 0
+    """How many pixels around a pixel its result depends on."""
+
     shape: tuple[int, int]
     """(height, width)."""
 

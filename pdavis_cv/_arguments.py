@@ -1,0 +1,162 @@
+"""Checks of what `fuse` is asked for."""
+from __future__ import annotations
+
+import operator
+import weakref
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.errors import CalibrationError
+from pdavis_cv.reconstruct.methods import METHODS
+from pdavis_cv.recording.base import Recording
+from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+
+# A recording that warned about its layout once does not do so again.
+_warned: weakref.WeakSet[Recording] = weakref.WeakSet()
+
+
+def choose_method(method: str | None, recording: Recording, default: str) -> str:
+    """Return the method to use; without one, what fits the recording."""
+    if method is None:
+        if recording.info.event_count == 0:
+            return "frames"
+        if recording.info.frame_count == 0:
+            return "events"
+        return default
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    return method
+
+
+def chosen_layout(
+    layout: Layout | None, calibration: Calibration | None, recording: Recording
+) -> Layout:
+    """Return the layout to use; warn once per recording if none is known."""
+    of_calibration = None if calibration is None else calibration.layout
+    if layout is not None and not isinstance(layout, Layout):
+        raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
+    known = (layout, of_calibration, recording.info.layout)
+    if all(one is None for one in known):
+        if recording in _warned:
+            return Layout.PDAVIS
+        _warned.add(recording)
+    return resolve_layout(*known, stacklevel=4)
+
+
+def checked_calibration(
+    calibration: Calibration | None, recording: Recording
+) -> Calibration | None:
+    """Return the calibration if it can be of the recording's camera."""
+    if calibration is None:
+        return None
+    if not isinstance(calibration, Calibration):
+        raise TypeError(
+            f"calibration must be a Calibration, got {type(calibration).__name__}")
+    info = recording.info
+    if tuple(calibration.sensor_size) != info.sensor_size:
+        raise CalibrationError(
+            f"calibration is of a {calibration.sensor_size} sensor (height, width), "
+            f"the recording of {info.sensor_size}")
+    if None not in (calibration.serial, info.serial) and (
+            calibration.serial != info.serial):
+        raise CalibrationError(
+            f"calibration is of camera {calibration.serial}, the recording of camera "
+            f"{info.serial}")
+    return calibration
+
+
+def resolved_extinction_ratio(
+    value: float | str | None, sensor: Sensor | None
+) -> float | None:
+    """Return the number that S1 and S2 are corrected for, or None."""
+    if value is None:
+        return None
+    if isinstance(value, str):
+        if value != "nominal":
+            raise ValueError(
+                f"extinction_ratio must be 'nominal', a number or None, got {value!r}")
+        return (sensor or Sensor.PDAVIS).extinction_ratio
+    if not float(value) > 1:
+        raise ValueError(f"extinction_ratio must exceed 1, got {value}")
+    return float(value)
+
+
+def checked_roi(
+    roi: tuple[int, int, int, int] | None, size: tuple[int, int], demosaic: str
+) -> tuple[int, int, int, int]:
+    """Return (x, y, width, height) if it lies inside the sensor."""
+    height, width = size
+    if roi is None:
+        roi = (0, 0, width, height)
+    try:
+        x, y, w, h = (operator.index(value) for value in roi)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"roi must be four integers (x, y, width, height), got {roi!r}") from None
+    if x < 0 or y < 0 or w < 1 or h < 1 or x + w > width or y + h > height:
+        raise ValueError(
+            f"roi (x, y, width, height) must lie inside the {width}x{height} sensor, "
+            f"got {(x, y, w, h)}")
+    if demosaic == "superpixel" and any(value % 2 for value in (x, y, w, h)):
+        raise ValueError(
+            f"roi must hold even numbers for demosaic='superpixel', got {(x, y, w, h)}")
+    return x, y, w, h
+
+
+def window_of(
+    roi: tuple[int, int, int, int], size: tuple[int, int], demosaic: str, margin: int
+) -> tuple[slice, slice]:
+    """Return the rows and columns that the roi's result depends on, cells whole."""
+    x, y, w, h = roi
+    # Bilinear needs one pixel around, and three where it extrapolates at a border.
+    margin += 4 if demosaic == "bilinear" else 0
+    margin += margin % 2
+
+    def side(start: int, length: int, limit: int) -> slice:
+        lo, hi = start - start % 2 - margin, start + length + margin
+        return slice(max(lo, 0), min(hi + hi % 2, limit))
+
+    return side(y, h, size[0]), side(x, w, size[1])
+
+
+def part_of(
+    theta: NDArray[np.float32] | float, rows: slice, columns: slice
+) -> NDArray[np.float32] | float:
+    """Return the part of thresholds that belongs to a window."""
+    return theta if isinstance(theta, float) else np.ascontiguousarray(
+        theta[rows, columns])
+
+
+def checked_grid(
+    fps: float | None, times_us: ArrayLike | None, start_us: int | None,
+    stop_us: int | None,
+) -> tuple[Fraction | None, NDArray[np.int64] | None]:
+    """Return the rate or the times of the images."""
+    for name, value in (("start_us", start_us), ("stop_us", stop_us)):
+        if value is not None and not isinstance(value, (int, np.integer)):
+            raise TypeError(
+                f"{name} must be integer microseconds, got {type(value).__name__}")
+    if times_us is not None:
+        if any(value is not None for value in (fps, start_us, stop_us)):
+            raise TypeError("times_us excludes fps, start_us and stop_us")
+        raw = np.asarray(times_us)
+        if raw.ndim != 1 or (raw.size and raw.dtype.kind not in "iu"):
+            raise TypeError(
+                "times_us must be one-dimensional integer microseconds, got "
+                f"{raw.dtype} {raw.shape}")
+        times = raw.astype(np.int64)
+        if np.any(times[1:] <= times[:-1]):
+            raise ValueError("times_us must increase")
+        return None, times
+    if fps is None:
+        return None, None
+    try:
+        rate = Fraction(fps)
+    except (TypeError, ValueError, OverflowError):
+        rate = Fraction(0)
+    if not 0 < rate <= 1_000_000:
+        raise ValueError(f"fps must lie in (0, 1000000], got {fps!r}")
+    return rate, None

@@ -1,0 +1,171 @@
+"""Samples of a recording in the order in which a reconstruction takes them."""
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.errors import ExposureWarning
+from pdavis_cv.recording.base import ApsFrame, Recording
+
+__all__ = ["Feed", "first_time"]
+
+# How long events wait for a frame that may still arrive and act before them, at
+# least; four times the longest delay seen so far if that is more.
+_LOOKAHEAD_US = 200_000
+
+_NEVER, _FOREVER = -(2**62), 2**62
+
+
+class Feed:
+    """Iterates over events and frames of a recording in time order.
+
+    A frame counts at its mid-exposure, which lies before its arrival: events are
+    held back until the next frame is known or cannot act on them any more.  With
+    `by_arrival` a frame counts when its readout ends and nothing is held back.
+
+    Parameters
+    ----------
+    recording : Recording
+    after_us : int, optional
+        Leave out the events up to this time, inclusive.
+    frames_after_us : int, optional
+        Leave out the frames whose mid-exposure is not after this.
+    by_arrival : bool
+        Frames by ``available_us`` rather than by ``mid_us``.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        after_us: int | None = None,
+        frames_after_us: int | None = None,
+        *,
+        by_arrival: bool,
+    ) -> None:
+        self._frames_after, self._by_arrival = frames_after_us, by_arrival
+        self.has_frames = recording.info.frame_count != 0
+        self._packets = recording.packets(None if after_us is None else after_us + 1)
+        self._events: deque[NDArray[Any]] = deque()
+        self._frames: deque[ApsFrame] = deque()
+        self._last_us = _NEVER          # everything before it has been read
+        self._last_mid_us = _NEVER      # of the latest frame read
+        self._given_us = _NEVER if after_us is None else after_us  # handed out
+        self._done = False
+        self._wait_us = _LOOKAHEAD_US if self.has_frames and not by_arrival else 0
+        self._stop_us = recording.info.stop_us
+
+    def until(self, t_us: int | None) -> Iterator[ApsFrame | NDArray[Any]]:
+        """Yield what has not been handed out yet, up to t_us inclusive.
+
+        Parameters
+        ----------
+        t_us : int or None
+            None = to the end of the recording.
+
+        Yields
+        ------
+        ApsFrame or ndarray of EVENT_DTYPE
+        """
+        target = _FOREVER if t_us is None else t_us
+        # Hand out while reading, so that a jump over a long time stays flat in memory.
+        while not self._knows(target) and self._read():
+            yield from self._release(min(self._settled_us(), target))
+        yield from self._release(target)
+
+    def next_frame_mid(self, after_us: int) -> int | None:
+        """Mid-exposure of the first frame in store or to come after after_us."""
+        while True:
+            for frame in self._frames:
+                if frame.mid_us > after_us:
+                    return frame.mid_us
+            if not self._read():
+                return None
+
+    def reaches(self, t_us: int) -> bool:
+        """Tell whether the recording has a sample at or after t_us."""
+        if self._stop_us is not None:
+            return t_us < self._stop_us
+        while self._last_us < t_us:
+            if not self._read():
+                return False
+        return True
+
+    def _time(self, frame: ApsFrame) -> int:
+        return frame.available_us if self._by_arrival else frame.mid_us
+
+    def _knows(self, t_us: int) -> bool:
+        """Tell whether nothing unread lies at or before t_us."""
+        return self._done or (t_us < self._last_us and t_us <= self._settled_us())
+
+    def _settled_us(self) -> int:
+        """Time up to which, inclusive, no unread sample can act."""
+        settled = self._last_us - 1 - self._wait_us
+        if not self._by_arrival:
+            # Exposures do not overlap: the next frame comes after the last known.
+            settled = max(settled, min(self._last_mid_us, self._last_us - 1))
+        return settled
+
+    def _read(self) -> bool:
+        packet = next(self._packets, None)
+        if packet is None:
+            self._done = True
+            return False
+        if packet.stop_us is not None:
+            self._last_us = max(self._last_us, packet.stop_us - 1)
+        if len(packet.events):
+            self._events.append(packet.events)
+        for frame in packet.frames:
+            if self._frames_after is None or frame.mid_us > self._frames_after:
+                self._take(frame)
+        return True
+
+    def _take(self, frame: ApsFrame) -> None:
+        delay = frame.available_us - frame.mid_us
+        if self._time(frame) <= self._given_us:
+            warnings.warn(
+                f"the frame exposed at {frame.mid_us} us arrived {delay} us later, "
+                f"more than the {self._wait_us} us that events wait: left out",
+                ExposureWarning, stacklevel=2)
+            return
+        if not self._by_arrival:
+            self._wait_us = max(self._wait_us, 4 * delay)
+        self._last_mid_us = max(self._last_mid_us, frame.mid_us)
+        self._frames.append(frame)
+
+    def _release(self, t_us: int) -> Iterator[ApsFrame | NDArray[Any]]:
+        while self._frames and self._time(self._frames[0]) <= t_us:
+            frame = self._frames.popleft()
+            yield from self._release_events(self._time(frame) - 1)
+            yield frame
+        yield from self._release_events(t_us)
+        self._given_us = max(t_us, self._given_us)
+
+    def _release_events(self, t_us: int) -> Iterator[NDArray[Any]]:
+        while self._events:
+            events = self._events[0]
+            if events["t"][-1] <= t_us:
+                yield self._events.popleft()
+                continue
+            n = int(np.searchsorted(events["t"], t_us, "right"))
+            if n:
+                self._events[0] = events[n:]
+                yield events[:n]
+            return
+
+
+def first_time(recording: Recording) -> int | None:
+    """Mid-exposure of the first frame, else the time of the first event, else None."""
+    first_event: int | None = None
+    for packet in recording.packets():
+        if packet.frames:
+            return packet.frames[0].mid_us
+        if first_event is None and len(packet.events):
+            first_event = int(packet.events["t"][0])
+            if recording.info.frame_count == 0:
+                break
+    return first_event

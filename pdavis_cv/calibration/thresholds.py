@@ -1,0 +1,113 @@
+"""Contrast thresholds of the event pixels: where they come from."""
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.recording.base import Recording
+
+__all__ = ["resolve_thresholds", "thresholds_from_biases"]
+
+# kappa_n / (kappa_p^2 C1/C2) with kappa_n = kappa_p = 0.7 and C1/C2 = 20: Nozaki and
+# Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision
+# sensors", IEEE Trans. Electron Devices 64 (2017), equations 4 and 5.
+_BIAS_FACTOR = 0.7 / (0.7**2 * 20)
+
+Theta = NDArray[np.float32] | float
+
+
+def thresholds_from_biases(biases: Mapping[str, float]) -> tuple[float, float]:
+    """Return (theta_on, theta_off) that the bias currents should give.
+
+    Parameters
+    ----------
+    biases : mapping of str to float
+        Currents of ``DiffBn``, ``OnBn`` and ``OffBn``; only their ratios matter.
+
+    Returns
+    -------
+    (float, float)
+        Positive magnitudes in natural-log units.
+
+    Raises
+    ------
+    ValueError
+        If a current is missing or the three are not in the order Off < Diff < On.
+    """
+    try:
+        diff, on, off = (float(biases[name]) for name in ("DiffBn", "OnBn", "OffBn"))
+    except KeyError as missing:
+        raise ValueError(
+            f"biases must hold DiffBn, OnBn and OffBn, but {missing} is missing"
+        ) from None
+    if not 0 < off < diff < on:
+        raise ValueError(
+            "bias currents must satisfy 0 < OffBn < DiffBn < OnBn, got "
+            f"OffBn={off:g}, DiffBn={diff:g}, OnBn={on:g}")
+    return _BIAS_FACTOR * math.log(on / diff), _BIAS_FACTOR * math.log(diff / off)
+
+
+def resolve_thresholds(
+    recording: Recording,
+    thresholds: str | tuple[ArrayLike, ArrayLike] | None,
+    nominal: tuple[ArrayLike, ArrayLike],
+    calibration: Calibration | None,
+) -> tuple[Theta, Theta]:
+    """Return the thresholds to use, as ``fuse`` documents them.
+
+    Returns
+    -------
+    (theta_on, theta_off) : floats or ndarrays of float32, shape (H, W)
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the choice is unknown or cannot be had, or a value is not positive.
+    """
+    size = recording.info.sensor_size
+    if isinstance(thresholds, str) and thresholds not in (
+            "calibration", "bias", "nominal"):
+        raise ValueError(
+            "thresholds must be 'calibration', 'bias', 'nominal' or (on, off), got "
+            f"{thresholds!r}")
+    if thresholds is not None and not isinstance(thresholds, str):
+        return _checked_pair("thresholds", thresholds, size)
+    if thresholds in (None, "calibration"):
+        if calibration is not None and calibration.theta_on is not None:
+            return _checked_pair(
+                "calibration", (calibration.theta_on, calibration.theta_off), size)
+        if thresholds is not None:
+            raise ValueError(
+                "thresholds='calibration' needs a calibration that has thresholds")
+    if thresholds in (None, "bias"):
+        try:
+            return thresholds_from_biases(recording.info.biases)
+        except ValueError:
+            if thresholds is not None:
+                raise
+    return _checked_pair("nominal_thresholds", nominal, size)
+
+
+def _checked_pair(name: str, pair: object, size: tuple[int, int]) -> tuple[Theta, Theta]:
+    if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+        raise TypeError(f"{name} must be a pair (on, off), got {pair!r}")
+    on, off = (_checked(name, side, value, size)
+               for side, value in zip(("on", "off"), pair, strict=True))
+    return on, off
+
+
+def _checked(name: str, side: str, value: ArrayLike, size: tuple[int, int]) -> Theta:
+    array = np.asarray(value, np.float32)
+    if array.ndim and array.shape != size:
+        raise ValueError(
+            f"{name} ({side}) must be a number or have shape {size}, got {array.shape}")
+    if not np.all((array > 0) & (array < 10)):
+        bad = array[~((array > 0) & (array < 10))].flat[0]
+        raise ValueError(
+            f"{name} ({side}) must be positive magnitudes in natural-log units, got "
+            f"{bad:g}")
+    return float(array) if array.ndim == 0 else array

@@ -1,0 +1,508 @@
+"""fuse(): polarization images at any time; the one place that orders time."""
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import pdavis_cv
+from pdavis_cv import _kernels
+from pdavis_cv._arguments import (
+    checked_calibration,
+    checked_grid,
+    checked_roi,
+    choose_method,
+    chosen_layout,
+    part_of,
+    resolved_extinction_ratio,
+    window_of,
+)
+from pdavis_cv._feed import Feed, first_time
+from pdavis_cv.aps import clip_level, correct
+from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.calibration.thresholds import resolve_thresholds
+from pdavis_cv.errors import ExposureWarning
+from pdavis_cv.mosaic import demosaic as demosaic_mosaic
+from pdavis_cv.mosaic import demosaic_valid
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
+from pdavis_cv.reconstruct.methods import make_reconstructor
+from pdavis_cv.recording.base import ApsFrame, Recording
+from pdavis_cv.sensor import Layout
+
+__all__ = ["DEFAULT_METHOD", "Fusion", "FusionSnapshot", "fuse"]
+
+DEFAULT_METHOD = "cf"
+"""What ``fuse(method=None)`` takes for a recording with both events and frames."""
+
+# With causal: how long after its mid-exposure a frame may arrive and still act.
+_LONGEST_DELAY_US = 2_000_000
+_BEFORE, _AFTER = -(2**62), 2**62
+
+
+def fuse(
+    recording: Recording,
+    *,
+    method: str | None = None,
+    fps: float | None = None,
+    times_us: ArrayLike | None = None,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+    layout: Layout | None = None,
+    calibration: Calibration | None = None,
+    extinction_ratio: float | str | None = "nominal",
+    demosaic: str = "bilinear",
+    roi: tuple[int, int, int, int] | None = None,
+    causal: bool = False,
+    thresholds: str | tuple[ArrayLike, ArrayLike] | None = None,
+    nominal_thresholds: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    **method_parameters: Any,
+) -> Iterator[PolarFrame]:
+    """Fuse a recording's frames and events into polarization images.
+
+    Without `fps` and `times_us` there is one image per frame, at its mid-exposure
+    (100 per second if the recording has no frames).  Whatever the interval, the
+    recording is followed from its beginning, so an image at t is the same
+    whichever images were asked for before it.
+
+    Parameters
+    ----------
+    recording : Recording
+        From `open_recording` or `recording_from_arrays`.
+    method : str, optional
+        One of ``METHODS``; default: what fits the recording (``frames`` without
+        events, ``events`` without frames, else ``DEFAULT_METHOD``).
+    fps : float, optional
+        Images per second of recording time: t_k = start + round(k * 1e6 / fps)
+        while t_k < stop.
+    times_us : array_like of int, optional
+        Times of the images, increasing; excludes `fps`, `start_us`, `stop_us`.
+    start_us, stop_us : int, optional
+        Half-open interval of image times; default: from the mid-exposure of the
+        first frame (the first event if there is no frame) to one past the last
+        sample of any stream.
+    layout : Layout, optional
+        Polarizer layout; default: the calibration's, the recording's, else PDAVIS
+        with a LayoutWarning.
+    calibration : Calibration, optional
+        Of this camera: dark, gain, thresholds, analyser matrix.
+    extinction_ratio : float, "nominal" or None
+        Contrast of the polarizers that S1 and S2 are corrected for; "nominal"
+        takes the sensor's, None corrects nothing.  Unused where the calibration
+        has an analyser matrix.
+    demosaic : {"bilinear", "superpixel"}
+        How the four channels are brought to one place; linear intensity is used.
+    roi : (int, int, int, int), optional
+        (x, y, width, height) in sensor pixels; gives the crop of the full result.
+    causal : bool
+        Use only what had arrived at t: a frame changes the state when its readout
+        ends.  Otherwise it acts from its mid-exposure on.
+    thresholds : str or (on, off), optional
+        "calibration", "bias", "in-situ", "nominal", or contrast thresholds in
+        natural-log units, scalars or (H, W); default: the first available of
+        calibration, bias, nominal.
+    nominal_thresholds : (on, off)
+        Used for "nominal", and where nothing better is known.
+    **method_parameters
+        Passed to the method, e.g. ``cutoff_hz`` for ``cf``.
+
+    Returns
+    -------
+    iterator of PolarFrame
+
+    Raises
+    ------
+    TypeError
+        If an argument has the wrong type or the method has no such parameter.
+    ValueError
+        If a value is out of range, e.g. a region that leaves the sensor.
+    LayoutError, CalibrationError
+        If layouts disagree, or the calibration is of another camera.
+    """
+    return Fusion(
+        recording, method=method, fps=fps, times_us=times_us, start_us=start_us,
+        stop_us=stop_us, layout=layout, calibration=calibration,
+        extinction_ratio=extinction_ratio, demosaic=demosaic, roi=roi, causal=causal,
+        thresholds=thresholds, nominal_thresholds=nominal_thresholds,
+        **method_parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class FusionSnapshot:
+    """State of a `Fusion` between two images; picklable.
+
+    Parameters
+    ----------
+    index : int
+        Number of the next image.
+    fed_us : int or None
+        Time up to which, inclusive, the state has been fed; None = not at all.
+    t_us : int or None
+        Time of the last image.
+    state : Snapshot
+        Of the Reconstructor; with ``causal`` as of the last frame's mid-exposure.
+    frames : tuple of (int, int)
+        Mid-exposure and arrival of the latest frames fed.
+    """
+
+    index: int
+    fed_us: int | None
+    t_us: int | None
+    state: Snapshot
+    frames: tuple[tuple[int, int], ...]
+
+
+class Fusion:
+    """Iterator over the fused images of a recording, with exact repositioning.
+
+    Parameters are those of `fuse`.  `VideoCapture` builds on it.
+
+    Attributes
+    ----------
+    method : str
+        The method in use.
+    layout : Layout
+        Layout of the whole sensor.
+    shape : (int, int)
+        (height, width) of the images.
+    provenance : mapping of str to object
+        What produced the images; the same in every PolarFrame.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        *,
+        method: str | None = None,
+        fps: float | None = None,
+        times_us: ArrayLike | None = None,
+        start_us: int | None = None,
+        stop_us: int | None = None,
+        layout: Layout | None = None,
+        calibration: Calibration | None = None,
+        extinction_ratio: float | str | None = "nominal",
+        demosaic: str = "bilinear",
+        roi: tuple[int, int, int, int] | None = None,
+        causal: bool = False,
+        thresholds: str | tuple[ArrayLike, ArrayLike] | None = None,
+        nominal_thresholds: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+        **method_parameters: Any,
+    ) -> None:
+        if not isinstance(recording, Recording):
+            raise TypeError(
+                "recording must be a Recording (see open_recording), got "
+                f"{type(recording).__name__}")
+        info = recording.info
+        self.recording = recording
+        self._calibration = checked_calibration(calibration, recording)
+        self.method = choose_method(method, recording, DEFAULT_METHOD)
+        self.layout = chosen_layout(layout, calibration, recording)
+        if demosaic not in ("bilinear", "superpixel"):
+            raise ValueError(
+                f"demosaic must be 'bilinear' or 'superpixel', got {demosaic!r}")
+        self._demosaic = demosaic
+        self._causal = bool(causal)
+        self.extinction_ratio = resolved_extinction_ratio(extinction_ratio, info.sensor)
+
+        on, off = resolve_thresholds(
+            recording, thresholds, nominal_thresholds, self._calibration)
+        self._roi = checked_roi(roi, info.sensor_size, demosaic)
+        if causal and self.method == "kalman":
+            method_parameters.setdefault("mode", "causal")
+        whole = make_reconstructor(
+            self.method, info.sensor_size, on, off, method_parameters)
+        if causal and whole.lookahead_us != 0:
+            raise ValueError(
+                f"causal=True needs a method that does not look ahead, but "
+                f"{self.method} needs {whole.lookahead_us} us")
+        self._window = window_of(self._roi, info.sensor_size, demosaic, whole.margin)
+        rows, columns = self._window
+        self._lookahead_us = whole.lookahead_us
+        self._thresholds = (part_of(on, rows, columns), part_of(off, rows, columns))
+        self._method_parameters = method_parameters
+        self._window_layout = self.layout.crop(columns.start, rows.start)
+        self._analyser = self._window_analyser()
+        x, y, width, height = self._roi
+        self.shape = ((height // 2, width // 2) if demosaic == "superpixel"
+                      else (height, width))
+
+        self._fps, self._times = checked_grid(fps, times_us, start_us, stop_us)
+        self._start_us, self._stop_us = start_us, stop_us
+        self.provenance: Mapping[str, Any] = MappingProxyType({
+            "pdavis_cv": pdavis_cv.__version__, "method": self.method,
+            "parameters": dict(whole.parameters), "causal": self._causal,
+            "layout": str(self.layout), "extinction_ratio": self.extinction_ratio,
+            "demosaic": demosaic, "roi": (x, y, width, height),
+            "calibration": None if calibration is None else calibration.identity,
+            "source": str(recording.path) if recording.path else info.format})
+        self._index = 0
+        self._t: int | None = None
+        self._fed_us: int | None = None
+        self._grid_start: int | None = None
+        self._begin()
+
+    # ---- iteration -----------------------------------------------------------
+
+    def __iter__(self) -> Iterator[PolarFrame]:
+        return self
+
+    def __next__(self) -> PolarFrame:
+        if not self.advance():
+            raise StopIteration
+        return self.image()
+
+    @property
+    def index(self) -> int:
+        """Number of the image that comes next."""
+        return self._index
+
+    @property
+    def t_us(self) -> int | None:
+        """Time of the last image, None before the first."""
+        return self._t
+
+    def advance(self) -> bool:
+        """Feed up to the next image's time; False at the end."""
+        t = self._next_time()
+        if t is None:
+            return False
+        self._advance_to(t)
+        self._index += 1
+        self._t = t
+        return True
+
+    def image(self) -> PolarFrame:
+        """Return the image at the time that `advance` reached.
+
+        Raises
+        ------
+        ValueError
+            If nothing was advanced to yet.
+        """
+        if self._t is None:
+            raise ValueError("image must follow a successful advance")
+        estimate = self._current.read(self._t)
+        intensity = np.empty_like(estimate.log_intensity)
+        _kernels.exp(estimate.log_intensity, intensity)
+        quad = demosaic_mosaic(intensity, self._window_layout, self._demosaic)
+        valid = demosaic_valid(estimate.valid, self._window_layout, self._demosaic)
+        variance = None
+        if estimate.variance is not None:
+            variance = demosaic_mosaic(
+                estimate.variance, self._window_layout, self._demosaic)
+        rows, columns = self._crop_of_window()
+        return PolarFrame(
+            quad[:, rows, columns], valid=valid[rows, columns], t_us=self._t,
+            frame_us=self._frame_us(self._t),
+            extinction_ratio=(
+                self.extinction_ratio if self._analyser is None else None),
+            analyser=None if self._analyser is None
+            else self._analyser[:, :, rows, columns],
+            variance=None if variance is None else variance[:, rows, columns],
+            provenance=self.provenance)
+
+    # ---- repositioning -------------------------------------------------------
+
+    def rewind(self) -> None:
+        """Go back to before the first image."""
+        self._begin()
+
+    def snapshot(self) -> FusionSnapshot:
+        """Return the state between two images."""
+        state = (self._lagged or self._current).snapshot()
+        return FusionSnapshot(
+            self._index, self._fed_us, self._t, state, tuple(self._frames))
+
+    def restore(self, snapshot: FusionSnapshot) -> None:
+        """Go back to a snapshot of an equal Fusion.
+
+        Raises
+        ------
+        ValueError
+            If the snapshot is of another method, shape or parameters.
+        """
+        self._begin()
+        self._current.restore(snapshot.state)
+        if self._lagged is not None:
+            self._lagged.restore(snapshot.state)
+        self._frames.extend(snapshot.frames)
+        self._index, self._fed_us = snapshot.index, snapshot.fed_us
+        self._feed = Feed(
+            self.recording, snapshot.fed_us,
+            max((mid for mid, _ in snapshot.frames), default=None),
+            by_arrival=self._causal)
+        self._t = snapshot.t_us
+        if snapshot.t_us is not None:
+            self._advance_to(snapshot.t_us)
+
+    # ---- times ---------------------------------------------------------------
+
+    @property
+    def fps(self) -> Fraction | None:
+        """Images per second of the grid, None for one image per frame or times."""
+        return self._fps
+
+    @property
+    def start_us(self) -> int | None:
+        """Time of the first image, None if there is none."""
+        if self._grid_start is None:
+            self._grid_start = first_time(self.recording)
+        return self._grid_start
+
+    def _next_time(self) -> int | None:
+        if self._times is not None:
+            return (int(self._times[self._index]) if self._index < len(self._times)
+                    else None)
+        if self._fps is not None:
+            start = self.start_us
+            t = None if start is None else start + round(
+                Fraction(self._index * 1_000_000) / self._fps)
+        else:
+            t = self._next_frame_mid()
+        if t is None or (self._stop_us is not None and t >= self._stop_us):
+            return None
+        return t if self._feed.reaches(t) else None
+
+    def _next_frame_mid(self) -> int | None:
+        if self._t is not None:
+            after = self._t
+        else:
+            after = _BEFORE if self._start_us is None else self._start_us - 1
+        # Frames that the look-ahead has already fed come first.
+        fed = next((mid for mid, _ in self._frames if mid > after), None)
+        return self._feed.next_frame_mid(after) if fed is None else fed
+
+    # ---- feeding -------------------------------------------------------------
+
+    def _begin(self) -> None:
+        self._current = self._make()
+        # With causal, a second state stays behind at the last frame's mid-exposure:
+        # when a frame arrives, it is advanced, and what followed is replayed.
+        self._lagged = (
+            self._make() if self._causal and self.method != "events" else None)
+        self._backlog: deque[NDArray[Any]] = deque()
+        self._frames: deque[tuple[int, int]] = deque()
+        self._index, self._t, self._fed_us = 0, None, None
+        self._feed = Feed(self.recording, by_arrival=self._causal)
+        self._grid_start = self._start_us
+        if self._fps is None and self._times is None and not self._feed.has_frames:
+            self._fps = Fraction(100)
+
+    def _make(self) -> Reconstructor:
+        rows, columns = self._window
+        shape = (rows.stop - rows.start, columns.stop - columns.start)
+        return make_reconstructor(
+            self.method, shape, *self._thresholds, self._method_parameters)
+
+    def _advance_to(self, t: int) -> None:
+        ahead = self._lookahead_us
+        target = None if ahead is None else t + ahead
+        for item in self._feed.until(target):
+            if isinstance(item, ApsFrame):
+                self._add_frame(item)
+            else:
+                self._add_events(item)
+        if self._lagged is None:
+            self._fed_us = _AFTER if target is None else target
+        while len(self._frames) > 1 and self._frames[1][1] <= t:
+            self._frames.popleft()
+
+    def _add_events(self, events: NDArray[Any]) -> None:
+        if self.method == "frames":
+            return
+        events = self._window_events(events)
+        if not len(events):
+            return
+        self._current.add_events(events)
+        if self._lagged is not None:
+            self._backlog.append(events)
+            self._advance_lagged(int(events["t"][-1]) - _LONGEST_DELAY_US)
+
+    def _add_frame(self, frame: ApsFrame) -> None:
+        self._frames.append((frame.mid_us, frame.available_us))
+        if self.method == "events":
+            return
+        frame = self._corrected(frame).cropped(*self._window)
+        if self._lagged is None:
+            self._current.add_frame(frame)
+            return
+        mid = frame.mid_us
+        if self._fed_us is not None and mid <= self._fed_us:
+            warnings.warn(
+                f"the frame exposed at {mid} us arrived more than "
+                f"{_LONGEST_DELAY_US} us later: left out", ExposureWarning,
+                stacklevel=2)
+            return
+        self._advance_lagged(mid)
+        self._fed_us = mid - 1
+        self._lagged.add_frame(frame)
+        self._current.restore(self._lagged.snapshot())
+        for events in self._backlog:
+            self._current.add_events(events)
+
+    def _advance_lagged(self, before_us: int) -> None:
+        """Feed the backlog before before_us to the state that lags behind."""
+        assert self._lagged is not None
+        while self._backlog and self._backlog[0]["t"][0] < before_us:
+            events = self._backlog.popleft()
+            n = int(np.searchsorted(events["t"], before_us))
+            self._lagged.add_events(events[:n])
+            self._fed_us = before_us - 1
+            if n < len(events):
+                self._backlog.appendleft(events[n:])
+
+    def _frame_us(self, t: int) -> int | None:
+        arrived = self._causal or (
+            self.method == "frames" and self._current.parameters["hold"] != "mid")
+        return next((mid for mid, available in reversed(self._frames)
+                     if (available if arrived else mid) <= t), None)
+
+    # ---- the window that is computed, and the calibration of it ----------------
+
+    def _window_events(self, events: NDArray[Any]) -> NDArray[Any]:
+        rows, columns = self._window
+        height, width = self.recording.info.sensor_size
+        if (rows.start, rows.stop, columns.start, columns.stop) == (
+                0, height, 0, width):
+            return events
+        x, y = events["x"], events["y"]
+        inside: NDArray[Any] = events[(x >= columns.start) & (x < columns.stop)
+                        & (y >= rows.start) & (y < rows.stop)]
+        inside["x"] -= columns.start
+        inside["y"] -= rows.start
+        return inside
+
+    def _crop_of_window(self) -> tuple[slice, slice]:
+        (rows, columns), (x, y, width, height) = self._window, self._roi
+        scale = 2 if self._demosaic == "superpixel" else 1
+        top, left = (y - rows.start) // scale, (x - columns.start) // scale
+        return (slice(top, top + height // scale),
+                slice(left, left + width // scale))
+
+    def _corrected(self, frame: ApsFrame) -> ApsFrame:
+        known = self._calibration
+        dark, gain, clip_dn = (None, None, None) if known is None else (
+            known.dark, known.gain, known.clip_dn)
+        if clip_dn is None:
+            clip_dn = clip_level(frame.dn, frame.full_scale_dn)
+        dn, valid = correct(frame.dn, dark, gain, clip_dn, frame.valid)
+        return ApsFrame(
+            dn, frame.exposure_start_us, frame.exposure_end_us, valid=valid,
+            available_us=frame.available_us, full_scale_dn=frame.full_scale_dn)
+
+    def _window_analyser(self) -> NDArray[np.float32] | None:
+        known = self._calibration
+        if known is None or known.analyser is None:
+            return None
+        rows, columns = self._window
+        planes = [demosaic_mosaic(
+            np.ascontiguousarray(known.analyser[rows, columns, i]),
+            self._window_layout, self._demosaic) for i in range(3)]
+        return np.stack(planes, axis=1)

@@ -1,0 +1,61 @@
+"""The methods by name."""
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.reconstruct.base import Reconstructor
+
+__all__ = ["METHODS", "make_reconstructor"]
+
+# Method -> (module, class, whether it takes thresholds).
+_CLASSES = {
+    "frames": ("frames", "FrameHold", False),
+    "cf": ("cf", "ComplementaryFilter", True),
+}
+METHODS = tuple(_CLASSES)
+"""Names that ``fuse(method=...)`` takes."""
+
+
+def make_reconstructor(
+    method: str,
+    shape: tuple[int, int],
+    theta_on: NDArray[np.float32] | float,
+    theta_off: NDArray[np.float32] | float,
+    parameters: Mapping[str, Any],
+) -> Reconstructor:
+    """Make the Reconstructor of a method.
+
+    Parameters
+    ----------
+    method : str
+        One of ``METHODS``.
+    shape : (int, int)
+        (height, width).
+    theta_on, theta_off : float or ndarray of float32, shape (H, W)
+        Contrast thresholds in natural-log units.
+    parameters : mapping of str to object
+        Further parameters of the method.
+
+    Raises
+    ------
+    TypeError
+        If the method has no such parameter; the message lists those it has.
+    """
+    module, name, takes_thresholds = _CLASSES[method]
+    cls = getattr(importlib.import_module(f"pdavis_cv.reconstruct.{module}"), name)
+    given = {"theta_on": theta_on, "theta_off": theta_off} if takes_thresholds else {}
+    known = [key for key in inspect.signature(cls).parameters
+             if key not in ("shape", "theta_on", "theta_off")]
+    for key in parameters:
+        if key not in known:
+            raise TypeError(
+                f"method {method!r} has no parameter {key!r}; it takes "
+                f"{', '.join(known) or 'none'}")
+    made: Reconstructor = cls(shape, **given, **parameters)
+    return made
