@@ -2,11 +2,11 @@
 from __future__ import annotations
 
 import warnings
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import ExposureWarning
@@ -151,7 +151,7 @@ class Feed:
             if events["t"][-1] <= t_us:
                 yield self._events.popleft()
                 continue
-            n = int(np.searchsorted(events["t"], t_us, "right"))
+            n = bisect_right(events["t"], t_us)    # searchsorted would copy the column
             if n:
                 self._events[0] = events[n:]
                 yield events[:n]

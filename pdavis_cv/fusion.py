@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import warnings
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from pdavis_cv._arguments import (
     window_of,
 )
 from pdavis_cv._feed import Feed, first_time
+from pdavis_cv.analyser import Analyser
 from pdavis_cv.aps import clip_level, correct
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import resolve_thresholds
@@ -228,6 +230,7 @@ class Fusion:
         self._thresholds = (part_of(on, rows, columns), part_of(off, rows, columns))
         self._method_parameters = method_parameters
         self._window_layout = self.layout.crop(columns.start, rows.start)
+        self._crop = self._crop_of_window()
         self._analyser = self._window_analyser()
         x, y, width, height = self._roi
         self.shape = ((height // 2, width // 2) if demosaic == "superpixel"
@@ -293,20 +296,20 @@ class Fusion:
         _kernels.exp(estimate.log_intensity, intensity)
         quad = demosaic_mosaic(intensity, self._window_layout, self._demosaic)
         valid = demosaic_valid(estimate.valid, self._window_layout, self._demosaic)
-        variance = None
-        if estimate.variance is not None:
-            variance = demosaic_mosaic(
-                estimate.variance, self._window_layout, self._demosaic)
-        rows, columns = self._crop_of_window()
-        return PolarFrame(
-            quad[:, rows, columns], valid=valid[rows, columns], t_us=self._t,
-            frame_us=self._frame_us(self._t),
+        variance = None if estimate.variance is None else demosaic_mosaic(
+            estimate.variance, self._window_layout, self._demosaic)
+        if self._crop is not None:
+            rows, columns = self._crop
+            quad = np.ascontiguousarray(quad[:, rows, columns])
+            valid = np.ascontiguousarray(valid[rows, columns])
+            variance = None if variance is None else np.ascontiguousarray(
+                variance[:, rows, columns])
+        # The arrays are new and nobody else's: the image takes them over.
+        return PolarFrame.adopt(
+            quad, valid=valid, t_us=self._t, frame_us=self._frame_us(self._t),
             extinction_ratio=(
                 self.extinction_ratio if self._analyser is None else None),
-            analyser=None if self._analyser is None
-            else self._analyser[:, :, rows, columns],
-            variance=None if variance is None else variance[:, rows, columns],
-            provenance=self.provenance)
+            analyser=self._analyser, variance=variance, provenance=self.provenance)
 
     # ---- repositioning -------------------------------------------------------
 
@@ -452,7 +455,7 @@ class Fusion:
         assert self._lagged is not None
         while self._backlog and self._backlog[0]["t"][0] < before_us:
             events = self._backlog.popleft()
-            n = int(np.searchsorted(events["t"], before_us))
+            n = bisect_left(events["t"], before_us)
             self._lagged.add_events(events[:n])
             self._fed_us = before_us - 1
             if n < len(events):
@@ -479,8 +482,12 @@ class Fusion:
         inside["y"] -= rows.start
         return inside
 
-    def _crop_of_window(self) -> tuple[slice, slice]:
+    def _crop_of_window(self) -> tuple[slice, slice] | None:
+        """Return the part of the window that the region is; None = all of it."""
         (rows, columns), (x, y, width, height) = self._window, self._roi
+        if (x, y, x + width, y + height) == (
+                columns.start, rows.start, columns.stop, rows.stop):
+            return None
         scale = 2 if self._demosaic == "superpixel" else 1
         top, left = (y - rows.start) // scale, (x - columns.start) // scale
         return (slice(top, top + height // scale),
@@ -497,12 +504,15 @@ class Fusion:
             dn, frame.exposure_start_us, frame.exposure_end_us, valid=valid,
             available_us=frame.available_us, full_scale_dn=frame.full_scale_dn)
 
-    def _window_analyser(self) -> NDArray[np.float32] | None:
+    def _window_analyser(self) -> Analyser | None:
+        """Return the channels' responses in the images, from those of the pixels."""
         known = self._calibration
         if known is None or known.analyser is None:
             return None
         rows, columns = self._window
-        planes = [demosaic_mosaic(
+        response = np.stack([demosaic_mosaic(
             np.ascontiguousarray(known.analyser[rows, columns, i]),
-            self._window_layout, self._demosaic) for i in range(3)]
-        return np.stack(planes, axis=1)
+            self._window_layout, self._demosaic) for i in range(3)], axis=1)
+        if self._crop is not None:
+            response = response[:, :, self._crop[0], self._crop[1]]
+        return Analyser(response)
