@@ -1,0 +1,88 @@
+"""The benchmark runs, checks before it times, and judges as it says; no times here."""
+import json
+
+import numpy as np
+import pytest
+import reference
+from streams import random_events
+
+from pdavis_cv import _kernels
+from pdavis_cv.tools import bench
+from pdavis_cv.tools.bench_cases import CASES, Case, Comparison
+
+
+@pytest.mark.parametrize("n", [0, 1, 1000])
+def test_floor_sum_matches_reference(n):
+    events, step = random_events(n, (5, 7)), np.array([-0.2, 0.3], np.float32)
+    out, want = np.zeros((2, 5, 7), np.float32)
+    assert _kernels.floor_sum(events, step, out) == n
+    reference.floor_sum(events, step, want)
+    np.testing.assert_array_equal(out, want)
+
+
+def test_floor_sum_stops_at_an_event_outside():
+    events = random_events(9, (5, 7), read_only=False)
+    events["x"][4] = 7
+    step, out = np.ones(2, np.float32), np.zeros((5, 7), np.float32)
+    assert _kernels.floor_sum(events, step, out) == 4
+    assert out.sum() == 4
+
+
+def test_the_cf_case_runs_and_reports_both_inputs(capsys):
+    assert bench.main(["cf", "--pairs", "2", "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    assert [r["input"] for r in report["results"]] == ["uniform", "clustered"]
+    assert all(r["ratio"] > 0 and r["goal"] == 0.12 for r in report["results"])
+
+
+def case_of(candidate, *, check=lambda: None, by_time=False, judged=True):
+    times = iter([9.0, *candidate])  # the first pair is not counted
+    comparison = Comparison("input", check, lambda: next(times), lambda: 1.0,
+                            lambda seconds: 10 * seconds, "ds", judged)
+    return Case("fake", "a fake", 0.5, lambda: iter([comparison]), by_time)
+
+
+def test_a_ratio_is_the_median_over_pairs_of_speeds_or_times():
+    speed, = bench.measure(case_of([1.0, 2.0, 8.0]), 3)
+    assert (speed.ratio, speed.reached, speed.candidate) == (0.5, True, 20.0)
+    time, = bench.measure(case_of([1.0, 2.0, 8.0], by_time=True), 3)
+    assert (time.ratio, time.reached) == (2.0, False)
+    unjudged, = bench.measure(case_of([8.0, 8.0, 8.0], judged=False), 3)
+    assert unjudged.reached is None
+
+
+def test_a_wrong_result_is_not_timed():
+    def check():
+        raise AssertionError("not equal")
+
+    with pytest.raises(AssertionError, match="not equal"):
+        bench.measure(case_of([], check=check))
+
+
+@pytest.mark.parametrize(("candidate", "code", "word"), [
+    ([1.0] * 3, 0, "reached"), ([9.0] * 3, 1, "MISSED")])
+def test_the_exit_code_tells_whether_goals_are_reached(
+        candidate, code, word, monkeypatch, capsys):
+    monkeypatch.setitem(CASES, "fake", case_of(candidate))
+    assert bench.main(["fake", "--pairs", "3"]) == code
+    assert word in capsys.readouterr().out
+
+
+def test_a_case_without_its_package_is_skipped(monkeypatch, capsys):
+    def check():
+        raise ImportError("needs cv2")
+
+    monkeypatch.setitem(CASES, "fake", case_of([], check=check))
+    assert bench.main(["fake"]) == 0
+    assert "skipped: needs cv2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["nonsense"], "no case 'nonsense'; there are cf"),
+    (["cf", "--pairs", "1"], "--pairs must be at least 2, got 1"),
+])
+def test_a_mistake_prints_one_line_and_returns_2(arguments, message, capsys):
+    assert bench.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

@@ -1,0 +1,158 @@
+"""pdavis bench: time what this library does against fixed floors.
+
+A ratio is the median of interleaved pairs of runs, floor then candidate, in one
+thread on one core; of several inputs the worst counts.  Before anything is timed,
+the candidate must equal an independent evaluation.  Only ratios are judged; absolute
+figures depend on the machine.
+"""
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import statistics
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pdavis_cv.tools.bench_cases import CASES, Case, Comparison
+
+__all__ = ["Result", "main", "measure"]
+
+PAIRS = 15
+
+
+@dataclass(frozen=True)
+class Result:
+    """How one input of a case did.
+
+    Parameters
+    ----------
+    case, input : str
+        Names.
+    ratio : float
+        Median over the pairs; above 1 means faster than the floor, for a case that
+        is judged by speed, and slower for one that is judged by time.
+    ratio_quartiles : (float, float)
+        First and third quartile over the pairs.
+    goal : float
+        What the ratio must reach, or stay below for a case judged by time.
+    reached : bool or None
+        None where the goal is not meant for this input.
+    candidate, floor : float
+        Median figures in ``unit``.
+    unit : str
+    """
+
+    case: str
+    input: str
+    ratio: float
+    ratio_quartiles: tuple[float, float]
+    goal: float
+    reached: bool | None
+    candidate: float
+    floor: float
+    unit: str
+
+
+def measure(case: Case, pairs: int = PAIRS) -> list[Result]:
+    """Return a result per input of the case.
+
+    Raises
+    ------
+    AssertionError
+        If the candidate does not equal the independent evaluation.
+    """
+    return [_measure(case, comparison, pairs) for comparison in case.comparisons()]
+
+
+def _measure(case: Case, comparison: Comparison, pairs: int) -> Result:
+    comparison.check()
+    times = [(comparison.floor(), comparison.candidate()) for _ in range(pairs + 1)]
+    times = times[1:]  # the first pair warms the caches
+    if case.by_time:
+        ratios = [candidate / floor for floor, candidate in times]
+    else:
+        ratios = [floor / candidate for floor, candidate in times]
+    ratio = statistics.median(ratios)
+    low, _, high = statistics.quantiles(ratios, n=4, method="inclusive")
+    floor, candidate = (
+        comparison.figure(statistics.median(column))
+        for column in zip(*times, strict=True))
+    reached = ratio <= case.goal if case.by_time else ratio >= case.goal
+    return Result(
+        case.name, comparison.name, ratio, (low, high), case.goal,
+        reached if comparison.judged else None, candidate, floor, comparison.unit)
+
+
+@contextlib.contextmanager
+def _one_core() -> Iterator[None]:
+    """Keep this process and its children on one core, where the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(allowed)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+def _line(result: Result) -> str:
+    low, high = result.ratio_quartiles
+    sign = "<=" if CASES[result.case].by_time else ">="
+    verdict = "not judged" if result.reached is None else (
+        f"goal {sign} {result.goal:g}  {'reached' if result.reached else 'MISSED'}")
+    return (
+        f"  {result.input:<28} {result.candidate:9.3f} {result.floor:9.3f} "
+        f"{result.unit:<5}  {result.ratio:6.3f} ({low:.3f} .. {high:.3f}) "
+        f"{verdict}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the benchmark; return 0 if every goal is reached, 1 if not."""
+    parser = argparse.ArgumentParser(prog="pdavis bench", description=__doc__)
+    parser.add_argument("cases", nargs="*", metavar="CASE",
+                        help=f"which to run (default all): {', '.join(CASES)}")
+    parser.add_argument("--pairs", type=int, default=PAIRS,
+                        help=f"interleaved pairs per input (default {PAIRS})")
+    parser.add_argument("--json", action="store_true", help="print JSON instead")
+    args = parser.parse_args(argv)
+    unknown = [name for name in args.cases if name not in CASES]
+    if unknown:
+        print(f"pdavis bench: no case {unknown[0]!r}; there are {', '.join(CASES)}",
+              file=sys.stderr)
+        return 2
+    if args.pairs < 2:
+        print(f"pdavis bench: --pairs must be at least 2, got {args.pairs}",
+              file=sys.stderr)
+        return 2
+    results: list[Result] = []
+    skipped: dict[str, str] = {}
+    with _one_core():
+        for name in args.cases or CASES:
+            try:
+                found = measure(CASES[name], args.pairs)
+            except ImportError as error:
+                skipped[name] = str(error)
+                if not args.json:
+                    print(f"{CASES[name].title}\n  skipped: {error}")
+                continue
+            results += found
+            if not args.json:
+                print(CASES[name].title)
+                print(f"  {'':<28} {'this':>9} {'floor':>9} {'':<5}  ratio (quartiles)")
+                print("\n".join(map(_line, found)), flush=True)
+    if args.json:
+        summary: dict[str, Any] = {
+            "pairs": args.pairs, "results": [asdict(result) for result in results],
+            "skipped": skipped}
+        print(json.dumps(summary, indent=2))
+    return 0 if all(r.reached is not False for r in results) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,197 @@
+"""What `pdavis bench` times, and the floors written in Python.
+
+The floors never change with what they judge.
+"""
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import EVENT_DTYPE, ApsFrame, ComplementaryFilter, _kernels
+
+__all__ = ["CASES", "Case", "Comparison"]
+
+SHAPE = (260, 346)
+EVENTS, PACKET = 1_000_000, 10_000
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A candidate and its floor on one input.
+
+    Parameters
+    ----------
+    name : str
+        Of the input.
+    check : callable
+        Raises AssertionError unless the candidate equals an independent evaluation.
+    candidate, floor : callable
+        Each does the work once and returns the seconds that it took.
+    figure : callable
+        Turns seconds into what is printed.
+    unit : str
+        Of what is printed.
+    judged : bool
+        Whether the case's goal applies.
+    """
+
+    name: str
+    check: Callable[[], None]
+    candidate: Callable[[], float]
+    floor: Callable[[], float]
+    figure: Callable[[float], float]
+    unit: str
+    judged: bool = True
+
+
+@dataclass(frozen=True)
+class Case:
+    """Something to time; ``by_time`` cases must stay below their goal.
+
+    Parameters
+    ----------
+    name, title : str
+        For the command line and for the print-out.
+    goal : float
+        Of the ratio.
+    comparisons : callable
+        Yields a Comparison per input.
+    by_time : bool
+        Whether the ratio is of times (smaller is better) and not of speeds.
+    """
+
+    name: str
+    title: str
+    goal: float
+    comparisons: Callable[[], Iterator[Comparison]]
+    by_time: bool = False
+
+
+CASES: dict[str, Case] = {}
+
+
+def _case(
+    name: str, title: str, goal: float, *, by_time: bool = False
+) -> Callable[[Callable[[], Iterator[Comparison]]],
+              Callable[[], Iterator[Comparison]]]:
+    def register(
+        comparisons: Callable[[], Iterator[Comparison]]
+    ) -> Callable[[], Iterator[Comparison]]:
+        CASES[name] = Case(name, title, goal, comparisons, by_time)
+        return comparisons
+    return register
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    start = perf_counter()
+    work()
+    return perf_counter() - start
+
+
+def event_input(kind: str) -> NDArray[Any]:
+    """Return a second of events: uniform over the sensor, or in one spot.
+
+    Parameters
+    ----------
+    kind : {"uniform", "clustered"}
+        Clustered: normal with a standard deviation of 30 pixels about the centre.
+    """
+    rng = np.random.default_rng(1)
+    events = np.zeros(EVENTS, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(1_000, 1_001_000, EVENTS))
+    for field, side in (("y", SHAPE[0]), ("x", SHAPE[1])):
+        if kind == "clustered":
+            where = np.rint(rng.normal(side / 2, 30, EVENTS)).clip(0, side - 1)
+        else:
+            where = rng.integers(0, side, EVENTS)
+        events[field] = where
+    events["p"] = rng.integers(0, 2, EVENTS)
+    return events
+
+
+@_case("cf", "cf.add_events, adaptive gain, against floor_sum", 0.12)
+def _cf() -> Iterator[Comparison]:
+    theta = 0.2
+    step = np.array([-theta, theta], np.float32)
+    dn = np.random.default_rng(2).uniform(1, 1023, SHAPE)
+    frame = ApsFrame(dn, 0, 2_000)
+    cf = ComplementaryFilter(SHAPE, theta_on=theta, theta_off=theta)
+    cf.add_frame(frame)
+    fresh, stop = cf.snapshot(), 1_001_000
+    plane = np.zeros(SHAPE, np.float32)
+    for kind in ("uniform", "clustered"):
+        events = event_input(kind)
+        packets = [events[i:i + PACKET] for i in range(0, EVENTS, PACKET)]
+
+        def candidate(packets: list[NDArray[Any]] = packets) -> float:
+            cf.restore(fresh)
+            start = perf_counter()
+            for packet in packets:
+                cf.add_events(packet)
+            return perf_counter() - start
+
+        def floor(packets: list[NDArray[Any]] = packets) -> float:
+            start = perf_counter()
+            for packet in packets:
+                _kernels.floor_sum(packet, step, plane)
+            return perf_counter() - start
+
+        def check(
+            events: NDArray[Any] = events, candidate: Callable[[], float] = candidate
+        ) -> None:
+            # One weight per event: the sum of p exp(-m (t_stop - t) / tau).
+            gain = _adaptive_gain(frame.dn)[events["y"], events["x"]]
+            rate = gain * 2e-6 * np.pi * 1.6
+            weight = np.where(events["p"], theta, -theta)
+            weight = weight * np.exp(-rate * (stop - events["t"]))
+            pixel = events["y"].astype(np.intp) * SHAPE[1] + events["x"]
+            total = np.bincount(pixel, weight, SHAPE[0] * SHAPE[1]).reshape(SHAPE)
+            candidate()
+            np.testing.assert_allclose(
+                cf.read(stop).log_intensity, np.log(frame.dn / 2.0) + total,
+                rtol=0, atol=1e-5)
+            plane.fill(0)
+            floor()
+            want = np.zeros_like(plane)
+            np.add.at(want, (events["y"], events["x"]), step[events["p"]])
+            np.testing.assert_array_equal(plane, want)
+
+        yield Comparison(kind, check, candidate, floor,
+                         lambda s: EVENTS / s / 1e6, "Mev/s")
+
+
+def _adaptive_gain(dn: NDArray[Any]) -> NDArray[np.float64]:
+    v = np.clip(dn.astype(float) / 4, 1, 255.75)
+    low, high = np.log(v) / np.log(10), np.log(255 / v) / np.log(255 / 200)
+    return np.asarray(0.1 + 0.9 * np.clip(np.minimum(low, high), 0, 1))
+
+
+def _import_seconds(statement: str) -> float:
+    code = ("from time import perf_counter as clock; start = clock(); "
+            f"{statement}; print(clock() - start)")
+    done = subprocess.run([sys.executable, "-c", code], check=True, text=True,
+                          capture_output=True)
+    return float(done.stdout)
+
+
+def _check_import() -> None:
+    code = "import sys, pdavis_cv; sys.exit('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@_case("import", "import, against import numpy", 1.3, by_time=True)
+def _import() -> Iterator[Comparison]:
+    floor = partial(_import_seconds, "import numpy")
+    for statement, judged in (("import pdavis_cv", True),
+                              ("from pdavis_cv import ComplementaryFilter", False)):
+        yield Comparison(
+            statement.removeprefix("from pdavis_cv "), _check_import,
+            partial(_import_seconds, statement), floor, lambda s: 1e3 * s, "ms", judged)
