@@ -35,6 +35,12 @@ def test_the_cf_case_runs_and_reports_both_inputs(capsys):
     assert all(r["ratio"] > 0 and r["goal"] == 0.12 for r in report["results"])
 
 
+def test_the_polarization_case_agrees_with_malus_and_runs(capsys):
+    pytest.importorskip("cv2")
+    assert bench.main(["polarization", "--pairs", "2"]) in (0, 1)
+    assert "skipped" not in capsys.readouterr().out
+
+
 def case_of(candidate, *, check=lambda: None, by_time=False, judged=True):
     times = iter([9.0, *candidate])  # the first pair is not counted
     comparison = Comparison("input", check, lambda: next(times), lambda: 1.0,

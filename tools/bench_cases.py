@@ -15,7 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import EVENT_DTYPE, ApsFrame, ComplementaryFilter, _kernels
+from pdavis_cv import _kernels
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.reconstruct.cf import ComplementaryFilter
+from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.sensor import Layout
 
 __all__ = ["CASES", "Case", "Comparison"]
 
@@ -172,6 +176,91 @@ def _adaptive_gain(dn: NDArray[Any]) -> NDArray[np.float64]:
     v = np.clip(dn.astype(float) / 4, 1, 255.75)
     low, high = np.log(v) / np.log(10), np.log(255 / v) / np.log(255 / 200)
     return np.asarray(0.1 + 0.9 * np.clip(np.minimum(low, high), 0, 1))
+
+
+class FloorCv2:
+    """Mosaic to doubled AoP and DoLP with OpenCV alone, in memory of its own.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width) of the mosaic, both even.
+    layout : Layout
+        Polarizer layout.
+    """
+
+    def __init__(self, shape: tuple[int, int], layout: Layout) -> None:
+        import cv2
+        self.cv2, self.places = cv2, layout.places
+        height, width = shape
+        self.planes = np.empty((4, height // 2, width // 2), np.float32)
+        self.quad, self.sums = np.empty((2, 4, *shape), np.float32)
+        self.length, self.angle, self.dolp = np.empty((3, *shape), np.float32)
+
+    def __call__(self, mosaic: NDArray[Any]) -> None:
+        """Fill ``angle`` (2 AoP, radians) and ``dolp``."""
+        cv2, quad, sums = self.cv2, self.quad, self.sums
+        size = mosaic.shape[::-1]
+        for plane, full, place in zip(self.planes, quad, self.places, strict=True):
+            np.copyto(plane, mosaic[place // 2::2, place % 2::2])
+            cv2.resize(plane, size, dst=full, interpolation=cv2.INTER_LINEAR)
+        cv2.add(quad[0], quad[2], dst=sums[0])
+        cv2.add(quad[1], quad[3], dst=sums[1])
+        cv2.add(sums[0], sums[1], dst=sums[0])
+        cv2.subtract(quad[0], quad[2], dst=sums[2])
+        cv2.subtract(quad[1], quad[3], dst=sums[3])
+        cv2.cartToPolar(sums[2], sums[3], magnitude=self.length, angle=self.angle)
+        cv2.divide(self.length, sums[0], dst=self.dolp, scale=2)
+
+
+def mosaic_input(
+    shape: tuple[int, int], layout: Layout, aop: float, dolp: float,
+    brightness: NDArray[Any] | float = 300.0,
+) -> NDArray[np.float64]:
+    """Return what a sensor of ideal polarizers sees of evenly polarized light."""
+    tile = (shape[0] // 2, shape[1] // 2)
+    angle = np.deg2rad(np.tile(np.array(layout.angles_deg), tile))
+    return np.asarray(brightness * (1 + dolp * np.cos(2 * (angle - aop))))
+
+
+@_case("polarization", "mosaic to AoP and DoLP, full size, against floor_cv2", 2)
+def _polarization() -> Iterator[Comparison]:
+    import cv2
+
+    from pdavis_cv.polarimetry import polarization
+    layout, (height, width) = Layout.PDAVIS, SHAPE
+    ramp = 200 + np.add.outer(0.3 * np.arange(height), 0.5 * np.arange(width))
+    noise = np.random.default_rng(3).normal(0, 5, SHAPE)
+    floor_cv2 = FloorCv2(SHAPE, layout)
+    angle, degree = np.empty((2, *SHAPE), np.float32)
+    for dtype in (np.uint8, np.uint16, np.float32):
+        scale = 0.25 if dtype is np.uint8 else 1.0
+        mosaic = (scale * (mosaic_input(SHAPE, layout, 0.7, 0.6, ramp) + noise)).astype(
+            dtype)
+
+        def candidate(mosaic: NDArray[Any] = mosaic) -> float:
+            return _seconds(lambda: polarization(mosaic, layout, out=(angle, degree)))
+
+        def floor(mosaic: NDArray[Any] = mosaic) -> float:
+            threads = cv2.getNumThreads()
+            cv2.setNumThreads(1)
+            try:
+                return _seconds(lambda: floor_cv2(mosaic))
+            finally:
+                cv2.setNumThreads(threads)
+
+        def check() -> None:
+            for brightness in (300.0, ramp):
+                even = mosaic_input(SHAPE, layout, 0.7, 0.6, brightness)
+                polarization(even.astype(np.float32), layout, out=(angle, degree))
+                np.testing.assert_allclose(angle, 0.7, rtol=0, atol=1e-5)
+                np.testing.assert_allclose(degree, 0.6, rtol=0, atol=1e-5)
+            floor_cv2(mosaic_input(SHAPE, layout, 0.7, 0.6))
+            np.testing.assert_allclose(floor_cv2.angle, 1.4, rtol=0, atol=1e-3)
+            np.testing.assert_allclose(floor_cv2.dolp, 0.6, rtol=0, atol=1e-5)
+
+        yield Comparison(np.dtype(dtype).name, check, candidate, floor,
+                         lambda s: 1e3 * s, "ms")
 
 
 def _import_seconds(statement: str) -> float:
