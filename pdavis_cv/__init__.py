@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 
 # Public name -> the module that defines it.
 _HOME = {
+    "AnalysisWarning": "errors",
     "BusWarning": "errors",
     "CalibrationError": "errors",
     "CalibrationWarning": "errors",
@@ -50,16 +51,17 @@ _HOME = {
     "DEFAULT_METHOD": "fusion",
     "fuse": "fusion",
 }
-_ROOMS = ("calibration", "export", "render", "simulation")
+_ROOMS = ("analysis", "calibration", "export", "render", "simulation")
 
 __all__ = ["__version__", *_HOME, *_ROOMS]
 
 if TYPE_CHECKING:
-    from pdavis_cv import calibration, export, render, simulation
+    from pdavis_cv import analysis, calibration, export, render, simulation
     from pdavis_cv.analyser import Analyser
     from pdavis_cv.aps import cds
     from pdavis_cv.calibration.model import Calibration
     from pdavis_cv.errors import (
+        AnalysisWarning,
         BusWarning,
         CalibrationError,
         CalibrationWarning,

@@ -1,6 +1,7 @@
 """Errors and warnings: one family, each also the builtin it refines."""
 
 __all__ = [
+    "AnalysisWarning",
     "BusWarning",
     "CalibrationError",
     "CalibrationWarning",
@@ -52,3 +53,7 @@ class CalibrationWarning(PdavisWarning):
 
 class BusWarning(PdavisWarning):
     """The event rate is near what the camera's read-out can carry."""
+
+
+class AnalysisWarning(PdavisWarning):
+    """A measurement was asked for where its conditions do not hold."""

@@ -1,0 +1,219 @@
+"""Force and displacement of a test frame: a CSV with a clock and units of its own."""
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LoadTrace", "read_load"]
+
+FloatArray = NDArray[np.float64]
+
+_UNITS = {
+    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
+    "force": {"n": 1.0, "mn": 1e-3, "kn": 1e3, "gf": 9.80665e-3, "lbf": 4.4482216},
+    "displacement": {"mm": 1.0, "um": 1e-3, "\N{MICRO SIGN}m": 1e-3,
+                     "\N{GREEK SMALL LETTER MU}m": 1e-3, "m": 1e3, "in": 25.4},
+    "trigger": {"": 1.0, "v": 1.0, "mv": 1e-3},
+}
+_SPELLED = {
+    "time": "s, ms, us, min", "force": "N, mN, kN, gf, lbf",
+    "displacement": "mm, um, m, in", "trigger": "V, mV or none",
+}
+_WORDS = {
+    "time": ("time", "elapsed", "timestamp"),
+    "force": ("force", "load"),
+    "displacement": ("displacement", "position", "extension", "stroke", "disp"),
+    "trigger": ("trigger", "ttl", "sync"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class LoadTrace:
+    """What a test frame recorded, on its own clock.
+
+    Parameters
+    ----------
+    t_s : ndarray of float64, shape (N,)
+        Increasing seconds.
+    force_n : ndarray of float64, shape (N,), optional
+        Newtons.
+    displacement_mm : ndarray of float64, shape (N,), optional
+        Millimetres.
+    trigger : ndarray of float64, shape (N,), optional
+        Level of a trigger line.
+    gaps : tuple of (float, float)
+        Where samples are missing, in seconds.
+    dropped : int
+        Rows that held no number.
+    """
+
+    t_s: FloatArray
+    force_n: FloatArray | None = None
+    displacement_mm: FloatArray | None = None
+    trigger: FloatArray | None = None
+    gaps: tuple[tuple[float, float], ...] = field(default=())
+    dropped: int = 0
+
+    @property
+    def primary(self) -> FloatArray:
+        """Force if there is one, else displacement."""
+        values = self.force_n if self.force_n is not None else self.displacement_mm
+        assert values is not None
+        return values
+
+    def trigger_times(self) -> FloatArray:
+        """Return the seconds at which the trigger rises through half its range."""
+        if self.trigger is None:
+            raise ValueError("the load file has no trigger column")
+        high, low = float(self.trigger.max()), float(self.trigger.min())
+        if high <= low:
+            return np.empty(0)
+        level = (high + low) / 2
+        after = np.flatnonzero(
+            (self.trigger[1:] >= level) & (self.trigger[:-1] < level)) + 1
+        a, b = self.trigger[after - 1], self.trigger[after]
+        part = (level - a) / (b - a)
+        return np.asarray(
+            self.t_s[after - 1] + part * (self.t_s[after] - self.t_s[after - 1]))
+
+    def inside_gap(self, t_s: FloatArray) -> NDArray[np.bool_]:
+        """Return which times lie in a gap or outside the trace."""
+        bad = (t_s < self.t_s[0]) | (t_s > self.t_s[-1])
+        for start, stop in self.gaps:
+            bad |= (t_s > start) & (t_s < stop)
+        return np.asarray(bad, np.bool_)
+
+
+def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadTrace:
+    """Read the CSV of a test frame.
+
+    Columns are recognised by words in the header (time, force or load,
+    displacement or position, trigger); the unit stands after the name in brackets,
+    after an underscore, or in a row below.
+
+    Parameters
+    ----------
+    path : str or Path
+        Separated by comma, semicolon (then decimal commas are understood) or tab;
+        lines that start with ``#`` are comments.
+    units : dict of str to str, optional
+        Units that the header does not name: keys time, force, displacement.
+
+    Returns
+    -------
+    LoadTrace
+
+    Raises
+    ------
+    ValueError
+        If a column or a unit is missing or unknown, or time runs backward; the
+        message names the file, and the column or the line.
+    OSError
+        If the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text("utf-8-sig")
+    except UnicodeDecodeError:
+        text = path.read_text("latin-1")
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
+             if line.strip() and not line.lstrip().startswith("#")]
+    delimiter = _delimiter([line for _, line in lines[:5]])
+    decimal_comma = delimiter == ";"
+    rows = [(number, next(csv.reader([line], delimiter=delimiter)))
+            for number, line in lines]
+    first = next((i for i, (_, row) in enumerate(rows)
+                  if _classify(row)), None)
+    if first is None:
+        raise ValueError(
+            f"{path}: no header line with a time column and a force or displacement "
+            "column")
+    kinds = _classify(rows[first][1])
+    header = [cell.strip() for cell in rows[first][1]]
+    body = rows[first + 1:]
+    below: list[str] = []
+    if body and not any(_number(cell, decimal_comma) is not None
+                        for cell in body[0][1] if cell.strip()):
+        below = [cell.strip().strip("()[]") for cell in body[0][1]]
+        body = body[1:]
+    scales = {kind: _scale(path, kind, header[i], below[i] if i < len(below) else "",
+                           (units or {}).get(kind)) for kind, i in kinds.items()}
+    return _collect(path, body, kinds, scales, decimal_comma)
+
+
+def _collect(
+    path: Path, body: list[tuple[int, list[str]]], kinds: dict[str, int],
+    scales: dict[str, float], decimal_comma: bool,
+) -> LoadTrace:
+    numbers, values, dropped = [], [], 0
+    for number, row in body:
+        cells = [_number(row[i], decimal_comma) if i < len(row) else None
+                 for i in kinds.values()]
+        found = [cell for cell in cells if cell is not None and np.isfinite(cell)]
+        if len(found) < len(cells):
+            dropped += 1
+            continue
+        numbers.append(number)
+        values.append(found)
+    if len(values) < 2:
+        raise ValueError(f"{path}: fewer than two rows of numbers")
+    table = np.array(values) * np.array([scales[kind] for kind in kinds])
+    column = dict(zip(kinds, table.T, strict=True))
+    t = np.ascontiguousarray(column["time"])
+    step = np.diff(t)
+    back = np.flatnonzero(step <= 0)
+    if back.size:
+        raise ValueError(
+            f"{path}: line {numbers[int(back[0]) + 1]}: time must increase, got "
+            f"{t[back[0] + 1]:g} s after {t[back[0]]:g} s")
+    wide = np.flatnonzero(step > 5 * np.median(step))
+    gaps = tuple((float(t[i]), float(t[i + 1])) for i in wide)
+    return LoadTrace(
+        t, column.get("force"), column.get("displacement"), column.get("trigger"),
+        gaps, dropped)
+
+
+def _delimiter(lines: list[str]) -> str:
+    return max(";\t,", key=lambda mark: sum(line.count(mark) > 0 for line in lines))
+
+
+def _classify(row: list[str]) -> dict[str, int]:
+    """Kind -> column of a header; empty if the row is none."""
+    kinds: dict[str, int] = {}
+    for i, cell in enumerate(row):
+        name = cell.strip().lower()
+        for kind, words in _WORDS.items():
+            if kind not in kinds and re.match(rf"\W*({'|'.join(words)})", name):
+                kinds[kind] = i
+                break
+    return kinds if "time" in kinds and ("force" in kinds or "displacement" in kinds
+                                         ) else {}
+
+
+def _scale(path: Path, kind: str, name: str, below: str, given: str | None) -> float:
+    bracketed = re.search(r"[(\[]\s*([^)\]]*?)\s*[)\]]", name)
+    suffix = re.search(r"_([A-Za-z\u00b5\u03bc]+)$", name)
+    unit = (bracketed.group(1) if bracketed else
+            suffix.group(1) if suffix else below or given or "")
+    key = unit if unit == "mN" else unit.lower()
+    if unit == "MN":
+        key = "MN"
+    known = _UNITS[kind]
+    if key.lower() not in known or key == "MN":
+        said = f"got {unit!r}" if unit else "the header names none"
+        raise ValueError(
+            f"{path}: column {name!r}: the unit must be one of {_SPELLED[kind]}, {said}")
+    return known[key.lower()]
+
+
+def _number(cell: str, decimal_comma: bool) -> float | None:
+    cell = cell.strip()
+    try:
+        return float(cell.replace(",", ".") if decimal_comma else cell)
+    except ValueError:
+        return None

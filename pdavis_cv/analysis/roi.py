@@ -1,0 +1,269 @@
+"""Regions of interest: rectangles, polygons and what Fiji's ROI manager saved."""
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Roi", "parse_roi", "read_rois"]
+
+_UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")
+
+
+@dataclass(frozen=True, eq=False)
+class Roi:
+    """A region in sensor pixels, row 0 at the top.
+
+    A pixel belongs to the region if its centre, (column + 1/2, row + 1/2), lies
+    inside; where rings overlap, inside is counted even-odd, so that a ring within
+    a ring is a hole.
+
+    Parameters
+    ----------
+    name : str
+        What plots and columns call it.
+    rings : tuple of ndarray of float64, shape (N, 2)
+        Corners (x, y) in pixels; the top left corner of the sensor is (0, 0).
+    rectangle : (int, int, int, int), optional
+        (x, y, width, height) if the region is one, else None.
+    """
+
+    name: str
+    rings: tuple[NDArray[np.float64], ...]
+    rectangle: tuple[int, int, int, int] | None = None
+
+    @classmethod
+    def from_rectangle(
+        cls, x: int, y: int, width: int, height: int, name: str = "roi"
+    ) -> Roi:
+        """Return the region of ``width`` by ``height`` pixels from (x, y) on.
+
+        Parameters
+        ----------
+        x, y, width, height : int
+            In sensor pixels.
+        name : str
+            What plots and columns call it.
+
+        Returns
+        -------
+        Roi
+
+        Raises
+        ------
+        ValueError
+            If the region is empty.
+        """
+        x, y, width, height = int(x), int(y), int(width), int(height)
+        if width <= 0 or height <= 0:
+            raise ValueError(f"roi {name!r} must not be empty, got {width}x{height}")
+        ring = np.array([(x, y), (x + width, y), (x + width, y + height),
+                         (x, y + height)], np.float64)
+        return cls(name, (ring,), (x, y, width, height))
+
+    @classmethod
+    def from_polygon(cls, corners: ArrayLike, name: str = "roi") -> Roi:
+        """Return the region inside a closed polygon.
+
+        Parameters
+        ----------
+        corners : array_like, shape (N, 2)
+            (x, y) in pixels, N >= 3.
+        name : str
+            What plots and columns call it.
+
+        Returns
+        -------
+        Roi
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than three corners, or one is not finite.
+        """
+        ring = np.array(corners, np.float64)
+        if ring.ndim != 2 or ring.shape[1:] != (2,) or len(ring) < 3:
+            raise ValueError(
+                f"roi {name!r} must have three or more corners (x, y), got shape "
+                f"{ring.shape}")
+        if not np.isfinite(ring).all():
+            raise ValueError(f"roi {name!r} must have finite corners")
+        return cls(name, (ring,))
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """(left, top, right, bottom) in pixels."""
+        corners = np.concatenate(self.rings)
+        (left, top), (right, bottom) = corners.min(0), corners.max(0)
+        return float(left), float(top), float(right), float(bottom)
+
+    def mask(
+        self, shape: tuple[int, int], *, origin: tuple[int, int] = (0, 0),
+        scale: int = 1,
+    ) -> NDArray[np.bool_]:
+        """Return which pixels of an image belong to the region.
+
+        Parameters
+        ----------
+        shape : (int, int)
+            (height, width) of the image.
+        origin : (int, int)
+            (x, y) of the image's top left corner on the sensor.
+        scale : int
+            Sensor pixels per image pixel; 2 for super-pixel images.
+
+        Returns
+        -------
+        ndarray of bool, shape (H, W)
+
+        Raises
+        ------
+        ValueError
+            If the region leaves the image, holds no pixel, or is a rectangle that
+            cuts through super-pixels.
+        """
+        height, width = shape
+        left, top, right, bottom = self.bounds
+        x0, y0 = origin
+        x1, y1 = x0 + width * scale, y0 + height * scale
+        if left < x0 or top < y0 or right > x1 or bottom > y1:
+            raise ValueError(
+                f"roi {self.name!r} must lie inside the image (x {x0}..{x1}, y "
+                f"{y0}..{y1}), got x {left:g}..{right:g}, y {top:g}..{bottom:g}")
+        if self.rectangle is not None and any(
+                (value - first) % scale for value, first in zip(
+                    self.rectangle, (x0, y0, 0, 0), strict=True)):
+            raise ValueError(
+                f"roi {self.name!r} must have even x, y, width and height for "
+                f"super-pixel images, got {self.rectangle}")
+        rings = [(ring - origin) / scale for ring in self.rings]
+        mask = _inside(rings, height, width)
+        if not mask.any():
+            raise ValueError(f"roi {self.name!r} must hold a pixel's centre, got none")
+        return mask
+
+
+def _inside(
+    rings: Sequence[NDArray[np.float64]], height: int, width: int
+) -> NDArray[np.bool_]:
+    """Even-odd rule at pixel centres: a pixel is inside after an odd crossing."""
+    crossings = np.zeros((height, width + 1), np.int64)
+    rows = np.arange(height) + 0.5
+    for ring in rings:
+        for (xa, ya), (xb, yb) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+            if ya == yb:
+                continue
+            hit = np.flatnonzero((rows >= min(ya, yb)) & (rows < max(ya, yb)))
+            x = xa + (rows[hit] - ya) * (xb - xa) / (yb - ya)
+            first = np.clip(np.ceil(x - 0.5), 0, width).astype(np.int64)
+            crossings[hit, first] += 1
+    return (np.cumsum(crossings, axis=1)[:, :width] % 2).astype(bool)
+
+
+def parse_roi(text: str) -> list[Roi]:
+    """Return the regions that a command line names.
+
+    Parameters
+    ----------
+    text : str
+        ``x,y,width,height`` or ``x1,y1;x2,y2;x3,y3...``, each optionally after
+        ``name=``, or the path of a Fiji ``.roi`` or ``.zip``.
+
+    Returns
+    -------
+    list of Roi
+
+    Raises
+    ------
+    ValueError
+        If the text is none of these.
+    ImportError
+        If a Fiji file is named and roifile is missing.
+
+    Examples
+    --------
+    >>> parse_roi("fibre=10,20,32,16")[0].rectangle
+    (10, 20, 32, 16)
+    """
+    if Path(text).suffix.lower() in (".roi", ".zip"):
+        return read_rois(text)
+    name, _, numbers = text.rpartition("=")
+    name = name or numbers
+    try:
+        corners = [[float(v) for v in part.split(",")] for part in numbers.split(";")]
+    except ValueError:
+        corners = []
+    if len(corners) == 1 and len(corners[0]) == 4:
+        if any(v != int(v) for v in corners[0]):
+            raise ValueError(
+                f"roi must have whole numbers x,y,width,height, got {text!r}")
+        x, y, width, height = (int(v) for v in corners[0])
+        return [Roi.from_rectangle(x, y, width, height, name)]
+    if len(corners) >= 3 and all(len(corner) == 2 for corner in corners):
+        return [Roi.from_polygon(corners, name)]
+    raise ValueError(
+        "roi must be [name=]x,y,width,height or [name=]x1,y1;x2,y2;x3,y3... or a "
+        f"Fiji .roi or .zip file, got {text!r}")
+
+
+def read_rois(path: str | Path) -> list[Roi]:
+    """Read the regions of a Fiji ``.roi`` file or ROI manager ``.zip``.
+
+    Parameters
+    ----------
+    path : str or Path
+        Rectangles, ovals, polygons, freehand and composite regions are read.
+
+    Returns
+    -------
+    list of Roi
+
+    Raises
+    ------
+    ImportError
+        If roifile, the extra ``[roi]``, is missing.
+    ValueError
+        If the file is none, or holds a line or a point.
+    OSError
+        If the file cannot be read.
+    """
+    try:
+        import roifile
+    except ImportError:
+        raise ImportError(
+            "reading Fiji regions needs roifile: pip install 'pdavis-cv[roi]'"
+        ) from None
+    path = Path(path)
+    with path.open("rb") as file:
+        magic = file.read(4)
+    try:
+        if magic not in (b"Iout", b"PK\x03\x04"):
+            raise ValueError(f"first bytes {magic!r}")
+        found = roifile.roiread(path)
+    except (ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: not a Fiji ROI file, {error}") from None
+    regions = found if isinstance(found, list) else [found]
+    if not regions:
+        raise ValueError(f"{path}: the archive holds no ROI")
+    return [_from_fiji(region, path) for region in regions]
+
+
+def _from_fiji(region: Any, path: Path) -> Roi:
+    name = region.name or path.stem
+    kind = region.roitype.name
+    if kind in _UNSUPPORTED:
+        raise ValueError(f"{path}: roi {name!r} is a {kind.lower()}, which has no area")
+    if kind == "RECT" and not region.composite and not region.subpixelresolution:
+        return Roi.from_rectangle(
+            region.left, region.top, region.right - region.left,
+            region.bottom - region.top, name)
+    rings = tuple(np.asarray(ring, np.float64)
+                  for ring in region.coordinates(multi=True) if len(ring) >= 3)
+    if not rings:
+        raise ValueError(f"{path}: roi {name!r} has fewer than three corners")
+    return Roi(name, rings)

@@ -1,0 +1,437 @@
+"""Periodic signals: frequency, harmonics, cycle average, drift, aliases."""
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.errors import AnalysisWarning
+
+__all__ = [
+    "Cycle",
+    "Drift",
+    "Tone",
+    "alias_warning",
+    "cycle_average",
+    "cycle_drift",
+    "dominant_tone",
+    "fit_tone",
+]
+
+FloatArray = NDArray[np.float64]
+
+# Below this many samples a cycle's amplitude depends on where they happen to fall.
+_SAMPLES_PER_CYCLE = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class Tone:
+    """A periodic signal, ``offset + sum_k amplitude[k] cos(2 pi k f (t - t0) + ...)``.
+
+    Errors are standard errors; they allow for correlation from sample to sample.
+
+    Parameters
+    ----------
+    hz, hz_se : float
+        Fundamental frequency.
+    offset : float
+        Mean value in the middle of the record.
+    slope_per_s : float
+        Linear drift of the mean.
+    amplitude, amplitude_se : ndarray of float64, shape (K,)
+        Of the fundamental and its harmonics.
+    phase, phase_se : ndarray of float64, shape (K,)
+        Radians, -pi..pi, of the cosine at ``reference_us``.
+    reference_us : int
+        Where phases count from.
+    false_alarm : float
+        Probability that noise alone shows such a peak somewhere.
+    residual_sd : float
+        Scatter about the fit.
+    """
+
+    hz: float
+    hz_se: float
+    offset: float
+    slope_per_s: float
+    amplitude: FloatArray
+    amplitude_se: FloatArray
+    phase: FloatArray
+    phase_se: FloatArray
+    reference_us: int
+    false_alarm: float
+    residual_sd: float
+
+    @property
+    def distortion(self) -> float:
+        """Root sum square of the harmonics over the fundamental (THD)."""
+        harmonics = float(np.sqrt(np.sum(self.amplitude[1:] ** 2)))
+        return harmonics / float(self.amplitude[0]) if self.amplitude[0] > 0 else np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """An average cycle in equal phase bins.
+
+    Parameters
+    ----------
+    phase : ndarray of float64, shape (B,)
+        Bin centres in cycles, 0..1, counted from ``reference_us``.
+    mean, sd, se : ndarray of float64, shape (B,)
+        Mean, spread and standard error of the mean; NaN in an empty bin.
+    count : ndarray of int64, shape (B,)
+        Samples in the bin.
+    """
+
+    phase: FloatArray
+    mean: FloatArray
+    sd: FloatArray
+    se: FloatArray
+    count: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """How mean and amplitude change from cycle to cycle.
+
+    Parameters
+    ----------
+    cycle : ndarray of int64, shape (C,)
+        Numbers of the complete cycles.
+    mean, amplitude : ndarray of float64, shape (C,)
+        Of each cycle.
+    mean_per_cycle, mean_per_cycle_se : float
+        Slope of the mean, and its standard error.
+    amplitude_per_cycle, amplitude_per_cycle_se : float
+        Slope of the amplitude, and its standard error.
+    """
+
+    cycle: NDArray[np.int64]
+    mean: FloatArray
+    amplitude: FloatArray
+    mean_per_cycle: float
+    mean_per_cycle_se: float
+    amplitude_per_cycle: float
+    amplitude_per_cycle_se: float
+
+
+def dominant_tone(
+    t_us: ArrayLike, values: ArrayLike, *, lowest_hz: float | None = None,
+    highest_hz: float | None = None, harmonics: int = 4,
+) -> Tone:
+    """Find the strongest periodic component of a trace.
+
+    A periodogram by least squares (Lomb-Scargle), which needs no equal spacing,
+    finds the peak; a fit of frequency, harmonics and drift refines it.
+
+    Parameters
+    ----------
+    t_us : array_like of int, shape (N,)
+        Increasing times in microseconds.
+    values : array_like, shape (N,)
+        The trace; NaN are left out.
+    lowest_hz : float, optional
+        Default: two cycles in the record.
+    highest_hz : float, optional
+        Default: half the median sampling rate.
+    harmonics : int
+        Fundamental and harmonics to fit; those above half the sampling rate are
+        left out.
+
+    Returns
+    -------
+    Tone
+
+    Raises
+    ------
+    ValueError
+        If fewer than 8 samples are left, the trace is constant, or the range of
+        frequencies is empty.
+    """
+    from scipy.signal import lombscargle
+    t, v, reference = _clean(t_us, values)
+    span, rate = float(t[-1] - t[0]), 1 / float(np.median(np.diff(t)))
+    low = 2 / span if lowest_hz is None else float(lowest_hz)
+    high = rate / 2 if highest_hz is None else float(highest_hz)
+    if not 0 < low < high:
+        raise ValueError(
+            "lowest_hz must lie between 0 and highest_hz, got "
+            f"{low:g} and {high:g} for a record of {span:g} s at {rate:g} Hz")
+    detrended = v - np.polynomial.Polynomial.fit(t, v, 1)(t)
+    variance = float(np.var(detrended))
+    if variance <= 1e-24 * max(float(np.max(np.abs(v))), 1e-300) ** 2:
+        raise ValueError("values must vary, got a constant trace")
+    grid = np.linspace(low, high, max(2, int(np.ceil((high - low) * span * 8)) + 1))
+    power = lombscargle(t, detrended, 2 * np.pi * grid) / variance
+    best = float(grid[int(np.argmax(power))])
+    independent = max(1.0, (high - low) * span)
+    z = float(np.max(power)) * (len(t) - 3) / len(t)
+    false_alarm = float(-np.expm1(independent * np.log1p(-np.exp(-z)))) if z > 0 else 1.0
+    return _refine(t, v, reference, best, rate, harmonics, false_alarm)
+
+
+def fit_tone(
+    t_us: ArrayLike, values: ArrayLike, hz: float, *, harmonics: int = 4
+) -> Tone:
+    """Fit a periodic signal whose frequency is nearly known.
+
+    Parameters
+    ----------
+    t_us : array_like of int, shape (N,)
+        Increasing times in microseconds.
+    values : array_like, shape (N,)
+        The trace; NaN are left out.
+    hz : float
+        Frequency, right to half a cycle over the record.
+    harmonics : int
+        Fundamental and harmonics to fit.
+
+    Returns
+    -------
+    Tone
+        ``false_alarm`` is that of this one frequency.
+
+    Raises
+    ------
+    ValueError
+        If fewer than 8 samples are left or ``hz`` is not positive.
+    """
+    if not (np.isfinite(hz) and hz > 0):
+        raise ValueError(f"hz must be positive, got {hz!r}")
+    t, v, reference = _clean(t_us, values)
+    rate = 1 / float(np.median(np.diff(t)))
+    basis = _basis(t, hz, 1)
+    whole, reduced = _residual(basis, v), _residual(basis[:, :2], v)
+    z = (len(t) - 4) / 2 * max(0.0, 1 - whole / reduced) if reduced > 0 else 0.0
+    return _refine(t, v, reference, hz, rate, harmonics, float(np.exp(-z)))
+
+
+def _clean(t_us: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray, int]:
+    t, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
+    if t.ndim != 1 or t.shape != v.shape:
+        raise ValueError(
+            f"values must be one per time, got {v.shape} values at {t.shape} times")
+    if np.any(np.diff(t) <= 0):
+        raise ValueError("t_us must increase")
+    usable = np.isfinite(v)
+    if np.count_nonzero(usable) < 8:
+        raise ValueError(
+            f"values must hold 8 finite samples, got {np.count_nonzero(usable)}")
+    reference = int(t[0])
+    return (t[usable] - reference) / 1e6, v[usable], reference
+
+
+def _basis(t: FloatArray, hz: float, harmonics: int) -> FloatArray:
+    middle = (t[0] + t[-1]) / 2
+    columns = [np.ones_like(t), t - middle]
+    for k in range(1, harmonics + 1):
+        u = 2 * np.pi * k * hz * t
+        columns += [np.cos(u), np.sin(u)]
+    return np.stack(columns, axis=1)
+
+
+def _residual(basis: FloatArray, v: FloatArray) -> float:
+    solution = np.linalg.lstsq(basis, v, rcond=None)[0]
+    return float(np.sum((v - basis @ solution) ** 2))
+
+
+def _refine(
+    t: FloatArray, v: FloatArray, reference: int, hz: float, rate: float,
+    harmonics: int, false_alarm: float,
+) -> Tone:
+    from scipy.optimize import minimize_scalar
+    # At half the sampling rate a cosine and a sine are no longer independent.
+    count = max(1, min(harmonics, int(np.floor(0.49 * rate / hz)), (len(t) - 4) // 2))
+    half = 0.5 / float(t[-1] - t[0])
+
+    def cost(f: float) -> float:
+        return _residual(_basis(t, f, count), v)
+
+    hz = float(minimize_scalar(
+        cost, bounds=(max(hz - half, half / 10), hz + half), method="bounded",
+        options={"xatol": half * 1e-7}).x)
+    basis = _basis(t, hz, count)
+    solution = np.linalg.lstsq(basis, v, rcond=None)[0]
+    residual = v - basis @ solution
+    a, b = solution[2::2], solution[3::2]
+    slope = np.zeros_like(t)
+    for k in range(1, count + 1):
+        u = 2 * np.pi * k * hz * t
+        slope += 2 * np.pi * k * t * (b[k - 1] * np.cos(u) - a[k - 1] * np.sin(u))
+    jacobian = np.column_stack((basis, slope))
+    freedom = max(1, len(t) - jacobian.shape[1])
+    variance = float(residual @ residual) / freedom
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance * _inflation(residual)
+    size = np.hypot(a, b)
+    se_amplitude, se_phase = np.empty(count), np.empty(count)
+    for k in range(count):
+        block = covariance[2 + 2 * k:4 + 2 * k, 2 + 2 * k:4 + 2 * k]
+        along = np.array([a[k], b[k]]) / size[k] if size[k] > 0 else np.array([1.0, 0])
+        across = np.array([-along[1], along[0]])
+        se_amplitude[k] = np.sqrt(max(along @ block @ along, 0))
+        se_phase[k] = (np.sqrt(max(across @ block @ across, 0)) / size[k]
+                       if size[k] > 0 else np.inf)
+    return Tone(
+        hz=hz, hz_se=float(np.sqrt(max(covariance[-1, -1], 0))),
+        offset=float(solution[0]), slope_per_s=float(solution[1]), amplitude=size,
+        amplitude_se=se_amplitude, phase=np.arctan2(-b, a), phase_se=se_phase,
+        reference_us=reference, false_alarm=min(1.0, false_alarm),
+        residual_sd=float(np.sqrt(variance)))
+
+
+def _inflation(residual: FloatArray) -> float:
+    """How much correlated residuals enlarge a variance: (1 + r) / (1 - r)."""
+    energy = float(residual @ residual)
+    if energy <= 0:
+        return 1.0
+    r = min(max(float(residual[1:] @ residual[:-1]) / energy, 0.0), 0.99)
+    return (1 + r) / (1 - r)
+
+
+def cycle_average(
+    t_us: ArrayLike, values: ArrayLike, hz: float, *, bins: int = 40,
+    reference_us: int | None = None,
+) -> Cycle:
+    """Fold a trace at a frequency and average in phase bins.
+
+    Parameters
+    ----------
+    t_us : array_like of int, shape (N,)
+        Times in microseconds.
+    values : array_like, shape (N,)
+        The trace; NaN are left out.
+    hz : float
+        Frequency.
+    bins : int
+        Equal parts of the cycle.
+    reference_us : int, optional
+        Time of phase 0; default the first time.
+
+    Returns
+    -------
+    Cycle
+
+    Raises
+    ------
+    ValueError
+        If ``hz`` or ``bins`` is not positive.
+    """
+    if not (np.isfinite(hz) and hz > 0):
+        raise ValueError(f"hz must be positive, got {hz!r}")
+    if bins < 1:
+        raise ValueError(f"bins must be positive, got {bins!r}")
+    t, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
+    reference = int(t[0]) if reference_us is None and t.size else int(reference_us or 0)
+    usable = np.isfinite(v)
+    t, v = t[usable], v[usable]
+    phase = np.mod((t - reference) * (hz / 1e6), 1)
+    place = np.minimum((phase * bins).astype(np.int64), bins - 1)
+    count = np.bincount(place, minlength=bins)
+    some, many = count > 0, count > 1
+    mean = np.full(bins, np.nan)
+    np.divide(np.bincount(place, v, bins), count, out=mean, where=some)
+    square = np.bincount(place, (v - mean[place]) ** 2, bins)
+    variance = np.full(bins, np.nan)
+    np.divide(square, count - 1, out=variance, where=many)
+    sd = np.sqrt(variance)
+    se = np.full(bins, np.nan)
+    np.divide(sd, np.sqrt(np.maximum(count, 1)), out=se, where=many)
+    return Cycle((np.arange(bins) + 0.5) / bins, mean, sd, se, count)
+
+
+def cycle_drift(
+    t_us: ArrayLike, values: ArrayLike, hz: float, *, reference_us: int | None = None
+) -> Drift:
+    """Measure each complete cycle, and the trend over cycles.
+
+    Parameters
+    ----------
+    t_us : array_like of int, shape (N,)
+        Increasing times in microseconds.
+    values : array_like, shape (N,)
+        The trace; NaN are left out.
+    hz : float
+        Frequency; a cycle needs five samples.
+    reference_us : int, optional
+        Where cycle 0 begins; default the first time.
+
+    Returns
+    -------
+    Drift
+        Slopes are NaN with fewer than three cycles.
+
+    Raises
+    ------
+    ValueError
+        If ``hz`` is not positive.
+    """
+    if not (np.isfinite(hz) and hz > 0):
+        raise ValueError(f"hz must be positive, got {hz!r}")
+    t, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
+    reference = int(t[0]) if reference_us is None and t.size else int(reference_us or 0)
+    cycles = (t - reference) * (hz / 1e6)
+    number = np.floor(cycles).astype(np.int64)
+    numbers, means, amplitudes = [], [], []
+    complete = range(int(np.ceil(cycles[0] - 1e-9)),
+                     int(np.floor(cycles[-1] + 0.5 / max(len(t), 1)))) if t.size else ()
+    for n in complete:
+        part = (number == n) & np.isfinite(v)
+        if np.count_nonzero(part) < 5:
+            continue
+        u = 2 * np.pi * cycles[part]
+        basis = np.stack((np.ones_like(u), np.cos(u), np.sin(u)), axis=1)
+        solution = np.linalg.lstsq(basis, v[part], rcond=None)[0]
+        numbers.append(n)
+        means.append(float(solution[0]))
+        amplitudes.append(float(np.hypot(solution[1], solution[2])))
+    index = np.array(numbers, np.int64)
+    mean, amplitude = np.array(means), np.array(amplitudes)
+    return Drift(index, mean, amplitude, *_trend(index, mean), *_trend(index, amplitude))
+
+
+def _trend(x: NDArray[np.int64], y: FloatArray) -> tuple[float, float]:
+    if len(x) < 3:
+        return np.nan, np.nan
+    centred = x - x.mean()
+    spread = float(centred @ centred)
+    slope = float(centred @ y) / spread
+    residual = y - y.mean() - slope * centred
+    return slope, float(np.sqrt(residual @ residual / (len(x) - 2) / spread))
+
+
+def alias_warning(
+    load_hz: float, sample_hz: float, source: str = "trace"
+) -> str | None:
+    """Say whether a load is too fast for the samples that follow it.
+
+    Parameters
+    ----------
+    load_hz : float
+        Frequency of the load.
+    sample_hz : float
+        Rate of the source's independent samples; for a method that only uses
+        frames the frame rate, whatever the rate of its images.
+    source : str
+        What the message calls it.
+
+    Returns
+    -------
+    str or None
+        One sentence if a cycle has fewer than 2.5 samples, else None.
+
+    Warns
+    -----
+    AnalysisWarning
+        With the same sentence.
+    """
+    if sample_hz >= _SAMPLES_PER_CYCLE * load_hz:
+        return None
+    apparent = abs(load_hz - sample_hz * round(load_hz / sample_hz))
+    message = (
+        f"{source}: a load of {load_hz:.4g} Hz aliases at {sample_hz:.4g} samples per "
+        f"second (it needs {_SAMPLES_PER_CYCLE * load_hz:.4g}); it appears at "
+        f"{apparent:.3g} Hz and its amplitude means nothing")
+    warnings.warn(message, AnalysisWarning, stacklevel=2)
+    return message
