@@ -207,7 +207,8 @@ def _scale(path: Path, kind: str, name: str, below: str, given: str | None) -> f
     if key.lower() not in known or key == "MN":
         said = f"got {unit!r}" if unit else "the header names none"
         raise ValueError(
-            f"{path}: column {name!r}: the unit must be one of {_SPELLED[kind]}, {said}")
+            f"{path}: column {name!r}: the unit must be one of {_SPELLED[kind]}, "
+            f"{said}")
     return known[key.lower()]
 
 

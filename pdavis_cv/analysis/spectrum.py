@@ -168,7 +168,8 @@ def dominant_tone(
     best = float(grid[int(np.argmax(power))])
     independent = max(1.0, (high - low) * span)
     z = float(np.max(power)) * (len(t) - 3) / len(t)
-    false_alarm = float(-np.expm1(independent * np.log1p(-np.exp(-z)))) if z > 0 else 1.0
+    # exp(-z) is 1 at z = 0, where the logarithm would be infinite.
+    false_alarm = float(-np.expm1(independent * np.log1p(-np.exp(-max(z, 1e-9)))))
     return _refine(t, v, reference, best, rate, harmonics, false_alarm)
 
 
@@ -374,8 +375,9 @@ def cycle_drift(
     cycles = (t - reference) * (hz / 1e6)
     number = np.floor(cycles).astype(np.int64)
     numbers, means, amplitudes = [], [], []
-    complete = range(int(np.ceil(cycles[0] - 1e-9)),
-                     int(np.floor(cycles[-1] + 0.5 / max(len(t), 1)))) if t.size else ()
+    step = float(np.median(np.diff(cycles))) if t.size > 1 else 0.0
+    complete = (range(int(np.ceil(cycles[0] - 1e-6)),
+                      int(np.floor(cycles[-1] + step + 1e-6))) if t.size else ())
     for n in complete:
         part = (number == n) & np.isfinite(v)
         if np.count_nonzero(part) < 5:
@@ -388,7 +390,8 @@ def cycle_drift(
         amplitudes.append(float(np.hypot(solution[1], solution[2])))
     index = np.array(numbers, np.int64)
     mean, amplitude = np.array(means), np.array(amplitudes)
-    return Drift(index, mean, amplitude, *_trend(index, mean), *_trend(index, amplitude))
+    return Drift(
+        index, mean, amplitude, *_trend(index, mean), *_trend(index, amplitude))
 
 
 def _trend(x: NDArray[np.int64], y: FloatArray) -> tuple[float, float]:

@@ -205,8 +205,8 @@ class TraceRecorder:
         rows = []
         for place in self._places:
             top, left, mask = place
-            stokes = np.stack([plane[top, left][mask]
-                               for plane in (frame.s0, frame.s1, frame.s2)])
+            stokes = np.stack([plane[top, left][mask] for plane in (
+                frame.s0, frame.s1, frame.s2)]).astype(np.float64)
             if self._background is not None:
                 stokes = subtract_background(
                     stokes, self._background[:, top, left][:, mask])

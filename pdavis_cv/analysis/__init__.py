@@ -1,0 +1,62 @@
+"""Measuring polarization images: regions, traces, loads, optics."""
+from pdavis_cv.analysis.align import (
+    Clock,
+    Loop,
+    align_by_correlation,
+    align_by_offset,
+    align_by_triggers,
+    hysteresis,
+)
+from pdavis_cv.analysis.load import LoadTrace, read_load
+from pdavis_cv.analysis.lockin import LockIn, LockInMaps
+from pdavis_cv.analysis.optics import birefringence, retardance, subtract_background
+from pdavis_cv.analysis.roi import Roi, parse_roi, read_rois
+from pdavis_cv.analysis.spectrum import (
+    Cycle,
+    Drift,
+    Tone,
+    alias_warning,
+    cycle_average,
+    cycle_drift,
+    dominant_tone,
+    fit_tone,
+)
+from pdavis_cv.analysis.traces import (
+    TRACE_DTYPE,
+    TraceRecorder,
+    Traces,
+    event_counts,
+    region_statistics,
+)
+
+__all__ = [
+    "TRACE_DTYPE",
+    "Clock",
+    "Cycle",
+    "Drift",
+    "LoadTrace",
+    "LockIn",
+    "LockInMaps",
+    "Loop",
+    "Roi",
+    "Tone",
+    "TraceRecorder",
+    "Traces",
+    "alias_warning",
+    "align_by_correlation",
+    "align_by_offset",
+    "align_by_triggers",
+    "birefringence",
+    "cycle_average",
+    "cycle_drift",
+    "dominant_tone",
+    "event_counts",
+    "fit_tone",
+    "hysteresis",
+    "parse_roi",
+    "read_load",
+    "read_rois",
+    "region_statistics",
+    "retardance",
+    "subtract_background",
+]

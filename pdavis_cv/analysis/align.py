@@ -1,0 +1,393 @@
+"""Two clocks: where a test frame's samples lie on the recording's time."""
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.analysis.load import LoadTrace
+from pdavis_cv.errors import AnalysisWarning
+
+__all__ = [
+    "Clock",
+    "Loop",
+    "align_by_correlation",
+    "align_by_offset",
+    "align_by_triggers",
+    "hysteresis",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A clock: ``t_us = origin_us + 1e6 (offset_s + (1 + skew_ppm / 1e6) t_s)``.
+
+    Parameters
+    ----------
+    origin_us : int
+        A time of the recording that offsets count from.
+    offset_s, offset_se_s : float
+        Recording's time at the other clock's zero.  The error is that in the
+        middle of what was compared, NaN where nothing says.
+    skew_ppm, skew_se_ppm : float
+        How much slower the other clock runs, in parts per million.
+    how : str
+        ``"offset"``, ``"trigger"`` or ``"correlation"``.
+    correlation : float
+        Of the two signals after alignment; NaN where none was computed.
+    """
+
+    origin_us: int
+    offset_s: float
+    offset_se_s: float = np.nan
+    skew_ppm: float = 0.0
+    skew_se_ppm: float = np.nan
+    how: str = "offset"
+    correlation: float = np.nan
+
+    def to_us(self, t_s: ArrayLike) -> FloatArray:
+        """Return the recording's time in microseconds of times of the other clock."""
+        t = np.asarray(t_s, np.float64)
+        return np.asarray(
+            self.origin_us + 1e6 * (self.offset_s + (1 + self.skew_ppm * 1e-6) * t))
+
+    def to_seconds(self, t_us: ArrayLike) -> FloatArray:
+        """Return the other clock's time in seconds of times of the recording."""
+        t = (np.asarray(t_us, np.int64) - self.origin_us) / 1e6
+        return np.asarray((t - self.offset_s) / (1 + self.skew_ppm * 1e-6))
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """An average loop of one signal over another, and its area.
+
+    Parameters
+    ----------
+    x, y : ndarray of float64, shape (B,)
+        Means in phase bins, in the order of time.
+    area, area_se : float
+        Signed area per cycle, positive when run clockwise in (x, y) as plotted,
+        which for force over displacement is the work lost; mean and standard error
+        over cycles.
+    cycles : int
+        Complete cycles.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    area: float
+    area_se: float
+    cycles: int
+
+
+def align_by_offset(
+    origin_us: int, offset_s: float, *, skew_ppm: float = 0.0
+) -> Clock:
+    """Return the clock that the user states.
+
+    Parameters
+    ----------
+    origin_us : int
+        Time of the recording that the offset counts from, e.g. its start.
+    offset_s : float
+        Seconds from there to the other clock's zero.
+    skew_ppm : float
+        How much slower the other clock runs, in parts per million.
+
+    Returns
+    -------
+    Clock
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
+    """
+    for name, value in (("offset_s", offset_s), ("skew_ppm", skew_ppm)):
+        if not np.isfinite(value):
+            raise ValueError(f"{name} must be finite, got {value!r}")
+    return Clock(int(origin_us), float(offset_s), skew_ppm=float(skew_ppm))
+
+
+def align_by_triggers(
+    trigger_us: ArrayLike, trigger_s: ArrayLike, *, tolerance_s: float = 2e-3
+) -> Clock:
+    """Align by pulses that both clocks recorded.
+
+    One pulse on each side gives the offset.  With more, the two sequences are
+    matched by their intervals, either may hold pulses that the other lacks at its
+    ends, and a line through them gives the skew too.
+
+    Parameters
+    ----------
+    trigger_us : array_like of int, shape (N,)
+        Increasing times of pulses in the recording.
+    trigger_s : array_like of float, shape (M,)
+        Increasing times on the other clock.
+    tolerance_s : float
+        How far a matched pulse may lie from the line.
+
+    Returns
+    -------
+    Clock
+
+    Raises
+    ------
+    ValueError
+        If a side has no pulse, or no match holds the tolerance.
+    """
+    ours, theirs = np.asarray(trigger_us, np.int64), np.asarray(trigger_s, np.float64)
+    for name, pulses in (("trigger_us", ours), ("trigger_s", theirs)):
+        if pulses.ndim != 1 or not len(pulses):
+            raise ValueError(f"{name} must hold at least one pulse, got none")
+        if np.any(np.diff(pulses) <= 0):
+            raise ValueError(f"{name} must increase")
+    origin = int(ours[0])
+    seconds = (ours - origin) / 1e6
+    if len(ours) == 1 and len(theirs) == 1:
+        return Clock(origin, -float(theirs[0]), tolerance_s, how="trigger")
+    best: tuple[int, float, FloatArray, FloatArray] | None = None
+    for shift in range(1 - len(theirs), len(ours)):
+        a = seconds[max(shift, 0):shift + len(theirs)]
+        b = theirs[max(-shift, 0):max(-shift, 0) + len(a)]
+        if len(a) < 2:
+            continue
+        # Clocks that differ by 1 % are no clocks: only then is the shift wrong.
+        line = np.polynomial.Polynomial.fit(b, a, 1).convert().coef
+        worst = float(np.max(np.abs(a - line[0] - line[1] * b)))
+        if abs(line[1] - 1) > 0.01 or worst > tolerance_s:
+            continue
+        if best is None or (-len(a), worst) < (-best[0], best[1]):
+            best = len(a), worst, a, b
+    if best is None:
+        raise ValueError(
+            f"trigger_s must match trigger_us within {tolerance_s:g} s, but the "
+            f"intervals of {len(theirs)} and {len(ours)} pulses do not")
+    _, _, a, b = best
+    slope, offset, slope_se, offset_se = _line(b, a)
+    return Clock(
+        origin, offset, offset_se, (slope - 1) * 1e6, slope_se * 1e6, "trigger")
+
+
+def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float, float]:
+    """Slope, intercept, and the errors of the slope and at the mean of x."""
+    centred = x - x.mean()
+    spread = float(centred @ centred)
+    slope = float(centred @ y) / spread
+    intercept = float(y.mean() - slope * x.mean())
+    rest = y - intercept - slope * x
+    variance = float(rest @ rest) / (len(x) - 2) if len(x) > 2 else np.nan
+    return (slope, intercept, float(np.sqrt(variance / spread)),
+            float(np.sqrt(variance / len(x))))
+
+
+def align_by_correlation(
+    t_us: ArrayLike, values: ArrayLike, load: LoadTrace, *, sign: int = 0,
+    expected_s: float | None = None, within_s: float | None = None,
+) -> Clock:
+    """Align a trace with a load by their similarity, skew included.
+
+    The cross-correlation over every overlap finds the offset; least squares on
+    the offset, the skew and a straight-line relation of the signals refines it.
+    The trace is taken to follow the load without delay.
+
+    Parameters
+    ----------
+    t_us : array_like of int, shape (N,)
+        Increasing times of the trace.
+    values : array_like, shape (N,)
+        The trace, e.g. DoLP; NaN are left out.
+    load : LoadTrace
+        Force, or displacement without force.
+    sign : {0, 1, -1}
+        1 if the trace rises with the load, -1 if it falls, 0 if that is unknown.
+    expected_s, within_s : float, optional
+        The offset from the first time of the trace lies this near to the expected.
+
+    Returns
+    -------
+    Clock
+        ``origin_us`` is the first time of the trace.
+
+    Raises
+    ------
+    ValueError
+        If the signals overlap in fewer than 16 samples at every offset allowed, or
+        are constant.
+
+    Warns
+    -----
+    AnalysisWarning
+        If another offset, as for a load of equal cycles, fits nearly as well.
+    """
+    if sign not in (0, 1, -1):
+        raise ValueError(f"sign must be 0, 1 or -1, got {sign!r}")
+    times, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
+    usable = np.isfinite(v)
+    if times.shape != v.shape or np.count_nonzero(usable) < 16:
+        raise ValueError("values must hold 16 finite samples, one per time")
+    origin = int(times[0])
+    t, v = ((times - origin) / 1e6)[usable], v[usable]
+    if np.ptp(v) == 0 or np.ptp(load.primary) == 0:
+        raise ValueError("values and load must vary, got a constant signal")
+    lags, score = _correlations(t, v, load)
+    if expected_s is not None and within_s is not None:
+        score = np.where(np.abs(lags - expected_s) <= within_s, score, np.nan)
+    score = score if sign == 1 else -score if sign == -1 else np.abs(score)
+    if np.all(np.isnan(score)):
+        raise ValueError("the trace and the load must overlap in 16 samples, got fewer")
+    peaks = _peaks(score)
+    fits = [fit for i in peaks[:8]
+            if (fit := _refine(t, v, load, float(lags[i]), sign)) is not None]
+    if not fits:
+        raise ValueError("the trace and the load must overlap in 16 samples, got fewer")
+    # Candidates are compared by what they leave unexplained, not by the coarse score.
+    fits.sort(key=lambda fit: -abs(fit.correlation))
+    best = fits[0]
+    rivals = [fit for fit in fits[1:]
+              if abs(fit.offset_s - best.offset_s) > 2 * np.median(np.diff(t))
+              and 1 - fit.correlation ** 2 < 1.15 * (1 - best.correlation ** 2)]
+    if rivals:
+        warnings.warn(
+            f"an offset of {rivals[0].offset_s:.3f} s fits nearly as well as "
+            f"{best.offset_s:.3f} s: give a trigger, or the offset to expect",
+            AnalysisWarning, stacklevel=2)
+    return Clock(origin, best.offset_s, best.offset_se_s, best.skew_ppm,
+                 best.skew_se_ppm, "correlation", best.correlation)
+
+
+def _correlations(
+    t: FloatArray, v: FloatArray, load: LoadTrace
+) -> tuple[FloatArray, FloatArray]:
+    """Normalised correlation over each overlap, with the gaps left out."""
+    from scipy.signal import correlate
+    step = float(np.median(np.diff(t)))
+    ours = np.arange(0, t[-1], step)
+    a = np.interp(ours, t, v)
+    theirs = np.arange(load.t_s[0], load.t_s[-1], step)
+    b = np.interp(theirs, load.t_s, load.primary)
+    known = (~load.inside_gap(theirs)).astype(np.float64)
+    mean = np.average(b, weights=known)
+    a, b = a - a.mean(), (b - mean) * known
+    one = np.ones_like(a)
+    # Sums over the overlap at each lag: of the samples, their values and squares.
+    n, sa, sb, saa, sbb, sab = (
+        correlate(x, y, "full", "fft") for x, y in (
+            (one, known), (a, known), (one, b), (a * a, known), (one, b * b), (a, b)))
+    n = np.maximum(np.rint(n), 1)
+    va, vb = saa - sa * sa / n, sbb - sb * sb / n
+    enough = n >= max(16, 0.25 * min(len(a), float(known.sum())))
+    floor_a, floor_b = 1e-3 * np.var(a) * n, 1e-3 * np.var(b) * n
+    score = np.full(n.shape, np.nan)
+    ok = enough & (va > floor_a) & (vb > floor_b)
+    score[ok] = (sab - sa * sb / n)[ok] / np.sqrt(va[ok] * vb[ok])
+    lags = (np.arange(len(n)) - (len(b) - 1)) * step - load.t_s[0]
+    return lags, score
+
+
+def _peaks(score: FloatArray) -> list[int]:
+    filled = np.where(np.isnan(score), -np.inf, score)
+    left = np.concatenate(([-np.inf], filled[:-1]))
+    right = np.concatenate((filled[1:], [-np.inf]))
+    top = np.flatnonzero((filled >= left) & (filled > right))
+    return [int(i) for i in top[np.argsort(-filled[top])]]
+
+
+def _refine(
+    t: FloatArray, v: FloatArray, load: LoadTrace, offset: float, sign: int
+) -> Clock | None:
+    from scipy.interpolate import PchipInterpolator
+    from scipy.optimize import least_squares
+    signal = PchipInterpolator(load.t_s, load.primary, extrapolate=False)
+    step = float(np.median(np.diff(t)))
+    inside = ~load.inside_gap(t - offset - 2 * step) & ~load.inside_gap(
+        t - offset + 2 * step)
+    if np.count_nonzero(inside) < 16:
+        return None
+    tt, vv = t[inside], v[inside]
+    middle = float(tt.mean())
+
+    def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        theirs = (tt - offset - p[0] - (tt - middle) * p[1] * 1e-6)
+        f = np.nan_to_num(signal(theirs), nan=0.0)
+        basis = np.stack((np.ones_like(tt), tt - middle, f - f.mean()), axis=1)
+        return basis, np.linalg.lstsq(basis, vv, rcond=None)[0]
+
+    def residual(p: FloatArray) -> FloatArray:
+        basis, solution = model(p)
+        return np.asarray(vv - basis @ solution)
+
+    found = least_squares(
+        residual, np.zeros(2), x_scale=[step, 50.0], diff_step=[1e-3, 1e-3],
+        bounds=([-2 * step, -2000.0], [2 * step, 2000.0]))
+    basis, solution = model(found.x)
+    if sign and np.sign(solution[2]) != sign:
+        return None
+    rest = found.fun
+    total = vv - basis[:, :2] @ np.linalg.lstsq(basis[:, :2], vv, rcond=None)[0]
+    explained = 1 - float(rest @ rest) / max(float(total @ total), 1e-300)
+    energy = float(rest @ rest)
+    r = min(max(float(rest[1:] @ rest[:-1]) / max(energy, 1e-300), 0.0), 0.99)
+    variance = energy / max(1, len(tt) - 5) * (1 + r) / (1 - r)
+    jacobian = np.asarray(found.jac, np.float64)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance
+    # t_theirs = (t - offset - shift - (t - middle) skew): solve for their time zero.
+    shift, skew = float(found.x[0]), float(found.x[1]) * 1e-6
+    slope = 1 / (1 - skew)
+    zero = (offset + shift - middle * skew) * slope
+    return Clock(
+        0, zero, float(np.sqrt(covariance[0, 0])), (slope - 1) * 1e6,
+        float(np.sqrt(covariance[1, 1])), "correlation",
+        float(np.sign(solution[2]) * np.sqrt(max(explained, 0.0))))
+
+
+def hysteresis(
+    t_us: ArrayLike, x: ArrayLike, y: ArrayLike, hz: float, *, bins: int = 60
+) -> Loop:
+    """Fold two signals at a frequency into an average loop, and measure its area.
+
+    Parameters
+    ----------
+    t_us : array_like of int, shape (N,)
+        Increasing common times.
+    x, y : array_like, shape (N,)
+        The signals, e.g. displacement and force; NaN are left out.
+    hz : float
+        Frequency.
+    bins : int
+        Points of the loop.
+
+    Returns
+    -------
+    Loop
+
+    Raises
+    ------
+    ValueError
+        If there is no complete cycle with eight samples.
+    """
+    from pdavis_cv.analysis.spectrum import cycle_average
+    t = np.asarray(t_us, np.int64)
+    a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    usable = np.isfinite(a) & np.isfinite(b)
+    t, a, b = t[usable], a[usable], b[usable]
+    areas = []
+    if len(t):
+        cycles = (t - t[0]) * (hz / 1e6)
+        for n in range(int(np.floor(cycles[-1] + 1e-6))):
+            part = (cycles >= n) & (cycles < n + 1)
+            if np.count_nonzero(part) >= 8:
+                px, py = a[part], b[part]
+                areas.append(0.5 * float(
+                    np.sum(px * np.roll(py, -1) - np.roll(px, -1) * py)))
+    if not areas:
+        raise ValueError("t_us must hold a complete cycle with eight samples")
+    loop_x, loop_y = cycle_average(t, a, hz, bins=bins), cycle_average(
+        t, b, hz, bins=bins)
+    area = -np.array(areas)
+    se = float(area.std(ddof=1) / np.sqrt(len(area))) if len(area) > 1 else np.nan
+    return Loop(loop_x.mean, loop_y.mean, float(area.mean()), se, len(area))
