@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -120,7 +121,7 @@ def align_by_triggers(
 
     One pulse on each side gives the offset.  With more, the two sequences are
     matched by their intervals, either may hold pulses that the other lacks at its
-    ends, and a line through them gives the skew too.
+    ends (at most half of the fewer), and a line through them gives the skew too.
 
     Parameters
     ----------
@@ -150,11 +151,13 @@ def align_by_triggers(
     seconds = (ours - origin) / 1e6
     if len(ours) == 1 and len(theirs) == 1:
         return Clock(origin, -float(theirs[0]), tolerance_s, how="trigger")
+    fewer = min(len(ours), len(theirs))
+    needed = max(2, min(3, fewer), -(-fewer // 2))
     best: tuple[int, float, FloatArray, FloatArray] | None = None
     for shift in range(1 - len(theirs), len(ours)):
         a = seconds[max(shift, 0):shift + len(theirs)]
         b = theirs[max(-shift, 0):max(-shift, 0) + len(a)]
-        if len(a) < 2:
+        if len(a) < needed:
             continue
         # Clocks that differ by 1 % are no clocks: only then is the shift wrong.
         line = np.polynomial.Polynomial.fit(b, a, 1).convert().coef
@@ -300,49 +303,68 @@ def _peaks(score: FloatArray) -> list[int]:
 def _refine(
     t: FloatArray, v: FloatArray, load: LoadTrace, offset: float, sign: int
 ) -> Clock | None:
-    from scipy.interpolate import PchipInterpolator
+    """Fit v = a + g tau + b load((t - offset - shift) - tau skew) near an offset."""
     from scipy.optimize import least_squares
-    signal = PchipInterpolator(load.t_s, load.primary, extrapolate=False)
     step = float(np.median(np.diff(t)))
+    signal = _smooth(load, step)
+    slope = signal.derivative()
     inside = ~load.inside_gap(t - offset - 2 * step) & ~load.inside_gap(
         t - offset + 2 * step)
     if np.count_nonzero(inside) < 16:
         return None
-    tt, vv = t[inside], v[inside]
-    middle = float(tt.mean())
-
-    def model(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        theirs = (tt - offset - p[0] - (tt - middle) * p[1] * 1e-6)
-        f = np.nan_to_num(signal(theirs), nan=0.0)
-        basis = np.stack((np.ones_like(tt), tt - middle, f - f.mean()), axis=1)
-        return basis, np.linalg.lstsq(basis, vv, rcond=None)[0]
+    tau, v = t[inside] - t[inside].mean(), v[inside]
+    theirs = t[inside] - offset
+    one = np.ones_like(tau)
+    line = np.stack((one, tau), axis=1)
+    start = np.linalg.lstsq(np.column_stack((line, signal(theirs))), v, rcond=None)[0]
 
     def residual(p: FloatArray) -> FloatArray:
-        basis, solution = model(p)
-        return np.asarray(vv - basis @ solution)
+        return np.asarray(p[2] + p[3] * tau + p[4] * signal(theirs - p[0] - p[1] * tau)
+                          - v)
 
+    def jacobian(p: FloatArray) -> FloatArray:
+        at = theirs - p[0] - p[1] * tau
+        down = -p[4] * slope(at)
+        return np.stack((down, down * tau, one, tau, signal(at)), axis=1)
+
+    free = np.inf
     found = least_squares(
-        residual, np.zeros(2), x_scale=[step, 50.0], diff_step=[1e-3, 1e-3],
-        bounds=([-2 * step, -2000.0], [2 * step, 2000.0]))
-    basis, solution = model(found.x)
-    if sign and np.sign(solution[2]) != sign:
+        residual, np.array([0.0, 0.0, *start]), jacobian,
+        x_scale=[step, 1e-4, 1.0, 1.0, 1.0],
+        bounds=([-2 * step, -2e-3, -free, -free, -free],
+                [2 * step, 2e-3, free, free, free]))
+    shift, skew, _, _, gain = (float(value) for value in found.x)
+    if sign and np.sign(gain) != sign:
         return None
-    rest = found.fun
-    total = vv - basis[:, :2] @ np.linalg.lstsq(basis[:, :2], vv, rcond=None)[0]
-    explained = 1 - float(rest @ rest) / max(float(total @ total), 1e-300)
+    rest = np.asarray(found.fun, np.float64)
+    total = v - line @ np.linalg.lstsq(line, v, rcond=None)[0]
     energy = float(rest @ rest)
+    explained = 1 - energy / max(float(total @ total), 1e-300)
     r = min(max(float(rest[1:] @ rest[:-1]) / max(energy, 1e-300), 0.0), 0.99)
-    variance = energy / max(1, len(tt) - 5) * (1 + r) / (1 - r)
-    jacobian = np.asarray(found.jac, np.float64)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance
-    # t_theirs = (t - offset - shift - (t - middle) skew): solve for their time zero.
-    shift, skew = float(found.x[0]), float(found.x[1]) * 1e-6
-    slope = 1 / (1 - skew)
-    zero = (offset + shift - middle * skew) * slope
+    variance = energy / max(1, len(v) - 5) * (1 + r) / (1 - r)
+    matrix = jacobian(found.x)
+    covariance = np.linalg.pinv(matrix.T @ matrix) * variance
+    # Solved for our time at their zero: tau is 0 at the mean of the times used.
+    rate = 1 / (1 - skew)
+    zero = (offset + shift - float(t[inside].mean()) * skew) * rate
     return Clock(
-        0, zero, float(np.sqrt(covariance[0, 0])), (slope - 1) * 1e6,
-        float(np.sqrt(covariance[1, 1])), "correlation",
-        float(np.sign(solution[2]) * np.sqrt(max(explained, 0.0))))
+        0, zero, float(np.sqrt(covariance[0, 0])), (rate - 1) * 1e6,
+        float(np.sqrt(covariance[1, 1])) * 1e6, "correlation",
+        float(np.sign(gain) * np.sqrt(max(explained, 0.0))))
+
+
+def _smooth(load: LoadTrace, step: float) -> Any:
+    """Interpolate the load, smoothed to the trace's sampling.
+
+    The noise of a faster clock would otherwise dominate the derivative; a symmetric
+    kernel moves nothing in time.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.ndimage import gaussian_filter1d
+    fine = min(step / 2, max(float(np.median(np.diff(load.t_s))), step / 16))
+    grid = np.arange(load.t_s[0], load.t_s[-1] + fine / 2, fine)
+    values = np.interp(grid, load.t_s, load.primary)
+    return CubicSpline(grid, gaussian_filter1d(values, step / fine, mode="nearest"))
 
 
 def hysteresis(
@@ -378,7 +400,8 @@ def hysteresis(
     areas = []
     if len(t):
         cycles = (t - t[0]) * (hz / 1e6)
-        for n in range(int(np.floor(cycles[-1] + 1e-6))):
+        step = float(np.median(np.diff(cycles))) if len(t) > 1 else 0.0
+        for n in range(int(np.floor(cycles[-1] + step + 1e-6))):
             part = (cycles >= n) & (cycles < n + 1)
             if np.count_nonzero(part) >= 8:
                 px, py = a[part], b[part]

@@ -219,7 +219,7 @@ class TraceRecorder:
 
     def _begin(self, frame: PolarFrame) -> None:
         self._provenance = dict(frame.provenance)
-        demosaic = str(self._provenance.get("demosaic", "superpixel"))
+        demosaic = str(self._provenance.get("demosaic"))
         self._per_sample = _PIXELS_PER_SAMPLE.get(demosaic, 1.0)
         x, y = (int(v) for v in self._provenance.get("roi", (0, 0))[:2])
         self._shape = frame.valid.shape
