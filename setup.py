@@ -12,6 +12,7 @@ from setuptools import Extension, setup
 
 # An explicit list: a missing source must fail, not vanish from the wheel.
 KERNELS = (
+    "_aedat4",
     "_aps",
     "_build",
     "_demosaic",
@@ -20,7 +21,7 @@ KERNELS = (
     "_leaky",
     "_polarization",
 )
-SHARED = ("_math.pxd", "_rows.pxd", "_stencil.h", "_types.pxd")
+SHARED = ("_check.pxd", "_math.pxd", "_rows.pxd", "_stencil.h", "_types.pxd")
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
 
