@@ -172,5 +172,16 @@ class _Queue:
             self._used = 0
         self.next_us = (int(self._chunks[0]["t"][self._used])
                         if self._chunks else END_OF_TIME)
-        return got[0].copy() if len(got) == 1 else np.concatenate(
-            [self._empty, *got])
+        return _joined(got)
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    if len(parts) == 1:
+        return parts[0].copy()
+    # np.concatenate promotes structured dtypes field by field each time.
+    out = np.empty(sum(map(len, parts)), parts[0].dtype)
+    at = 0
+    for part in parts:
+        out[at:at + len(part)] = part
+        at += len(part)
+    return out
