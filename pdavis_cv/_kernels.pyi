@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _F32 = NDArray[np.float32]
+_I64 = NDArray[np.int64]
 _U8 = NDArray[np.uint8]
 _Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
 
@@ -36,7 +37,6 @@ __all__ = [
 ]
 
 DEBUG: bool
-_I64 = NDArray[np.int64]
 
 def aedat4_events(
     data: _U8, at: int, begin: int, n: int, height: int, width: int, flip: bool,

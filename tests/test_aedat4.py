@@ -29,6 +29,12 @@ def joined(packets):
     return arrays[0], [f for p in packets for f in p.frames], *arrays[1:]
 
 
+def read(path):
+    """Return all samples and problems of a file."""
+    with open_recording(path) as recording:
+        return joined(recording.packets()), recording.problems
+
+
 def assert_same(one, other):
     for a, b in zip((one[0], *one[2:]), (other[0], *other[2:]), strict=True):
         np.testing.assert_array_equal(a, b)
@@ -305,9 +311,7 @@ def test_a_damaged_packet_costs_itself_only(real, data_dir, tmp_path, indexed):
         path = tmp_path / "x.aedat4"
         path.write_bytes(broken)
         with pytest.warns(DamagedFileWarning, match=f"byte {at}"):
-            with open_recording(path) as recording:
-                got = joined(recording.packets())
-                [problem] = recording.problems
+            got, [problem] = read(path)
         assert problem.kind == "damage"
         assert 77_000 < len(got[0]) < 78_830
         assert np.isin(got[0], wanted[0]).all()

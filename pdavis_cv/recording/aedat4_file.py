@@ -1,6 +1,6 @@
-"""The AEDAT-4 container: header, packets, index, and what to do when they are torn.
+r"""The AEDAT-4 container: header, packets, index, and what to do when they are torn.
 
-Written from the published AEDAT-4 schema: "#!AER-DAT4.0\\r\\n", a size-prefixed
+Written from the published AEDAT-4 schema: "#!AER-DAT4.0\r\n", a size-prefixed
 FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
 """
 from __future__ import annotations

@@ -28,7 +28,8 @@ __all__ = [
 MAX_EXPOSURE_US = 60_000_000
 """A longer exposure is damage, not an exposure."""
 
-_PIXELS = {0: np.dtype("u1"), 2: np.dtype("<u2")}  # OpenCV's depth codes
+_PIXELS: dict[int, np.dtype[Any]] = {0: np.dtype("u1"), 2: np.dtype("<u2")}
+"""By OpenCV's depth code."""
 
 
 class UnknownFrameError(ValueError):

@@ -34,7 +34,8 @@ class FileReader:
         try:
             self._descriptor = os.open(self.path, flags)
         except OSError as error:
-            raise RecordingError(f"{path}: cannot be opened: {error.strerror}") from error
+            raise RecordingError(
+                f"{path}: cannot be opened: {error.strerror}") from error
         self._close = weakref.finalize(self, os.close, self._descriptor)
         self._lock = threading.Lock()
         self.size = os.fstat(self._descriptor).st_size

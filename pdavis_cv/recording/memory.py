@@ -1,7 +1,6 @@
 """Recordings in memory."""
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 

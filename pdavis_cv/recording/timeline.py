@@ -67,8 +67,7 @@ class Clock:
         return int(self.state[1])
 
     def jump(self, t_us: int) -> int:
-        """Begin a new segment before a sample whose moved time is t_us; return by how
-        much it was moved."""
+        """Begin a new segment before a sample at t_us; return how far it was moved."""
         back = self.last - t_us
         move = self._timeline.move(self._jumps, back)
         self._jumps += 1
