@@ -12,16 +12,17 @@ from setuptools import Extension, setup
 
 # An explicit list: a missing source must fail, not vanish from the wheel.
 KERNELS = (
-    "_aedat4",
     "_aps",
     "_build",
     "_demosaic",
     "_elementwise",
     "_floor",
+    "_kalman",
     "_leaky",
     "_polarization",
+    "_store",
 )
-SHARED = ("_check.pxd", "_math.pxd", "_rows.pxd", "_stencil.h", "_types.pxd")
+SHARED = ("_math.pxd", "_rows.pxd", "_stencil.h", "_tracks.pxd", "_types.pxd")
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
 

@@ -1,15 +1,10 @@
 """Compiled kernels (private); typed in pdavis_cv/_kernels.pyi."""
-from ._aedat4 import (
-    aedat4_events,
-    aedat4_table_bytes,
-    aedat4_table_floats,
-    aedat4_table_times,
-)
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._demosaic import bilinear, superpixel
 from ._elementwise import exp
 from ._floor import floor_sum
+from ._kalman import kalman_frame, kalman_read
 from ._leaky import (
     cf_frame,
     cf_frame_literal,
@@ -20,13 +15,10 @@ from ._leaky import (
     log_frame,
 )
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
+from ._store import track_commit, track_drop, track_push
 
 __all__ = [
     "DEBUG",
-    "aedat4_events",
-    "aedat4_table_bytes",
-    "aedat4_table_floats",
-    "aedat4_table_times",
     "aop",
     "aop_dolp",
     "bilinear",
@@ -38,6 +30,8 @@ __all__ = [
     "dolp",
     "exp",
     "floor_sum",
+    "kalman_frame",
+    "kalman_read",
     "leak_events",
     "leak_events_map",
     "leak_read",
@@ -46,4 +40,7 @@ __all__ = [
     "polarize",
     "stokes",
     "superpixel",
+    "track_commit",
+    "track_drop",
+    "track_push",
 ]

@@ -41,8 +41,8 @@ _HOME = {
     "Packet": "recording.base",
     "Recording": "recording.base",
     "recording_from_arrays": "recording.memory",
-    "open_recording": "recording.open",
     "ComplementaryFilter": "reconstruct.cf",
+    "KalmanFilter": "reconstruct.kalman",
     "FrameHold": "reconstruct.frames",
     "Estimate": "reconstruct.base",
     "Reconstructor": "reconstruct.base",
@@ -81,6 +81,7 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
     from pdavis_cv.reconstruct.frames import FrameHold
+    from pdavis_cv.reconstruct.kalman import KalmanFilter
     from pdavis_cv.reconstruct.methods import METHODS
     from pdavis_cv.recording.base import (
         IMU_DTYPE,
@@ -90,7 +91,6 @@ if TYPE_CHECKING:
         Recording,
     )
     from pdavis_cv.recording.memory import recording_from_arrays
-    from pdavis_cv.recording.open import open_recording
     from pdavis_cv.sensor import CHANNELS, Layout, Sensor
 
 

@@ -5,16 +5,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 _F32 = NDArray[np.float32]
-_I64 = NDArray[np.int64]
+_F64 = NDArray[np.float64]
 _U8 = NDArray[np.uint8]
 _Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
 
 __all__ = [
     "DEBUG",
-    "aedat4_events",
-    "aedat4_table_bytes",
-    "aedat4_table_floats",
-    "aedat4_table_times",
     "aop",
     "aop_dolp",
     "bilinear",
@@ -26,6 +22,8 @@ __all__ = [
     "dolp",
     "exp",
     "floor_sum",
+    "kalman_frame",
+    "kalman_read",
     "leak_events",
     "leak_events_map",
     "leak_read",
@@ -34,17 +32,13 @@ __all__ = [
     "polarize",
     "stokes",
     "superpixel",
+    "track_commit",
+    "track_drop",
+    "track_push",
 ]
 
 DEBUG: bool
 
-def aedat4_events(
-    data: _U8, at: int, begin: int, n: int, height: int, width: int, flip: bool,
-    state: _I64, out: NDArray[Any],
-) -> int: ...
-def aedat4_table_bytes(data: _U8, at: int, field: int, out: _U8) -> int: ...
-def aedat4_table_floats(data: _U8, at: int, field: int, out: _F32) -> int: ...
-def aedat4_table_times(data: _U8, at: int, field: int, out: _I64) -> int: ...
 def aop(s1: _F32, s2: _F32, out: _F32) -> None: ...
 def aop_dolp(quad: _F32, gain: float, aop: _F32, dolp: _F32) -> None: ...
 def bilinear(
@@ -71,6 +65,16 @@ def correct(
 def dolp(s0: _F32, s1: _F32, s2: _F32, out: _F32) -> None: ...
 def exp(x: _F32, out: _F32) -> None: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
+def kalman_frame(
+    sample: _F32, noise: _F32, times: NDArray[np.int64], known: int,
+    store: NDArray[Any], link: NDArray[np.int32], prior: _F64, tuning: _F64,
+    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, chi: _F64,
+) -> None: ...
+def kalman_read(
+    t: int, known: int, store: NDArray[Any], link: NDArray[np.int32], tuning: _F64,
+    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, out: _F32,
+    variance: _F32,
+) -> None: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
 ) -> int: ...
@@ -90,3 +94,15 @@ def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
 ) -> None: ...
+def track_commit(
+    store: NDArray[Any], link: NDArray[np.int32], at: int, stop: int, until: int,
+    tracks: NDArray[Any],
+) -> int: ...
+def track_drop(
+    store: NDArray[Any], link: NDArray[np.int32], drop: int, stop: int,
+    tracks: NDArray[Any],
+) -> None: ...
+def track_push(
+    events: NDArray[Any], last: int, at: int, store: NDArray[Any],
+    link: NDArray[np.int32], tracks: NDArray[Any],
+) -> int: ...

@@ -17,6 +17,7 @@ __all__ = ["METHODS", "make_reconstructor"]
 _CLASSES = {
     "frames": ("frames", "FrameHold", False),
     "cf": ("cf", "ComplementaryFilter", True),
+    "kalman": ("kalman", "KalmanFilter", True),
 }
 METHODS = tuple(_CLASSES)
 """Names that ``fuse(method=...)`` takes."""

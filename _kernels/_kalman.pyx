@@ -1,0 +1,314 @@
+"""Kalman filter of log intensity and of both thresholds, one filter per pixel.
+
+Between frames log intensity is base + theta_on n_on - theta_off n_off, n counted since
+the reference (mid-exposure of the last frame used).  The state is (base, theta_on,
+theta_off) with its covariance, nine doubles: b, on, off, P00, P01, P02, P11, P12, P22.
+A frame is de-blurred by the events of its exposure (event-based double integral).
+"""
+from libc.stdint cimport int32_t, int64_t
+
+from _kernels._math cimport exp_f, log_f
+from _kernels._tracks cimport ahead, between, lead, part_t, quiet, track_t
+from _kernels._types cimport event_t
+
+cdef struct walk_t:
+    # A place in a pixel's events: the last one passed, the next index, counts passed.
+    int64_t t
+    int p
+    int32_t next
+    int n_on
+    int n_off
+
+cdef struct sum_t:
+    # Integrals over the exposure of exp(part), and of it times counts.
+    double whole
+    double on
+    double off
+
+
+cdef inline void step(walk_t* walk, const event_t* store,
+                      const int32_t* link) noexcept nogil:
+    walk.t = store[walk.next].t
+    walk.p = store[walk.next].p
+    if walk.p:
+        walk.n_on += 1
+    else:
+        walk.n_off += 1
+    walk.next = link[walk.next]
+
+
+cdef inline void add_segment(sum_t* total, const walk_t* walk, const event_t* store,
+                             int64_t known, double begin, double end, double on,
+                             double off, double level, double hz,
+                             double hz_per_level) noexcept nogil:
+    """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
+    cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
+    cdef double t, y, n_on, n_off, theta, e
+    cdef part_t part
+    cdef int k
+    for k in range(2):
+        t = middle + half * (0.5773502691896258 if k else -0.5773502691896258)
+        if walk.next >= 0 and store[walk.next].t <= known:
+            part = between(walk.t, walk.p, store[walk.next].t, store[walk.next].p, t)
+        else:
+            part = quiet(walk.t, walk.p, <double>known, t)
+        n_on = walk.n_on
+        n_off = walk.n_off
+        if part.p:
+            n_on += part.fraction
+            theta = on
+        else:
+            n_off += part.fraction
+            theta = -off
+        y = on * n_on - off * n_off
+        y += lead(theta * part.rate, exp_f(<float>(level + y)), hz, hz_per_level)
+        e = half * exp_f(<float>y)
+        total.whole += e
+        total.on += e * n_on
+        total.off += e * n_off
+
+
+cdef void integrate(sum_t* total, walk_t* walk, const event_t* store,
+                    const int32_t* link, int64_t begin, int64_t end, int64_t known,
+                    double on, double off, double level, double hz,
+                    double hz_per_level) noexcept nogil:
+    cdef double at = <double>begin, until
+    while walk.next >= 0 and store[walk.next].t <= begin:
+        step(walk, store, link)
+    while True:
+        until = <double>end
+        if walk.next >= 0 and store[walk.next].t < end:
+            until = <double>store[walk.next].t
+        if until > at:
+            add_segment(total, walk, store, known, at, until, on, off, level, hz,
+                        hz_per_level)
+            at = until
+        if walk.next < 0 or store[walk.next].t >= end:
+            break
+        step(walk, store, link)
+
+
+cdef inline void propagate(double* s, double n_on, double n_off) noexcept nogil:
+    """Move the reference past so many events: b += on n_on - off n_off."""
+    s[0] += s[1] * n_on - s[2] * n_off
+    s[3] += (n_on * n_on * s[6] + n_off * n_off * s[8]
+             + 2.0 * (n_on * s[4] - n_off * s[5] - n_on * n_off * s[7]))
+    s[4] += n_on * s[6] - n_off * s[7]
+    s[5] += n_on * s[7] - n_off * s[8]
+
+
+cdef inline void update(double* s, double h_on, double h_off, double noise,
+                        double error, double* chi) noexcept nogil:
+    """Kalman update with measured = b + h_on on + h_off off, innovation error."""
+    cdef double g0 = s[3] + h_on * s[4] + h_off * s[5]
+    cdef double g1 = s[4] + h_on * s[6] + h_off * s[7]
+    cdef double g2 = s[5] + h_on * s[7] + h_off * s[8]
+    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2
+    if error * error > 16.0 * v:
+        # Lost events or a wrong sample: the base may have jumped, thresholds not.
+        s[3] += error * error
+        g0 += error * error
+        v += error * error
+    else:
+        chi[0] += error * error / v
+        chi[1] += log_f(<float>v)
+        chi[2] += 1.0
+    k0 = g0 / v
+    k1 = g1 / v
+    k2 = g2 / v
+    s[0] += k0 * error
+    s[1] += k1 * error
+    s[2] += k2 * error
+    s[3] -= k0 * g0
+    s[4] -= k0 * g1
+    s[5] -= k0 * g2
+    s[6] -= k1 * g1
+    s[7] -= k1 * g2
+    s[8] -= k2 * g2
+
+
+cdef inline double limited(double theta, double prior) noexcept nogil:
+    if theta < 0.3 * prior:
+        return 0.3 * prior
+    return 3.0 * prior if theta > 3.0 * prior else theta
+
+
+def kalman_frame(const float[:, ::1] sample not None,
+                 const float[:, ::1] noise not None,
+                 const int64_t[:, ::1] times not None, int64_t known,
+                 const event_t[::1] store not None, const int32_t[::1] link not None,
+                 const double[:, :, ::1] prior not None,
+                 const double[::1] tuning not None, track_t[:, ::1] tracks not None,
+                 int64_t[:, ::1] reference not None, double[:, :, ::1] state not None,
+                 double[::1] chi not None):
+    """Use a frame: de-blur it by the stored events up to `known`, update state.
+
+    sample is ln intensity, noise its variance, 0 or less where there is no usable
+    sample; times holds start, middle and end of exposure by column.  prior is
+    (row, column, (on, off)).  tuning: variance per second and per event in units of
+    theta^2, hz, hz per unit of intensity.  chi collects e^2/v, ln v and their number.
+    """
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
+    cdef Py_ssize_t y, x
+    if (sample.shape[0] != h or sample.shape[1] != w or noise.shape[0] != h
+            or noise.shape[1] != w or reference.shape[0] != h
+            or reference.shape[1] != w or state.shape[0] != h or state.shape[1] != w
+            or prior.shape[0] != h or prior.shape[1] != w or times.shape[0] != 3
+            or times.shape[1] != w):
+        raise ValueError("kalman_frame: all images must have one shape")
+    if state.shape[2] != 9 or prior.shape[2] != 2 or tuning.shape[0] != 4:
+        raise ValueError("kalman_frame: state, prior or tuning has a wrong length")
+    if chi.shape[0] != 3 or link.shape[0] != n or n == 0:
+        raise ValueError("kalman_frame: chi, store or link has a wrong length")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                if noise[y, x] > 0:
+                    use_sample(sample[y, x], noise[y, x], times[0, x], times[1, x],
+                               times[2, x], known, &store[0], &link[0], &prior[y, x, 0],
+                               &tuning[0], &tracks[y, x], &reference[y, x],
+                               &state[y, x, 0], &chi[0])
+
+
+cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
+                     int64_t end, int64_t known, const event_t* store,
+                     const int32_t* link, const double* prior, const double* tuning,
+                     track_t* track, int64_t* reference, double* s,
+                     double* chi) noexcept nogil:
+    cdef walk_t walk
+    cdef sum_t total
+    cdef int at_on = 0, at_off = 0, all_on, all_off
+    cdef double n_on, n_off, h_on, h_off, theta2, blur, level
+    cdef bint fresh = s[3] < 0
+    # Counts from the oldest stored event to the middle and to the last committed.
+    walk.t = track.t_old
+    walk.p = track.p_old
+    walk.next = track.first
+    walk.n_on = 0
+    walk.n_off = 0
+    while walk.next >= 0 and store[walk.next].t <= mid:
+        step(&walk, store, link)
+    at_on = walk.n_on
+    at_off = walk.n_off
+    if track.next >= 0 and store[track.next].t <= mid:
+        return                      # not all events up to the middle are committed
+    while walk.next >= 0 and walk.next != track.next:
+        step(&walk, store, link)
+    all_on = walk.n_on
+    all_off = walk.n_off
+    n_on = track.n_on - (all_on - at_on)
+    n_off = track.n_off - (all_off - at_off)
+    if fresh:
+        n_on = 0
+        n_off = 0
+        level = sample
+        s[3] = 100.0
+    else:
+        theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
+        propagate(s, n_on, n_off)
+        s[3] += theta2 * (tuning[0] * 1e-6 * <double>(mid - reference[0])
+                          + tuning[1] * (n_on + n_off))
+        level = s[0]
+    # The double integral, relative to the level at the last event before mid.
+    walk.t = track.t_old
+    walk.p = track.p_old
+    walk.next = track.first
+    walk.n_on = -at_on
+    walk.n_off = -at_off
+    total.whole = 0.0
+    total.on = 0.0
+    total.off = 0.0
+    if end <= begin:
+        end = begin + 1
+    integrate(&total, &walk, store, link, begin, end, known, s[1], s[2], level,
+              tuning[2], tuning[3])
+    blur = log_f(<float>(total.whole / <double>(end - begin)))
+    h_on = total.on / total.whole
+    h_off = -total.off / total.whole
+    if fresh:
+        s[0] = sample - blur
+    update(s, h_on, h_off, noise, sample - s[0] - blur, chi)
+    s[1] = limited(s[1], prior[0])
+    s[2] = limited(s[2], prior[1])
+    track.n_on = all_on - at_on
+    track.n_off = all_off - at_off
+    reference[0] = mid
+
+
+def kalman_read(int64_t t, int64_t known, const event_t[::1] store not None,
+                const int32_t[::1] link not None, const double[::1] tuning not None,
+                const track_t[:, ::1] tracks not None,
+                const int64_t[:, ::1] reference not None,
+                const double[:, :, ::1] state not None, float[:, ::1] out not None,
+                float[:, ::1] variance not None):
+    """Log intensity and its variance at t from the events up to known >= t.
+
+    variance is -1 where no frame was used yet; out then counts from 0.
+    """
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
+    cdef Py_ssize_t y, x
+    if (reference.shape[0] != h or reference.shape[1] != w or state.shape[0] != h
+            or state.shape[1] != w or out.shape[0] != h or out.shape[1] != w
+            or variance.shape[0] != h or variance.shape[1] != w):
+        raise ValueError("kalman_read: all images must have one shape")
+    if state.shape[2] != 9 or tuning.shape[0] != 4 or link.shape[0] != n or n == 0:
+        raise ValueError("kalman_read: state, tuning, store or link has a wrong length")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                read_pixel(t, known, &store[0], &link[0], &tuning[0], &tracks[y, x],
+                           reference[y, x], &state[y, x, 0], &out[y, x],
+                           &variance[y, x])
+
+
+cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
+                     const int32_t* link, const double* tuning, const track_t* track,
+                     int64_t reference, const double* s, float* out,
+                     float* variance) noexcept nogil:
+    cdef walk_t walk
+    cdef part_t part
+    cdef int64_t t_prev = track.t_prev
+    cdef int p_prev = track.p_prev
+    cdef double n_on, n_off, theta, theta2, level, v, u
+    walk.t = track.t_last
+    walk.p = track.p_last
+    walk.next = track.next
+    walk.n_on = track.n_on
+    walk.n_off = track.n_off
+    while walk.next >= 0 and store[walk.next].t <= t:
+        t_prev = walk.t
+        p_prev = walk.p
+        step(&walk, store, link)
+    if walk.next >= 0 and store[walk.next].t <= known:
+        part = between(walk.t, walk.p, store[walk.next].t, store[walk.next].p,
+                       <double>t)
+        v = 0.01
+    elif known > t:
+        part = quiet(walk.t, walk.p, <double>known, <double>t)
+        v = 0.02
+    else:
+        part = ahead(t_prev, p_prev, walk.t, walk.p, <double>t)
+        v = 0.05
+    n_on = walk.n_on
+    n_off = walk.n_off
+    theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
+    if part.p:
+        n_on += part.fraction
+        theta = s[1]
+    else:
+        n_off += part.fraction
+        theta = -s[2]
+    level = s[0] + s[1] * n_on - s[2] * n_off
+    u = 0.0
+    if tuning[2] > 0.0 or tuning[3] > 0.0:
+        u = lead(theta * part.rate, exp_f(<float>level), tuning[2], tuning[3])
+    out[0] = <float>(level + u)
+    if s[3] < 0:
+        variance[0] = -1.0
+        return
+    v = (v * theta2 + 0.01 * u * u + s[3]
+         + n_on * n_on * s[6] + n_off * n_off * s[8]
+         + 2.0 * (n_on * s[4] - n_off * s[5] - n_on * n_off * s[7])
+         + theta2 * (tuning[0] * 1e-6 * <double>(t - reference)
+                     + tuning[1] * (walk.n_on + walk.n_off)))
+    variance[0] = <float>(v if v > 1e-8 else 1e-8)

@@ -1,0 +1,244 @@
+"""The Kalman method: de-blurred frames and events, thresholds learned on the way."""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._checks import output, sensor_shape
+from pdavis_cv.events import as_events
+from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.clock import Clock, checked_threshold
+from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv.reconstruct.tracks import Tracks
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["KalmanFilter"]
+
+LOOKAHEAD_US = 50_000
+"""How long the buffered mode waits for a pixel's next event."""
+
+# Variance of the log intensity that events leave: per second (leak, noise events) and
+# per event, in units of the threshold squared.  Of a frame: read noise in DN, DN per
+# unit of shot noise variance, and what the de-blurring leaves.
+DRIFT_PER_S, DRIFT_PER_EVENT = 1.3, 0.02
+READ_NOISE_DN, DN_PER_SHOT, FRAME_SIGMA = 2.0, 10.0, 0.05
+# Committed events are kept this long, and at least twice the longest exposure.
+KEEP_US = 100_000
+# An estimate is valid up to this variance of log intensity.
+VALID_VARIANCE = 0.25
+
+
+class KalmanFilter(Reconstructor):
+    """Kalman filter per pixel of log intensity and of both contrast thresholds.
+
+    Events move the log intensity; each frame, de-blurred by the events of its own
+    exposure, corrects it and the thresholds by their covariance.  Between two events
+    of a pixel the intensity is interpolated, and the lag of the photoreceptor is taken
+    out if its bandwidth is given.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width).
+    theta_on, theta_off : float, or array_like of shape (H, W)
+        Contrast thresholds to start from, positive, in natural-log units.
+    mode : {"buffered", "causal"}
+        "buffered" waits up to `lookahead_us` for each pixel's next event and
+        interpolates; "causal" extrapolates from the last two.
+    lookahead_us : int, optional
+        Default 50,000 when buffered, 0 when causal (no other value is possible).
+    threshold_sigma : float or array_like of shape (2, H, W)
+        Standard deviation of the thresholds given (ON, OFF), natural-log units;
+        0 keeps them as they are.
+    bandwidth : (float, float), optional
+        Corner frequency of the photoreceptor in Hz, and what is added to it per unit
+        of intensity (Hz per DN/ms).  Default: no lag.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range; the message names it.
+
+    Notes
+    -----
+    A sample that is not valid is not used.  A pixel is valid from its first usable
+    sample on while the variance is below 0.25.  Results do not depend on how the
+    stream is cut into packets.
+    """
+
+    method = "kalman"
+
+    def __init__(
+        self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
+        mode: str = "buffered", lookahead_us: int | None = None,
+        threshold_sigma: ArrayLike = 0.035,
+        bandwidth: tuple[float, float] | None = None,
+    ) -> None:
+        self.shape = sensor_shape(shape)
+        if mode not in ("buffered", "causal"):
+            raise ValueError(f"mode must be 'buffered' or 'causal', got {mode!r}")
+        if lookahead_us is None:
+            lookahead_us = LOOKAHEAD_US if mode == "buffered" else 0
+        if (lookahead_us > 0) != (mode == "buffered"):
+            raise ValueError(
+                "lookahead_us must be positive in mode 'buffered' and 0 in mode "
+                f"'causal', got {lookahead_us} in {mode!r}")
+        self._mode, self.lookahead_us = mode, int(lookahead_us)
+        self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
+        self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
+        self._sigma = _checked_sigma(threshold_sigma, self.shape)
+        self._bandwidth = _checked_bandwidth(bandwidth)
+        self._tuning = np.array([DRIFT_PER_S, DRIFT_PER_EVENT, *self._bandwidth])
+        self._prior = np.empty((*self.shape, 2))
+        self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
+        self._state9 = np.zeros((*self.shape, 9))
+        self._state9[..., 1:3] = self._prior
+        self._state9[..., 3] = -1
+        self._state9[..., 6] = self._sigma[0] ** 2
+        self._state9[..., 8] = self._sigma[1] ** 2
+        self._reference = np.zeros(self.shape, np.int64)
+        self._tracks = Tracks(self.shape, KEEP_US + self.lookahead_us)
+        self._clock = Clock(self.shape)
+        self._frames: tuple[_Frame, ...] = ()
+        self._chi = np.zeros(3)
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Parameters that make an equal KalmanFilter."""
+        return {"theta_on": self._theta_on, "theta_off": self._theta_off,
+                "mode": self._mode, "lookahead_us": self.lookahead_us,
+                "threshold_sigma": self._sigma, "bandwidth": self._bandwidth}
+
+    @property
+    def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Thresholds learned so far: (2, H, W) ON and OFF, and their covariance.
+
+        The covariance has shape (H, W, 2, 2).
+        """
+        s = self._state9
+        return (np.moveaxis(s[..., 1:3], -1, 0).copy(),
+                s[..., [6, 7, 7, 8]].reshape(*self.shape, 2, 2))
+
+    @property
+    def misfit(self) -> NDArray[np.float64]:
+        """Sums of e^2 / v and of ln v over the innovations e, and their number.
+
+        Returns
+        -------
+        ndarray of float64, shape (3,)
+        """
+        return self._chi.copy()
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Take events (see `Reconstructor.add_events`)."""
+        events = as_events(events)
+        taken = self._tracks.push(events, self._clock.last_us)
+        try:
+            self._clock.took(events, taken)
+        finally:
+            self._settle(self._clock.last_us)
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Take a frame; it acts when the events that it needs are there."""
+        self._clock.check_frame(frame)
+        self._frames = (*self._frames, _Frame(frame, self.lookahead_us or 0))
+        longest = int(np.max(np.subtract(frame.exposure_end_us,
+                                         frame.exposure_start_us)))
+        delay = frame.available_us - int(np.min(frame.exposure_start_us))
+        keep = self._tracks
+        keep.keep_us = max(keep.keep_us, 2 * longest, 2 * delay)
+
+    def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
+        """Return the log intensity at t_us (see `Reconstructor.read`)."""
+        t, ahead = int(t_us), self.lookahead_us or 0
+        self._clock.check_read(t + ahead)
+        log = output(out, self.shape, np.float32)
+        variance = np.empty(self.shape, np.float32)
+        due = any(frame.known_us <= t + ahead for frame in self._frames)
+        before = self._state() if due else None
+        if due:
+            self._settle(t + ahead)
+        _kernels.kalman_read(
+            t, t + ahead, self._tracks.store, self._tracks.link, self._tuning,
+            self._tracks.tracks, self._reference, self._state9, log, variance)
+        if before is not None:
+            self._restore(before)
+        valid = (variance >= 0) & (variance <= VALID_VARIANCE)
+        np.maximum(variance, 0, out=variance)
+        return Estimate(log, variance, valid)
+
+    def _settle(self, seen_us: int) -> None:
+        """Commit what lies in the past of every later read, and use due frames."""
+        self._tracks.commit(seen_us - (self.lookahead_us or 0))
+        while self._frames and self._frames[0].known_us <= seen_us:
+            frame, *rest = self._frames
+            self._frames = tuple(rest)
+            _kernels.kalman_frame(
+                frame.sample, frame.noise, frame.times, frame.known_us,
+                self._tracks.store, self._tracks.link, self._prior, self._tuning,
+                self._tracks.tracks, self._reference, self._state9, self._chi)
+
+    def _state(self) -> Mapping[str, Any]:
+        return {"last_us": self._clock.last_us, "frames": self._frames,
+                "tracks": self._tracks.state(), "keep_us": self._tracks.keep_us,
+                "reference": self._reference.copy(), "state": self._state9.copy(),
+                "chi": self._chi.copy()}
+
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        self._clock.last_us = state["last_us"]
+        self._frames = state["frames"]
+        self._tracks.restore(state["tracks"])
+        self._tracks.keep_us = state["keep_us"]
+        self._reference = state["reference"].copy()
+        self._state9 = state["state"].copy()
+        self._chi = state["chi"].copy()
+
+
+class _Frame:
+    """A frame that waits for the events of its exposure; never changed."""
+
+    __slots__ = ("known_us", "noise", "sample", "times")
+
+    def __init__(self, frame: ApsFrame, lookahead_us: int) -> None:
+        self.sample, valid = log_samples(frame)
+        dn = np.maximum(frame.dn, 1)
+        noise = (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2 + FRAME_SIGMA**2
+        self.noise = np.where(valid, noise, 0).astype(np.float32)
+        width = frame.shape[1]
+        self.times = np.empty((3, width), np.int64)
+        self.times[0], self.times[2] = frame.exposure_start_us, frame.exposure_end_us
+        self.times[1] = frame.column_mid_us
+        # What is known when the frame acts must not depend on the packets.
+        waited = int(self.times[1].max()) + lookahead_us
+        self.known_us = max(int(self.times[2].max()), waited if lookahead_us else (
+            frame.available_us))
+
+
+def _checked_sigma(
+    value: ArrayLike, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    sigma = np.array(value, np.float64)
+    if sigma.shape not in ((), (2, *shape)):
+        raise ValueError(
+            f"threshold_sigma must be a scalar or have shape {(2, *shape)}, got "
+            f"{sigma.shape}")
+    if not np.all(np.isfinite(sigma) & (sigma >= 0)):
+        raise ValueError("threshold_sigma must be finite and not negative")
+    sigma = np.broadcast_to(sigma, (2, *shape)) if sigma.ndim else np.array(
+        [sigma, sigma])
+    return sigma.copy()
+
+
+def _checked_bandwidth(value: tuple[float, float] | None) -> tuple[float, float]:
+    if value is None:
+        return 0.0, 0.0
+    hz, slope = (float(part) for part in value)
+    if not (np.isfinite(hz) and np.isfinite(slope) and hz >= 0 and slope >= 0):
+        raise ValueError(
+            "bandwidth must be two finite numbers that are not negative, got "
+            f"{value!r}")
+    return hz, slope

@@ -1,0 +1,167 @@
+"""The Kalman method in plain float64 NumPy, a pixel at a time."""
+import itertools
+
+import numpy as np
+
+US = 1e-6
+
+
+def between(t0, p0, t1, p1, t):
+    """Polarity, fraction of its threshold crossed, fraction per second."""
+    if t0 is None:
+        return p1, 0.0, 0.0
+    gap = max(t1 - t0, 100)
+    s = (t - t0) / gap
+    if p0 == p1:
+        return p1, s, 1e6 / gap
+    return p1, s * (3.732 * s - 2.732), (7.464 * s - 2.732) * 1e6 / gap
+
+
+def quiet(t0, p0, known, t):
+    if t0 is None:
+        return p0, 0.0, 0.0
+    s = (t - t0) / (known - t0)
+    return p0, 2 * s * (1 - s), (2 - 4 * s) * 1e6 / (known - t0)
+
+
+def ahead(before, t0, p0, t):
+    if before is None:
+        return p0, 0.0, 0.0
+    gap = max(t0 - before[0], 200)
+    u = (t - t0) / gap
+    if before[1] == p0:
+        pieces = [(0.85, 0.894 * u, 1), (1.05, 0.76, 0),
+                  (4.0, 0.76 - 0.41 * (u - 1.05), -0.3), (np.inf, -0.45, 0)]
+    else:
+        pieces = [(0.12, 6 * u, 2), (0.25, 0.72, 0),
+                  (0.6, 0.72 - 0.571 * (u - 0.25), 0), (2.0, 0.52 - 0.157 * (u - 0.6), 0), (np.inf, 0.3, 0)]
+    fraction, rate = next((f, r) for limit, f, r in pieces if u < limit)
+    return p0, fraction, rate * 1e6 / gap
+
+
+def lead(slope, level, hz, slope_hz):
+    if not slope_hz:
+        return np.clip(slope / (2 * np.pi * hz), -3, 3) if hz else 0.0
+    c, e = slope / (2 * np.pi), slope_hz * level
+    u = c / (hz + e)
+    if abs(u) < 0.02:
+        return u * (1 - u * e / (hz + e))
+    u = 0.0
+    for _ in range(8):
+        k = e * np.exp(u)
+        step = (u * (hz + k) - c) / max(hz + k * (1 + u), 0.05 * (hz + k))
+        u = np.clip(u - step, -0.85, 2.0)
+        if abs(step) < 1e-4:
+            break
+    return u
+
+
+class Pixel:
+    """One pixel's events (t, p) and the state (base, on, off) with covariance."""
+
+    def __init__(self, on, off, sigma, bandwidth):
+        self.events, self.bandwidth = [], bandwidth
+        self.x = np.array([0.0, on, off])
+        self.P = np.diag([100.0, sigma**2, sigma**2])
+        self.prior, self.since, self.reference = np.array([on, off]), 0, None
+
+    def part(self, i, t, known):
+        """Thresholds crossed since event i - 1 at t, i the next event."""
+        last = self.events[i - 1] if i else (None, 0)
+        if i < len(self.events) and self.events[i][0] <= known:
+            return between(*last, *self.events[i], t)
+        if known > t:
+            return quiet(*last, known, t)
+        return ahead(self.events[i - 2] if i > 1 else None, *last, t)
+
+    def next(self, t):
+        return sum(time <= t for time, _ in self.events)
+
+    def counts(self, start, stop):
+        p = [p for _, p in self.events[start:stop]]
+        return np.array([sum(p), len(p) - sum(p)], float)
+
+    def value(self, t, known, since, level):
+        i = self.next(t)
+        n = (self.counts(since, i) if i >= since else -self.counts(i, since))
+        p, fraction, rate = self.part(i, t, known)
+        n[0 if p else 1] += fraction
+        _, on, off = self.x
+        y = on * n[0] - off * n[1]
+        u = lead((on if p else -off) * rate, np.exp(level + y), *self.bandwidth)
+        return n, y, u
+
+    def frame(self, sample, noise, begin, mid, end, known):
+        fresh = self.reference is None
+        at = self.next(mid)
+        if not fresh:
+            n_on, n_off = n = self.counts(self.since, at)
+            F = np.eye(3)
+            F[0, 1:] = n_on, -n_off
+            theta2 = self.x[1:].mean() ** 2
+            self.x = F @ self.x
+            self.P = F @ self.P @ F.T
+            self.P[0, 0] += theta2 * (
+                1.3 * US * (mid - self.reference) + 0.02 * n.sum())
+        level = sample if fresh else self.x[0]
+        inner = sorted({t for t, _ in self.events if begin < t < end})
+        cuts = [begin, *inner, end]
+        whole, weighted = 0.0, np.zeros(2)
+        for a, b in itertools.pairwise(cuts):
+            for node in (-1, 1):
+                t = (a + b) / 2 + node * (b - a) / np.sqrt(12)
+                n, y, u = self.value(t, known, at, level)
+                whole += (b - a) / 2 * np.exp(y + u)
+                weighted += (b - a) / 2 * np.exp(y + u) * n
+        blur = np.log(whole / (end - begin))
+        H = np.array([1.0, *(weighted / whole * (1, -1))])
+        if fresh:
+            self.x[0] = sample - blur
+        error = sample - self.x[0] - blur
+        if error**2 > 16 * (H @ self.P @ H + noise):
+            self.P[0, 0] += error**2
+        PH = self.P @ H
+        v = H @ PH + noise
+        self.x = self.x + PH * error / v
+        self.P = self.P - np.outer(PH, PH) / v
+        self.x[1:] = np.clip(self.x[1:], 0.3 * self.prior, 3 * self.prior)
+        self.since, self.reference = at, mid
+
+    def read(self, t, known):
+        i = self.next(t)
+        n, y, u = self.value(t, known, self.since, self.x[0])
+        seen = i < len(self.events) and self.events[i][0] <= known
+        F = np.array([1.0, n[0], -n[1]])
+        theta2 = self.x[1:].mean() ** 2
+        variance = F @ self.P @ F + theta2 * (
+            (0.01 if seen else 0.02 if known > t else 0.05)
+            + 1.3 * US * (t - (self.reference or 0))
+            + 0.02 * (i - self.since)) + 0.01 * u**2
+        fresh = self.reference is None
+        return self.x[0] + y + u, 0.0 if fresh else max(variance, 1e-8), not fresh
+
+
+def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0),
+           lookahead_us=50_000):
+    """Log intensity, variance and validity at t_us, from what acts on it."""
+    on, off = np.broadcast_to(on, shape), np.broadcast_to(off, shape)
+    out = np.zeros((2, *shape))
+    valid = np.zeros(shape, bool)
+    log_ms = [np.log(f.exposure_ms) if f.exposure_ms else 0.0 for f in frames]
+    for at in np.ndindex(*shape):
+        pixel = Pixel(on[at], off[at], sigma, bandwidth)
+        mine = events[(events["y"] == at[0]) & (events["x"] == at[1])]
+        pixel.events = [(int(t), int(p)) for t, p in zip(mine["t"], mine["p"],
+                                                        strict=True)]
+        for frame, log in zip(frames, log_ms, strict=True):
+            mid, end = frame.mid_us, frame.exposure_end_us
+            known = max(end, mid + lookahead_us if lookahead_us
+                        else frame.available_us)
+            dn = float(frame.dn[at])
+            usable = dn >= 1 and (frame.valid is None or frame.valid[at])
+            if known <= t_us + lookahead_us and usable:
+                noise = (4 + dn / 10) / dn**2 + 0.05**2
+                pixel.frame(np.log(dn) - log, noise, frame.exposure_start_us, mid,
+                            max(end, frame.exposure_start_us + 1), known)
+        out[0][at], out[1][at], valid[at] = pixel.read(t_us, t_us + lookahead_us)
+    return out[0], out[1], valid & (out[1] <= 0.25)

@@ -1,0 +1,165 @@
+import pickle
+
+import numpy as np
+import pytest
+import reference_kalman
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from streams import feed, random_events, random_frame
+
+from pdavis_cv import EVENT_DTYPE, ApsFrame, KalmanFilter
+from pdavis_cv.simulation import ideal
+
+SHAPE = (3, 4)
+MAPS = np.random.default_rng(9).uniform(0.1, 0.3, (2, *SHAPE))
+BANDWIDTHS = [None, (250.0, 0.0), (20.0, 8.0)]
+
+
+def make(shape=SHAPE, on=0.2, off=0.25, **options):
+    return KalmanFilter(shape, theta_on=on, theta_off=off, **options)
+
+
+@st.composite
+def recordings(draw):
+    origin = draw(st.sampled_from([0, 1_600_000_000_000_000]))
+    seconds = draw(st.sampled_from([0.05, 0.4, 3.0]))
+    stop = origin + int(seconds * 1e6)
+    seed = draw(st.integers(0, 99))
+    events = random_events(draw(st.integers(0, 300)), SHAPE, start_us=origin,
+                           stop_us=stop, seed=seed)
+    mids = sorted(draw(st.sets(st.integers(origin, stop - 1), max_size=5)))
+    return events, [random_frame(SHAPE, t, seed=i) for i, t in enumerate(mids)], stop
+
+
+@settings(max_examples=60, deadline=None)
+@given(recordings(), st.sampled_from(["buffered", "causal"]), st.booleans(),
+       st.sampled_from(BANDWIDTHS), st.sampled_from([0.0, 0.035]),
+       st.sampled_from([0, 7, 30_000, 49_000, 400_000]))
+def test_it_equals_float64_evaluation_of_the_equations(
+        stream, mode, maps, bandwidth, sigma, later):
+    events, frames, stop = stream
+    on, off = MAPS if maps else (0.2, 0.25)
+    mine = make(on=on, off=off, mode=mode, threshold_sigma=sigma, bandwidth=bandwidth)
+    feed(mine, events, frames)
+    t = stop + later - mine.lookahead_us
+    estimate = mine.read(t)
+    log, variance, valid = reference_kalman.kalman(
+        events, frames, SHAPE, on, off, t, sigma=sigma, bandwidth=bandwidth or (0, 0),
+        lookahead_us=mine.lookahead_us)
+    np.testing.assert_allclose(estimate.log_intensity, log, atol=2e-3, rtol=1e-4)
+    np.testing.assert_allclose(estimate.variance, variance, atol=1e-5, rtol=5e-3)
+    np.testing.assert_array_equal(estimate.valid, valid)
+
+
+def long_stream(shape=(4, 6), n=120_000, seconds=3.0):
+    stop = int(seconds * 1e6)
+    frames = [random_frame(shape, t, seed=i, low=50)
+              for i, t in enumerate(range(20_000, stop, 50_000))]
+    return random_events(n, shape, stop_us=stop), frames
+
+
+def same(a, b):
+    return all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+@pytest.mark.parametrize("mode", ["buffered", "causal"])
+def test_packets_reads_and_snapshots_do_not_change_the_result(mode):
+    events, frames = long_stream()
+    shape = (4, 6)
+    whole, cut = (make(shape, mode=mode, bandwidth=(250, 0)) for _ in range(2))
+    feed(whole, events, frames)
+    rng = np.random.default_rng(1)
+    times = [*(f.mid_us for f in frames), 2**40]
+    stream = iter(frames)
+    for stop in times:
+        part = events[(events["t"] >= cut._clock.last_us) & (events["t"] < stop)]
+        while len(part):
+            n = rng.integers(1, 900)
+            cut.add_events(part[:n])
+            if rng.random() < 0.1:
+                cut.read(cut._clock.last_us + int(rng.integers(0, 60_000)))
+                other = make(shape, mode=mode, bandwidth=(250, 0))
+                other.restore(pickle.loads(pickle.dumps(cut.snapshot())))
+                cut = other
+            part = part[n:]
+        if stop < 2**40:
+            cut.add_frame(next(stream))
+    assert same(whole.read(3_100_000), cut.read(3_100_000))
+    assert same(whole.thresholds, cut.thresholds)
+    assert len(whole._tracks.store) < len(events) / 2
+
+
+def test_thresholds_are_learned_from_frames():
+    on, off = 0.12, 0.21
+    recording, _ = ideal.rotating_polarizer(
+        60 * 1.013, 4.0, size=(4, 4), theta=(on, off))
+    method = make((4, 4), 0.16, 0.18)
+    packets = list(recording.packets())
+    feed(method, np.concatenate([p.events for p in packets]),
+         [frame for p in packets for frame in p.frames])
+    (learned_on, learned_off), covariance = method.thresholds
+    ratio = learned_on / learned_off / (on / off)
+    np.testing.assert_allclose(ratio, 1, atol=0.02)
+    assert np.all(np.linalg.eigvalsh(covariance) > 0)
+
+
+def test_a_pixel_without_a_usable_sample_is_not_valid():
+    method = make((2, 2))
+    dn = np.array([[100.0, 0.0], [300.0, 200.0]])
+    method.add_frame(ApsFrame(dn, 0, 10_000, valid=np.array([[1, 1], [1, 0]], bool)))
+    log, variance, valid = method.read(100_000)
+    np.testing.assert_array_equal(valid, [[True, False], [True, False]])
+    np.testing.assert_allclose(log[:, 0], np.log([10, 30]), atol=1e-6)
+    assert np.all(variance[valid] > 0)
+
+
+def test_without_events_variance_grows_at_the_stated_rate():
+    method = make((1, 1), 0.2, 0.2)
+    method.add_frame(ApsFrame(np.full((1, 1), 400.0), 0, 10_000))
+    early, late = (float(method.read(t).variance[0, 0])
+                   for t in (1_000_000, 3_000_000))
+    assert late - early == pytest.approx(2 * 1.3 * 0.2**2, rel=1e-4)
+
+
+def test_reading_does_not_change_the_state():
+    events, frames = long_stream(n=5000)
+    method = make((4, 6))
+    feed(method, events, frames)
+    first = method.read(3_050_000)
+    method.read(9_000_000)
+    assert same(first, method.read(3_050_000))
+    assert events.flags.writeable is False
+
+
+def test_events_outside_or_late_are_refused_by_name():
+    method = make()
+    events = random_events(10, SHAPE).copy()
+    events["x"][7] = 9
+    with pytest.raises(ValueError, match=r"event 7 at \(x=9"):
+        method.add_events(events)
+    assert method._clock.last_us == events["t"][6]
+    with pytest.raises(ValueError, match="event 0 at t="):
+        method.add_events(events[:2])
+    with pytest.raises(ValueError, match="last time seen"):
+        method.read(int(events["t"][6]) - 50_001)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"mode": "offline?"}, "mode must be"),
+    ({"mode": "causal", "lookahead_us": 5}, "lookahead_us must be"),
+    ({"lookahead_us": 0}, "lookahead_us must be"),
+    ({"threshold_sigma": -1}, "threshold_sigma must be finite"),
+    ({"threshold_sigma": np.ones(3)}, "threshold_sigma must be a scalar or"),
+    ({"bandwidth": (-1, 0)}, "bandwidth must be two"),
+    ({"on": 0}, "theta_on must be positive"),
+])
+def test_impossible_parameters_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        make(**options)
+
+
+def test_empty_and_read_only_input():
+    method = make((1, 1))
+    method.add_events(np.empty(0, EVENT_DTYPE))
+    assert not method.read(0).valid[0, 0]
+    method.add_events(random_events(3, (1, 1), read_only=True))
