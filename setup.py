@@ -20,9 +20,10 @@ KERNELS = (
     "_kalman",
     "_leaky",
     "_polarization",
+    "_simulate",
     "_store",
 )
-SHARED = ("_math.pxd", "_rows.pxd", "_stencil.h", "_tracks.pxd", "_types.pxd")
+SHARED = ("_double.pxd", "_math.pxd", "_rows.pxd", "_stencil.h", "_tracks.pxd", "_types.pxd")
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
 

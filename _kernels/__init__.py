@@ -16,6 +16,7 @@ from ._leaky import (
 )
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._store import track_commit, track_drop, track_push
+from ._simulate import pixel_events, read_out, sort_events
 
 __all__ = [
     "DEBUG",
@@ -37,7 +38,10 @@ __all__ = [
     "leak_read",
     "log_frame",
     "mix",
+    "pixel_events",
     "polarize",
+    "read_out",
+    "sort_events",
     "stokes",
     "superpixel",
     "track_commit",

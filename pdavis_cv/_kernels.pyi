@@ -29,7 +29,10 @@ __all__ = [
     "leak_read",
     "log_frame",
     "mix",
+    "pixel_events",
     "polarize",
+    "read_out",
+    "sort_events",
     "stokes",
     "superpixel",
     "track_commit",
@@ -105,4 +108,20 @@ def track_drop(
 def track_push(
     events: NDArray[Any], last: int, at: int, store: NDArray[Any],
     link: NDArray[np.int32], tracks: NDArray[Any],
+) -> int: ...
+def pixel_events(
+    light: NDArray[np.float64], slope: NDArray[np.float64],
+    analyser: NDArray[np.float64] | None, pixels: NDArray[np.float64],
+    keys: NDArray[np.uint64], edges: NDArray[np.float64], first_edge: int,
+    settings: NDArray[np.float64], places: NDArray[np.uint16],
+    state: NDArray[np.float64], counters: NDArray[np.uint64], start: int, stop: int,
+    out: NDArray[Any]
+) -> tuple[int, int]: ...
+def read_out(
+    events: NDArray[Any], until_us: float, event_us: float, row_us: float,
+    clock: NDArray[np.float64], waiting: NDArray[np.int32], queue: NDArray[np.uint16],
+    pending: NDArray[np.uint8], out: NDArray[Any]
+) -> tuple[int, int, int]: ...
+def sort_events(
+    events: NDArray[Any], start: int, counts: NDArray[np.int32], out: NDArray[Any]
 ) -> int: ...

@@ -1,6 +1,35 @@
 """Simulated recordings with exact truth."""
+from pdavis_cv.simulation.aps import ApsPixel
+from pdavis_cv.simulation.bus import Bus
+from pdavis_cv.simulation.camera import PRESETS, Camera
+from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.ideal import rotating_polarizer
-from pdavis_cv.simulation.scenes import RotatingPolarizer
+from pdavis_cv.simulation.optics import Optics
+from pdavis_cv.simulation.scenes import (
+    FULL,
+    FlatLight,
+    Flicker,
+    RotatingPolarizer,
+    Scene,
+    Sum,
+)
+from pdavis_cv.simulation.stream import SimulatedRecording
 from pdavis_cv.simulation.truth import Truth
 
-__all__ = ["RotatingPolarizer", "Truth", "rotating_polarizer"]
+__all__ = [
+    "FULL",
+    "PRESETS",
+    "ApsPixel",
+    "Bus",
+    "Camera",
+    "DvsPixel",
+    "FlatLight",
+    "Flicker",
+    "Optics",
+    "RotatingPolarizer",
+    "Scene",
+    "SimulatedRecording",
+    "Sum",
+    "Truth",
+    "rotating_polarizer",
+]

@@ -13,8 +13,8 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout, Sensor
-from pdavis_cv.simulation.scenes import RotatingPolarizer
-from pdavis_cv.simulation.truth import FloatArray, Truth
+from pdavis_cv.simulation.scenes import FloatArray, RotatingPolarizer
+from pdavis_cv.simulation.truth import Truth
 
 __all__ = ["rotating_polarizer"]
 

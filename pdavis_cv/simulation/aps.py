@@ -1,0 +1,310 @@
+"""The frame pixel (APS): exposure integral, reset and signal reads, converter."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.simulation import noise
+from pdavis_cv.simulation.checks import at_least_zero, positive, require
+
+__all__ = ["ApsPixel", "FrameClock"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApsPixel:
+    """Parameters of the frame pixel and its clock; the defaults are an ideal one.
+
+    Parameters
+    ----------
+    fps : float
+        Frames per second; frame k is exposed from k / fps on.
+    exposure_us, readout_us : int
+        Exposure, and time from its end until the frame is available.
+    shutter : {"global", "rolling"}
+        Rolling: columns are exposed one after the other, over ``readout_us``.
+    adc_bits : int, optional
+        Bits of the converter; None keeps floats, without reads and limits.
+    full_well_dn : float
+        Signal at which a pixel saturates, before the converter does.
+    reset_dn : float, optional
+        Mean level of the reset read; the paper's camera reads 800 +- 24 DN.  None:
+        a sensor that delivers the difference only (Sony).
+    reset_fpn_dn, offset_fpn_dn : float
+        Spread over pixels of the reset level, which correlated double sampling
+        removes, and of what it leaves.
+    ktc_dn : float
+        Reset noise of the two reads in common.
+    read_noise_dn : float
+        Noise of each read; 200 electrons (Haessig, table S1).
+    electrons_per_dn : float, optional
+        Gives photon shot noise; None: none.
+    dark_dn_s : float
+        Dark current in DN per second of exposure; 1200 electrons/s (table S1).
+    storage_leak : float
+        Global shutter: fraction of the light that a stored sample still sees while
+        it waits for its column to be read.
+    """
+
+    fps: float = 20.0
+    exposure_us: int = 20_000
+    readout_us: int = 12_000
+    shutter: Literal["global", "rolling"] = "global"
+    adc_bits: int | None = None
+    full_well_dn: float = math.inf
+    reset_dn: float | None = None
+    reset_fpn_dn: float = 0.0
+    offset_fpn_dn: float = 0.0
+    ktc_dn: float = 0.0
+    read_noise_dn: float = 0.0
+    electrons_per_dn: float | None = None
+    dark_dn_s: float = 0.0
+    storage_leak: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive(fps=self.fps, exposure_us=self.exposure_us,
+                 electrons_per_dn=self.electrons_per_dn, reset_dn=self.reset_dn)
+        at_least_zero(
+            readout_us=self.readout_us, reset_fpn_dn=self.reset_fpn_dn,
+            offset_fpn_dn=self.offset_fpn_dn, ktc_dn=self.ktc_dn,
+            read_noise_dn=self.read_noise_dn, dark_dn_s=self.dark_dn_s,
+            storage_leak=self.storage_leak)
+        require("full_well_dn", self.full_well_dn, self.full_well_dn > 0, "be positive")
+        require("exposure_us", self.exposure_us, self.exposure_us * self.fps <= 1e6,
+                f"be at most the frame interval at {self.fps:g} fps")
+        require("shutter", self.shutter, self.shutter in ("global", "rolling"),
+                "be 'global' or 'rolling'")
+        require("adc_bits", self.adc_bits,
+                self.adc_bits is None or 1 <= self.adc_bits <= 16, "lie in 1..16")
+
+    @property
+    def full_scale_dn(self) -> int:
+        """Largest value of the converter."""
+        return 1023 if self.adc_bits is None else 2**self.adc_bits - 1
+
+    def maps(
+        self, seed: int, size: tuple[int, int], origin: tuple[int, int]
+    ) -> dict[str, FloatArray]:
+        """Return what one specimen has: ``reset_dn``, ``dark_dn`` of shape (H, W).
+
+        ``dark_dn`` is what a frame without light shows after double sampling.
+        """
+        index = noise.pixel_index(size, origin)
+        reset = (self.reset_dn or 0.0) + self.reset_fpn_dn * noise.normal(
+            seed, "reset level", index)
+        dark = self.offset_fpn_dn * noise.normal(seed, "offset", index)
+        return {"reset_dn": reset,
+                "dark_dn": dark + self.dark_dn_s * self.exposure_us / 1e6}
+
+    def digitise(
+        self, signal_dn: FloatArray, maps: dict[str, FloatArray], seed: int,
+        frame: int, origin: tuple[int, int],
+    ) -> dict[str, NDArray[np.generic] | None]:
+        """Turn an exposure integral into what the converter delivers.
+
+        Parameters
+        ----------
+        signal_dn : ndarray of float64, shape (H, W)
+            Light times time in DN.
+        maps : mapping of str to ndarray
+            What `maps` returned.
+        seed : int
+            Of the noise.
+        frame : int
+            Number of the frame since the recording's start.
+        origin : (int, int)
+            (row, column) of the first pixel on the sensor.
+
+        Returns
+        -------
+        dict
+            ``dn`` float (H, W), ``valid`` bool or None, ``reset`` and ``signal``
+            uint16 or None: arguments of `ApsFrame`.
+        """
+        size = (signal_dn.shape[0], signal_dn.shape[1])
+        index = noise.pixel_index(size, origin)
+
+        def draw(purpose: str, sigma: float) -> FloatArray | float:
+            return sigma * noise.normal(seed, purpose, index, frame) if sigma else 0.0
+
+        collected = signal_dn
+        if self.electrons_per_dn is not None:
+            electrons = (signal_dn + self.dark_dn_s * self.exposure_us / 1e6
+                         ) * self.electrons_per_dn
+            shot = np.sqrt(np.maximum(electrons, 0)) / self.electrons_per_dn
+            collected = signal_dn + shot * noise.normal(
+                seed, "photon shot noise", index, frame)
+        collected = np.minimum(collected + maps["dark_dn"], self.full_well_dn)
+        if self.adc_bits is None:
+            dn = collected + draw("signal read", self.read_noise_dn)
+            return {"dn": dn, "valid": None, "reset": None, "signal": None}
+        top = self.full_scale_dn
+        if self.reset_dn is None:
+            dn = collected + draw("signal read", self.read_noise_dn)
+            dn = np.clip(np.rint(dn), 0, top)
+            return {"dn": dn, "valid": dn < min(top, self.full_well_dn),
+                    "reset": None, "signal": None}
+        level = maps["reset_dn"] + draw("reset noise", self.ktc_dn)
+        reset = np.clip(np.rint(level + draw("reset read", self.read_noise_dn)), 0, top)
+        signal = np.clip(np.rint(level - collected + draw(
+            "signal read", self.read_noise_dn)), 0, top)
+        dn = reset - signal
+        # A pixel's clip level is known to within its noise only.
+        clip = self.full_well_dn - 4 * self.read_noise_dn
+        valid = (signal > 2) & (reset >= 384) & (dn < clip)
+        return {"dn": dn, "valid": valid, "reset": reset.astype(np.uint16),
+                "signal": signal.astype(np.uint16)}
+
+
+class FrameClock:
+    """Exposures on the recording's clock, and integrals of light over them.
+
+    Parameters
+    ----------
+    pixel : ApsPixel
+        Parameters.
+    width : int
+        Columns of the sensor.
+    """
+
+    def __init__(self, pixel: ApsPixel, width: int) -> None:
+        self.pixel, self.width = pixel, width
+
+    def start_us(self, frame: int) -> int:
+        """Start of the exposure of a frame (of column 0)."""
+        return round(frame * 1e6 / self.pixel.fps)
+
+    def available_us(self, frame: int) -> int:
+        """When a frame has been read out."""
+        pixel = self.pixel
+        return self.start_us(frame) + pixel.exposure_us + pixel.readout_us
+
+    def frames(self, start_us: float, stop_us: float) -> range:
+        """Frames that collect light or wait for read-out within [start, stop)."""
+        period = 1e6 / self.pixel.fps
+        span = self.pixel.exposure_us + self.pixel.readout_us
+        first = max(0, math.floor((start_us - span) / period))
+        found = [k for k in range(first, math.ceil(stop_us / period) + 1)
+                 if self.start_us(k) < stop_us and self.available_us(k) > start_us]
+        return range(found[0], found[-1] + 1) if found else range(0)
+
+    def edges(self, start_us: float, stop_us: float, width_us: float
+              ) -> tuple[FloatArray, int]:
+        """Find exposure starts and ends that can burst within [start, stop).
+
+        Returns
+        -------
+        times : ndarray of float64
+            Microseconds, those in (start - width, stop).
+        first : int
+            Number of the first since the recording's start: 2 k for the start of
+            frame k, 2 k + 1 for its end.
+        """
+        frames = self.frames(start_us - width_us, stop_us)
+        times = [(2 * k + i, self.start_us(k) + i * self.pixel.exposure_us)
+                 for k in frames for i in (0, 1)]
+        kept = [(n, t) for n, t in times if start_us - width_us < t < stop_us]
+        return (np.array([t for _, t in kept], np.float64), kept[0][0] if kept else 0)
+
+    def column_delays(self) -> FloatArray:
+        """Delay of each column in us: of its exposure, or of its read-out."""
+        return np.arange(self.width, dtype=np.float64) * (
+            self.pixel.readout_us / self.width)
+
+    def exposure(self, frame: int) -> tuple[FloatArray, FloatArray]:
+        """Start and end of each column's exposure in us; (1,) if all are alike."""
+        start = np.array([float(self.start_us(frame))])
+        if self.pixel.shutter == "rolling":
+            start = np.rint(start + self.column_delays())
+        return start, start + self.pixel.exposure_us
+
+    def weights(
+        self, frame: int, start_us: float, step_us: float, intervals: int,
+        linear: bool,
+    ) -> FloatArray:
+        """Weights of light at the nodes in a frame's integral over these intervals.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame.
+        start_us, step_us, intervals : float, float, int
+            Nodes lie at start_us + k step_us, k = 0..intervals.
+        linear : bool
+            Light is linear between nodes; else the cubic of `node_slopes`, for
+            which two more nodes at each end get weights.
+
+        Returns
+        -------
+        ndarray of float64, shape (nodes, 1) or (nodes, W)
+            Per column where columns differ; DN = sum of weights times DN per ms.
+        """
+        start, end = self.exposure(frame)
+        total = integral_weights(start, end, start_us, step_us, intervals, linear)
+        leak = self.pixel.storage_leak
+        if leak and self.pixel.shutter == "global":
+            total = total + leak * integral_weights(
+                end, end + self.column_delays(), start_us, step_us, intervals, linear)
+        return total
+
+
+def node_slopes(light: FloatArray) -> FloatArray:
+    """Slopes per interval at all nodes but two at each end (five-point formula)."""
+    slopes = light[:-4] - light[4:] + 8 * (light[3:-1] - light[1:-3])
+    slopes /= 12
+    return slopes
+
+
+def integral_weights(
+    start: FloatArray, end: FloatArray, origin_us: float, step_us: float,
+    intervals: int, linear: bool,
+) -> FloatArray:
+    """Weights of node values in the integral from start to end; see `weights`."""
+    left = np.clip((start - origin_us) / step_us - np.arange(intervals)[:, None], 0, 1)
+    right = np.clip((end - origin_us) / step_us - np.arange(intervals)[:, None], 0, 1)
+
+    def basis(s: FloatArray) -> tuple[FloatArray, ...]:
+        if linear:
+            return s - s**2 / 2, s**2 / 2
+        return (s - s**3 + s**4 / 2, s**3 - s**4 / 2,
+                s**2 / 2 - s**3 * (2 / 3) + s**4 / 4, s**4 / 4 - s**3 / 3)
+
+    part = [b - a for a, b in zip(basis(left), basis(right), strict=True)]
+    columns = part[0].shape[1]
+    values = np.zeros((intervals + 1, columns))
+    values[:-1] += part[0]
+    values[1:] += part[1]
+    if linear:
+        return values * (step_us / 1000)
+    slopes = np.zeros((intervals + 1, columns))
+    slopes[:-1] += part[2]
+    slopes[1:] += part[3]
+    weights = np.zeros((intervals + 5, columns))
+    weights[2:-2] = values
+    for offset, factor in ((0, 1), (1, -8), (3, 8), (4, -1)):
+        weights[offset:offset + intervals + 1] += slopes * (factor / 12)
+    return weights * (step_us / 1000)
+
+
+def make_frame(
+    clock: FrameClock, frame: int, digitised: dict[str, NDArray[np.generic] | None]
+) -> ApsFrame:
+    """Build the `ApsFrame` of one exposure."""
+    start, end = clock.exposure(frame)
+    rolling = clock.pixel.shutter == "rolling"
+    end_us = int(end[-1])
+    return ApsFrame(
+        digitised["dn"],  # type: ignore[arg-type]
+        start.astype(np.int64) if rolling else int(start[0]),
+        end.astype(np.int64) if rolling else end_us,
+        valid=digitised["valid"],  # type: ignore[arg-type]
+        available_us=max(clock.available_us(frame), end_us),
+        full_scale_dn=clock.pixel.full_scale_dn,
+        reset=digitised["reset"],  # type: ignore[arg-type]
+        signal=digitised["signal"])  # type: ignore[arg-type]

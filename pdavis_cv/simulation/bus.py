@@ -1,0 +1,82 @@
+"""The read-out bus: one row at a time, a limited rate, and loss."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv._kernels import read_out
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.simulation.checks import at_least_zero, positive
+
+__all__ = ["Bus", "BusState"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bus:
+    """A word-serial address-event bus (Boahen 2004) as the DAVIS has it.
+
+    The arbiter takes one row at a time in turn; all its requests leave with one time
+    stamp.  A pixel that still waits cannot make another event: that one is lost.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Events per second within a row; about 10 MHz (Haessig, section S1).
+    row_us : float
+        Time to change the row, microseconds.
+    """
+
+    rate_hz: float = 10e6
+    row_us: float = 0.1
+
+    def __post_init__(self) -> None:
+        positive(rate_hz=self.rate_hz)
+        at_least_zero(row_us=self.row_us)
+
+
+class BusState:
+    """One bus at work; `pass_on` takes time-ordered events, chunk by chunk.
+
+    Attributes
+    ----------
+    lost : int
+        Events lost so far.
+    load : float
+        Fraction of the last chunk's time in which the bus was busy, at most 1.
+    """
+
+    def __init__(self, bus: Bus, size: tuple[int, int]) -> None:
+        self.bus, self.lost, self.load = bus, 0, 0.0
+        self._clock = np.zeros(3)
+        self._waiting = np.zeros(size[0], np.int32)
+        self._queue = np.zeros(size, np.uint16)
+        self._pending = np.zeros(size, np.uint8)
+        self._until = 0.0
+
+    def pass_on(self, events: NDArray[Any], until_us: float) -> NDArray[Any]:
+        """Return the events that leave the bus before ``until_us``, in time order.
+
+        Parameters
+        ----------
+        events : ndarray of EVENT_DTYPE, shape (N,)
+            What the pixels request, time-ordered, before ``until_us``.
+        until_us : float
+            End of the chunk.
+        """
+        out = np.empty(len(events) + int(self._clock[2]), EVENT_DTYPE)
+        rows_before = 1e6 / self.bus.rate_hz
+        done, lost, _ = read_out(
+            events, until_us, rows_before, self.bus.row_us, self._clock,
+            self._waiting, self._queue, self._pending, out)
+        self.lost += lost
+        out = out[:done]
+        bursts = int(np.count_nonzero(np.diff(out["t"]) | np.diff(
+            out["y"].astype(np.int32)))) + 1 if done else 0
+        busy = done * rows_before + bursts * self.bus.row_us
+        span = until_us - self._until
+        self.load = min(1.0, busy / span) if span > 0 else 0.0
+        self._until = until_us
+        return out

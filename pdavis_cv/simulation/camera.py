@@ -1,0 +1,261 @@
+"""A simulated camera: one specimen with its own faults, and what it records."""
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording, RecordingInfo
+from pdavis_cv.recording.memory import MemoryRecording
+from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.simulation.aps import ApsPixel
+from pdavis_cv.simulation.bus import Bus
+from pdavis_cv.simulation.checks import positive, require
+from pdavis_cv.simulation.dvs import DvsPixel
+from pdavis_cv.simulation.optics import Optics
+from pdavis_cv.simulation.scenes import FloatArray, Scene
+from pdavis_cv.simulation.stream import SimulatedRecording
+from pdavis_cv.simulation.truth import Truth
+
+__all__ = ["PRESETS", "Camera"]
+
+_NOMINAL_DVS = DvsPixel(
+    theta_on=0.16, theta_off=0.18, mismatch=0.035, cutoff_hz=250.0, leak_hz=0.3,
+    leak_sigma=0.1, shot_noise_hz=1.0)
+_NOMINAL_APS = ApsPixel(
+    adc_bits=10, reset_dn=850.0, reset_fpn_dn=24.0, offset_fpn_dn=2.0, ktc_dn=3.0,
+    full_well_dn=760.0, read_noise_dn=1.5, electrons_per_dn=80.0, dark_dn_s=15.0)
+_NOMINAL_OPTICS = Optics(
+    extinction_ratio=40.0, extinction_ratio_sigma=3.0,
+    angle_sigma=math.radians(0.7), gain_sigma=0.02)
+_REALISTIC_DVS = dataclasses.replace(
+    _NOMINAL_DVS, cutoff_hz=None, cutoff_hz_per_dn_ms=0.42 * 20, burst_chance=0.002)
+
+PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
+    "ideal": {"optics": Optics(), "dvs": DvsPixel(), "aps": ApsPixel(), "bus": None},
+    "nominal": {"optics": _NOMINAL_OPTICS, "dvs": _NOMINAL_DVS, "aps": _NOMINAL_APS,
+                "bus": None},
+    "realistic": {"optics": _NOMINAL_OPTICS, "dvs": _REALISTIC_DVS,
+                  "aps": _NOMINAL_APS, "bus": Bus()},
+    "hard": {"optics": _NOMINAL_OPTICS,
+             "dvs": dataclasses.replace(
+                 _REALISTIC_DVS, mismatch=0.0, mismatch_ln=0.035),
+             "aps": _NOMINAL_APS, "bus": Bus()},
+    "saturated": {"optics": _NOMINAL_OPTICS, "dvs": _NOMINAL_DVS,
+                  "aps": _NOMINAL_APS, "bus": Bus()},
+    "sony": {"optics": Optics(layout=Layout.SONY, extinction_ratio=350.0,
+                              extinction_ratio_sigma=20.0,
+                              angle_sigma=math.radians(0.2), gain_sigma=0.005),
+             "dvs": None,
+             "aps": ApsPixel(fps=50.0, exposure_us=20_000, readout_us=0,
+                             adc_bits=12, full_well_dn=4095.0, offset_fpn_dn=0.5,
+                             read_noise_dn=0.8, electrons_per_dn=2.6),
+             "bus": None},
+})
+"""Parts of each named camera; `Camera.preset` says what they are."""
+
+
+class Camera:
+    """One specimen of a camera; the same seed is the same specimen.
+
+    Parameters
+    ----------
+    optics : Optics
+        Polarizers and sensitivity.
+    dvs : DvsPixel, optional
+        Event pixel; None for a camera of frames only.
+    aps : ApsPixel, optional
+        Frame pixel; None for a camera of events only.
+    bus : Bus, optional
+        Read-out bus of the events; None for one without limits.
+    seed : int
+        Names the specimen: its maps, and with ``run`` its noise.
+    size : (int, int)
+        (height, width) of the region that is simulated.
+    origin : (int, int), optional
+        (row, column) of its first pixel on the sensor; default such that the
+        region is in the middle, on even numbers.
+    sensor : Sensor
+        Kind of sensor; gives the full size.
+    name : str
+        What the recording says.
+
+    Attributes
+    ----------
+    maps : mapping of str to ndarray of float64, shape (H, W)
+        What this specimen has: ``angle`` (radians), ``extinction_ratio``, ``gain``,
+        ``analyser`` (H, W, 3), ``theta_on``, ``theta_off`` (natural log), ``leak_hz``,
+        ``reset_dn``, ``dark_dn``.
+    """
+
+    def __init__(
+        self, *, optics: Optics | None = None, dvs: DvsPixel | None = None,
+        aps: ApsPixel | None = None, bus: Bus | None = None, seed: int = 0,
+        size: tuple[int, int] = (12, 12), origin: tuple[int, int] | None = None,
+        sensor: Sensor = Sensor.PDAVIS, name: str = "simulated",
+    ) -> None:
+        height, width = size
+        if origin is None:
+            origin = ((sensor.size[0] - height) // 4 * 2,
+                      (sensor.size[1] - width) // 4 * 2)
+        require("size", size, height > 0 and width > 0, "be positive")
+        require("origin", origin,
+                0 <= origin[0] <= sensor.size[0] - height
+                and 0 <= origin[1] <= sensor.size[1] - width,
+                f"leave {height} rows and {width} columns of the {sensor.name}'s "
+                f"{sensor.size[0]} and {sensor.size[1]}")
+        require("seed", seed, isinstance(seed, int) and seed >= 0,
+                "be an integer of at least 0")
+        require("dvs and aps", None, dvs is not None or aps is not None,
+                "not both be None")
+        self.optics = Optics() if optics is None else optics
+        self.dvs, self.aps, self.bus, self.seed = dvs, aps, bus, seed
+        self.size, self.origin, self.sensor, self.name = size, origin, sensor, name
+        self.maps: dict[str, FloatArray] = self.optics.maps(
+            seed, size, origin, sensor.size)
+        if dvs is not None:
+            self.maps |= dvs.maps(seed, size, origin)
+        if aps is not None:
+            self.maps |= aps.maps(seed, size, origin)
+        for array in self.maps.values():
+            array.flags.writeable = False
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> Camera:
+        """Make a camera by name.
+
+        Parameters
+        ----------
+        name : str
+            ``ideal``: exact crossings at 0.15, ER 40, no noise, floats.
+            ``nominal``: thresholds 0.16/0.18 with 3.5 % mismatch, 250 Hz, leak
+            0.3 Hz, shot noise 1 Hz, ER 40 +- 3, angle error 0.7 degrees, gain 2 %,
+            10-bit frames with fixed pattern and noise; no bus limit.
+            ``realistic``: nominal, with a bandwidth of 0.42 Hz per DN of light in
+            20 ms, read-out bus, and bursts at frame edges.
+            ``hard``: realistic with a mismatch of 0.035 in natural-log units.
+            ``saturated``: nominal with the bus, for scenes that fill the full chip.
+            ``sony``: 12-bit frames at 50 fps, ER 350, 72 dB.
+        **changes
+            Parameters of `Camera` (``seed``, ``size``, ``origin``, ...), and whole
+            parts (``optics``, ``dvs``, ``aps``, ``bus``) or mappings of single
+            parameters of a part: ``dvs={"leak_hz": 0}``.
+
+        Raises
+        ------
+        ValueError
+            If there is no such preset, or a parameter is impossible.
+        """
+        require("name", name, name in PRESETS, f"be one of {', '.join(PRESETS)}")
+        parts: dict[str, Any] = dict(PRESETS[name])
+        for part, given in changes.items():
+            if part in parts and isinstance(given, dict):
+                parts[part] = dataclasses.replace(parts[part], **given)
+            else:
+                parts[part] = given
+        if name == "sony":
+            parts.setdefault("sensor", Sensor.SONY)
+        if name == "saturated":
+            parts.setdefault("size", Sensor.PDAVIS.size)
+        return cls(**{"name": f"simulated {name}", **parts})
+
+    @property
+    def layout(self) -> Layout:
+        """Polarizer layout of the region."""
+        return self.optics.layout.crop(self.origin[1], self.origin[0])
+
+    def noise_seed(self, run: int) -> int:
+        """Seed of the noise of one recording of this specimen."""
+        return (self.seed * 1_000_003 + run * 7_919 + 1) % 2**64
+
+    def info(self, stop_us: int) -> RecordingInfo:
+        """Header facts of a recording of this camera."""
+        aps = self.aps
+        return RecordingInfo(
+            format="simulation", sensor_size=self.size, writer="pdavis_cv",
+            camera=self.name, serial=self.serial, sensor=self.sensor,
+            layout=self.layout, start_us=0, stop_us=stop_us,
+            exposure_us=None if aps is None else aps.exposure_us)
+
+    def exact_calibration(self) -> dict[str, Any]:
+        """Return what this specimen has, as the arguments of `pdavis_cv.Calibration`.
+
+        Returns
+        -------
+        dict
+            ``sensor_size``, ``chip``, ``serial``, ``layout``, ``analyser`` (H, W, 3)
+            and, where the camera has them, ``theta_on``, ``theta_off``, ``dark``.
+        """
+        names = {"theta_on": "theta_on", "theta_off": "theta_off", "dark": "dark_dn",
+                 "analyser": "analyser"}
+        return {"sensor_size": self.size, "chip": self.sensor.name,
+                "serial": self.serial, "layout": self.layout,
+                **{name: self.maps[key] for name, key in names.items()
+                   if key in self.maps}}
+
+    @property
+    def serial(self) -> str:
+        """Serial number of this specimen."""
+        return f"{self.name}-{self.seed}"
+
+    def stream(
+        self, scene: Scene, seconds: float, *, run: int = 0, threads: int = 1,
+        step_us: float | None = None,
+    ) -> SimulatedRecording:
+        """Return a recording that is simulated while it is read, in flat memory.
+
+        Parameters
+        ----------
+        scene : Scene
+            The light.
+        seconds : float
+            Duration; the recording covers [0, seconds).
+        run : int
+            Number of the recording: the same specimen, other noise.
+        threads : int
+            Threads over bands of rows; they do not change the result.
+        step_us : float, optional
+            Interval at which the scene is sampled; default its own ``step_us``.
+        """
+        positive(seconds=seconds, threads=threads, step_us=step_us)
+        require("run", run, run >= 0, "not be negative")
+        return SimulatedRecording(
+            self, scene, round(seconds * 1e6), run, threads, step_us)
+
+    def record(
+        self, scene: Scene, seconds: float, *, run: int = 0, threads: int = 1,
+        step_us: float | None = None,
+    ) -> tuple[Recording, Truth]:
+        """Simulate a recording into memory.
+
+        Parameters
+        ----------
+        scene, seconds, run, threads, step_us
+            As for `stream`.
+
+        Returns
+        -------
+        recording : Recording
+            Events, and frames as the camera delivers them.
+        truth : Truth
+            The light in front of the camera, and the load of the bus.
+        """
+        stream = self.stream(scene, seconds, run=run, threads=threads, step_us=step_us)
+        pieces = list(stream.pieces())
+        events = np.concatenate([piece.events for piece in pieces])
+        frames = tuple(frame for piece in pieces for frame in piece.frames)
+        info = dataclasses.replace(
+            stream.info, event_count=len(events), frame_count=len(frames),
+            imu_count=0, trigger_count=0)
+        truth = Truth(scene, self.size, self.origin, stream.stop_us)
+        if self.bus is not None:
+            truth.bus_t_us = np.array([piece.stop_us for piece in pieces], np.int64)
+            truth.bus_load = np.array([piece.bus_load for piece in pieces])
+            truth.bus_lost = np.array([piece.bus_lost for piece in pieces], np.int64)
+        recording = MemoryRecording(
+            info, events, frames, np.empty(0, IMU_DTYPE), np.empty(0, TRIGGER_DTYPE))
+        return recording, truth

@@ -1,0 +1,244 @@
+"""The event pixel (DVS): log photoreceptor, low-pass, comparator, and its faults."""
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv._kernels import pixel_events, sort_events
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.simulation import noise
+from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
+
+__all__ = ["DvsPixel", "PixelArray"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DvsPixel:
+    """Parameters of the event pixel; the defaults are an ideal one.
+
+    Parameters
+    ----------
+    theta_on, theta_off : float
+        Thresholds, natural-log units; the paper's camera reaches 0.14 (table S1).
+    mismatch : float
+        Spread of the thresholds over pixels, ON and OFF independent, relative to
+        the threshold; 0.035 (Brandli et al. 2014).
+    mismatch_ln : float
+        The same in natural-log units; the two add in square.
+    cutoff_hz : float, optional
+        -3 dB frequency of the photoreceptor in any light; None and no
+        ``cutoff_hz_per_dn_ms``: unlimited.
+    cutoff_hz_per_dn_ms : float
+        -3 dB frequency per DN/ms of light on the pixel, added to ``cutoff_hz``: the
+        photoreceptor's time constant is that of its photocurrent.
+    dark_dn_ms : float
+        Light that the photodiode's dark current is worth, DN per ms.
+    refractory_us : float
+        Time after an event during which the comparator is held in reset.
+    leak_hz : float
+        Rate of ON events of a pixel in the dark and at rest that the reset switch's
+        junction leak makes (Nozaki & Delbruck 2017: 0.1 Hz at room temperature).
+    leak_sigma : float
+        Relative spread of the leak over pixels.
+    shot_noise_hz : float
+        Rate of noise events of both polarities in the dark, per pixel.  A noise
+        event moves the comparator's reference, as in v2e; half of them are ON.
+    shot_noise_bright_factor : float
+        Fraction of that rate left in bright light; 0.25 (v2e).
+    bright_dn_ms : float
+        Light at which the fraction is reached; linear from the dark to there.
+    hot_fraction, hot_hz : float
+        Fraction of hot pixels, and the rate of ON events of each.
+    burst_chance : float
+        Chance that a pixel makes an event when a frame's exposure starts, and again
+        when it ends, by coupling from the frame read-out.
+    burst_us : float
+        Time over which such a burst spreads.
+    """
+
+    theta_on: float = 0.15
+    theta_off: float = 0.15
+    mismatch: float = 0.0
+    mismatch_ln: float = 0.0
+    cutoff_hz: float | None = None
+    cutoff_hz_per_dn_ms: float = 0.0
+    dark_dn_ms: float = 0.0
+    refractory_us: float = 0.0
+    leak_hz: float = 0.0
+    leak_sigma: float = 0.0
+    shot_noise_hz: float = 0.0
+    shot_noise_bright_factor: float = 0.25
+    bright_dn_ms: float = 51.0
+    hot_fraction: float = 0.0
+    hot_hz: float = 100.0
+    burst_chance: float = 0.0
+    burst_us: float = 200.0
+
+    def __post_init__(self) -> None:
+        positive(theta_on=self.theta_on, theta_off=self.theta_off,
+                 cutoff_hz=self.cutoff_hz, bright_dn_ms=self.bright_dn_ms,
+                 burst_us=self.burst_us)
+        at_least_zero(
+            mismatch=self.mismatch, mismatch_ln=self.mismatch_ln,
+            cutoff_hz_per_dn_ms=self.cutoff_hz_per_dn_ms, dark_dn_ms=self.dark_dn_ms,
+            refractory_us=self.refractory_us, leak_hz=self.leak_hz,
+            leak_sigma=self.leak_sigma, shot_noise_hz=self.shot_noise_hz,
+            hot_hz=self.hot_hz)
+        fraction(shot_noise_bright_factor=self.shot_noise_bright_factor,
+                 hot_fraction=self.hot_fraction, burst_chance=self.burst_chance)
+        for name in ("theta_on", "theta_off"):
+            sigma = math.hypot(self.mismatch * getattr(self, name), self.mismatch_ln)
+            which = "mismatch_ln" if self.mismatch_ln else "mismatch"
+            require(which, getattr(self, which), sigma < getattr(self, name) / 3,
+                    f"keep the spread below a third of {name}")
+
+    @property
+    def filtered(self) -> bool:
+        """Whether the photoreceptor has a finite bandwidth."""
+        return self.cutoff_hz is not None or self.cutoff_hz_per_dn_ms > 0
+
+    def maps(
+        self, seed: int, size: tuple[int, int], origin: tuple[int, int]
+    ) -> dict[str, FloatArray]:
+        """Return what one specimen has, each of shape (H, W).
+
+        Returns
+        -------
+        dict of ndarray of float64
+            ``theta_on`` and ``theta_off`` in natural-log units, kept above a tenth
+            of the nominal ones, and ``leak_hz``.
+        """
+        index = noise.pixel_index(size, origin)
+        maps = {}
+        for name in ("theta_on", "theta_off"):
+            nominal = getattr(self, name)
+            sigma = math.hypot(self.mismatch * nominal, self.mismatch_ln)
+            drawn = nominal + sigma * noise.normal(seed, name, index)
+            maps[name] = np.maximum(drawn, nominal / 10)
+        spread = 1 + self.leak_sigma * noise.normal(seed, "leak", index)
+        leak = self.leak_hz * np.maximum(spread, 0)
+        hot = noise.uniform(seed, "hot", index) < self.hot_fraction
+        maps["leak_hz"] = np.where(hot, self.hot_hz, leak)
+        return maps
+
+
+class PixelArray:
+    """Event pixels at work: feed light interval by interval, get events.
+
+    Parameters
+    ----------
+    pixel : DvsPixel
+        Parameters.
+    maps : mapping of str to ndarray, shape (H, W)
+        What `DvsPixel.maps` returned, or measured ones.
+    seed : int
+        Of the noise.
+    origin : (int, int)
+        (row, column) of the first pixel on the sensor.
+    """
+
+    def __init__(
+        self, pixel: DvsPixel, maps: dict[str, FloatArray], seed: int,
+        origin: tuple[int, int] = (0, 0),
+    ) -> None:
+        self.pixel = pixel
+        self.size = (maps["theta_on"].shape[0], maps["theta_on"].shape[1])
+        n = self.size[0] * self.size[1]
+        self._pixels = np.empty((n, 5))
+        self._pixels[:, 0] = maps["theta_on"].ravel()
+        self._pixels[:, 1] = maps["theta_off"].ravel()
+        self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
+        self._pixels[:, 3] = pixel.shot_noise_hz / 1e6
+        self._pixels[:, 4] = pixel.dark_dn_ms
+        index = noise.pixel_index(self.size, origin).ravel()
+        self._keys = noise.keys(seed, "events", index)
+        y, x = np.divmod(np.arange(n), self.size[1])
+        self._places = np.stack((x, y), axis=-1).astype(np.uint16)
+        self._state = np.zeros((n, 4))
+        self._state[:, 2] = -np.inf
+        self._counters = np.zeros(n, np.uint64)
+        self._settings = np.array([
+            1.0, 0.0, not pixel.filtered,
+            2e-6 * np.pi * (pixel.cutoff_hz or 0.0),
+            2e-6 * np.pi * pixel.cutoff_hz_per_dn_ms, pixel.refractory_us,
+            pixel.shot_noise_bright_factor, pixel.bright_dn_ms, pixel.burst_chance,
+            pixel.burst_us])
+        self._local = threading.local()
+
+    def settle(self, light: FloatArray, rows: slice = slice(None)) -> None:
+        """Let the pixels of some rows adapt to light, shape (rows, W), DN per ms."""
+        part = self._part(rows)
+        total = np.maximum(light.ravel() + self._pixels[part, 4], 1e-9)
+        self._state[part, 0] = self._state[part, 1] = np.log(total)
+
+    def advance(
+        self, start_us: float, step_us: float, light: FloatArray, slope: FloatArray,
+        analyser: FloatArray | None = None, *, rows: slice = slice(None),
+        edges: FloatArray | None = None, first_edge: int = 0,
+    ) -> list[NDArray[Any]]:
+        """Return the events of K intervals, pixel by pixel.
+
+        Parameters
+        ----------
+        start_us, step_us : float
+            Time of the first node, and the interval.
+        light, slope : ndarray of float64, shape (K + 1, rows * W) or (K + 1, 3)
+            Light on each pixel at the nodes in DN per ms, and its change per
+            interval; or with ``analyser`` the same of S0, S1, S2, for all pixels.
+            A slope without rows makes light linear between nodes.
+        analyser : ndarray of float64, shape (rows * W, 3), optional
+            Response of each pixel to S0, S1, S2.
+        rows : slice
+            Rows of the sensor that this is about.
+        edges : ndarray of float64, optional
+            Times in us of frame edges that can burst in these intervals.
+        first_edge : int
+            Number of the first of them since the recording's start.
+
+        Returns
+        -------
+        list of ndarray of EVENT_DTYPE
+            In pixel order; time-ordered within each pixel.
+        """
+        part = self._part(rows)
+        settings = self._settings.copy()
+        settings[0], settings[1] = step_us, start_us
+        edges = np.empty(0) if edges is None else edges
+        pixels, keys = self._pixels[part], self._keys[part]
+        places, state = self._places[part], self._state[part]
+        counters, parts, done = self._counters[part], [], 0
+        buffer = getattr(self._local, "buffer", None)
+        if buffer is None:
+            buffer = np.empty(65_536, EVENT_DTYPE)
+        while done < len(pixels):
+            before = done
+            done, n = pixel_events(
+                light, slope, analyser, pixels, keys, edges, first_edge, settings,
+                places, state, counters, done, len(pixels), buffer)
+            parts.append(buffer[:n].copy())
+            if done == before:
+                buffer = np.empty(2 * len(buffer), EVENT_DTYPE)
+        self._local.buffer = buffer
+        return parts
+
+    def _part(self, rows: slice) -> slice:
+        first, last, _ = rows.indices(self.size[0])
+        return slice(first * self.size[1], last * self.size[1])
+
+
+def in_time_order(parts: list[NDArray[Any]], start_us: int, stop_us: int,
+                  ) -> NDArray[Any]:
+    """Merge events with start_us <= t <= stop_us; ties stay in pixel order."""
+    events = np.concatenate(parts) if parts else np.empty(0, EVENT_DTYPE)
+    out = np.empty_like(events)
+    if sort_events(events, start_us, np.empty(stop_us - start_us + 1, np.int32),
+                   out) != len(events):
+        raise AssertionError("an event lies outside its chunk")
+    return out

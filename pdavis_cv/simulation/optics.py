@@ -1,0 +1,103 @@
+"""Optics: the polarizer in front of each pixel, as a specimen has it."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.sensor import Layout
+from pdavis_cv.simulation import noise
+from pdavis_cv.simulation.checks import at_least_zero, require
+
+__all__ = ["Optics"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """Layout and spread of the polarizers and of the pixels' sensitivity.
+
+    A pixel behind an analyser at angle a sees
+    ``gain / 2 (S0 + k (S1 cos 2a + S2 sin 2a))`` with k = (ER - 1)/(ER + 1): the
+    extinction ratio ER is largest over smallest response to fully polarized light.
+
+    Parameters
+    ----------
+    layout : Layout
+        Nominal angles.
+    extinction_ratio : float
+        Mean extinction ratio, above 1; PDAVIS 40, Sony 350 (Haessig, table S1).
+    extinction_ratio_sigma : float
+        Spread over pixels, normal, kept above 1.5.
+    angle_sigma, angle_smooth : float
+        Error of the angles in radians: independent per pixel, and a field that
+        varies smoothly over the sensor (rms), as a misplaced filter array gives.
+    gain_sigma, gain_smooth : float
+        Relative spread of sensitivity: per pixel, and the fall towards the corners.
+    """
+
+    layout: Layout = Layout.PDAVIS
+    extinction_ratio: float = 40.0
+    extinction_ratio_sigma: float = 0.0
+    angle_sigma: float = 0.0
+    angle_smooth: float = 0.0
+    gain_sigma: float = 0.0
+    gain_smooth: float = 0.0
+
+    def __post_init__(self) -> None:
+        require("extinction_ratio", self.extinction_ratio,
+                1 < self.extinction_ratio < math.inf, "be finite and above 1")
+        at_least_zero(extinction_ratio_sigma=self.extinction_ratio_sigma,
+                      angle_sigma=self.angle_sigma, angle_smooth=self.angle_smooth,
+                      gain_sigma=self.gain_sigma)
+        require("gain_smooth", self.gain_smooth, 0 <= self.gain_smooth < 1,
+                "lie in 0..1, 1 excluded")
+        require("gain_sigma", self.gain_sigma, self.gain_sigma < 0.2,
+                "be below 0.2 for gains to stay positive")
+
+    def maps(
+        self, seed: int, size: tuple[int, int], origin: tuple[int, int],
+        full_size: tuple[int, int],
+    ) -> dict[str, FloatArray]:
+        """Return what one specimen has: angle (radians), extinction_ratio, gain.
+
+        Parameters
+        ----------
+        seed : int
+            Names the specimen.
+        size, origin, full_size : (int, int)
+            Region of the sensor as (height, width) and (row, column), and the
+            sensor's size.
+
+        Returns
+        -------
+        dict of ndarray of float64, shape (H, W)
+            ``angle``, ``extinction_ratio``, ``gain``, and ``analyser`` of shape
+            (H, W, 3): the response to S0, S1, S2.
+        """
+        index = noise.pixel_index(size, origin)
+        rows = np.arange(size[0]) + origin[0]
+        columns = np.arange(size[1]) + origin[1]
+        cell = np.deg2rad(np.array(self.layout.angles_deg, np.float64))
+        v = 2 * (rows[:, None] + 0.5) / full_size[0] - 1  # -1..1 over the sensor
+        u = 2 * (columns[None, :] + 0.5) / full_size[1] - 1
+        angle = cell[rows[:, None] % 2, columns[None, :] % 2]
+        angle = angle + self.angle_sigma * noise.normal(seed, "angle", index)
+        if self.angle_smooth:
+            c = noise.normal(seed, "angle field", np.arange(3))
+            # rms 1 over the sensor whatever the direction
+            field = (c[0] * u + c[1] * v + c[2] * u * v * math.sqrt(3)) * math.sqrt(3)
+            angle = angle + self.angle_smooth * field / float(np.linalg.norm(c))
+        ratio = self.extinction_ratio + self.extinction_ratio_sigma * noise.normal(
+            seed, "extinction ratio", index)
+        ratio = np.maximum(ratio, 1.5)
+        gain = 1 + self.gain_sigma * noise.normal(seed, "gain", index)
+        gain = np.maximum(gain, 0.05) * (1 - self.gain_smooth * (u**2 + v**2) / 2)
+        k = (ratio - 1) / (ratio + 1)
+        analyser = gain[..., None] / 2 * np.stack(
+            (np.ones(size), k * np.cos(2 * angle), k * np.sin(2 * angle)), axis=-1)
+        return {"angle": angle, "extinction_ratio": ratio, "gain": gain,
+                "analyser": analyser}

@@ -1,0 +1,269 @@
+"""A simulation as a recording: made while it is read, in flat memory."""
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.base import (
+    MAX_PACKET_EVENTS,
+    ApsFrame,
+    Packet,
+    Problem,
+    Recording,
+    RecordingInfo,
+)
+from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
+from pdavis_cv.simulation.bus import BusState
+from pdavis_cv.simulation.dvs import PixelArray, in_time_order
+from pdavis_cv.simulation.scenes import FloatArray, Scene
+
+if TYPE_CHECKING:
+    from pdavis_cv.simulation.camera import Camera
+
+__all__ = ["Piece", "SimulatedRecording"]
+
+PIECE_US = 10_000
+_ROWS = 16  # rows and intervals that a scene with structure is evaluated for at once
+_INTERVALS = 16
+
+
+@dataclass(slots=True)
+class Piece:
+    """What the camera delivers in 10 ms.
+
+    Attributes
+    ----------
+    stop_us : int
+        End of the piece.
+    events : ndarray of EVENT_DTYPE
+        Time-ordered.
+    frames : list of ApsFrame
+        Those that became available in it.
+    bus_load : float
+        Fraction of the time in which the read-out bus was busy.
+    bus_lost : int
+        Events that the bus lost.
+    """
+
+    stop_us: int
+    events: NDArray[Any]
+    frames: list[ApsFrame] = field(default_factory=list)
+    bus_load: float = 0.0
+    bus_lost: int = 0
+
+
+class SimulatedRecording(Recording):
+    """What a camera records of a scene; `Camera.stream` makes them.
+
+    Reading it simulates it, from its start, each time: memory stays flat however
+    long it is.  The same camera, scene and run give the same bits.
+    """
+
+    def __init__(
+        self, camera: Camera, scene: Scene, stop_us: int, run: int = 0,
+        threads: int = 1, step_us: float | None = None,
+    ) -> None:
+        self.camera, self.scene, self.stop_us = camera, scene, stop_us
+        self.run, self.threads = run, threads
+        step = scene.step_us if step_us is None else step_us
+        dvs = camera.dvs
+        if dvs is not None and dvs.burst_chance and camera.aps is not None:
+            # At most one burst per interval.
+            gap = min(camera.aps.exposure_us,
+                      1e6 / camera.aps.fps - camera.aps.exposure_us)
+            step = min(step, max(gap - dvs.burst_us, 100.0))
+        self._intervals = max(1, math.ceil(PIECE_US / step - 1e-9))
+        self._info = camera.info(stop_us)
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts; counts are not known before it has been simulated."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """Always empty."""
+        return ()
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Simulate from 0 and give the samples with start_us <= time < stop_us."""
+        start = 0 if start_us is None else int(start_us)
+        stop = self.stop_us if stop_us is None else min(int(stop_us), self.stop_us)
+        for piece in self.pieces():
+            if piece.stop_us - PIECE_US >= stop:
+                return
+            for packet in _packets(piece):
+                kept = _between(packet, start, stop)
+                if kept.start_us is not None:
+                    yield kept
+
+    def pieces(self) -> Iterator[Piece]:
+        """Simulate, 10 ms at a time.
+
+        Yields
+        ------
+        Piece
+            Events and frames before the end of the recording.
+        """
+        camera = self.camera
+        clock = None if camera.aps is None else FrameClock(
+            camera.aps, camera.size[1])
+        bus = None if camera.bus is None else BusState(camera.bus, camera.size)
+        pixels = None
+        if camera.dvs is not None:
+            pixels = PixelArray(camera.dvs, camera.maps, camera.noise_seed(self.run),
+                                camera.origin)
+        sums: dict[int, FloatArray] = {}
+        with ThreadPoolExecutor(self.threads) as pool:
+            for start in range(0, self.stop_us, PIECE_US):
+                stop = start + PIECE_US
+                parts = self._simulate(start, pixels, clock, sums, pool)
+                events = in_time_order(parts, start, stop)
+                piece = Piece(stop, events)
+                if bus is not None:
+                    lost = bus.lost
+                    piece.events = bus.pass_on(events, stop)
+                    piece.bus_load, piece.bus_lost = bus.load, bus.lost - lost
+                if clock is not None:
+                    piece.frames = self._finish(clock, sums, stop)
+                if stop >= self.stop_us:
+                    end = np.searchsorted(piece.events["t"], self.stop_us)
+                    piece.events = piece.events[:end]
+                    piece.frames = [frame for frame in piece.frames
+                                    if frame.available_us < self.stop_us]
+                yield piece
+
+    def _simulate(
+        self, start: int, pixels: PixelArray | None, clock: FrameClock | None,
+        sums: dict[int, FloatArray], pool: ThreadPoolExecutor,
+    ) -> list[NDArray[Any]]:
+        """Feed 10 ms of light to the pixels and to the frames; return the events."""
+        height, width = self.camera.size
+        step = PIECE_US / self._intervals
+        rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
+        block = self._intervals if self.scene.uniform else _INTERVALS
+        if self.scene.uniform and self.threads == 1:
+            rows = [slice(0, height)]
+        blocks = range(0, self._intervals, block)
+        weights = {} if clock is None else {
+            (frame, first): clock.weights(
+                frame, start + first * step, step,
+                min(block, self._intervals - first), self.scene.linear)
+            for frame in clock.frames(start, start + PIECE_US) for first in blocks}
+        for frame, _ in weights:
+            sums.setdefault(frame, np.zeros((height, width)))
+        edges, first_edge = np.empty(0), 0
+        if clock is not None and pixels is not None and pixels.pixel.burst_chance:
+            edges, first_edge = clock.edges(
+                start, start + PIECE_US, pixels.pixel.burst_us)
+
+        def band(part: slice) -> list[NDArray[Any]]:
+            events: list[NDArray[Any]] = []
+            for first in blocks:
+                count = min(block, self._intervals - first)
+                light, slope, analyser = self._light(start, step, first, count, part)
+                nodes = light if self.scene.linear else light[2:-2]
+                if pixels is not None:
+                    if start == 0 and first == 0:
+                        pixels.settle(nodes[0] if analyser is None
+                                      else analyser @ nodes[0], part)
+                    events += pixels.advance(
+                        start + first * step, step, nodes, slope, analyser,
+                        rows=part, edges=edges, first_edge=first_edge)
+                for (frame, at), weight in weights.items():
+                    if at == first and np.any(weight):
+                        sums[frame][part] += _integral(
+                            weight, light, analyser, (part.stop - part.start, width))
+            return events
+
+        found = pool.map(band, rows) if self.threads > 1 else map(band, rows)
+        return [events for part in found for events in part]
+
+    def _light(
+        self, start: int, step: float, first: int, count: int, rows: slice
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Light at the nodes of some intervals, its slopes, and how pixels see it.
+
+        Two more nodes at each end give the slopes of smooth light.
+        """
+        beyond = 0 if self.scene.linear else 2
+        t = start + step * np.arange(first - beyond, first + count + 1 + beyond)
+        camera = self.camera
+        analyser = camera.maps["analyser"][rows]
+        row, column = camera.origin
+        if self.scene.uniform:
+            light = np.stack(self.scene.stokes(t, column, row), axis=-1)
+            seen: FloatArray | None = np.ascontiguousarray(analyser.reshape(-1, 3))
+        else:
+            y = np.arange(rows.start, rows.stop)[:, None] + row
+            x = np.arange(camera.size[1])[None, :] + column
+            s0, s1, s2 = self.scene.stokes(t[:, None, None], x, y)
+            light = (analyser[..., 0] * s0 + analyser[..., 1] * s1
+                     + analyser[..., 2] * s2).reshape(len(t), -1)
+            seen = None
+        light = np.ascontiguousarray(light)
+        slope = np.empty((0, light.shape[1])) if self.scene.linear else (
+            node_slopes(light))
+        return light, slope, seen
+
+    def _finish(
+        self, clock: FrameClock, sums: dict[int, FloatArray], stop: int
+    ) -> list[ApsFrame]:
+        """Frames that have been read out before ``stop``."""
+        camera, frames = self.camera, []
+        for number in sorted(sums):
+            if clock.available_us(number) >= stop:
+                break
+            digitised = clock.pixel.digitise(
+                sums.pop(number), camera.maps, camera.noise_seed(self.run), number,
+                camera.origin)
+            frames.append(make_frame(clock, number, digitised))
+        return frames
+
+
+def _integral(
+    weight: FloatArray, light: FloatArray, analyser: FloatArray | None,
+    shape: tuple[int, int],
+) -> FloatArray:
+    """Sum of weighted nodes per pixel; weights per column where there are several."""
+    if weight.shape[1] == 1:
+        total = weight[:, 0] @ light
+        return (total if analyser is None else analyser @ total).reshape(shape)
+    if analyser is None:
+        mosaic = light.reshape(len(light), *shape)
+        return np.asarray(np.einsum("kx,kyx->yx", weight, mosaic))
+    seen = analyser.reshape(*shape, 3)
+    return np.asarray(np.einsum("yxc,xc->yx", seen, weight.T @ light))
+
+
+def _packets(piece: Piece) -> Iterator[Packet]:
+    """Cut a piece so that a frame closes its packet, and packets are small."""
+    events, at = piece.events, 0
+    for frame in [*piece.frames, None]:
+        end = len(events) if frame is None else int(
+            np.searchsorted(events["t"], frame.available_us, "right"))
+        while end - at > MAX_PACKET_EVENTS:
+            yield Packet(events[at:at + MAX_PACKET_EVENTS].copy())
+            at += MAX_PACKET_EVENTS
+        yield Packet(events[at:end].copy(), () if frame is None else (frame,))
+        at = end
+
+
+def _between(packet: Packet, start: int, stop: int) -> Packet:
+    lo, hi = np.searchsorted(packet.events["t"], (start, stop))
+    frames = tuple(frame for frame in packet.frames
+                   if start <= frame.available_us < stop)
+    return Packet(packet.events[lo:hi], frames)
+
+
