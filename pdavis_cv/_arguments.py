@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.errors import CalibrationError
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
@@ -55,16 +54,7 @@ def checked_calibration(
     if not isinstance(calibration, Calibration):
         raise TypeError(
             f"calibration must be a Calibration, got {type(calibration).__name__}")
-    info = recording.info
-    if tuple(calibration.sensor_size) != info.sensor_size:
-        raise CalibrationError(
-            f"calibration is of a {calibration.sensor_size} sensor (height, width), "
-            f"the recording of {info.sensor_size}")
-    if None not in (calibration.serial, info.serial) and (
-            calibration.serial != info.serial):
-        raise CalibrationError(
-            f"calibration is of camera {calibration.serial}, the recording of camera "
-            f"{info.serial}")
+    calibration.check_fits(recording.info.sensor_size, recording.info.serial)
     return calibration
 
 

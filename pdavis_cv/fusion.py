@@ -500,6 +500,8 @@ class Fusion:
         if clip_dn is None:
             clip_dn = clip_level(frame.dn, frame.full_scale_dn)
         dn, valid = correct(frame.dn, dark, gain, clip_dn, frame.valid)
+        if known is not None and known.usable is not None:
+            valid &= known.usable
         return ApsFrame(
             dn, frame.exposure_start_us, frame.exposure_end_us, valid=valid,
             available_us=frame.available_us, full_scale_dn=frame.full_scale_dn)

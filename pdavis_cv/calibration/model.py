@@ -1,17 +1,35 @@
 """Calibration: what is known about one specimen of a camera."""
 from __future__ import annotations
 
+import dataclasses
+import io
+import json
+import os
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.errors import CalibrationError
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Calibration"]
+__all__ = ["FORMAT_VERSION", "Calibration"]
+
+FORMAT_VERSION = 1
+"""Version of the file format; a file of a newer one is refused."""
+
+_POSITIVE = ("theta_on", "theta_off", "gain")
+_PLANES = (
+    "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
+    "gain", "analyser", "analyser_sigma", "usable", "background")
+_NUMBERS = ("clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn")
+# Parts that only make sense together.
+_TOGETHER = (("theta_on", "theta_off"),)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,16 +48,38 @@ class Calibration:
         Polarizer layout.
     theta_on, theta_off : ndarray of float32, shape (H, W), optional
         Contrast thresholds, positive, in natural-log units.
+    theta_on_sigma, theta_off_sigma : ndarray of float32, shape (H, W), optional
+        Standard errors of the thresholds.
     dark : ndarray of float32, shape (H, W), optional
         Dark offset in DN, subtracted after correlated double sampling.
+    dark_noise : ndarray of float32, shape (H, W), optional
+        Temporal standard deviation of one dark frame, DN.
     gain : ndarray of float32, shape (H, W), optional
         Factor that the dark-subtracted DN are multiplied by.
     analyser : ndarray of float32, shape (H, W, 3), optional
-        Response of each pixel to S0, S1, S2.
+        Response of each pixel, after dark and gain, to S0, S1 and S2 of the light;
+        an ideal polarizer at angle a has (1, cos 2a, sin 2a) / 2.
+    analyser_sigma : ndarray of float32, shape (H, W, 3), optional
+        Standard errors of ``analyser``.
+    usable : ndarray of bool, shape (H, W), optional
+        False for hot and dead pixels.
+    background : ndarray of float32, shape (H, W, 3), optional
+        Stokes parameters without a sample, divided by their S0.
     clip_dn : float, optional
-        DN from which a pixel counts as saturated.
+        DN, before dark and gain, from which a pixel counts as saturated.
+    bandwidth_hz : float, optional
+        Corner frequency of the event pixels' photoreceptor, where it is constant.
+    bandwidth_hz_per_dn : float, optional
+        Corner frequency per DN per ms, where it is proportional to intensity.
     notes : mapping of str to object
-        Provenance and conditions.
+        Provenance and conditions, JSON values: wavelength in nm, f-number,
+        temperature, how each part was measured.
+
+    Raises
+    ------
+    ValueError
+        If a part has another shape, is not finite, or is not positive where it must
+        be.
     """
 
     sensor_size: tuple[int, int]
@@ -48,34 +88,192 @@ class Calibration:
     layout: Layout | None = None
     theta_on: NDArray[np.float32] | None = None
     theta_off: NDArray[np.float32] | None = None
+    theta_on_sigma: NDArray[np.float32] | None = None
+    theta_off_sigma: NDArray[np.float32] | None = None
     dark: NDArray[np.float32] | None = None
+    dark_noise: NDArray[np.float32] | None = None
     gain: NDArray[np.float32] | None = None
     analyser: NDArray[np.float32] | None = None
+    analyser_sigma: NDArray[np.float32] | None = None
+    usable: NDArray[np.bool_] | None = None
+    background: NDArray[np.float32] | None = None
     clip_dn: float | None = None
+    bandwidth_hz: float | None = None
+    bandwidth_hz_per_dn: float | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        size = tuple(self.sensor_size)
-        for name in ("theta_on", "theta_off", "dark", "gain", "analyser"):
-            array = getattr(self, name)
-            if array is None:
-                continue
-            shape = (*size, 3) if name == "analyser" else size
-            if np.shape(array) != shape:
-                raise ValueError(
-                    f"{name} must have shape {shape}, got {np.shape(array)}")
-            frozen = np.array(array, np.float32)
-            frozen.flags.writeable = False
-            object.__setattr__(self, name, frozen)
-        for name in ("theta_on", "theta_off", "gain"):
-            array = getattr(self, name)
-            if array is not None and not np.all(array > 0):
-                raise ValueError(f"{name} must be positive everywhere")
-        if (self.theta_on is None) != (self.theta_off is None):
-            raise ValueError("theta_on and theta_off must be given together")
+        height, width = map(int, self.sensor_size)
+        object.__setattr__(self, "sensor_size", (height, width))
+        for name in _PLANES:
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, self._checked_plane(name))
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if value is not None and not 0 < float(value) < np.inf:
+                raise ValueError(f"{name} must be positive, got {value}")
+        for pair in _TOGETHER:
+            if len({getattr(self, name) is None for name in pair}) > 1:
+                raise ValueError(f"{' and '.join(pair)} must be given together")
         object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
+
+    def _checked_plane(self, name: str) -> NDArray[Any]:
+        value = getattr(self, name)
+        depth = () if name not in ("analyser", "analyser_sigma", "background") else (3,)
+        shape = (*self.sensor_size, *depth)
+        if np.shape(value) != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {np.shape(value)}")
+        if name == "usable" and np.asarray(value).dtype != np.bool_:
+            raise ValueError(f"usable must be bool, got {np.asarray(value).dtype}")
+        plane: NDArray[Any] = np.array(
+            value, np.bool_ if name == "usable" else np.float32)
+        bad = ~np.isfinite(plane)
+        if name in _POSITIVE:
+            bad |= ~np.greater(plane, 0)
+        if bad.any():
+            y, x = np.argwhere(bad)[0][:2]
+            rule = "positive" if name in _POSITIVE else "finite"
+            raise ValueError(
+                f"{name} must be {rule} everywhere, got {plane[y, x]} at x={x}, y={y}")
+        plane.flags.writeable = False
+        return plane
 
     @property
     def identity(self) -> tuple[str | None, str | None, tuple[int, int]]:
         """(serial or None, chip class, size)."""
         return self.serial, self.chip, self.sensor_size
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the parts that are known."""
+        return tuple(name for name in ("layout", *_PLANES, *_NUMBERS)
+                     if getattr(self, name) is not None)
+
+    @property
+    def extinction_ratio(self) -> NDArray[np.float64] | None:
+        """Ratio of largest to smallest response of each pixel, shape (H, W)."""
+        if self.analyser is None:
+            return None
+        a = self.analyser.astype(np.float64)
+        swing = np.hypot(a[..., 1], a[..., 2])
+        return np.asarray((a[..., 0] + swing) / np.maximum(a[..., 0] - swing, 1e-9))
+
+    @property
+    def angle(self) -> NDArray[np.float64] | None:
+        """Angle of each pixel's polarizer in radians, [0, pi), shape (H, W)."""
+        if self.analyser is None:
+            return None
+        a = self.analyser.astype(np.float64)
+        return np.asarray(np.arctan2(a[..., 2], a[..., 1]) / 2 % np.pi)
+
+    def replace(self, **parts: Any) -> Calibration:
+        """Return a copy with some parts replaced."""
+        return dataclasses.replace(self, **parts)
+
+    def merge(self, other: Calibration) -> Calibration:
+        """Return this calibration with the parts of another of the same camera.
+
+        Where both know a part, the other's is taken.
+
+        Raises
+        ------
+        CalibrationError
+            If the two are of different cameras or say different layouts.
+        """
+        for name in ("sensor_size", "serial", "chip", "layout"):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if None not in (mine, theirs) and mine != theirs:
+                raise CalibrationError(
+                    f"calibrations can be merged only for one camera, but {name} is "
+                    f"{mine} here and {theirs} there")
+        known = {name: getattr(other, name)
+                 for name in ("chip", "serial", *other.parts)
+                 if getattr(other, name) is not None}
+        return self.replace(**known, notes={**self.notes, **other.notes})
+
+    def check_fits(
+        self, sensor_size: tuple[int, int], serial: str | None = None
+    ) -> None:
+        """Raise CalibrationError unless it can be of the camera that recorded.
+
+        Raises
+        ------
+        CalibrationError
+            If size or serial number differ; the message says which.
+        """
+        if self.sensor_size != tuple(sensor_size):
+            raise CalibrationError(
+                f"calibration is of a {self.sensor_size} sensor (height, width), the "
+                f"recording of {tuple(sensor_size)}")
+        if None not in (self.serial, serial) and self.serial != serial:
+            raise CalibrationError(
+                f"calibration is of camera {self.serial}, the recording of camera "
+                f"{serial}")
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write an npz file without pickles; return its path.
+
+        Raises
+        ------
+        TypeError
+            If ``notes`` hold something that JSON cannot.
+        """
+        path = Path(path)
+        head = {
+            "format_version": FORMAT_VERSION, "sensor_size": self.sensor_size,
+            "chip": self.chip, "serial": self.serial, "notes": dict(self.notes),
+            "layout": None if self.layout is None else self.layout.angles_deg,
+            **{name: getattr(self, name) for name in _NUMBERS}}
+        planes = {name: getattr(self, name) for name in _PLANES
+                  if getattr(self, name) is not None}
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, head=np.array(json.dumps(head)), **planes)
+        beside = path.with_name(path.name + ".part")
+        try:
+            beside.write_bytes(buffer.getbuffer())
+            beside.replace(path)
+        finally:
+            beside.unlink(missing_ok=True)
+        return path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Calibration:
+        """Read a file that `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        CalibrationError
+            If the file is damaged, something else, or of a newer format.
+        """
+        path = Path(path)
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                if not isinstance(data, np.lib.npyio.NpzFile) or "head" not in data:
+                    raise CalibrationError(f"{path}: not a calibration file")
+                head = json.loads(str(data["head"]))
+                version = head["format_version"]
+                if version > FORMAT_VERSION:
+                    raise CalibrationError(
+                        f"{path}: format version {version} is newer than "
+                        f"{FORMAT_VERSION}, the latest that this version reads")
+                planes: dict[str, Any] = {
+                    name: data[name] for name in _PLANES if name in data}
+        except CalibrationError:
+            raise
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError, EOFError,
+                zipfile.BadZipFile) as error:
+            raise CalibrationError(
+                f"{path}: not a calibration file, or damaged: {error}") from None
+        try:
+            layout = head["layout"]
+            return cls(
+                sensor_size=tuple(head["sensor_size"]), chip=head["chip"],
+                serial=head["serial"], notes=head["notes"],
+                layout=None if layout is None else Layout(*map(tuple, layout)),
+                **{name: head[name] for name in _NUMBERS}, **planes)
+        except (KeyError, TypeError, ValueError) as error:
+            raise CalibrationError(f"{path}: damaged: {error}") from None

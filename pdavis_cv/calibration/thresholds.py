@@ -92,7 +92,9 @@ def resolve_thresholds(
     return _checked_pair("nominal_thresholds", nominal, size)
 
 
-def _checked_pair(name: str, pair: object, size: tuple[int, int]) -> tuple[Theta, Theta]:
+def _checked_pair(
+    name: str, pair: object, size: tuple[int, int]
+) -> tuple[Theta, Theta]:
     if not isinstance(pair, (tuple, list)) or len(pair) != 2:
         raise TypeError(f"{name} must be a pair (on, off), got {pair!r}")
     on, off = (_checked(name, side, value, size)

@@ -1,0 +1,223 @@
+"""Dark and flat frames, and the pixels that cannot be used."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.base import ApsFrame, Recording
+
+__all__ = ["Dark", "Flat", "Mean", "dark_frame", "flat_frame", "frames_of", "mean_frame"]
+
+_MAD = 1.4826
+"""Standard deviation of a normal distribution per median absolute deviation."""
+
+
+class Mean(NamedTuple):
+    """Mean and scatter of frames of a constant scene.
+
+    Attributes
+    ----------
+    mean : ndarray of float64, shape (H, W)
+        DN; NaN where no sample was valid.
+    noise : ndarray of float64, shape (H, W)
+        Standard deviation of one frame, DN; NaN where fewer than two samples.
+    count : ndarray of int32, shape (H, W)
+        Number of valid samples.
+    """
+
+    mean: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    count: NDArray[np.int32]
+
+
+class Dark(NamedTuple):
+    """Offset that remains without light.
+
+    Attributes
+    ----------
+    dark : ndarray of float32, shape (H, W)
+        Mean of the dark frames, DN.
+    noise : ndarray of float32, shape (H, W)
+        Standard deviation of one frame, DN.
+    usable : ndarray of bool, shape (H, W)
+        False for hot and noisy pixels.
+    frames : int
+        How many frames went in.
+    """
+
+    dark: NDArray[np.float32]
+    noise: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    frames: int
+
+
+class Flat(NamedTuple):
+    """Gain that evens out the pixels under uniform, unpolarized light.
+
+    Attributes
+    ----------
+    gain : ndarray of float32, shape (H, W)
+        Factor for dark-subtracted DN; 1 where it cannot be known.
+    usable : ndarray of bool, shape (H, W)
+        False for dead and strongly deviating pixels.
+    frames : int
+        How many frames went in.
+    """
+
+    gain: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    frames: int
+
+
+def frames_of(
+    source: Recording | Iterable[ApsFrame],
+    start_us: int | None = None,
+    stop_us: int | None = None,
+) -> Iterator[ApsFrame]:
+    """Iterate over the frames that were exposed inside an interval.
+
+    Parameters
+    ----------
+    source : Recording or iterable of ApsFrame
+    start_us, stop_us : int, optional
+        A frame counts if its exposure lies inside [start_us, stop_us).
+    """
+    frames = (frame for packet in source.packets(start_us) for frame in packet.frames
+              ) if isinstance(source, Recording) else iter(source)
+    for frame in frames:
+        if stop_us is not None and np.min(frame.exposure_start_us) >= stop_us:
+            return
+        if (start_us is None or np.min(frame.exposure_start_us) >= start_us) and (
+                stop_us is None or np.max(frame.exposure_end_us) <= stop_us):
+            yield frame
+
+
+def mean_frame(frames: Iterable[ApsFrame]) -> tuple[Mean, int]:
+    """Average frames of a constant scene; memory does not grow with their number.
+
+    Returns
+    -------
+    mean : Mean
+    frames : int
+        How many there were.
+
+    Raises
+    ------
+    ValueError
+        If there is no frame, or their shapes differ.
+    """
+    n, sums = 0, None
+    for frame in frames:
+        if sums is None:
+            # Sums of differences from the first frame keep their digits.
+            sums = _Sums(frame.dn.astype(np.float64))
+        elif frame.shape != sums.origin.shape:
+            raise ValueError(
+                f"frames must have one shape, got {sums.origin.shape} and "
+                f"{frame.shape}")
+        sums.add(frame)
+        n += 1
+    if sums is None:
+        raise ValueError("frames must hold at least one frame, got none")
+    return sums.mean(), n
+
+
+class _Sums:
+    def __init__(self, origin: NDArray[np.float64]) -> None:
+        self.origin = origin
+        self.total, self.square = np.zeros_like(origin), np.zeros_like(origin)
+        self.count = np.zeros(origin.shape, np.int32)
+
+    def add(self, frame: ApsFrame) -> None:
+        difference = frame.dn - self.origin
+        valid = True if frame.valid is None else frame.valid
+        np.add(self.total, difference, out=self.total, where=valid)
+        np.add(self.square, difference * difference, out=self.square, where=valid)
+        self.count += valid
+
+    def mean(self) -> Mean:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self.total / self.count
+            variance = (self.square - self.count * mean**2) / (self.count - 1)
+        return Mean(mean + self.origin, np.sqrt(np.maximum(variance, 0)), self.count)
+
+
+def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -> Dark:
+    """Measure the dark offset from frames of a covered camera (the paper: 100).
+
+    A pixel is hot when its mean lies more than `sigmas` robust standard deviations
+    (of the means of all pixels, and of its own error) above the median, and noisy
+    when the log of its noise does the same.
+
+    Parameters
+    ----------
+    frames : Recording or iterable of ApsFrame
+        At least two frames.
+    sigmas : float
+        Threshold of the tests; 6 marks one good pixel in 10^9.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two frames.
+    """
+    mean, n = mean_frame(frames_of(frames))
+    if n < 2:
+        raise ValueError(f"a dark frame needs at least two frames, got {n}")
+    dark = np.where(mean.count > 0, mean.mean, np.nanmedian(mean.mean))
+    center, spread = _robust(mean.mean)
+    noise = np.where(mean.count > 1, mean.noise, np.nanmedian(mean.noise))
+    own = noise / np.sqrt(np.maximum(mean.count, 1))
+    hot = dark - center > sigmas * np.hypot(spread, own)
+    # One DN of quantisation keeps a perfectly quiet sensor from having no scale.
+    log_noise = np.log(noise + 1)
+    middle, scale = _robust(log_noise)
+    noisy = log_noise - middle > sigmas * max(scale, 1 / np.sqrt(2 * n))
+    return Dark(dark.astype(np.float32), noise.astype(np.float32),
+                ~(hot | noisy) & (mean.count > 0), n)
+
+
+def flat_frame(
+    frames: Recording | Iterable[ApsFrame],
+    dark: NDArray[np.float32] | None = None,
+    *,
+    limits: tuple[float, float] = (0.5, 2.0),
+) -> Flat:
+    """Measure each pixel's gain under uniform, unpolarized light.
+
+    A pixel is dead or deviating when its response lies outside `limits` times the
+    median.  Gains of the four channels are relative to one median: unpolarized light
+    passes all polarizers alike.
+
+    Parameters
+    ----------
+    frames : Recording or iterable of ApsFrame
+    dark : ndarray of float32, shape (H, W), optional
+        Subtracted from the mean.
+    limits : (float, float)
+        Smallest and largest plausible response relative to the median.
+
+    Raises
+    ------
+    ValueError
+        If there is no frame, or the light is too dim to measure by.
+    """
+    mean, n = mean_frame(frames_of(frames))
+    response = mean.mean if dark is None else mean.mean - dark
+    center = float(np.nanmedian(response))
+    if not center > 1:
+        raise ValueError(
+            f"a flat frame needs light: its median response is {center:.3g} DN")
+    with np.errstate(invalid="ignore"):
+        usable = (response > limits[0] * center) & (response < limits[1] * center)
+    gain = np.divide(center, response, out=np.ones_like(response), where=usable)
+    return Flat(gain.astype(np.float32), usable, n)
+
+
+def _robust(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the median and a standard deviation that outliers do not move."""
+    center = float(np.nanmedian(values))
+    return center, _MAD * float(np.nanmedian(np.abs(values - center)))

@@ -1,0 +1,254 @@
+"""The analyser matrix: each pixel's response, from a polarizer turned before it."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.calibration.frames import Mean, frames_of, mean_frame
+from pdavis_cv.recording.base import ApsFrame, Recording
+
+__all__ = ["Sweep", "SweepFit", "fit_sweep", "read_sweep"]
+
+_FULL_TURN = np.deg2rad(300)
+"""From this range of angles on, terms of period 360 degrees can be told apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Means of frames at each angle of a linear polarizer in uniform light.
+
+    Parameters
+    ----------
+    angles : ndarray of float64, shape (N,)
+        Angle of the transmitted polarization, radians, counter-clockwise as displayed.
+    dn : ndarray of float32, shape (N, H, W)
+        Mean DN after dark and gain; NaN where nothing was valid.
+    variance : ndarray of float32, shape (N, H, W)
+        Variance of those means.
+    """
+
+    angles: NDArray[np.float64]
+    dn: NDArray[np.float32]
+    variance: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class SweepFit:
+    """Responses of the pixels, and what the light did.
+
+    Parameters
+    ----------
+    analyser : ndarray of float32, shape (H, W, 3)
+        Responses to S0, S1, S2, scaled so that the median response to S0 is 1/2.
+    sigma : ndarray of float32, shape (H, W, 3)
+        Standard errors.
+    usable : ndarray of bool, shape (H, W)
+        False where the fit is impossible or its residual far above the others'.
+    scale_dn : float
+        DN per unit of S0 that ``analyser`` was divided by, times 2.
+    source : (float, float)
+        Relative modulation of the light with cos 2a and sin 2a: polarization of the
+        lamp.
+    wander : (float, float)
+        Relative modulation with cos a and sin a: the beam moves with the polarizer.
+        Zero for sweeps of less than 300 degrees, which cannot tell.
+    residual : ndarray of float32, shape (H, W)
+        Root of the reduced chi square.
+    """
+
+    analyser: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    scale_dn: float
+    source: tuple[float, float]
+    wander: tuple[float, float]
+    residual: NDArray[np.float32]
+
+    @property
+    def extinction_ratio(self) -> NDArray[np.float64]:
+        """Largest over smallest response to linearly polarized light, (H, W)."""
+        a = self.analyser.astype(np.float64)
+        swing = np.hypot(a[..., 1], a[..., 2])
+        return np.asarray((a[..., 0] + swing) / np.maximum(a[..., 0] - swing, 1e-9))
+
+    @property
+    def angle(self) -> NDArray[np.float64]:
+        """Angle of each polarizer, radians in [0, pi), (H, W)."""
+        a = self.analyser.astype(np.float64)
+        return np.asarray(np.arctan2(a[..., 2], a[..., 1]) / 2 % np.pi)
+
+    @property
+    def angle_sigma(self) -> NDArray[np.float64]:
+        """Standard error of ``angle``, radians, (H, W)."""
+        a, s = self.analyser.astype(np.float64), self.sigma.astype(np.float64)
+        swing = np.hypot(a[..., 1], a[..., 2])
+        across = np.hypot(a[..., 2] * s[..., 1], a[..., 1] * s[..., 2])
+        return np.asarray(across / np.maximum(2 * swing**2, 1e-12))
+
+
+def read_sweep(
+    steps: Iterable[tuple[float, Recording | Iterable[ApsFrame]]],
+    *,
+    dark: NDArray[np.float32] | None = None,
+    gain: NDArray[np.float32] | None = None,
+) -> Sweep:
+    """Average the frames at each angle of a sweep.
+
+    Parameters
+    ----------
+    steps : iterable of (float, Recording or iterable of ApsFrame)
+        Angle in radians, and what was recorded at it.
+    dark, gain : ndarray of float32, shape (H, W), optional
+        Of the camera.
+
+    Raises
+    ------
+    ValueError
+        If an angle has no frame, or fewer than five different angles are given.
+    """
+    angles: list[float] = []
+    means: list[NDArray[np.float32]] = []
+    variances: list[NDArray[np.float32]] = []
+    for angle, frames in steps:
+        try:
+            mean, _ = mean_frame(frames_of(frames))
+        except ValueError as error:
+            raise ValueError(f"step at {np.rad2deg(angle):.1f} deg: {error}") from None
+        dn = mean.mean if dark is None else mean.mean - dark
+        factor = 1.0 if gain is None else gain
+        angles.append(float(angle))
+        means.append(np.asarray(dn * factor, np.float32))
+        variances.append(np.asarray(_error(mean) * factor**2, np.float32))
+    distinct = len(np.unique(np.round(np.asarray(angles) % np.pi, 6)))
+    if distinct < 5:
+        raise ValueError(
+            f"a sweep needs at least five different angles, got {distinct}")
+    return Sweep(np.array(angles), np.stack(means), np.stack(variances))
+
+
+def _error(mean: Mean) -> NDArray[np.float64]:
+    """Variance of the mean: shot noise law fitted to all pixels, and quantisation."""
+    good = (mean.count > 1) & np.isfinite(mean.noise)
+    count = np.maximum(mean.count, 1)
+    if not good.any():
+        return np.full(mean.mean.shape, 1 / 12)
+    # A pixel's own scatter over few frames is too uncertain to weight by.
+    level, scatter = mean.mean[good], mean.noise[good] ** 2
+    return np.asarray((np.full(mean.mean.shape, float(np.mean(scatter)))
+                       if level.size < 100 or np.ptp(level) < 1
+                       else _shot_noise(level, scatter, mean.mean)) / count + 1e-3)
+
+
+def _shot_noise(
+    level: NDArray[np.float64], scatter: NDArray[np.float64], at: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    slope, base = np.polyfit(level, scatter, 1)
+    least = max(float(np.median(scatter)) * 1e-2, 1e-6)
+    return np.asarray(np.maximum(base + slope * np.nan_to_num(at), least))
+
+
+def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
+    """Fit Malus's law to every pixel: I(a) = L(a) (c0 + c1 cos 2a + c2 sin 2a).
+
+    L is the light, common to all pixels: 1, the lamp's own polarization (cos 2a,
+    sin 2a) and, over a full turn, the wander of the beam (cos a, sin a).  Pixels and
+    light are solved in turn, each by weighted linear least squares; that the pixels
+    stand at four angles makes the two separable.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        From `read_sweep`.
+    rounds : int
+        Most repetitions.
+
+    Raises
+    ------
+    ValueError
+        If hardly any pixel responds.
+    """
+    angles = sweep.angles
+    dn = sweep.dn.reshape(len(angles), -1)
+    weight = np.where(np.isfinite(dn), 1 / sweep.variance.reshape(dn.shape), 0)
+    dn = np.nan_to_num(dn)
+    basis = np.stack([np.ones_like(angles), np.cos(2 * angles), np.sin(2 * angles)], 1)
+    terms = [basis[:, 1], basis[:, 2]]
+    if np.ptp(angles) > _FULL_TURN:
+        terms += [np.cos(angles), np.sin(angles)]
+    modes = np.stack(terms, 1)
+
+    # The light is common: a few thousand pixels know it as well as all of them.
+    every = max(dn.shape[1] // 4001, 1) | 1       # odd: all four channels take part
+    some, some_weight = dn[:, ::every].astype(float), weight[:, ::every].astype(float)
+    light = np.zeros(modes.shape[1])
+    for _ in range(rounds):
+        response, _ = _solve(basis * (1 + modes @ light)[:, None], some, some_weight)
+        plain = basis @ response
+        # I - plain = plain * (modes @ light): linear in the light.
+        design = np.einsum("ap,ak->apk", plain, modes)
+        normal = np.einsum("apk,ap,apl->kl", design, some_weight, design)
+        right = np.einsum("apk,ap->k", design, some_weight * (some - plain))
+        new = np.linalg.solve(normal, right)
+        done = np.max(np.abs(new - light)) < 1e-7
+        light = new
+        if done:
+            break
+    level = 1 + modes @ light
+    design = basis * level[:, None]
+    response, covariance = _solve(design, dn, weight)
+    chi2 = (weight * (dn - design @ response) ** 2).sum(0)
+    free = np.maximum((weight > 0).sum(0) - 3, 1)
+    residual = np.sqrt(chi2 / free)
+    usable = (response[0] > 0) & ((weight > 0).sum(0) >= 5)
+    if usable.sum() < max(4, usable.size // 10):
+        raise ValueError("a sweep needs light: hardly any pixel responds to it")
+    typical = float(np.median(residual[usable]))
+    usable &= residual < 6 * typical
+    scale = 2 * float(np.median(response[0][usable]))
+    sigma = np.sqrt(covariance) * max(typical, 1e-9)
+    shape = sweep.dn.shape[1:]
+
+    def plane(values: NDArray[Any]) -> NDArray[np.float32]:
+        return np.asarray((values / scale).T.reshape(*shape, 3), np.float32)
+
+    padded = [*light, 0.0, 0.0]
+    return SweepFit(
+        plane(response), plane(sigma), usable.reshape(shape), scale,
+        (float(padded[0]), float(padded[1])), (float(padded[2]), float(padded[3])),
+        residual.reshape(shape).astype(np.float32))
+
+
+def _solve(
+    design: NDArray[np.float64], dn: NDArray[Any], weight: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weighted least squares of every column; return solution and its variances."""
+    products = design[:, :, None] * design[:, None, :]
+    normal = np.tensordot(weight, products, ([0], [0])).astype(float)
+    normal[:, range(3), range(3)] += 1e-12
+    right = np.tensordot(weight * dn, design, ([0], [0])).astype(float)
+    inverse = np.linalg.inv(normal)
+    solution = np.einsum("pij,pj->ip", inverse, right)
+    return solution, np.einsum("pii->ip", inverse)
+
+
+def steps_in_time(
+    recording: Recording, angles: ArrayLike, starts_us: Sequence[int], dwell_us: int
+) -> list[tuple[float, list[ApsFrame]]]:
+    """Cut one recording of a stepped polarizer into the steps that `read_sweep` takes.
+
+    Parameters
+    ----------
+    recording : Recording
+    angles : array_like of float, shape (N,)
+        Radians.
+    starts_us : sequence of int
+        When each angle was reached.
+    dwell_us : int
+        How long it stood.
+    """
+    return [(float(angle), list(frames_of(recording, start, start + dwell_us)))
+            for angle, start in zip(np.asarray(angles), starts_us, strict=True)]
