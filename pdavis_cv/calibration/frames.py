@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv.recording.base import ApsFrame, Recording
 
-__all__ = ["Dark", "Flat", "Mean", "dark_frame", "flat_frame", "frames_of", "mean_frame"]
+__all__ = [
+    "Dark", "Flat", "Mean", "dark_frame", "flat_frame", "frames_of", "mean_frame"]
 
 _MAD = 1.4826
 """Standard deviation of a normal distribution per median absolute deviation."""
@@ -24,13 +25,13 @@ class Mean(NamedTuple):
         DN; NaN where no sample was valid.
     noise : ndarray of float64, shape (H, W)
         Standard deviation of one frame, DN; NaN where fewer than two samples.
-    count : ndarray of int32, shape (H, W)
+    samples : ndarray of int32, shape (H, W)
         Number of valid samples.
     """
 
     mean: NDArray[np.float64]
     noise: NDArray[np.float64]
-    count: NDArray[np.int32]
+    samples: NDArray[np.int32]
 
 
 class Dark(NamedTuple):
@@ -167,17 +168,17 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
     mean, n = mean_frame(frames_of(frames))
     if n < 2:
         raise ValueError(f"a dark frame needs at least two frames, got {n}")
-    dark = np.where(mean.count > 0, mean.mean, np.nanmedian(mean.mean))
+    dark = np.where(mean.samples > 0, mean.mean, np.nanmedian(mean.mean))
     center, spread = _robust(mean.mean)
-    noise = np.where(mean.count > 1, mean.noise, np.nanmedian(mean.noise))
-    own = noise / np.sqrt(np.maximum(mean.count, 1))
+    noise = np.where(mean.samples > 1, mean.noise, np.nanmedian(mean.noise))
+    own = noise / np.sqrt(np.maximum(mean.samples, 1))
     hot = dark - center > sigmas * np.hypot(spread, own)
     # One DN of quantisation keeps a perfectly quiet sensor from having no scale.
     log_noise = np.log(noise + 1)
     middle, scale = _robust(log_noise)
     noisy = log_noise - middle > sigmas * max(scale, 1 / np.sqrt(2 * n))
     return Dark(dark.astype(np.float32), noise.astype(np.float32),
-                ~(hot | noisy) & (mean.count > 0), n)
+                ~(hot | noisy) & (mean.samples > 0), n)
 
 
 def flat_frame(

@@ -249,7 +249,9 @@ class Calibration:
         """
         path = Path(path)
         try:
-            with np.load(path, allow_pickle=False) as data:
+            # From memory: np.load leaves a damaged file open.
+            with np.load(
+                    io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
                 if not isinstance(data, np.lib.npyio.NpzFile) or "head" not in data:
                     raise CalibrationError(f"{path}: not a calibration file")
                 head = json.loads(str(data["head"]))

@@ -132,8 +132,8 @@ def read_sweep(
 
 def _error(mean: Mean) -> NDArray[np.float64]:
     """Variance of the mean: shot noise law fitted to all pixels, and quantisation."""
-    good = (mean.count > 1) & np.isfinite(mean.noise)
-    count = np.maximum(mean.count, 1)
+    good = (mean.samples > 1) & np.isfinite(mean.noise)
+    count = np.maximum(mean.samples, 1)
     if not good.any():
         return np.full(mean.mean.shape, 1 / 12)
     # A pixel's own scatter over few frames is too uncertain to weight by.

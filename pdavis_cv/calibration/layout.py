@@ -1,0 +1,298 @@
+"""Which polarizer stands where: from a recording of a rotating polarizer.
+
+A polarizer that turns at an unknown rate in an unknown sense from an unknown start
+shows which places of the 2x2 cell are orthogonal, and nothing else: I(theta, a) =
+I(-theta, -a) = I(theta + c, a + c).  Its sense as displayed gives the cyclic order, one
+known angle the zero.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.base import Packet, Recording
+from pdavis_cv.sensor import CHANNELS, Layout
+
+__all__ = ["Candidates", "Signals", "detect_layout", "place_signals"]
+
+_BIN_US = 1_000
+_PAIRINGS = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
+
+ALL_LAYOUTS = tuple(
+    Layout((a, b), (c, d)) for a, b, c, d in permutations(CHANNELS))
+"""The 24 ways to arrange four polarizers."""
+
+
+class Signals(NamedTuple):
+    """What the four places of the cell saw; place = 2 * (row % 2) + col % 2.
+
+    Attributes
+    ----------
+    t_us : ndarray of int64, shape (N,)
+        Times of the samples.
+    signal : ndarray of float64, shape (N, 4)
+        Mean log intensity of each place, without offset and drift.
+    source : str
+        ``"frames"`` or ``"events"``.
+    """
+
+    t_us: NDArray[np.int64]
+    signal: NDArray[np.float64]
+    source: str
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Layouts that a recording leaves possible.
+
+    Parameters
+    ----------
+    layouts : tuple of Layout
+        One if everything is known; most likely first if the families differ.
+    pairs : ((int, int), (int, int))
+        Places of orthogonal polarizers.
+    pair_correlation : float
+        Mean correlation of the two pairs; -1 for ideal intensities.
+    rival_correlation : float
+        The same of the next best pairing.
+    cycles : float
+        How many periods of the polarization the recording showed.
+    direction : int
+        Sense of rotation that was given or follows: 1 counter-clockwise as displayed,
+        -1 clockwise, 0 unknown.
+    source : str
+        ``"frames"`` or ``"events"``.
+    """
+
+    layouts: tuple[Layout, ...]
+    pairs: tuple[tuple[int, int], tuple[int, int]]
+    pair_correlation: float
+    rival_correlation: float
+    cycles: float
+    direction: int
+    source: str
+
+
+def place_signals(
+    recording: Recording,
+    source: str,
+    *,
+    roi: tuple[int, int, int, int] | None = None,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+) -> Signals:
+    """Mean log intensity of each place of the cell against time.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of a polarizer rotating in uniform light.
+    source : {"frames", "events"}
+        Frames at mid-exposure, or sums of events in bins of 1 ms.
+    roi : (int, int, int, int), optional
+        (x, y, width, height) of the lit region.
+    start_us, stop_us : int, optional
+        Half-open interval.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than eight samples.
+    """
+    height, width = recording.info.sensor_size
+    x, y, w, h = roi or (0, 0, width, height)
+    packets = recording.packets(start_us, stop_us)
+    collect = _from_frames if source == "frames" else _from_events
+    times, signal = collect(packets, (x, y, x + w, y + h))
+    if len(times) < 8:
+        raise ValueError(
+            f"a layout needs at least eight samples of {source}, got {len(times)}")
+    # A constant is the gain, a slope the imbalance of ON and OFF thresholds.
+    trend = np.stack([np.ones(len(times)), np.linspace(-1, 1, len(times))], 1)
+    signal = signal - trend @ np.linalg.lstsq(trend, signal, rcond=None)[0]
+    return Signals(times, signal, source)
+
+
+Box = tuple[int, int, int, int]
+
+
+def _from_frames(
+    packets: Iterable[Packet], box: Box
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    times, rows = [], []
+    x0, y0, x1, y1 = box
+    for packet in packets:
+        for frame in packet.frames:
+            # Frame by frame: an exposure that varies is common to the four places.
+            row = np.empty(4)
+            for place in range(4):
+                top, left = y0 + (place // 2 - y0) % 2, x0 + (place % 2 - x0) % 2
+                row[place] = frame.dn[top:y1:2, left:x1:2].mean(dtype=np.float64)
+            times.append(frame.mid_us)
+            rows.append(row / max(frame.exposure_ms, 1e-3))
+    levels = np.maximum(np.array(rows).reshape(-1, 4), 1e-6)
+    return np.array(times, np.int64), levels / levels.mean(0)
+
+
+def _from_events(
+    packets: Iterable[Packet], box: Box
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    x0, y0, x1, y1 = box
+    pixels = max((x1 - x0) * (y1 - y0) / 4, 1)
+    origin: int | None = None
+    sums = np.zeros((0, 4))
+    for packet in packets:
+        events = packet.events
+        x, y = events["x"], events["y"]
+        events = events[(x >= x0) & (x < x1) & (y >= y0) & (y < y1)]
+        if not len(events):
+            continue
+        origin = int(events["t"][0]) if origin is None else origin
+        bins = (events["t"] - origin) // _BIN_US
+        if bins[-1] >= len(sums):
+            sums = np.concatenate([sums, np.zeros((int(bins[-1]) + 1024, 4))])
+        place = (2 * (events["y"] & 1) + (events["x"] & 1)).astype(np.int64)
+        np.add.at(sums, (bins, place), events["p"] * 2.0 - 1)
+        last = int(bins[-1])
+    if origin is None:
+        return np.zeros(0, np.int64), np.zeros((0, 4))
+    times = origin + _BIN_US * np.arange(1, last + 2)
+    return times, np.cumsum(sums[:last + 1], axis=0) / pixels
+
+
+def detect_layout(
+    recording: Recording,
+    *,
+    direction: int = 0,
+    known_angle: tuple[int, float] | None = None,
+    family: Layout | None = None,
+    source: str | None = None,
+    roi: tuple[int, int, int, int] | None = None,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+) -> Candidates:
+    """Find the polarizer layout from a recording of a rotating polarizer.
+
+    Parameters
+    ----------
+    recording : Recording
+        Uniform light through a polarizer that turns steadily, at least half a turn.
+    direction : {1, -1, 0}
+        Sense of rotation: 1 counter-clockwise as displayed, -1 clockwise, 0 unknown.
+    known_angle : (int, float), optional
+        A time in microseconds and the polarizer's angle then, radians.
+    family : Layout, optional
+        The layout up to a constant angle, if the make of the array is known; then the
+        sense of rotation follows.
+    source : {"frames", "events"}, optional
+        Default: events if there are any, because they cannot alias.
+    roi : (int, int, int, int), optional
+        (x, y, width, height) of the lit region.
+    start_us, stop_us : int, optional
+        Half-open interval; two seconds are enough.
+
+    Returns
+    -------
+    Candidates
+        All layouts that the recording and what was given leave possible.
+
+    Raises
+    ------
+    ValueError
+        If the four places do not see a rotating polarizer.
+    """
+    if direction not in (1, -1, 0):
+        raise ValueError(f"direction must be 1, -1 or 0, got {direction!r}")
+    if source is None:
+        source = "frames" if recording.info.event_count == 0 else "events"
+    times, signal, _ = place_signals(
+        recording, source, roi=roi, start_us=start_us, stop_us=stop_us)
+    scores = [float(np.mean([_correlation(signal[:, i], signal[:, j])
+                             for i, j in pairing])) for pairing in _PAIRINGS]
+    best, rival = np.argsort(scores)[:2]
+    pairs = _PAIRINGS[best]
+    if scores[best] > -0.4 or scores[rival] - scores[best] < 0.2:
+        raise ValueError(
+            "the four places must see a rotating polarizer, but no pairing of them is "
+            "opposite: mean correlations are "
+            + ", ".join(f"{score:.2f}" for score in scores))
+    (p, q), (r, s) = pairs
+    phase = np.unwrap(np.arctan2(signal[:, r] - signal[:, s],
+                                 signal[:, p] - signal[:, q]))
+    turned = float(phase[-1] - phase[0])
+    cycles = abs(turned) / (2 * np.pi)
+    if cycles < 0.45:
+        raise ValueError(
+            "the polarizer must turn by at least a quarter turn, but its light went "
+            f"through {cycles:.2f} periods")
+    sense = 1 if turned > 0 else -1
+    layouts = [layout for layout in ALL_LAYOUTS
+               if _orthogonal(layout, p, q) and _orthogonal(layout, r, s)]
+    if family is not None:
+        of_family = [layout for layout in layouts if _same_family(layout, family)]
+        if not of_family:
+            raise ValueError(
+                f"family {family} cannot be right: orthogonal polarizers stand at "
+                f"places {pairs}")
+        layouts = of_family
+        follows = sense * _step(layouts[0], p, r)
+        if direction and follows != direction:
+            raise ValueError(
+                f"family {family} and direction {direction} contradict each other: the "
+                f"polarizer turned {'counter-' if follows > 0 else ''}clockwise")
+        direction = follows
+    if direction:
+        # The phase of the cell grows with the angle if r's polarizer is 45 deg on.
+        layouts = [layout for layout in layouts
+                   if _step(layout, p, r) == sense * direction]
+        if known_angle is not None:
+            zero = _angle_of_place(times, phase, known_angle, sense * direction)
+            layouts = sorted(layouts, key=lambda one: abs(_wrapped(
+                np.deg2rad(_angle(one, p)) - zero)))[:1]
+    return Candidates(
+        tuple(layouts), pairs, scores[best], scores[rival], cycles, direction, source)
+
+
+def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    norm = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
+    return float(np.sum(a * b)) / norm if norm > 0 else 0.0
+
+
+def _angle(layout: Layout, place: int) -> int:
+    return layout.angles_deg[place // 2][place % 2]
+
+
+def _orthogonal(layout: Layout, i: int, j: int) -> bool:
+    return abs(_angle(layout, i) - _angle(layout, j)) == 90
+
+
+def _step(layout: Layout, i: int, j: int) -> int:
+    """1 if the polarizer at place j is 45 degrees on from i, -1 if 45 back."""
+    return 1 if (_angle(layout, j) - _angle(layout, i)) % 180 == 45 else -1
+
+
+def _same_family(one: Layout, other: Layout) -> bool:
+    """Tell whether two layouts differ by a constant angle."""
+    return len({(_angle(one, i) - _angle(other, i)) % 180 for i in range(4)}) == 1
+
+
+def _wrapped(angle: float) -> float:
+    """Return an axial difference in (-pi/2, pi/2]."""
+    return float((angle + np.pi / 2) % np.pi - np.pi / 2)
+
+
+def _angle_of_place(
+    times: NDArray[np.int64], phase: NDArray[np.float64],
+    known: tuple[int, float], sign: int,
+) -> float:
+    """Angle of the first place's polarizer, from the angle of the light at one time."""
+    t, angle = known
+    if not times[0] <= t <= times[-1]:
+        raise ValueError(
+            f"known_angle must lie in {times[0]}..{times[-1]} us, got {t}")
+    return float(angle - sign * np.interp(t, times, phase) / 2)
