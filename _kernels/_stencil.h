@@ -86,20 +86,21 @@ PDAVIS_BILINEAR(float, f32)
 /* ---- Stokes parameters, angle and degree ------------------------------------- */
 
 /* atan2(s2, s1) / 2 in [0, pi).  With r = min / max in [0, 1],
-   atan(r) / 2 = r / 2 + r^3 p(r^2); p is a minimax fit, error 2.5e-8 rad.  The octant
+   atan(r) / 2 = r / 2 + r^3 p(r^2); p is a minimax fit, error 4e-9 rad.  The octant
    adds a multiple of pi/4, held as a rounded value and its remainder. */
 PDAVIS_INLINE float half_atan2(float s2, float s1)
 {
     float a1 = s1 < 0.0f ? -s1 : s1, a2 = s2 < 0.0f ? -s2 : s2;
     float large = a2 > a1 ? a2 : a1, small = a2 > a1 ? a1 : a2;
     float r = small / (large == 0.0f ? 1.0f : large), t = r * r;
-    float p = -2.177702961e-03f, angle, base, rest;
-    p = p * t + 1.152006816e-02f;
-    p = p * t - 2.888679504e-02f;
-    p = p * t + 4.897117242e-02f;
-    p = p * t - 6.988291442e-02f;
-    p = p * t + 9.981352091e-02f;
-    p = p * t - 1.666582972e-01f;
+    float p = 1.311122323e-03f, angle, base, rest;
+    p = p * t - 7.566268556e-03f;
+    p = p * t + 2.056093141e-02f;
+    p = p * t - 3.683353215e-02f;
+    p = p * t + 5.286965892e-02f;
+    p = p * t - 7.092987746e-02f;
+    p = p * t + 9.995198250e-02f;
+    p = p * t - 1.666649282e-01f;
     angle = 0.5f * r + r * t * p;
     /* folded at pi/4, then at pi/2, then at pi: three signs and one constant */
     base = a2 > a1 ? 7.853981853e-01f : 0.0f;
@@ -112,7 +113,7 @@ PDAVIS_INLINE float half_atan2(float s2, float s1)
     rest = s2 < 0.0f ? -8.742277657e-08f - rest : rest;
     angle = s2 < 0.0f ? -angle : angle;
     angle = base + (rest + angle);
-    return angle >= 3.141592741e+00f || angle < 0.0f ? 0.0f : angle;
+    return angle >= 3.141592741e+00f ? 0.0f : angle;
 }
 
 /* Scaled by the larger of the two, so that no square over- or underflows. */

@@ -189,9 +189,11 @@ def clip_level(
     scene = int(counts[max(low - 2 * band, 0):low].sum())
     if peak < least_pixels or peak < 4 * scene + 4 * np.sqrt(scene):
         return None
-    inside = np.cumsum(counts[low:top + 1])
-    # The edge leaves out as many samples as the scene would put into the peak.
-    edge = low + int(np.searchsorted(inside, scene, side="right"))
+    # The edge is where the density leaves the scene's, over five values at a time:
+    # frames of 8 bits hold every fourth value only.
+    density = np.convolve(counts, np.ones(5), "same")[low:top + 1]
+    usual = 5 * scene / (2 * band)
+    edge = low + int(np.argmax(density > 2 * usual + 3 * np.sqrt(usual)))
     return float(edge)
 
 

@@ -88,7 +88,7 @@ def aop(
     -------
     ndarray of float32
         Radians, counter-clockwise as displayed with row 0 at the top, 0 along a row;
-        within 2.5e-7 of the exact value.  A value that rounds to float32 pi is 0, and
+        within 2.1e-7 of the exact value.  A value that rounds to float32 pi is 0, and
         so is the angle of S1 = S2 = 0.  NaN gives NaN.
 
     Raises

@@ -1,0 +1,201 @@
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import reference_image as reference
+
+import pdavis_cv
+from pdavis_cv.aps import clip_level, correct
+
+SHAPES = [(0, 0), (0, 3), (1, 1), (3, 5), (260, 346)]
+
+
+def reads(shape, seed=0):
+    rng = np.random.default_rng(seed)
+    pair = rng.integers(300, 1024, shape, np.uint16), rng.integers(
+        0, 1024, shape, np.uint16)
+    for read in pair:
+        read.flags.writeable = False
+    return pair
+
+
+def planes(shape, seed=1):
+    rng = np.random.default_rng(seed)
+    return (rng.normal(0, 5, shape).astype(np.float32),
+            rng.uniform(0.8, 1.2, shape).astype(np.float32))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("with_dark", [False, True])
+@pytest.mark.parametrize("with_gain", [False, True])
+def test_cds_equals_its_twin(shape, with_dark, with_gain):
+    reset, signal = reads(shape)
+    dark, gain = planes(shape)
+    options = {"dark": dark} if with_dark else {}
+    options |= {"gain": gain} if with_gain else {}
+    before = reset.copy(), signal.copy()
+    dn, valid = pdavis_cv.cds(reset, signal, **options)
+    want = reference.cds(reset, signal, **options)
+    np.testing.assert_array_equal(dn, want[0])
+    np.testing.assert_array_equal(valid, want[1])
+    assert (dn.dtype, valid.dtype) == (np.float32, np.bool_)
+    np.testing.assert_array_equal((reset, signal), before)
+
+
+def test_cds_removes_any_fixed_offset():
+    reset, signal = reads((20, 30))
+    offset = np.random.default_rng(2).integers(0, 500, reset.shape, np.uint16)
+    np.testing.assert_array_equal(
+        pdavis_cv.cds(reset + offset, signal + offset)[0],
+        pdavis_cv.cds(reset, signal)[0])
+
+
+def test_cds_keeps_the_mean_of_a_dark_pixel():
+    rng = np.random.default_rng(3)
+    signal = np.rint(rng.normal(700, 4, (300, 300))).astype(np.uint16)
+    dn, _ = pdavis_cv.cds(np.full_like(signal, 700), signal)
+    assert abs(dn.mean()) < 0.1  # a clamp at 0 would give 1.6
+
+
+@pytest.mark.parametrize(("reset", "signal", "usable"), [
+    (700, 3, True), (700, 2, False), (700, 0, False), (384, 100, True),
+    (383, 100, False), (0, 0, False), (1023, 1023, True)])
+def test_a_read_at_its_limit_is_not_valid(reset, signal, usable):
+    dn, valid = pdavis_cv.cds(*(np.full((1, 1), v, np.uint16) for v in (reset, signal)))
+    assert valid[0, 0] == usable
+    assert dn[0, 0] == reset - signal
+
+
+def test_cds_takes_scalars_strides_and_out():
+    reset, signal = reads((10, 12))
+    out = np.full((5, 12), np.nan, np.float32), None
+    dn, valid = pdavis_cv.cds(reset[::2, ::-1], signal[::2, ::-1], 10, 0.5, out)
+    assert dn is out[0]
+    want = reference.cds(reset[::2, ::-1], signal[::2, ::-1], 10, 0.5)
+    np.testing.assert_array_equal(dn, want[0])
+    np.testing.assert_array_equal(valid, want[1])
+
+
+@pytest.mark.parametrize(("change", "error", "words"), [
+    ({"reset": np.zeros((2, 2))}, TypeError, "reset must be uint16, got float64"),
+    ({"signal": [[1, 2]]}, TypeError, "signal must be uint16, got list"),
+    ({"reset": np.zeros(4, "u2")}, ValueError, r"reset must be \(H, W\)"),
+    ({"signal": np.zeros((2, 3), "u2")}, ValueError, r"shape of reset, \(2, 2\)"),
+    ({"dark": np.zeros((1, 2))}, ValueError, "dark must be one number or have shape"),
+    ({"gain": np.zeros((3, 3))}, ValueError, "gain must be one number or have shape"),
+    ({"out": (None,)}, ValueError, "out must have 2 entries"),
+    ({"out": (np.zeros((2, 2), "f4"), np.zeros((2, 2), "u1"))}, TypeError,
+     r"out \(valid\) must be bool"),
+])
+def test_a_bad_argument_of_cds_is_named(change, error, words):
+    arguments = {name: np.zeros((2, 2), np.uint16) for name in ("reset", "signal")}
+    with pytest.raises(error, match=words):
+        pdavis_cv.cds(**arguments | change)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_correct_equals_numpy(shape):
+    raw, gain = planes(shape)
+    dark = gain * 3
+    known = np.random.default_rng(4).random(shape) > 0.2
+    dn, valid = correct(raw, dark, gain, 4.0, known)
+    np.testing.assert_array_equal(dn, (raw - dark) * gain)
+    np.testing.assert_array_equal(valid, known & (raw < 4))
+
+
+def test_correct_without_anything_copies():
+    raw, _ = planes((3, 4))
+    dn, valid = correct(raw)
+    assert not np.shares_memory(dn, raw)
+    np.testing.assert_array_equal(dn, raw)
+    assert valid.all()
+
+
+def test_nan_is_not_valid():
+    raw = np.array([[1, np.nan]], np.float32)
+    assert correct(raw)[1].tolist() == [[True, False]]
+
+
+@pytest.mark.parametrize(("change", "error", "words"), [
+    ({"dn": np.zeros((2, 2))}, TypeError, "dn must be float32, got float64"),
+    ({"dn": np.zeros(4, "f4")}, ValueError, r"dn must be \(H, W\)"),
+    ({"dark": np.zeros(2)}, ValueError, "dark must be one number or have shape"),
+    ({"valid": np.zeros((2, 2), "u1")}, TypeError, "valid must be bool"),
+    ({"valid": np.zeros((2, 3), bool)}, ValueError, "valid must have shape"),
+])
+def test_a_bad_argument_of_correct_is_named(change, error, words):
+    with pytest.raises(error, match=words):
+        correct(**{"dn": np.zeros((2, 2), np.float32)} | change)
+
+
+def test_a_corrected_frame_keeps_times_and_marks_saturation():
+    frame = pdavis_cv.ApsFrame(
+        np.array([[100, 900]]), 1000, 3000, available_us=5000, full_scale_dn=4095)
+    got = frame.corrected(dark=20, gain=2, clip_dn=900)
+    assert got.dn.tolist() == [[160, 1760]]
+    assert got.valid.tolist() == [[True, False]]
+    assert (got.mid_us, got.available_us, got.full_scale_dn) == (2000, 5000, 4095)
+    assert frame.valid is None
+
+
+def gradient(top, noise=2.0, seed=5):
+    rng = np.random.default_rng(seed)
+    light = np.linspace(20, top, 260 * 346).reshape(260, 346)
+    return light + rng.normal(0, noise, light.shape)
+
+
+@pytest.mark.parametrize("full_well", [620, 880, 1010])
+@pytest.mark.parametrize("spread", [0.0, 3.0])
+def test_clip_level_finds_where_pixels_are_full(full_well, spread):
+    light = gradient(1.2 * full_well)
+    well = full_well + np.random.default_rng(6).normal(0, spread, light.shape)
+    dn = np.rint(np.minimum(light, well))
+    level = clip_level(dn)
+    assert level is not None
+    full, free = light > well + 10, light < full_well - 30
+    assert (dn[full] >= level).mean() > 0.98
+    assert not (dn[free] >= level).any()
+
+
+def test_clip_level_is_none_where_nothing_clips():
+    for top in (300, 700, 1000):
+        assert clip_level(gradient(top)) is None
+    assert clip_level(np.full((4, 4), np.nan)) is None
+    assert clip_level(np.empty((0, 4))) is None
+
+
+def test_hot_pixels_do_not_hide_the_pile_up():
+    dn = np.minimum(gradient(1000), 880)
+    dn.flat[::20_000] = 1023
+    level = clip_level(dn)
+    assert level is not None
+    assert 850 < level <= 880
+
+
+def test_clip_level_takes_several_frames():
+    frames = np.stack([np.minimum(gradient(1000, seed=s), 880) for s in range(3)])
+    assert clip_level(frames) == pytest.approx(880, abs=30)
+
+
+def test_eight_threads_get_what_one_gets():
+    pairs = [reads((40, 50), seed) for seed in range(8)]
+    want = [pdavis_cv.cds(*pair) for pair in pairs]
+    with ThreadPoolExecutor(8) as pool:
+        for i, (dn, valid) in enumerate(pool.map(
+                lambda pair: pdavis_cv.cds(*pair), pairs * 20)):
+            np.testing.assert_array_equal(dn, want[i % 8][0])
+            np.testing.assert_array_equal(valid, want[i % 8][1])
+
+
+def test_the_kernels_check_sizes_themselves():
+    kernels = pdavis_cv._kernels
+    u2, f4 = np.zeros((2, 3), np.uint16), np.zeros((2, 3), np.float32)
+    u1 = np.zeros((2, 3), np.uint8)
+    with pytest.raises(ValueError, match="one shape"):
+        kernels.cds(u2[:1], u2, None, None, 384, 3, f4, u1)
+    with pytest.raises(ValueError, match="dark"):
+        kernels.cds(u2, u2, f4[:1], None, 384, 3, f4, u1)
+    with pytest.raises(ValueError, match="gain"):
+        kernels.correct(f4, None, f4[:1], 1.0, f4, u1)
+    with pytest.raises(ValueError, match="one shape"):
+        kernels.correct(f4, None, None, 1.0, f4, u1[:1])
