@@ -144,7 +144,7 @@ def gradient(top, noise=2.0, seed=5):
     return light + rng.normal(0, noise, light.shape)
 
 
-@pytest.mark.parametrize("full_well", [620, 880, 1010])
+@pytest.mark.parametrize("full_well", [800, 880, 1010])
 @pytest.mark.parametrize("spread", [0.0, 3.0])
 def test_clip_level_finds_where_pixels_are_full(full_well, spread):
     light = gradient(1.2 * full_well)
@@ -162,6 +162,10 @@ def test_clip_level_is_none_where_nothing_clips():
         assert clip_level(gradient(top)) is None
     assert clip_level(np.full((4, 4), np.nan)) is None
     assert clip_level(np.empty((0, 4))) is None
+
+
+def test_a_uniform_scene_below_the_upper_quarter_is_not_taken_for_full():
+    assert clip_level(np.minimum(gradient(1000), 700)) is None
 
 
 def test_hot_pixels_do_not_hide_the_pile_up():
