@@ -34,7 +34,8 @@ def ahead(before, t0, p0, t):
                   (4.0, 0.76 - 0.41 * (u - 1.05), -0.3), (np.inf, -0.45, 0)]
     else:
         pieces = [(0.12, 6 * u, 2), (0.25, 0.72, 0),
-                  (0.6, 0.72 - 0.571 * (u - 0.25), 0), (2.0, 0.52 - 0.157 * (u - 0.6), 0), (np.inf, 0.3, 0)]
+                  (0.6, 0.72 - 0.571 * (u - 0.25), 0),
+                  (2.0, 0.52 - 0.157 * (u - 0.6), 0), (np.inf, 0.3, 0)]
     fraction, rate = next((f, r) for limit, f, r in pieces if u < limit)
     return p0, fraction, rate * 1e6 / gap
 
