@@ -2,7 +2,7 @@
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._demosaic import bilinear, superpixel
-from ._elementwise import exp
+from ._elementwise import exp, reconcile
 from ._floor import floor_sum
 from ._kalman import kalman_frame, kalman_read
 from ._leaky import (
@@ -40,6 +40,7 @@ __all__ = [
     "mix",
     "pixel_events",
     "polarize",
+    "reconcile",
     "read_out",
     "sort_events",
     "stokes",

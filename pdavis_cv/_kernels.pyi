@@ -31,6 +31,7 @@ __all__ = [
     "mix",
     "pixel_events",
     "polarize",
+    "reconcile",
     "read_out",
     "sort_events",
     "stokes",
@@ -93,6 +94,7 @@ def polarize(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], gain: float, scratch: _F32,
     aop: _F32, dolp: _F32
 ) -> None: ...
+def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32

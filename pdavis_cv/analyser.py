@@ -70,6 +70,24 @@ class Analyser:
         rows = [np.ones(4), purity * np.cos(2 * angle), purity * np.sin(2 * angle)]
         return cls(np.stack(rows, 1) / 2)
 
+    def null(self) -> NDArray[np.float32]:
+        """Return n with n . I = 0 for all light: the left null vector of `response`.
+
+        Returns
+        -------
+        ndarray of float32, shape (4,) or (4, H, W)
+            Of no particular length; (1, -1, 1, -1) times a factor for equal channels.
+        """
+        a = self.response
+        rows = []
+        for k in range(4):
+            p, q, r = (a[j] for j in range(4) if j != k)
+            minor = (p[0] * (q[1] * r[2] - q[2] * r[1])
+                     - p[1] * (q[0] * r[2] - q[2] * r[0])
+                     + p[2] * (q[0] * r[1] - q[1] * r[0]))
+            rows.append(minor if k % 2 == 0 else -minor)
+        return np.array(rows, np.float32)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored_analyser, (self.response, self.solution)
 

@@ -232,6 +232,8 @@ class Fusion:
         self._window_layout = self.layout.crop(columns.start, rows.start)
         self._crop = self._crop_of_window()
         self._analyser = self._window_analyser()
+        null = (self._analyser or Analyser.ideal()).null()
+        self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
         x, y, width, height = self._roi
         self.shape = ((height // 2, width // 2) if demosaic == "superpixel"
                       else (height, width))
@@ -304,6 +306,9 @@ class Fusion:
             valid = np.ascontiguousarray(valid[rows, columns])
             variance = None if variance is None else np.ascontiguousarray(
                 variance[:, rows, columns])
+        if variance is not None:
+            # The four channels measure three numbers: weighted least squares.
+            _kernels.reconcile(quad, variance, self._null)
         # The arrays are new and nobody else's: the image takes them over.
         return PolarFrame.adopt(
             quad, valid=valid, t_us=self._t, frame_us=self._frame_us(self._t),
