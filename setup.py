@@ -19,6 +19,8 @@ KERNELS = (
     "_floor",
     "_kalman",
     "_leaky",
+    "_packed",
+    "_picture",
     "_polarization",
     "_simulate",
     "_store",

@@ -14,6 +14,8 @@ from ._leaky import (
     leak_read,
     log_frame,
 )
+from ._packed import unpack_10p, unpack_12p, unpack_packed
+from ._picture import tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._store import track_commit, track_drop, track_push
 from ._simulate import pixel_events, read_out, sort_events
@@ -45,7 +47,11 @@ __all__ = [
     "sort_events",
     "stokes",
     "superpixel",
+    "tone_bgr",
     "track_commit",
     "track_drop",
     "track_push",
+    "unpack_10p",
+    "unpack_12p",
+    "unpack_packed",
 ]

@@ -30,6 +30,7 @@ _HOME = {
     "Analyser": "analyser",
     "cds": "aps",
     "demosaic": "mosaic",
+    "unpack": "packed",
     "PolarFrame": "polarimetry",
     "aop": "polarimetry",
     "dolp": "polarimetry",
@@ -51,6 +52,40 @@ _HOME = {
     "Calibration": "calibration.model",
     "DEFAULT_METHOD": "fusion",
     "fuse": "fusion",
+    "CaptureStatus": "capture.video",
+    "VideoCapture": "capture.video",
+    "CAP_PDAVIS": "capture.constants",
+    "CAP_PDAVIS_AOP": "capture.constants",
+    "CAP_PDAVIS_AOP_BGR": "capture.constants",
+    "CAP_PDAVIS_BGR": "capture.constants",
+    "CAP_PDAVIS_DOLP": "capture.constants",
+    "CAP_PDAVIS_DOLP_BGR": "capture.constants",
+    "CAP_PDAVIS_EVENTS_BGR": "capture.constants",
+    "CAP_PDAVIS_I0": "capture.constants",
+    "CAP_PDAVIS_I45": "capture.constants",
+    "CAP_PDAVIS_I90": "capture.constants",
+    "CAP_PDAVIS_I135": "capture.constants",
+    "CAP_PDAVIS_QUAD": "capture.constants",
+    "CAP_PDAVIS_S0": "capture.constants",
+    "CAP_PDAVIS_S1": "capture.constants",
+    "CAP_PDAVIS_S2": "capture.constants",
+    "CAP_PDAVIS_STOKES": "capture.constants",
+    "CAP_PDAVIS_VALID": "capture.constants",
+    "CAP_PROP_PDAVIS_CAPTURE_FPS": "capture.constants",
+    "CAP_PROP_PDAVIS_CAUSAL": "capture.constants",
+    "CAP_PROP_PDAVIS_CUTOFF_HZ": "capture.constants",
+    "CAP_PROP_PDAVIS_DEMOSAIC": "capture.constants",
+    "CAP_PROP_PDAVIS_EXPOSURE_US": "capture.constants",
+    "CAP_PROP_PDAVIS_FPS": "capture.constants",
+    "CAP_PROP_PDAVIS_GAIN": "capture.constants",
+    "CAP_PROP_PDAVIS_GAMMA": "capture.constants",
+    "CAP_PROP_PDAVIS_LAYOUT": "capture.constants",
+    "CAP_PROP_PDAVIS_LOG": "capture.constants",
+    "CAP_PROP_PDAVIS_METHOD": "capture.constants",
+    "CAP_PROP_PDAVIS_OUTPUT": "capture.constants",
+    "CAP_PROP_PDAVIS_POS_US": "capture.constants",
+    "CAP_PROP_PDAVIS_START_US": "capture.constants",
+    "CAP_PROP_PDAVIS_WHITE": "capture.constants",
 }
 _ROOMS = ("analysis", "calibration", "export", "render", "simulation")
 
@@ -61,6 +96,41 @@ if TYPE_CHECKING:
     from pdavis_cv.analyser import Analyser
     from pdavis_cv.aps import cds
     from pdavis_cv.calibration.model import Calibration
+    from pdavis_cv.capture.constants import (
+        CAP_PDAVIS,
+        CAP_PDAVIS_AOP,
+        CAP_PDAVIS_AOP_BGR,
+        CAP_PDAVIS_BGR,
+        CAP_PDAVIS_DOLP,
+        CAP_PDAVIS_DOLP_BGR,
+        CAP_PDAVIS_EVENTS_BGR,
+        CAP_PDAVIS_I0,
+        CAP_PDAVIS_I45,
+        CAP_PDAVIS_I90,
+        CAP_PDAVIS_I135,
+        CAP_PDAVIS_QUAD,
+        CAP_PDAVIS_S0,
+        CAP_PDAVIS_S1,
+        CAP_PDAVIS_S2,
+        CAP_PDAVIS_STOKES,
+        CAP_PDAVIS_VALID,
+        CAP_PROP_PDAVIS_CAPTURE_FPS,
+        CAP_PROP_PDAVIS_CAUSAL,
+        CAP_PROP_PDAVIS_CUTOFF_HZ,
+        CAP_PROP_PDAVIS_DEMOSAIC,
+        CAP_PROP_PDAVIS_EXPOSURE_US,
+        CAP_PROP_PDAVIS_FPS,
+        CAP_PROP_PDAVIS_GAIN,
+        CAP_PROP_PDAVIS_GAMMA,
+        CAP_PROP_PDAVIS_LAYOUT,
+        CAP_PROP_PDAVIS_LOG,
+        CAP_PROP_PDAVIS_METHOD,
+        CAP_PROP_PDAVIS_OUTPUT,
+        CAP_PROP_PDAVIS_POS_US,
+        CAP_PROP_PDAVIS_START_US,
+        CAP_PROP_PDAVIS_WHITE,
+    )
+    from pdavis_cv.capture.video import CaptureStatus, VideoCapture
     from pdavis_cv.errors import (
         AnalysisWarning,
         BusWarning,
@@ -77,6 +147,7 @@ if TYPE_CHECKING:
     from pdavis_cv.events import EVENT_DTYPE, as_events
     from pdavis_cv.fusion import DEFAULT_METHOD, fuse
     from pdavis_cv.mosaic import demosaic
+    from pdavis_cv.packed import unpack
     from pdavis_cv.polarimetry import PolarFrame, aop, dolp, polarization, stokes
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter

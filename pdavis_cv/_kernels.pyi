@@ -36,9 +36,13 @@ __all__ = [
     "sort_events",
     "stokes",
     "superpixel",
+    "tone_bgr",
     "track_commit",
     "track_drop",
     "track_push",
+    "unpack_10p",
+    "unpack_12p",
+    "unpack_packed",
 ]
 
 DEBUG: bool
@@ -127,3 +131,7 @@ def read_out(
 def sort_events(
     events: NDArray[Any], start: int, counts: NDArray[np.int32], out: NDArray[Any]
 ) -> int: ...
+def tone_bgr(plane: _F32, scale: float, table: _U8, out: _U8) -> None: ...
+def unpack_10p(data: _U8, out: NDArray[np.uint16]) -> None: ...
+def unpack_12p(data: _U8, out: NDArray[np.uint16]) -> None: ...
+def unpack_packed(data: _U8, bits: int, out: NDArray[np.uint16]) -> None: ...

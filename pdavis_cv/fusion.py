@@ -364,6 +364,16 @@ class Fusion:
             self._grid_start = first_time(self.recording)
         return self._grid_start
 
+    @property
+    def stop_us(self) -> int | None:
+        """Images lie before this time, None = to the end of the recording."""
+        return self._stop_us
+
+    @property
+    def times_us(self) -> NDArray[np.int64] | None:
+        """Times that were asked for, None for a grid."""
+        return self._times
+
     def _next_time(self) -> int | None:
         if self._times is not None:
             return (int(self._times[self._index]) if self._index < len(self._times)

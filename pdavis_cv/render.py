@@ -6,12 +6,13 @@ text is drawn by OpenCV.
 """
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv._opencv import opencv
 
 __all__ = [
     "INVALID",
@@ -298,28 +299,6 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.42
     cv2.putText(picture, text, (x, y), font, size, (grey, grey, grey), 1, cv2.LINE_AA)
     return _text_width(text)
-
-
-def opencv() -> Any:
-    """Return the module cv2, or say how to get it.
-
-    Returns
-    -------
-    module
-        OpenCV, any of its four wheels.
-
-    Raises
-    ------
-    ImportError
-        If no OpenCV is installed.
-    """
-    try:
-        return importlib.import_module("cv2")
-    except ImportError as error:
-        raise ImportError(
-            "this needs OpenCV, which comes as an extra because its four wheels "
-            "exclude each other: pip install 'pdavis-cv[cv2]', or any OpenCV wheel "
-            "that you already use") from error
 
 
 def _text_width(text: str) -> int:

@@ -64,3 +64,26 @@ def adaptive_gain(dn):
     low = np.clip(np.log(v) / np.log(10), 0, 1)
     high = np.clip(np.log(255 / v) / np.log(255 / 200), 0, 1)
     return 0.1 + 0.9 * np.where(v < 10, low, np.where(v > 200, high, 1))
+
+
+def unpack_lsb_first(data, bits, n):
+    """Mono10p, Mono12p: one stream of bits, the least significant first."""
+    stream = np.unpackbits(data, bitorder="little")[:n * bits].reshape(n, bits)
+    return (stream.astype(int) << np.arange(bits)).sum(axis=1)
+
+
+def unpack_in_pairs(data, bits, n):
+    """Mono10Packed, Mono12Packed: high byte, both low parts, high byte."""
+    low = bits - 8
+    out = []
+    for i in range(n):
+        group = [int(b) for b in data[3 * (i // 2):3 * (i // 2) + 3]]
+        high = group[2] if i % 2 else group[0]
+        out.append((high << low) + (group[1] // 16 ** (i % 2)) % 2 ** low)
+    return np.array(out, int)
+
+
+def tone_bgr(plane, scale, table):
+    scaled = np.nan_to_num(plane * np.float32(scale), nan=0, posinf=65535, neginf=0)
+    index = (np.clip(scaled, 0, 65535) + np.float32(0.5)).astype(int)
+    return np.repeat(table[index][..., None], 3, axis=-1)

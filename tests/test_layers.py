@@ -17,8 +17,8 @@ LINES = (
     ("simulation",),
     ("reconstruct",),
     ("recording",),
-    ("polarimetry", "analyser", "mosaic", "aps", "events"),
-    ("sensor", "errors", "_checks"),
+    ("polarimetry", "analyser", "mosaic", "aps", "packed", "events"),
+    ("sensor", "errors", "_checks", "_opencv"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

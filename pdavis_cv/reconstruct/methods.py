@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.reconstruct.base import Reconstructor
 
-__all__ = ["METHODS", "make_reconstructor"]
+__all__ = ["METHODS", "make_reconstructor", "method_parameters"]
 
 # Method -> (module, class, whether it takes thresholds).
 _CLASSES = {
@@ -48,15 +48,24 @@ def make_reconstructor(
     TypeError
         If the method has no such parameter; the message lists those it has.
     """
-    module, name, takes_thresholds = _CLASSES[method]
-    cls = getattr(importlib.import_module(f"pdavis_cv.reconstruct.{module}"), name)
-    given = {"theta_on": theta_on, "theta_off": theta_off} if takes_thresholds else {}
-    known = [key for key in inspect.signature(cls).parameters
-             if key not in ("shape", "theta_on", "theta_off")]
+    given = ({"theta_on": theta_on, "theta_off": theta_off}
+             if _CLASSES[method][2] else {})
+    known = method_parameters(method)
     for key in parameters:
         if key not in known:
             raise TypeError(
                 f"method {method!r} has no parameter {key!r}; it takes "
                 f"{', '.join(known) or 'none'}")
-    made: Reconstructor = cls(shape, **given, **parameters)
+    made: Reconstructor = _class_of(method)(shape, **given, **parameters)
     return made
+
+
+def method_parameters(method: str) -> tuple[str, ...]:
+    """Return the names of a method's further parameters."""
+    return tuple(key for key in inspect.signature(_class_of(method)).parameters
+                 if key not in ("shape", "theta_on", "theta_off"))
+
+
+def _class_of(method: str) -> Any:
+    module, name, _ = _CLASSES[method]
+    return getattr(importlib.import_module(f"pdavis_cv.reconstruct.{module}"), name)

@@ -1,0 +1,29 @@
+"""OpenCV, loaded when it is needed."""
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__all__ = ["opencv"]
+
+
+def opencv() -> Any:
+    """Return the module cv2, or say how to get it.
+
+    Returns
+    -------
+    module
+        OpenCV, any of its four wheels.
+
+    Raises
+    ------
+    ImportError
+        If no OpenCV is installed.
+    """
+    try:
+        return importlib.import_module("cv2")
+    except ImportError as error:
+        raise ImportError(
+            "this needs OpenCV, which comes as an extra because its four wheels "
+            "exclude each other: pip install 'pdavis-cv[cv2]', or any OpenCV wheel "
+            "that you already use") from error

@@ -1,0 +1,83 @@
+"""Numbers that OpenCV programs pass around: outputs, properties, the backend."""
+from __future__ import annotations
+
+__all__ = [
+    "CAP_PDAVIS",
+    "CAP_PDAVIS_AOP",
+    "CAP_PDAVIS_AOP_BGR",
+    "CAP_PDAVIS_BGR",
+    "CAP_PDAVIS_DOLP",
+    "CAP_PDAVIS_DOLP_BGR",
+    "CAP_PDAVIS_EVENTS_BGR",
+    "CAP_PDAVIS_I0",
+    "CAP_PDAVIS_I45",
+    "CAP_PDAVIS_I90",
+    "CAP_PDAVIS_I135",
+    "CAP_PDAVIS_QUAD",
+    "CAP_PDAVIS_S0",
+    "CAP_PDAVIS_S1",
+    "CAP_PDAVIS_S2",
+    "CAP_PDAVIS_STOKES",
+    "CAP_PDAVIS_VALID",
+    "CAP_PROP_PDAVIS_CAPTURE_FPS",
+    "CAP_PROP_PDAVIS_CAUSAL",
+    "CAP_PROP_PDAVIS_CUTOFF_HZ",
+    "CAP_PROP_PDAVIS_DEMOSAIC",
+    "CAP_PROP_PDAVIS_EXPOSURE_US",
+    "CAP_PROP_PDAVIS_FPS",
+    "CAP_PROP_PDAVIS_GAIN",
+    "CAP_PROP_PDAVIS_GAMMA",
+    "CAP_PROP_PDAVIS_LAYOUT",
+    "CAP_PROP_PDAVIS_LOG",
+    "CAP_PROP_PDAVIS_METHOD",
+    "CAP_PROP_PDAVIS_OUTPUT",
+    "CAP_PROP_PDAVIS_POS_US",
+    "CAP_PROP_PDAVIS_START_US",
+    "CAP_PROP_PDAVIS_WHITE",
+    "CODE_OF_DEMOSAIC",
+    "PLANES",
+]
+
+CAP_PDAVIS = 9400
+"""Backend: ``apiPreference``, and what ``CAP_PROP_BACKEND`` gives."""
+
+# Outputs: the flag of retrieve(), and values of CAP_PROP_PDAVIS_OUTPUT.
+CAP_PDAVIS_BGR = 0          # uint8 (H, W, 3): grey S0 / 2
+CAP_PDAVIS_I0 = 1           # float32 (H, W), DN per ms, as the next six
+CAP_PDAVIS_I45 = 2
+CAP_PDAVIS_I90 = 3
+CAP_PDAVIS_I135 = 4
+CAP_PDAVIS_S0 = 5
+CAP_PDAVIS_S1 = 6
+CAP_PDAVIS_S2 = 7
+CAP_PDAVIS_AOP = 8          # float32 (H, W), radians in [0, pi)
+CAP_PDAVIS_DOLP = 9         # float32 (H, W)
+CAP_PDAVIS_VALID = 10       # float32 (H, W), 1 = usable
+CAP_PDAVIS_QUAD = 11        # float32 (H, W, 4): I0, I45, I90, I135
+CAP_PDAVIS_STOKES = 12      # float32 (H, W, 3): S0, S1, S2
+CAP_PDAVIS_AOP_BGR = 13     # uint8 (H, W, 3), as the next two
+CAP_PDAVIS_DOLP_BGR = 14
+CAP_PDAVIS_EVENTS_BGR = 15
+
+PLANES = range(CAP_PDAVIS_I0, CAP_PDAVIS_AOP_BGR)
+"""Outputs that are float32."""
+
+# Properties.  "set": set() may change it, params of open() may give it.
+CAP_PROP_PDAVIS_OUTPUT = 94000       # set: what read() gives
+CAP_PROP_PDAVIS_METHOD = 94001       # set: position in METHODS
+CAP_PROP_PDAVIS_CUTOFF_HZ = 94002    # set: high-pass corner of cf and events
+CAP_PROP_PDAVIS_FPS = 94003          # set: images per second of recording time
+CAP_PROP_PDAVIS_CAPTURE_FPS = 94004  # frames per second that the camera took
+CAP_PROP_PDAVIS_EXPOSURE_US = 94005  # of the first frame
+CAP_PROP_PDAVIS_LAYOUT = 94006       # set: cell as digits angle/45, 3201 = PDAVIS
+CAP_PROP_PDAVIS_DEMOSAIC = 94007     # set: 0 bilinear, 1 superpixel
+CAP_PROP_PDAVIS_START_US = 94008     # time of the first image
+CAP_PROP_PDAVIS_POS_US = 94009       # time of the last grabbed image
+CAP_PROP_PDAVIS_CAUSAL = 94010       # set: 1 = use only what had arrived
+CAP_PROP_PDAVIS_GAIN = 94011         # set: brightness of the grey picture
+CAP_PROP_PDAVIS_GAMMA = 94012        # set: grey = 255 * x ** (1 / gamma)
+CAP_PROP_PDAVIS_LOG = 94013          # set: 1 = logarithmic grey
+CAP_PROP_PDAVIS_WHITE = 94014        # S0 / 2 that is white at gain 1
+
+CODE_OF_DEMOSAIC = ("bilinear", "superpixel")
+"""Demosaicing methods by their number."""

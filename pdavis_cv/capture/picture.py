@@ -1,0 +1,184 @@
+"""What retrieve() gives: float planes, and pictures with a fixed scale."""
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.capture import constants as c
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.recording.base import ApsFrame, Recording
+from pdavis_cv.render import aop_bgr, dolp_bgr
+
+__all__ = ["Tone", "event_counts", "events_bgr", "first_frame", "plane", "white_level"]
+
+LOG_RANGE = 1023.0
+"""White over black of the logarithmic picture: one count of a 10-bit converter."""
+
+WHITE_WITHOUT_FRAMES = 2.0
+"""Intensity that is white where nothing is known but changes: they start from 1."""
+
+_CHANNEL = {c.CAP_PDAVIS_I0: 0, c.CAP_PDAVIS_I45: 1, c.CAP_PDAVIS_I90: 2,
+            c.CAP_PDAVIS_I135: 3}
+_NAME = {c.CAP_PDAVIS_S0: "s0", c.CAP_PDAVIS_S1: "s1", c.CAP_PDAVIS_S2: "s2",
+         c.CAP_PDAVIS_AOP: "aop", c.CAP_PDAVIS_DOLP: "dolp",
+         c.CAP_PDAVIS_VALID: "valid", c.CAP_PDAVIS_AOP_BGR: "aop",
+         c.CAP_PDAVIS_DOLP_BGR: "dolp"}
+
+
+def first_frame(recording: Recording) -> ApsFrame | None:
+    """Return the first frame of a recording, None if it has none."""
+    if recording.info.frame_count == 0:
+        return None
+    return next((frame for packet in recording.packets() for frame in packet.frames),
+                None)
+
+
+def white_level(recording: Recording, method: str, frame: ApsFrame | None) -> float:
+    """Return the intensity that is white: full scale of the converter.
+
+    Parameters
+    ----------
+    recording : Recording
+    method : str
+        ``events`` knows changes only, so it has a scale of its own.
+    frame : ApsFrame or None
+        The first one: gives the converter's range and the exposure.
+
+    Returns
+    -------
+    float
+        In the unit of S0 / 2: DN per ms of exposure, DN where no exposure is known.
+    """
+    if frame is None or method == "events":
+        return WHITE_WITHOUT_FRAMES
+    return frame.full_scale_dn / (frame.exposure_ms or 1.0)
+
+
+class Tone:
+    """Grey of an intensity: a function of the value and of constants alone.
+
+    ``255 * x ** (1 / gamma)`` with ``x = gain * value / white`` in 0..1, or with
+    `log` ``255 * (1 + ln(x) / ln(1023)) ** (1 / gamma)``, 0 below x = 1 / 1023.
+
+    Parameters
+    ----------
+    white : float
+        Value that is white at gain 1.
+    gain, gamma : float
+        Positive.
+    log : bool
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `gain` or `gamma` is not a positive number.
+    """
+
+    def __init__(
+        self, white: float, gain: float = 1.0, gamma: float = 1.0, log: bool = False
+    ) -> None:
+        for name, value in (("gain", gain), ("gamma", gamma)):
+            if isinstance(value, bool) or not isinstance(
+                    value, (int, float, np.integer, np.floating)):
+                raise TypeError(
+                    f"{name} must be a number, got {type(value).__name__}")
+            if not 0 < value < math.inf:
+                raise ValueError(f"{name} must be positive, got {value}")
+        self.white, self.gain, self.gamma = float(white), float(gain), float(gamma)
+        self.log = bool(log)
+        x = np.arange(65536) / 65535
+        if log:
+            x = np.maximum(1 + np.log(np.maximum(x, 1e-9)) / math.log(LOG_RANGE), 0)
+        self._table = np.rint(255 * x ** (1 / self.gamma)).astype(np.uint8)
+
+    def bgr(self, value: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Return the picture of an intensity.
+
+        Parameters
+        ----------
+        value : ndarray of float32, shape (H, W)
+
+        Returns
+        -------
+        ndarray of uint8, shape (H, W, 3)
+            BGR; NaN is black.
+        """
+        out = np.empty((*value.shape, 3), np.uint8)
+        _kernels.tone_bgr(
+            np.ascontiguousarray(value), 65535 * self.gain / self.white,
+            self._table, out)
+        return out
+
+
+def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:
+    """Return the float plane of an output; a picture's is what it is made from.
+
+    Parameters
+    ----------
+    frame : PolarFrame
+    output : int
+        ``CAP_PDAVIS_*``, but not ``CAP_PDAVIS_EVENTS_BGR``.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W), or (H, W, 4) for QUAD, (H, W, 3) for STOKES
+        New; channels last, as cv2 has them.
+    """
+    if output == c.CAP_PDAVIS_BGR:
+        return np.multiply(frame.s0, np.float32(0.5))
+    if output == c.CAP_PDAVIS_QUAD:
+        return np.ascontiguousarray(np.moveaxis(frame.quad, 0, -1))
+    if output == c.CAP_PDAVIS_STOKES:
+        return np.stack((frame.s0, frame.s1, frame.s2), axis=-1)
+    if output in _CHANNEL:
+        return frame.quad[_CHANNEL[output]].copy()
+    return np.array(getattr(frame, _NAME[output]), np.float32)
+
+
+def colour(frame: PolarFrame, output: int) -> NDArray[np.uint8]:
+    """Return the colour picture of AoP or DoLP; invalid pixels are grey."""
+    if output == c.CAP_PDAVIS_AOP_BGR:
+        return aop_bgr(frame.aop, frame.valid)
+    return dolp_bgr(frame.dolp, frame.valid)
+
+
+def event_counts(
+    recording: Recording, after_us: int, until_us: int,
+    roi: tuple[int, int, int, int], step: int,
+) -> NDArray[np.float32]:
+    """Return ON less OFF events of each pixel in (after_us, until_us].
+
+    Parameters
+    ----------
+    recording : Recording
+    after_us, until_us : int
+    roi : (int, int, int, int)
+        (x, y, width, height).
+    step : int
+        Side of the square of sensor pixels that are added up.
+
+    Returns
+    -------
+    ndarray of float32, shape (height // step, width // step)
+    """
+    x0, y0, width, height = roi
+    columns = width // step
+    out: NDArray[np.float64] = np.zeros(height // step * columns)
+    for packet in recording.packets(after_us + 1, until_us + 1):
+        events: NDArray[Any] = packet.events
+        x = (events["x"].astype(np.int64) - x0) // step
+        y = (events["y"].astype(np.int64) - y0) // step
+        inside = (x >= 0) & (x < columns) & (y >= 0) & (y < height // step)
+        sign = 2.0 * events["p"][inside] - 1
+        out += np.bincount(y[inside] * columns + x[inside], sign, out.size)
+    return out.reshape(-1, columns).astype(np.float32)
+
+
+def events_bgr(counts: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the picture of event counts: grey 128, brighter by 42 per ON event."""
+    grey = np.rint(np.clip(128 + 42 * counts, 0, 255)).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=-1)

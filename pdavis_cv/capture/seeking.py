@@ -1,0 +1,215 @@
+"""Exact repositioning among the images of a Fusion."""
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.fusion import Fusion, FusionSnapshot
+from pdavis_cv.polarimetry import PolarFrame
+
+__all__ = ["Bookmark", "Cursor"]
+
+SPACING_US = 2_000_000
+"""Recording time between two snapshots, until they are thinned."""
+
+MOST_SNAPSHOTS = 64
+MOST_BYTES = 256 * 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class Bookmark:
+    """A place between two images that a Cursor can go back to; picklable.
+
+    Parameters
+    ----------
+    snapshot : FusionSnapshot
+    previous_us : int or None
+        Time of the image before the last one.
+    """
+
+    snapshot: FusionSnapshot
+    previous_us: int | None
+
+
+class Cursor:
+    """A place among the images of a Fusion that can be moved to any other.
+
+    After any movement the state is what reading one image after the other up to
+    there would have left, to the bit: going back restores the last snapshot before
+    the place and replays from it, without making images.  Snapshots are kept as
+    they are passed, one in 2 s of recording time; there are at most 64 of them and
+    at most 256 MiB; beyond that every second one is given up and the spacing
+    doubles.
+
+    Parameters
+    ----------
+    fusion : Fusion
+        At its beginning; belongs to the Cursor from now on.
+    """
+
+    def __init__(self, fusion: Fusion) -> None:
+        self.fusion = fusion
+        self.previous_us: int | None = None
+        self.spacing_us = SPACING_US
+        self._kept: list[Bookmark] = []
+        self._times: NDArray[np.int64] | None = None
+        self._count: int | None = None
+
+    @property
+    def index(self) -> int:
+        """Number of the next image."""
+        return self.fusion.index
+
+    @property
+    def t_us(self) -> int | None:
+        """Time of the last image, None before the first."""
+        return self.fusion.t_us
+
+    @property
+    def kept(self) -> tuple[int, ...]:
+        """Positions of which a snapshot is kept."""
+        return tuple(mark.snapshot.index for mark in self._kept)
+
+    def advance(self) -> bool:
+        """Move past the next image; False at the end."""
+        before = self.fusion.t_us
+        if not self.fusion.advance():
+            return False
+        self.previous_us = before
+        self._keep()
+        return True
+
+    def image(self) -> PolarFrame:
+        """Return the image that was last moved past."""
+        return self.fusion.image()
+
+    # ---- movement ------------------------------------------------------------
+
+    def seek(self, index: int) -> int:
+        """Make image number index the next one; beyond the end stop there.
+
+        Parameters
+        ----------
+        index : int
+            Clamped to 0 .. number of images.
+
+        Returns
+        -------
+        int
+            Number of the image that is now next.
+        """
+        index = max(index, 0)
+        place = bisect_right(self.kept, index) - 1
+        known = self._kept[place] if place >= 0 else None
+        if index < self.index:
+            if known is None:
+                self.fusion.rewind()
+                self.previous_us = None
+            else:
+                self.restore(known)
+        elif known is not None and known.snapshot.index > self.index:
+            self.restore(known)
+        while self.index < index and self.advance():
+            pass
+        return self.index
+
+    def bookmark(self) -> Bookmark:
+        """Return the place; an equal Cursor can `restore` it."""
+        return Bookmark(self.fusion.snapshot(), self.previous_us)
+
+    def restore(self, mark: Bookmark) -> None:
+        """Go to a bookmark."""
+        self.fusion.restore(mark.snapshot)
+        self.previous_us = mark.previous_us
+
+    def _keep(self) -> None:
+        t = self.fusion.t_us
+        last = self._kept[-1].snapshot.t_us if self._kept else self.fusion.start_us
+        if t is None or last is None or t - last < self.spacing_us:
+            return
+        self._kept.append(self.bookmark())
+        size = sum(part.nbytes for part in self._kept[-1].snapshot.state.state.values()
+                   if isinstance(part, np.ndarray))
+        if len(self._kept) > max(2, min(MOST_SNAPSHOTS, MOST_BYTES // max(size, 1))):
+            del self._kept[::2]
+            self.spacing_us *= 2
+
+    # ---- the whole grid --------------------------------------------------------
+
+    @property
+    def count(self) -> int:
+        """Number of images; reads the recording once if it has no index."""
+        if self._count is None:
+            self._count = self._counted()
+        return self._count
+
+    @property
+    def fps(self) -> float:
+        """Images per second of the grid; the mean rate where there is no rate."""
+        if self.fusion.fps is not None:
+            return float(self.fusion.fps)
+        times = self.times_us
+        if len(times) < 2:
+            return 0.0
+        return (len(times) - 1) * 1e6 / float(times[-1] - times[0])
+
+    @property
+    def times_us(self) -> NDArray[np.int64]:
+        """Times of the images of a grid without a rate."""
+        if self._times is None:
+            given = self.fusion.times_us
+            self._times = self._frame_times() if given is None else given
+        return self._times
+
+    def index_at(self, t_us: float) -> int:
+        """Return the number of the image nearest to a time, the later one of two."""
+        rate, start = self.fusion.fps, self.fusion.start_us
+        if rate is not None:
+            if start is None:
+                return 0
+            after = Fraction(t_us) - start
+            return max(0, int((after * rate / 1_000_000 + Fraction(1, 2)) // 1))
+        times = self.times_us
+        if not len(times):
+            return 0
+        after_last = 2 * int(times[-1]) - (int(times[-2]) if len(times) > 1 else 0)
+        if t_us >= after_last:
+            return len(times)
+        middles = times[:-1] + np.diff(times) / 2
+        return int(np.searchsorted(middles, t_us, "right"))
+
+    def _counted(self) -> int:
+        rate, start = self.fusion.fps, self.fusion.start_us
+        if rate is None:
+            return len(self.times_us)
+        if start is None:
+            return 0
+        stops = [stop for stop in (self._last_stop(), self.fusion.stop_us)
+                 if stop is not None]
+        if not stops or min(stops) <= start:
+            return 0
+        period = Fraction(1_000_000) / rate
+        # The last k with start + round(k * period) < stop, which rounding can shift.
+        k = int((min(stops) - start) / period) + 1
+        while start + round(k * period) >= min(stops):
+            k -= 1
+        return k + 1
+
+    def _last_stop(self) -> int | None:
+        recording = self.fusion.recording
+        if recording.info.stop_us is not None:
+            return recording.info.stop_us
+        return recording.scan().stop_us
+
+    def _frame_times(self) -> NDArray[np.int64]:
+        start = self.fusion.start_us
+        stop = self.fusion.stop_us
+        times = [frame.mid_us for packet in self.fusion.recording.packets()
+                 for frame in packet.frames]
+        return np.array([t for t in sorted(set(times))
+                         if (start is None or t >= start)
+                         and (stop is None or t < stop)], np.int64)

@@ -1,0 +1,300 @@
+"""One opened recording: its position, its properties, its pictures."""
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.capture import constants as c
+from pdavis_cv.capture import picture
+from pdavis_cv.capture.manners import type_code
+from pdavis_cv.capture.seeking import Bookmark, Cursor
+from pdavis_cv.capture.source import (
+    NAME_OF_PROPERTY,
+    decoded_value,
+    fuse_parameters,
+    layout_code,
+    opened,
+)
+from pdavis_cv.fusion import Fusion
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.methods import METHODS
+from pdavis_cv.recording.base import Recording
+
+__all__ = ["Session", "View"]
+
+# OpenCV's own numbers, the same in every version.
+_POS_MSEC, _POS_FRAMES, _POS_AVI_RATIO, _WIDTH, _HEIGHT, _FPS = 0, 1, 2, 3, 4, 5
+_FRAME_COUNT, _FORMAT, _CONVERT_RGB, _BACKEND = 7, 8, 16, 42
+
+
+@dataclass(frozen=True)
+class View:
+    """How images are shown; all of it can be changed at any time.
+
+    Parameters
+    ----------
+    output : int
+        ``CAP_PDAVIS_*`` that ``read()`` gives.
+    convert : bool
+        False: float planes in place of pictures (``CAP_PROP_CONVERT_RGB`` = 0).
+    gain, gamma : float
+    log : bool
+        See `Tone`.
+    """
+
+    output: int = c.CAP_PDAVIS_BGR
+    convert: bool = True
+    gain: float = 1.0
+    gamma: float = 1.0
+    log: bool = False
+
+
+class Session:
+    """A recording that is being read image by image.
+
+    Parameters
+    ----------
+    source : path or Recording
+    parameters : mapping of str to object
+        Of `fuse` and of `open_recording`.
+    view : View
+
+    Raises
+    ------
+    OSError
+        If the source cannot be opened or is not what it says.
+    TypeError, ValueError
+        If a parameter does not fit.
+    """
+
+    def __init__(
+        self, source: str | os.PathLike[str] | Recording,
+        parameters: Mapping[str, Any], view: View,
+    ) -> None:
+        self.parameters, self.view = dict(parameters), view
+        self._owned = not isinstance(source, Recording)
+        self.recording = opened(source, parameters)
+        try:
+            self.cursor = Cursor(self._fusion(self.parameters))
+            self._first = picture.first_frame(self.recording)
+            self._tone = self._made_tone(view)
+        except BaseException:
+            self.close()
+            raise
+        self.grabbed = False
+        self._frame: PolarFrame | None = None
+        self._capture_fps: float | None = None
+
+    def close(self) -> None:
+        """Release what was opened here."""
+        if self._owned:
+            self.recording.close()
+
+    def _fusion(self, parameters: Mapping[str, Any]) -> Fusion:
+        return Fusion(self.recording, **fuse_parameters(parameters))
+
+    def _made_tone(self, view: View) -> picture.Tone:
+        white = picture.white_level(
+            self.recording, self.cursor.fusion.method, self._first)
+        return picture.Tone(white, view.gain, view.gamma, view.log)
+
+    # ---- images ----------------------------------------------------------------
+
+    def grab(self) -> bool:
+        """Move to the next image; it is made when asked for."""
+        self._frame = None
+        self.grabbed = False
+        self.grabbed = self.cursor.advance()
+        return self.grabbed
+
+    def retrieve(self, output: int) -> NDArray[Any]:
+        """Return an output of the image that was grabbed last.
+
+        Raises
+        ------
+        LookupError
+            If nothing was grabbed or there is no such output.
+        """
+        if not self.grabbed:
+            raise LookupError("no image was grabbed")
+        if not c.CAP_PDAVIS_BGR <= output <= c.CAP_PDAVIS_EVENTS_BGR:
+            raise LookupError(
+                f"flag must be one of CAP_PDAVIS_* (0..{c.CAP_PDAVIS_EVENTS_BGR}), "
+                f"got {output}")
+        if output == c.CAP_PDAVIS_EVENTS_BGR:
+            counts = self._event_counts()
+            return picture.events_bgr(counts) if self.view.convert else counts
+        if self._frame is None:
+            self._frame = self.cursor.image()
+        if output in c.PLANES or not self.view.convert:
+            return picture.plane(self._frame, output)
+        if output == c.CAP_PDAVIS_BGR:
+            return self._tone.bgr(picture.plane(self._frame, output))
+        return picture.colour(self._frame, output)
+
+    def _event_counts(self) -> NDArray[np.float32]:
+        fusion = self.cursor.fusion
+        assert self.cursor.t_us is not None
+        until, after = self.cursor.t_us, self.cursor.previous_us
+        if after is None:
+            after = until - round(1e6 / (self.cursor.fps or 100.0))
+        step = 2 if fusion.provenance["demosaic"] == "superpixel" else 1
+        return picture.event_counts(
+            self.recording, after, until, fusion.provenance["roi"], step)
+
+    # ---- position ----------------------------------------------------------------
+
+    def seek(self, index: float) -> None:
+        """Make image number index the next one, clamped to the grid."""
+        self._frame = None
+        self.grabbed = False
+        self.cursor.seek(int(index))
+        self.grabbed = self.cursor.index > 0
+
+    def state(self) -> tuple[Bookmark, bool]:
+        """Return the position, for a Session that is equal otherwise."""
+        return self.cursor.bookmark(), self.grabbed
+
+    def restore(self, state: tuple[Bookmark, bool]) -> None:
+        """Go to the position that `state` returned."""
+        mark, grabbed = state
+        self._frame = None
+        self.cursor.restore(mark)
+        self.grabbed = grabbed
+
+    # ---- properties --------------------------------------------------------------
+
+    def get(self, prop: int) -> float | None:
+        """Return a property, None if there is none of this number."""
+        getter = _GETTERS.get(prop)
+        return None if getter is None else getter(self)
+
+    def set(self, prop: int, value: float) -> bool:
+        """Change a property; False if there is no such property to change.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the property cannot have this value.
+        """
+        if prop in (_POS_FRAMES, _POS_MSEC, _POS_AVI_RATIO):
+            self.seek(self._wanted(prop, value))
+            return True
+        if prop == _CONVERT_RGB:
+            self.view = replace(self.view, convert=bool(value))
+            return True
+        name = NAME_OF_PROPERTY.get(prop)
+        if name is None or (
+                name == "cutoff_hz" and _GETTERS[prop](self) is None):
+            return False
+        decoded = decoded_value(name, value)
+        if decoded is None:
+            raise ValueError(f"{name} cannot be {value}")
+        if name in View.__dataclass_fields__:
+            view = replace(self.view, **{name: decoded})
+            self._tone, self.view = self._made_tone(view), view
+        else:
+            self._change(name, decoded)
+        return True
+
+    def _wanted(self, prop: int, value: float) -> float:
+        if value != value:
+            return 0
+        # Far beyond any recording, and far within what integers hold.
+        value = min(max(value, -1e15), 1e15)
+        if prop == _POS_FRAMES:
+            return value
+        if prop == _POS_AVI_RATIO:
+            return round(value * self.cursor.count)
+        return self.cursor.index_at((self.cursor.fusion.start_us or 0) + value * 1000)
+
+    def _change(self, name: str, value: Any) -> None:
+        """Go on with another parameter of `fuse`, at the same place."""
+        parameters = {**self.parameters, name: value}
+        if name == "method":  # what belongs to the old one is unknown to the new
+            parameters = {key: kept for key, kept in parameters.items()
+                          if key not in self.cursor.fusion.provenance["parameters"]}
+        old, new = self.cursor, Cursor(self._fusion(parameters))
+        index = old.index
+        if name == "fps" and old.t_us is not None:
+            index = new.index_at(old.t_us) + 1
+        grabbed = self.grabbed
+        self.cursor, self.parameters = new, parameters
+        self._tone = self._made_tone(self.view)
+        self.seek(index)
+        self.grabbed = self.grabbed and grabbed
+
+    def _pos_msec(self) -> float:
+        t, start = self.cursor.t_us, self.cursor.fusion.start_us
+        return 0.0 if t is None or start is None else (t - start) / 1000
+
+    def _format(self) -> float:
+        output = self.view.output
+        if output == c.CAP_PDAVIS_QUAD:
+            return type_code("CV_32FC4")
+        if output == c.CAP_PDAVIS_STOKES:
+            return type_code("CV_32FC3")
+        plane = output in c.PLANES or not self.view.convert
+        return type_code("CV_32FC1" if plane else "CV_8UC3")
+
+    def _exposure_us(self) -> float | None:
+        if self._first is None:
+            return None
+        return self._first.exposure_ms * 1000 or None
+
+    def _rate_of_frames(self) -> float:
+        if self._capture_fps is None:
+            times = [frame.mid_us for packet in self.recording.packets()
+                     for frame in packet.frames]
+            self._capture_fps = 0.0 if len(times) < 2 else (
+                (len(times) - 1) * 1e6 / (times[-1] - times[0]))
+        return self._capture_fps
+
+    def _ratio(self) -> float:
+        return self.cursor.index / max(self.cursor.count, 1)
+
+
+def _of_parameters(name: str) -> Callable[[Session], float | None]:
+    def get(session: Session) -> float | None:
+        value = session.cursor.fusion.provenance["parameters"].get(name)
+        return None if value is None else float(value)
+    return get
+
+
+def _time(value: int | None) -> float | None:
+    return None if value is None else float(value)
+
+
+_GETTERS: dict[int, Callable[[Session], float | None]] = {
+    _POS_MSEC: Session._pos_msec,
+    _POS_FRAMES: lambda s: float(s.cursor.index),
+    _POS_AVI_RATIO: Session._ratio,
+    _WIDTH: lambda s: float(s.cursor.fusion.shape[1]),
+    _HEIGHT: lambda s: float(s.cursor.fusion.shape[0]),
+    _FPS: lambda s: s.cursor.fps,
+    _FRAME_COUNT: lambda s: float(s.cursor.count),
+    _FORMAT: Session._format,
+    _CONVERT_RGB: lambda s: float(s.view.convert),
+    _BACKEND: lambda s: float(c.CAP_PDAVIS),
+    c.CAP_PROP_PDAVIS_OUTPUT: lambda s: float(s.view.output),
+    c.CAP_PROP_PDAVIS_METHOD: lambda s: float(METHODS.index(s.cursor.fusion.method)),
+    c.CAP_PROP_PDAVIS_CUTOFF_HZ: _of_parameters("cutoff_hz"),
+    c.CAP_PROP_PDAVIS_FPS: lambda s: s.cursor.fps,
+    c.CAP_PROP_PDAVIS_CAPTURE_FPS: Session._rate_of_frames,
+    c.CAP_PROP_PDAVIS_EXPOSURE_US: Session._exposure_us,
+    c.CAP_PROP_PDAVIS_LAYOUT: lambda s: float(layout_code(s.cursor.fusion.layout)),
+    c.CAP_PROP_PDAVIS_DEMOSAIC: lambda s: float(
+        c.CODE_OF_DEMOSAIC.index(s.cursor.fusion.provenance["demosaic"])),
+    c.CAP_PROP_PDAVIS_START_US: lambda s: _time(s.cursor.fusion.start_us),
+    c.CAP_PROP_PDAVIS_POS_US: lambda s: _time(s.cursor.t_us),
+    c.CAP_PROP_PDAVIS_CAUSAL: lambda s: float(s.cursor.fusion.provenance["causal"]),
+    c.CAP_PROP_PDAVIS_GAIN: lambda s: s.view.gain,
+    c.CAP_PROP_PDAVIS_GAMMA: lambda s: s.view.gamma,
+    c.CAP_PROP_PDAVIS_LOG: lambda s: float(s.view.log),
+    c.CAP_PROP_PDAVIS_WHITE: lambda s: s._tone.white,
+}

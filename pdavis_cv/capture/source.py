@@ -1,0 +1,186 @@
+"""Which sources are ours and which go to a real cv2.VideoCapture."""
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv.capture import constants as c
+from pdavis_cv.fusion import fuse
+from pdavis_cv.reconstruct.methods import METHODS, method_parameters
+from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.open import open_recording
+from pdavis_cv.sensor import Layout
+
+__all__ = [
+    "checked_parameters",
+    "is_ours",
+    "layout_code",
+    "layout_of_code",
+    "opened",
+    "parameters_of",
+]
+
+_FUSE = tuple(
+    name for name, parameter in inspect.signature(fuse).parameters.items()
+    if parameter.kind is inspect.Parameter.KEYWORD_ONLY)
+_OPEN = ("bad_events", "camera")
+_MAGIC = b"#!AER-DAT"
+_SUFFIXES = (".aedat", ".aedat2", ".aedat4")
+
+
+def is_ours(source: Any, backend: int, layout: Layout | None) -> bool:
+    """Tell whether a source is opened here rather than by cv2.
+
+    Ours are recordings, whatever their name, files with a recording's name, and
+    with a layout everything that has a path: a mosaic video or image sequence.
+
+    Parameters
+    ----------
+    source : path, Recording or anything that cv2 takes
+    backend : int
+        ``CAP_PDAVIS`` makes it ours, another one cv2's; 0 lets the source decide.
+    layout : Layout or None
+    """
+    if backend == c.CAP_PDAVIS or isinstance(source, Recording):
+        return True
+    if backend != 0 or not isinstance(source, (str, os.PathLike)):
+        return False
+    if layout is not None:
+        return True
+    path = Path(source)
+    return path.suffix.lower() in _SUFFIXES or _first_bytes(path) == _MAGIC
+
+
+def _first_bytes(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            return b""
+        with path.open("rb") as file:
+            return file.read(len(_MAGIC))
+    except (OSError, ValueError):  # ValueError: a null character in the name
+        return b""
+
+
+def opened(source: Any, parameters: Mapping[str, Any]) -> Recording:
+    """Open a source of ours.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened or is not what it says.
+    """
+    if isinstance(source, Recording):
+        return source
+    if not isinstance(source, (str, os.PathLike)):
+        raise OSError(f"a recording is opened by its path, got {source!r}")
+    if "\0" in os.fspath(source):
+        raise OSError(f"{source!r}: a path cannot hold a null character")
+    keywords = {name: parameters[name] for name in (*_OPEN, "layout", "fps")
+                if name in parameters}
+    return open_recording(source, **keywords)
+
+
+def checked_parameters(parameters: Mapping[str, Any]) -> None:
+    """Raise TypeError if no method of `fuse` takes one of the parameters."""
+    of_methods = _method_parameters()
+    for name in parameters:
+        if name not in _FUSE and name not in _OPEN and name not in of_methods:
+            raise TypeError(f"VideoCapture has no parameter {name!r}")
+
+
+def _method_parameters() -> frozenset[str]:
+    return frozenset(name for method in METHODS for name in method_parameters(method))
+
+
+def fuse_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters that `fuse` takes."""
+    return {name: value for name, value in parameters.items() if name not in _OPEN}
+
+
+# ---- parameters as numbers ---------------------------------------------------
+
+
+def parameters_of(params: Sequence[float]) -> dict[str, Any] | None:
+    """Return keyword arguments for cv2's open-time pairs of property and value.
+
+    Parameters
+    ----------
+    params : sequence of number
+        Property, value, property, value, ...
+
+    Returns
+    -------
+    dict or None
+        None if a property or a value is not known.
+    """
+    values = list(params)
+    if len(values) % 2:
+        return None
+    found: dict[str, Any] = {}
+    for prop, value in zip(values[::2], values[1::2], strict=True):
+        name = NAME_OF_PROPERTY.get(int(prop))
+        if name is None:
+            return None
+        decoded = decoded_value(name, value)
+        if decoded is None:
+            return None
+        found[name] = decoded
+    return found
+
+
+NAME_OF_PROPERTY = {
+    c.CAP_PROP_PDAVIS_OUTPUT: "output",
+    c.CAP_PROP_PDAVIS_METHOD: "method",
+    c.CAP_PROP_PDAVIS_CUTOFF_HZ: "cutoff_hz",
+    c.CAP_PROP_PDAVIS_FPS: "fps",
+    c.CAP_PROP_PDAVIS_LAYOUT: "layout",
+    c.CAP_PROP_PDAVIS_DEMOSAIC: "demosaic",
+    c.CAP_PROP_PDAVIS_CAUSAL: "causal",
+    c.CAP_PROP_PDAVIS_GAIN: "gain",
+    c.CAP_PROP_PDAVIS_GAMMA: "gamma",
+    c.CAP_PROP_PDAVIS_LOG: "log",
+}
+"""Properties that can be set, by the keyword that says the same."""
+
+
+def decoded_value(name: str, value: float) -> Any:
+    """Return the keyword argument for a property's number, None if it has none."""
+    if value != value:
+        return None
+    if name in ("causal", "log"):
+        return bool(value)
+    if name in ("cutoff_hz", "fps", "gain", "gamma"):
+        return float(value) if value > 0 else None
+    if name == "output":
+        known = 0 <= value <= c.CAP_PDAVIS_EVENTS_BGR and value == int(value)
+        return int(value) if known else None
+    if name == "layout":
+        return layout_of_code(value)
+    choices = METHODS if name == "method" else c.CODE_OF_DEMOSAIC
+    known = 0 <= value < len(choices) and value == int(value)
+    return choices[int(value)] if known else None
+
+
+def layout_code(layout: Layout) -> int:
+    """Return a layout as digits angle / 45 in reading order: PDAVIS is 3201.
+
+    >>> from pdavis_cv import Layout
+    >>> layout_code(Layout.PDAVIS), layout_code(Layout.SONY)
+    (3201, 2130)
+    """
+    a, b, c, d = (angle // 45 for row in layout.angles_deg for angle in row)
+    return 1000 * a + 100 * b + 10 * c + d
+
+
+def layout_of_code(code: float) -> Layout | None:
+    """Return the layout of `layout_code`, None if there is none."""
+    digits = [45 * int(digit) for digit in f"{code:04.0f}"[-4:] if digit.isdigit()]
+    try:
+        (a, b, c, d) = digits
+        layout = Layout((a, b), (c, d))
+    except ValueError:  # LayoutError is one
+        return None
+    return layout if layout_code(layout) == code else None

@@ -1,0 +1,500 @@
+"""VideoCapture: cv2's manners over fused images."""
+from __future__ import annotations
+
+import enum
+import io
+import os
+import threading
+from collections.abc import Sequence
+from typing import Any, NoReturn, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv._opencv import opencv
+from pdavis_cv.capture.constants import CAP_PDAVIS_BGR
+from pdavis_cv.capture.manners import (
+    StsBadArg,
+    overloads,
+    raise_like_cv2,
+    unknown_property,
+)
+from pdavis_cv.capture.session import Session, View
+from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
+from pdavis_cv.errors import PdavisError
+from pdavis_cv.recording.base import Recording
+
+__all__ = ["CaptureStatus", "VideoCapture"]
+
+_CAP_ANY, _PROP_BACKEND = 0, 42
+_VIEW = ("output", "gain", "gamma", "log")
+
+Source = str | os.PathLike[str] | int | Recording | None
+
+
+class CaptureStatus(enum.StrEnum):
+    """Why the last call of a VideoCapture succeeded or failed."""
+
+    CLOSED = "closed"
+    OK = "ok"
+    EOF = "end of file"
+    ERROR = "error"
+
+
+class VideoCapture:
+    """A recording as a sequence of images, with the manners of cv2.VideoCapture.
+
+    About the source it fails as cv2 does: no exception from opening or reading,
+    ``(False, None)`` at the end, ``isOpened()`` stays True there; `last_error` says
+    why.  Unlike cv2's, seeking is exact: after any ``set`` of a position, images
+    are the same to the bit as in reading from the beginning.  What is not a
+    recording goes to a real ``cv2.VideoCapture``; with a `layout`, a video or an
+    image is read as the mosaic of a polarization camera.
+
+    Parameters
+    ----------
+    filename : path or Recording, optional
+        What to open; None opens nothing.
+    apiPreference : int
+        ``CAP_PDAVIS`` to have it opened here, another of ``cv2.CAP_*`` to have it
+        opened by cv2.
+    params : sequence of number
+        Property, value, property, value ... to open with.
+    index : int, optional
+        Number of a camera, for cv2.
+    output : int
+        ``CAP_PDAVIS_*`` that ``read()`` gives.
+    gain, gamma : float
+        Of the grey picture ``255 * (gain * S0 / 2 / white) ** (1 / gamma)``, where
+        white is the converter's full scale at the recording's first exposure.
+    log : bool
+        Grey in proportion to the logarithm, down to white / 1023.
+    **fuse_parameters
+        As in `fuse`, e.g. ``fps``, ``method``, ``roi``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a fuse parameter is unknown, ill-typed or out of range.
+    cv2.error
+        If the other arguments have types that cv2 refuses.
+
+    Examples
+    --------
+    >>> from pdavis_cv.data import example_recording
+    >>> with VideoCapture(example_recording(), fps=100, layout=Layout.PDAVIS) as cap:
+    ...     ok, picture = cap.read()
+    >>> picture.shape, picture.dtype
+    ((260, 346, 3), dtype('uint8'))
+    """
+
+    def __init__(
+        self,
+        filename: Source = None,
+        apiPreference: int = _CAP_ANY,
+        params: Sequence[float] = (),
+        *,
+        index: int | None = None,
+        output: int = CAP_PDAVIS_BGR,
+        gain: float = 1.0,
+        gamma: float = 1.0,
+        log: bool = False,
+        **fuse_parameters: Any,
+    ) -> None:
+        checked_parameters(fuse_parameters)
+        self._lock = threading.RLock()
+        self._exceptions = False
+        self._session: Session | None = None
+        self._foreign: Any = None
+        self._source: Any = None
+        self._parameters = fuse_parameters
+        self._view = View(output, True, gain, gamma, log)
+        self._status = CaptureStatus.CLOSED
+        self._error: str | None = None
+        if filename is not None or index is not None:
+            self._open("VideoCapture", filename, apiPreference, params, index)
+
+    # ---- opening -------------------------------------------------------------
+
+    @overloads
+    def open(
+        self,
+        filename: Source = None,
+        apiPreference: int = _CAP_ANY,
+        params: Sequence[float] = (),
+        *,
+        index: int | None = None,
+    ) -> bool:
+        """Open another source with the parameters of the constructor.
+
+        Returns
+        -------
+        bool
+            False, and `last_error`, if it cannot be opened.
+        """
+        if filename is None and index is None:
+            raise_like_cv2("open", "Overload resolution failed: open() is missing "
+                           "required argument 'filename' (pos 1)", StsBadArg)
+        return self._open("open", filename, apiPreference, params, index)
+
+    def _open(
+        self, function: str, filename: Any, backend: Any, params: Any, index: Any
+    ) -> bool:
+        with self._lock:
+            self.release()
+            source = filename if index is None else index
+            if filename is not None and index is not None:
+                self._refuse(function, "filename and index exclude each other")
+            if not _is_source(source):
+                self._refuse(function, f"can't open by {type(source).__name__}")
+            if not _is_integer(backend):
+                self._refuse(function, "apiPreference must be an integer")
+            backend = int(backend)
+            ours = is_ours(source, backend, self._parameters.get("layout"))
+            try:
+                values = [float(value) for value in params]
+            except (TypeError, ValueError):
+                self._refuse(function, "params must be a sequence of integers")
+            if not ours:
+                return self._open_foreign(function, source, backend, values)
+            return self._open_here(function, source, values)
+
+    def _open_here(self, function: str, source: Any, values: list[float]) -> bool:
+        given = parameters_of(values)
+        if given is None:
+            return self._fail(function, f"params hold an unknown pair: {values}")
+        view = View(**{
+            "convert": True, **{name: getattr(self._view, name) for name in _VIEW},
+            **{name: given.pop(name) for name in _VIEW if name in given}})
+        parameters = {**self._parameters, **given}
+        try:
+            self._session = Session(source, parameters, view)
+        except OSError as error:
+            return self._fail(function, str(error))
+        self._source = source
+        self._status, self._error = CaptureStatus.OK, None
+        return True
+
+    def _open_foreign(
+        self, function: str, source: Any, backend: int, values: list[float]
+    ) -> bool:
+        if self._parameters:
+            return self._fail(
+                function, f"{source!r} is not a recording, so that "
+                f"{', '.join(self._parameters)} cannot be used; a mosaic video or "
+                "image needs layout=")
+        cv2 = opencv()
+        if isinstance(source, bytes):
+            return self._fail(function, "a path must be str, got bytes")
+        foreign = cv2.VideoCapture()
+        arguments = (backend, [int(v) for v in values]) if values else (backend,)
+        if not foreign.open(source, *arguments):
+            return self._fail(function, f"cv2.VideoCapture cannot open {source!r}")
+        foreign.setExceptionMode(self._exceptions)
+        self._foreign, self._source = foreign, source
+        self._status, self._error = CaptureStatus.OK, None
+        return True
+
+    def isOpened(self) -> bool:
+        """Tell whether a source is open; True also at its end."""
+        with self._lock:
+            if self._foreign is not None:
+                return bool(self._foreign.isOpened())
+            return self._session is not None
+
+    def release(self) -> None:
+        """Close the source; `open` may be called again."""
+        with self._lock:
+            session, self._session = self._session, None
+            foreign, self._foreign = self._foreign, None
+            self._status = CaptureStatus.CLOSED
+            if session is not None:
+                session.close()
+            if foreign is not None:
+                foreign.release()
+
+    # ---- reading ---------------------------------------------------------------
+
+    def grab(self) -> bool:
+        """Move to the next image; False at the end."""
+        with self._lock:
+            if self._foreign is not None:
+                return self._noted(self._foreign.grab())
+            return self._grab() or self._failed("grab")
+
+    @overloads
+    def retrieve(
+        self, image: Any = None, flag: int = CAP_PDAVIS_BGR
+    ) -> tuple[bool, NDArray[Any] | None]:
+        """Return an output of the image that was grabbed last.
+
+        Parameters
+        ----------
+        image : ndarray, optional
+            Filled and returned if shape and dtype fit; else there is a new array.
+            An integer is ignored.
+        flag : int
+            ``CAP_PDAVIS_*``.
+
+        Returns
+        -------
+        ok : bool
+            False if nothing was grabbed or there is no such output.
+        image : ndarray or None
+        """
+        with self._lock:
+            if self._foreign is not None:
+                found = self._foreign.retrieve(image, flag)
+                self._noted(found[0])
+                return bool(found[0]), found[1]
+            self._check_image("retrieve", image)
+            if not _is_integer(flag):
+                self._refuse("retrieve", "Argument 'flag' is required to be an integer")
+            return self._retrieve("retrieve", image, int(flag))
+
+    @overloads
+    def read(self, image: Any = None) -> tuple[bool, NDArray[Any] | None]:
+        """Grab the next image and return the output ``CAP_PROP_PDAVIS_OUTPUT`` of it.
+
+        Parameters
+        ----------
+        image : ndarray, optional
+            See `retrieve`.
+        """
+        with self._lock:
+            if self._foreign is not None:
+                found = self._foreign.read(image)
+                self._noted(found[0])
+                return bool(found[0]), found[1]
+            self._check_image("read", image)
+            if not self._grab():
+                return self._failed("grab"), None
+            assert self._session is not None
+            return self._retrieve("read", image, self._session.view.output)
+
+    def _grab(self) -> bool:
+        if self._session is None:
+            self._error = "the capture is not open"
+            return False
+        try:
+            if self._session.grab():
+                self._status, self._error = CaptureStatus.OK, None
+                return True
+        except (OSError, PdavisError, ValueError) as error:
+            self._status, self._error = CaptureStatus.ERROR, str(error)
+            return False
+        self._status, self._error = CaptureStatus.EOF, "the recording ended"
+        return False
+
+    def _retrieve(
+        self, function: str, image: Any, flag: int
+    ) -> tuple[bool, NDArray[Any] | None]:
+        if self._session is None:
+            self._error = "the capture is not open"
+            return self._failed(function), None
+        try:
+            made = self._session.retrieve(flag)
+        except LookupError as error:
+            self._error = str(error)
+            return self._failed(function), None
+        except (OSError, PdavisError, ValueError) as error:
+            self._status, self._error = CaptureStatus.ERROR, str(error)
+            return self._failed(function), None
+        if isinstance(image, np.ndarray):
+            if image.shape != made.shape or image.dtype != made.dtype:
+                return True, made
+            image[...] = made
+            return True, image
+        return True, made
+
+    def __iter__(self) -> Self:
+        """Iterate over what `read` gives, to the end."""
+        return self
+
+    def __next__(self) -> NDArray[Any]:
+        with self._lock:
+            if self._foreign is not None or self._grab():
+                ok, image = (self._foreign.read() if self._foreign is not None
+                             else self.retrieve(None, self._session.view.output)
+                             if self._session is not None else (False, None))
+                if ok and image is not None:
+                    return image
+            raise StopIteration
+
+    # ---- properties --------------------------------------------------------------
+
+    def get(self, propId: int) -> float:
+        """Return a property; one that is unknown gives what cv2 gives."""
+        with self._lock:
+            if not _is_integer(propId):
+                raise TypeError("Argument 'propId' is required to be an integer")
+            if self._foreign is not None:
+                return float(self._foreign.get(propId))
+            if self._session is None:
+                return -1.0 if propId == _PROP_BACKEND else unknown_property()
+            try:
+                value = self._session.get(int(propId))
+            except (OSError, PdavisError, ValueError) as error:
+                self._status, self._error = CaptureStatus.ERROR, str(error)
+                value = None
+            return unknown_property() if value is None else value
+
+    def set(self, propId: int, value: float) -> bool:
+        """Change a property or the position; False if that cannot be.
+
+        Setting a position seeks exactly: afterwards everything is as after reading
+        one image after the other up to there.  A change of the rate keeps the time,
+        a change of any other parameter of `fuse` the number of the next image.
+        """
+        with self._lock:
+            if not _is_integer(propId):
+                raise TypeError("Argument 'propId' is required to be an integer")
+            try:
+                number = 0.0 if value is None else float(value)
+            except (TypeError, ValueError):
+                raise TypeError(
+                    "Argument 'value' can not be treated as a double") from None
+            if self._foreign is not None:
+                return bool(self._foreign.set(propId, number))
+            if propId == _PROP_BACKEND and self._session is not None:
+                raise_like_cv2("set", "can't set read-only property")
+            return self._set(int(propId), number) or self._failed("set")
+
+    def _set(self, prop: int, value: float) -> bool:
+        if self._session is None:
+            self._error = "the capture is not open"
+            return False
+        try:
+            if self._session.set(prop, value):
+                self._status, self._error = CaptureStatus.OK, None
+                return True
+            self._error = f"property {prop} cannot be set"
+        except (TypeError, ValueError) as error:
+            self._error = str(error)
+        except (OSError, PdavisError) as error:
+            self._status, self._error = CaptureStatus.ERROR, str(error)
+        return False
+
+    def getBackendName(self) -> str:
+        """Return ``"PDAVIS"``, or the name of cv2's backend."""
+        with self._lock:
+            if self._foreign is not None:
+                return str(self._foreign.getBackendName())
+            if self._session is None:
+                raise_like_cv2("getBackendName", "api != 0", -215)
+            return "PDAVIS"
+
+    @property
+    def status(self) -> CaptureStatus:
+        """Whether the last image was read, and if not, whether it was the end."""
+        return self._status
+
+    @property
+    def last_error(self) -> str | None:
+        """Why the last call failed, None if it did not."""
+        return self._error
+
+    # ---- exceptions --------------------------------------------------------------
+
+    def setExceptionMode(self, enable: bool) -> None:
+        """Let failures raise cv2.error."""
+        with self._lock:
+            try:
+                self._exceptions = bool(enable + 0)
+            except TypeError:
+                raise TypeError(
+                    "Argument 'enable' is not convertable to bool") from None
+            if self._foreign is not None:
+                self._foreign.setExceptionMode(self._exceptions)
+
+    def getExceptionMode(self) -> bool:
+        """Tell whether failures raise."""
+        return self._exceptions
+
+    def _fail(self, function: str, message: str) -> bool:
+        """Note why opening failed."""
+        self._status, self._error = CaptureStatus.ERROR, message
+        return self._failed(function)
+
+    def _failed(self, function: str) -> bool:
+        if self._exceptions:
+            raise_like_cv2(function, self._error or "")
+        return False
+
+    def _noted(self, ok: bool) -> bool:
+        self._status = CaptureStatus.OK if ok else CaptureStatus.EOF
+        self._error = None if ok else "cv2.VideoCapture gave no image"
+        return bool(ok)
+
+    def _refuse(self, function: str, message: str) -> NoReturn:
+        raise_like_cv2(function, f"Overload resolution failed: {message}", StsBadArg)
+
+    def _check_image(self, function: str, image: Any) -> None:
+        if image is None or _is_integer(image):
+            return
+        if not isinstance(image, np.ndarray):
+            self._refuse(function, "Argument 'image' must be an array, got "
+                         f"{type(image).__name__}")
+        if not image.flags.c_contiguous or not image.flags.writeable:
+            self._refuse(function, "Layout of the output array image is incompatible "
+                         "with cv::Mat")
+
+    @staticmethod
+    def waitAny(
+        streams: Sequence[Any], timeoutNs: int = 0
+    ) -> tuple[bool, Sequence[int]]:
+        """Refuse as cv2 does: only V4L cameras can be waited for."""
+        if not len(streams):
+            raise_like_cv2("waitAny", "!streams.empty()", -215)
+        raise_like_cv2(
+            "waitAny", "VideoCapture::waitAny() is supported by V4L backend only", -213)
+
+    # ---- context, copies ---------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.release()
+
+    def __del__(self) -> None:
+        if hasattr(self, "_session"):
+            self.release()
+
+    def __getstate__(self) -> dict[str, Any]:
+        with self._lock:
+            if self._foreign is not None:
+                raise TypeError("cannot pickle a capture that cv2 opened")
+            state = {name: getattr(self, name) for name in (
+                "_exceptions", "_source", "_parameters", "_view", "_status", "_error")}
+            if self._session is not None:
+                state["_parameters"] = self._session.parameters
+                state["_view"] = self._session.view
+                state["position"] = self._session.state()
+            return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        position = state.pop("position", None)
+        self._lock = threading.RLock()
+        self._session, self._foreign = None, None
+        self.__dict__.update(state)
+        if position is not None:
+            try:
+                self._session = Session(self._source, self._parameters, self._view)
+                self._session.restore(position)
+            except OSError as error:
+                self._status, self._error = CaptureStatus.ERROR, str(error)
+
+    def __repr__(self) -> str:
+        where = "closed" if not self.isOpened() else (
+            f"{self._source!r}, next image {self.get(1):g}")
+        return f"<pdavis_cv.VideoCapture {where}>"
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def _is_source(value: Any) -> bool:
+    return _is_integer(value) or isinstance(
+        value, (str, bytes, os.PathLike, Recording, io.BufferedIOBase))

@@ -1,0 +1,80 @@
+"""Pixels of 10 and 12 bits as cameras pack them."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+
+__all__ = ["PACKINGS", "unpack"]
+
+_Kernel = Callable[[NDArray[np.uint8], NDArray[np.uint16]], None]
+
+# Packing -> (kernel, pixels in a group, bytes of a group).
+_KERNELS: dict[str, tuple[_Kernel, int, int]] = {
+    "10p": (_kernels.unpack_10p, 4, 5),
+    "12p": (_kernels.unpack_12p, 2, 3),
+    "10packed": (lambda data, out: _kernels.unpack_packed(data, 10, out), 2, 3),
+    "12packed": (lambda data, out: _kernels.unpack_packed(data, 12, out), 2, 3),
+}
+PACKINGS = tuple(_KERNELS)
+"""Names that `unpack` takes, after the pixel formats Mono10p, Mono12Packed ..."""
+
+
+def unpack(
+    data: bytes | NDArray[np.uint8], packing: str, shape: tuple[int, ...]
+) -> NDArray[np.uint16]:
+    """Unpack 10- or 12-bit pixels, such as PolarizedMono12Packed.
+
+    ``10p`` and ``12p`` (PFNC) run on without gaps, the least significant bit first.
+    ``10packed`` and ``12packed`` (GigE Vision) put two pixels into three bytes, the
+    lower bits of both into the second one.
+
+    Parameters
+    ----------
+    data : bytes or ndarray of uint8
+        Packed pixels; what follows the last one is left alone.
+    packing : {"10p", "12p", "10packed", "12packed"}
+    shape : tuple of int
+        Of the result, e.g. (2048, 2448), or (frames, height, width); pixels run on
+        from row to row and from frame to frame.
+
+    Returns
+    -------
+    ndarray of uint16, `shape`
+        DN, at most 1023 or 4095.
+
+    Raises
+    ------
+    TypeError
+        If `data` does not hold bytes.
+    ValueError
+        If the packing is unknown or there are not enough bytes.
+
+    Examples
+    --------
+    >>> unpack(bytes([0x12, 0x34, 0x56]), "12packed", (1, 2)).tolist()
+    [[292, 1379]]
+    """
+    if packing not in _KERNELS:
+        raise ValueError(
+            f"packing must be one of {', '.join(PACKINGS)}, got {packing!r}")
+    kernel, pixels, size = _KERNELS[packing]
+    raw: NDArray[Any] = (
+        np.asarray(data) if isinstance(data, np.ndarray)
+        else np.frombuffer(data, np.uint8))
+    if raw.dtype != np.uint8:
+        raise TypeError(f"data must be bytes or uint8, got {raw.dtype}")
+    out = np.empty(shape, np.uint16)
+    groups, rest = divmod(out.size, pixels)
+    # The bits of a group's first pixels reach into the byte after the last whole one.
+    needed = groups * size + (rest * size + pixels - 1) // pixels
+    if raw.size < needed:
+        raise ValueError(
+            f"data must hold {needed} bytes for {out.size} pixels of {packing}, got "
+            f"{raw.size}")
+    kernel(np.ascontiguousarray(raw).reshape(-1), out.reshape(-1))
+    return out
