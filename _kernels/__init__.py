@@ -17,8 +17,8 @@ from ._leaky import (
 from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
-from ._store import track_commit, track_drop, track_push
 from ._simulate import pixel_events, read_out, sort_events
+from ._store import track_commit, track_drop, track_push
 
 __all__ = [
     "DEBUG",
