@@ -12,6 +12,7 @@ from setuptools import Extension, setup
 
 # An explicit list: a missing source must fail, not vanish from the wheel.
 KERNELS = (
+    "_aedat4",
     "_aps",
     "_build",
     "_demosaic",
@@ -25,7 +26,15 @@ KERNELS = (
     "_simulate",
     "_store",
 )
-SHARED = ("_double.pxd", "_math.pxd", "_rows.pxd", "_stencil.h", "_tracks.pxd", "_types.pxd")
+SHARED = (
+    "_check.pxd",
+    "_double.pxd",
+    "_math.pxd",
+    "_rows.pxd",
+    "_stencil.h",
+    "_tracks.pxd",
+    "_types.pxd",
+)
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
 

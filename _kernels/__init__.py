@@ -1,4 +1,10 @@
 """Compiled kernels (private); typed in pdavis_cv/_kernels.pyi."""
+from ._aedat4 import (
+    aedat4_events,
+    aedat4_table_bytes,
+    aedat4_table_floats,
+    aedat4_table_times,
+)
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._demosaic import bilinear, superpixel
@@ -22,6 +28,10 @@ from ._store import track_commit, track_drop, track_push
 
 __all__ = [
     "DEBUG",
+    "aedat4_events",
+    "aedat4_table_bytes",
+    "aedat4_table_floats",
+    "aedat4_table_times",
     "aop",
     "aop_dolp",
     "bilinear",

@@ -42,6 +42,7 @@ _HOME = {
     "Packet": "recording.base",
     "Recording": "recording.base",
     "recording_from_arrays": "recording.memory",
+    "open_recording": "recording.open",
     "ComplementaryFilter": "reconstruct.cf",
     "KalmanFilter": "reconstruct.kalman",
     "FrameHold": "reconstruct.frames",
@@ -162,6 +163,7 @@ if TYPE_CHECKING:
         Recording,
     )
     from pdavis_cv.recording.memory import recording_from_arrays
+    from pdavis_cv.recording.open import open_recording
     from pdavis_cv.sensor import CHANNELS, Layout, Sensor
 
 

@@ -6,11 +6,16 @@ from numpy.typing import NDArray
 
 _F32 = NDArray[np.float32]
 _F64 = NDArray[np.float64]
+_I64 = NDArray[np.int64]
 _U8 = NDArray[np.uint8]
 _Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
 
 __all__ = [
     "DEBUG",
+    "aedat4_events",
+    "aedat4_table_bytes",
+    "aedat4_table_floats",
+    "aedat4_table_times",
     "aop",
     "aop_dolp",
     "bilinear",
@@ -47,6 +52,13 @@ __all__ = [
 
 DEBUG: bool
 
+def aedat4_events(
+    data: _U8, at: int, begin: int, n: int, height: int, width: int, flip: bool,
+    state: _I64, out: NDArray[Any],
+) -> int: ...
+def aedat4_table_bytes(data: _U8, at: int, field: int, out: _U8) -> int: ...
+def aedat4_table_floats(data: _U8, at: int, field: int, out: _F32) -> int: ...
+def aedat4_table_times(data: _U8, at: int, field: int, out: _I64) -> int: ...
 def aop(s1: _F32, s2: _F32, out: _F32) -> None: ...
 def aop_dolp(quad: _F32, gain: float, aop: _F32, dolp: _F32) -> None: ...
 def bilinear(

@@ -1,7 +1,6 @@
 """Recordings in memory."""
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -11,8 +10,6 @@ from numpy.typing import NDArray
 from pdavis_cv.events import EVENT_DTYPE, as_events, check_order
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
-    MAX_PACKET_EVENTS,
-    MAX_PACKET_US,
     TRIGGER_DTYPE,
     ApsFrame,
     Packet,
@@ -20,6 +17,7 @@ from pdavis_cv.recording.base import (
     Recording,
     RecordingInfo,
 )
+from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["MemoryRecording", "recording_from_arrays"]
@@ -35,7 +33,6 @@ class MemoryRecording(Recording):
         self._info = info
         self._events, self._frames = events, frames
         self._imu, self._triggers = imu, triggers
-        self._frame_t = np.array([frame.available_us for frame in frames], np.int64)
 
     @property
     def info(self) -> RecordingInfo:
@@ -51,46 +48,8 @@ class MemoryRecording(Recording):
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        first, end = self._info.start_us, self._info.stop_us
-        if first is None or end is None:
-            return
-        start = first if start_us is None else max(first, int(start_us))
-        stop = end if stop_us is None else min(end, int(stop_us))
-        # Packets end on a grid of the recording's own, or at a frame.
-        at = start
-        while at < stop:
-            cell = first + (at - first) // MAX_PACKET_US * MAX_PACKET_US
-            cell_end = cell + MAX_PACKET_US
-            f = int(np.searchsorted(self._frame_t, at))
-            if f and self._frame_t[f - 1] >= cell:
-                cell = int(self._frame_t[f - 1]) + 1
-            frames: tuple[ApsFrame, ...] = ()
-            if f < len(self._frames) and self._frame_t[f] < cell_end:
-                # A frame closes its packet, so that at most one is in it.
-                cell_end = int(self._frame_t[f]) + 1
-                if cell_end <= stop:
-                    frames = (self._frames[f],)
-            until = min(cell_end, stop)
-            yield from self._split(cell, at, until, frames)
-            at = until
-
-    def _split(
-        self, cell: int, start: int, stop: int, frames: tuple[ApsFrame, ...]
-    ) -> Iterator[Packet]:
-        origin, lo, hi = (
-            int(i) for i in np.searchsorted(self._events["t"], (cell, start, stop)))
-        inner = range(origin + MAX_PACKET_EVENTS, hi, MAX_PACKET_EVENTS)
-        cuts = [lo, *(i for i in inner if i > lo), hi]
-        for a, b in itertools.pairwise(cuts):
-            last = b == hi
-            until = stop if last else int(self._events["t"][b])
-            packet = Packet(
-                self._events[a:b].copy(), frames if last else (),
-                _between(self._imu, start, until),
-                _between(self._triggers, start, until))
-            start = until
-            if packet.start_us is not None:
-                yield packet
+        whole = Batch(self._events, list(self._frames), self._imu, self._triggers)
+        yield from packetise([whole], start_us, stop_us)
 
     def close(self) -> None:
         """Nothing to release."""
@@ -176,11 +135,6 @@ def _likely_sensor(
     if len(events) or size == Sensor.PDAVIS.size:
         return Sensor.PDAVIS
     return Sensor.SONY if layout == Layout.SONY else None
-
-
-def _between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
-    lo, hi = np.searchsorted(samples["t"], (start, stop))
-    return samples[lo:hi].copy()
 
 
 def _checked_size(size: tuple[int, int]) -> tuple[int, int]:

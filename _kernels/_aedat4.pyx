@@ -1,0 +1,144 @@
+"""AEDAT-4 payloads: event structs and vectors of tables."""
+from libc.stdint cimport int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t
+from libc.string cimport memcpy
+
+from _kernels._check cimport FILLED, FIRST_BAD, JUMP, OFFSET, STATE, take
+from _kernels._types cimport event_t
+
+cdef enum:
+    STRIDE = 16     # int64 t, int16 x, int16 y, bool p, three bytes of padding
+
+
+def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t begin,
+                  Py_ssize_t n, Py_ssize_t height, Py_ssize_t width, bint flip,
+                  int64_t[::1] state not None, event_t[::1] out not None):
+    """Decode events begin .. n of the vector at byte at into out; return how far.
+
+    Returns n, or the index of an event before which time jumped back by more than
+    a second.  state is as in _check.pxd.  flip turns rows upside down.
+    """
+    cdef Py_ssize_t i = begin
+    cdef int64_t t, following
+    cdef int16_t x, y
+    cdef const uint8_t* source
+    cdef int64_t* s
+    if state.shape[0] != STATE:
+        raise ValueError("aedat4_events: state must hold 6 numbers")
+    if (begin < 0 or n < begin or at < 0 or at > data.shape[0]
+            or n > (data.shape[0] - at) // STRIDE):
+        raise ValueError("aedat4_events: events lie outside data")
+    if state[FILLED] < 0 or state[FILLED] > out.shape[0] - (n - begin):
+        raise ValueError("aedat4_events: out is too small")
+    if n == begin:
+        return n
+    s = &state[0]
+    s[FIRST_BAD] = -1
+    source = &data[0] + at
+    with nogil:
+        while i < n:
+            memcpy(&t, source + i * STRIDE, 8)
+            memcpy(&x, source + i * STRIDE + 8, 2)
+            memcpy(&y, source + i * STRIDE + 10, 2)
+            following = t
+            if i + 1 < n:
+                memcpy(&following, source + (i + 1) * STRIDE, 8)
+            # Unsigned sums: a damaged time may be anything.
+            if take(&out[0] + s[FILLED], i,
+                    <int64_t>(<unsigned long long>t + <unsigned long long>s[OFFSET]),
+                    <int64_t>(<unsigned long long>following
+                              + <unsigned long long>s[OFFSET]),
+                    x, height - 1 - y if flip else y, source[i * STRIDE + 12],
+                    height, width, s) == JUMP:
+                break
+            i += 1
+    return i
+
+
+cdef inline Py_ssize_t field_at(const uint8_t* data, Py_ssize_t size,
+                                Py_ssize_t place, int field, int width) noexcept nogil:
+    """Return where a field of the table that place points to lies, 0 = default.
+
+    place holds an offset relative to itself.  -1 if anything lies outside data.
+    """
+    cdef uint32_t step
+    cdef int32_t back
+    cdef uint16_t length, relative
+    cdef Py_ssize_t table, vtable
+    memcpy(&step, data + place, 4)
+    table = place + step
+    if table > size - 4:
+        return -1
+    memcpy(&back, data + table, 4)
+    vtable = table - back
+    if vtable < 0 or vtable > size - 4:
+        return -1
+    memcpy(&length, data + vtable, 2)
+    if 4 + 2 * field + 2 > length:
+        return 0
+    if vtable + 4 + 2 * field + 2 > size:
+        return -1
+    memcpy(&relative, data + vtable + 4 + 2 * field, 2)
+    if relative == 0:
+        return 0
+    if table + relative > size - width:
+        return -1
+    return table + relative
+
+
+def aedat4_table_times(const uint8_t[::1] data not None, Py_ssize_t at, int field,
+                       int64_t[::1] out not None):
+    """Read an int64 field of the tables whose offsets lie at byte at; return how many.
+
+    Stops at the first table that lies outside data.
+    """
+    cdef Py_ssize_t i = 0, n = out.shape[0], size = data.shape[0], place
+    if at < 0 or at > size or n > (size - at) // 4 or field < 0:
+        raise ValueError("aedat4_table_times: tables lie outside data")
+    with nogil:
+        while i < n:
+            place = field_at(&data[0], size, at + 4 * i, field, 8)
+            if place < 0:
+                break
+            out[i] = 0
+            if place > 0:
+                memcpy(&out[i], &data[place], 8)
+            i += 1
+    return i
+
+
+def aedat4_table_floats(const uint8_t[::1] data not None, Py_ssize_t at, int field,
+                        float[:, ::1] out not None):
+    """Read float32 fields from field on into the columns of out; return how many."""
+    cdef Py_ssize_t i = 0, n = out.shape[0], size = data.shape[0], place = 0
+    cdef Py_ssize_t j, columns = out.shape[1]
+    if at < 0 or at > size or n > (size - at) // 4 or field < 0:
+        raise ValueError("aedat4_table_floats: tables lie outside data")
+    with nogil:
+        while i < n:
+            for j in range(columns):
+                place = field_at(&data[0], size, at + 4 * i, field + <int>j, 4)
+                if place < 0:
+                    break
+                out[i, j] = 0
+                if place > 0:
+                    memcpy(&out[i, j], &data[place], 4)
+            if place < 0:
+                break
+            i += 1
+    return i
+
+
+def aedat4_table_bytes(const uint8_t[::1] data not None, Py_ssize_t at, int field,
+                       uint8_t[::1] out not None):
+    """Read a one-byte field of the tables at byte at into out; return how many."""
+    cdef Py_ssize_t i = 0, n = out.shape[0], size = data.shape[0], place
+    if at < 0 or at > size or n > (size - at) // 4 or field < 0:
+        raise ValueError("aedat4_table_bytes: tables lie outside data")
+    with nogil:
+        while i < n:
+            place = field_at(&data[0], size, at + 4 * i, field, 1)
+            if place < 0:
+                break
+            out[i] = data[place] if place > 0 else 0
+            i += 1
+    return i

@@ -1,0 +1,62 @@
+"""What a reader does with each event that it decodes.  Inline only."""
+from libc.stdint cimport int64_t
+
+from _kernels._types cimport event_t
+
+# Places in the state that a reader keeps between calls.
+cdef enum:
+    FILLED = 0      # events taken into the output so far
+    LAST = 1        # time of the last event taken
+    OFFSET = 2      # added to each time of the file
+    OUTSIDE = 3     # events dropped because they lie outside the sensor
+    BACKWARD = 4    # events dropped because their time runs backward
+    FIRST_BAD = 5   # index of the first event dropped in this call, or -1
+    STATE = 6
+
+cdef enum:
+    TAKEN = 0
+    DROPPED = 1
+    JUMP = 2        # time falls by more than a second: the caller decides
+
+cdef enum:
+    SEGMENT_US = 1000000
+
+# Times beyond this are damage; sums and differences of two stay in range.
+cdef inline bint far(int64_t t) noexcept nogil:
+    return t < -(<int64_t>1 << 61) or t > (<int64_t>1 << 61)
+
+
+cdef inline int take(event_t* out, Py_ssize_t i, int64_t t, int64_t following,
+                     int64_t x, int64_t y, int64_t p, int64_t height, int64_t width,
+                     int64_t* state) noexcept nogil:
+    """Append one event, drop it, or report that time jumped back before it.
+
+    following is the time of the next event: one event far ahead of both its
+    neighbours is damage, and must not make all that follow look late.
+    """
+    cdef int64_t last = state[LAST]
+    if (x < 0 or x >= width or y < 0 or y >= height or p < 0 or p > 1 or far(t)):
+        state[OUTSIDE] += 1
+        if state[FIRST_BAD] < 0:
+            state[FIRST_BAD] = i
+        return DROPPED
+    if t < last:
+        if last - t > SEGMENT_US:
+            return JUMP
+        state[BACKWARD] += 1
+        if state[FIRST_BAD] < 0:
+            state[FIRST_BAD] = i
+        return DROPPED
+    if t - last > SEGMENT_US and not far(following) and (
+            following >= last and t - following > SEGMENT_US):
+        state[BACKWARD] += 1
+        if state[FIRST_BAD] < 0:
+            state[FIRST_BAD] = i
+        return DROPPED
+    out[0].t = t
+    out[0].x = <unsigned short>x
+    out[0].y = <unsigned short>y
+    out[0].p = <unsigned char>p
+    state[LAST] = t
+    state[FILLED] += 1
+    return TAKEN

@@ -1,0 +1,296 @@
+"""AEDAT-4 recordings."""
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv.errors import PdavisWarning, RecordingError
+from pdavis_cv.recording import aedat4_samples as samples
+from pdavis_cv.recording.aedat4_cursor import Cursor
+from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError, Stream
+from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
+from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.timeline import NEVER, Timeline
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["Aedat4Recording"]
+
+KINDS = ("EVTS", "FRME", "IMUS", "TRIG")
+MAX_SIDE = 8192
+FRAME_SLACK_US = 2_000_000
+"""The index gives a frame's timestamp; its readout ends within this time of it."""
+EPOCH_US = 10**15
+"""Times beyond this (2001) are Unix times, smaller ones count from some start."""
+
+
+class Aedat4Recording(Recording):
+    """A recording in AEDAT-4; see `open_recording`.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Source, or part of it, where the file holds several cameras.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
+                 bad_events: str = "drop", camera: str | None = None) -> None:
+        self._arguments = (os.fspath(path), layout, bad_events, camera)
+        self._strict = bad_events == "raise"
+        self._file = Aedat4File(path)
+        try:
+            self._streams = self._choose(camera)
+            self._size = self._sensor_size()
+            self._scale = self._frame_scale()
+            self._info = self._make_info(layout)
+        except BaseException:
+            self._file.reader.close()
+            raise
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopen, self._arguments
+
+    @property
+    def path(self) -> Path:
+        """The file that is read."""
+        return self._file.reader.path
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """What was found wrong so far."""
+        return self._file.log.problems
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.reader.close()
+
+    # Opening -------------------------------------------------------------------
+
+    def _choose(self, camera: str | None) -> dict[str, Stream]:
+        """Return the first stream of each kind that the wanted camera has."""
+        known = [s for s in self._file.streams.values() if s.kind in KINDS]
+        for stream in self._file.streams.values():
+            if stream.kind not in KINDS:
+                self._file.log.add(
+                    "unknown stream", stream.number, f"stream {stream.number} of type "
+                    f"{stream.kind} is skipped", warning=PdavisWarning)
+        names = sorted({s.source for s in known if s.kind in ("EVTS", "FRME")})
+        if camera is not None:
+            wanted = [name for name in names if camera in name]
+        else:
+            wanted = names
+        if len(wanted) != 1 and known:
+            what = "no camera" if not wanted else "several cameras"
+            raise RecordingError(
+                f"{self.path}: {what} named {camera!r}: it holds {', '.join(names)}"
+                if camera is not None else
+                f"{self.path}: it holds several cameras, pass camera=: "
+                f"{', '.join(names)}" if wanted else
+                f"{self.path}: it holds neither events nor frames")
+        chosen: dict[str, Stream] = {}
+        for stream in sorted(known, key=lambda s: s.number):
+            if stream.source in (wanted[0], "") or len(names) == 1:
+                chosen.setdefault(stream.kind, stream)
+        if not chosen.keys() & {"EVTS", "FRME"}:
+            raise RecordingError(f"{self.path}: it holds neither events nor frames")
+        return chosen
+
+    def _sensor_size(self) -> tuple[int, int]:
+        for kind in ("EVTS", "FRME"):
+            stream = self._streams.get(kind)
+            if stream is None:
+                continue
+            try:
+                width = int(stream.attributes["sizeX"])
+                height = int(stream.attributes["sizeY"])
+            except (KeyError, ValueError):
+                continue
+            if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
+                raise RecordingError(
+                    f"{self.path}: sensor sides must lie in 1..{MAX_SIDE}, the header "
+                    f"says {width}x{height}")
+            return height, width
+        raise RecordingError(f"{self.path}: the header does not give the sensor's size")
+
+    def _frame_scale(self) -> samples.FrameScale | None:
+        """Judge 16-bit frames by the first: one scale holds for the whole file."""
+        stream = self._streams.get("FRME")
+        for entry in stream.entries[:8] if stream else ():
+            try:
+                raw = samples.raw_frame(*self._file.table(entry, "FRME"))
+            except (PayloadError, samples.UnknownFrameError):
+                continue
+            return samples.scale_of(raw.pixels)
+        return None
+
+    def _make_info(self, layout: Layout | None) -> RecordingInfo:
+        streams = self._streams
+        counts: dict[str, int | None] = {}
+        for kind in KINDS:
+            entries = streams[kind].entries if kind in streams else []
+            counts[kind] = sum(e.count or 0 for e in entries) if (
+                self._file.indexed or not entries) else None
+        source = next(iter(streams.values())).source
+        start, stop = self._span()
+        name, _, serial = source.partition("_")
+        davis = name.upper().startswith("DAVIS346") or self._size == Sensor.PDAVIS.size
+        writer = next(iter(streams.values())).attributes.get("originalModuleName")
+        return RecordingInfo(
+            format="AEDAT-4", sensor_size=self._size, writer=writer,
+            camera=source or None, serial=serial or None,
+            sensor=Sensor.PDAVIS if davis else None, layout=layout,
+            start_us=start, stop_us=stop if self._file.indexed else None,
+            event_count=counts["EVTS"], frame_count=counts["FRME"],
+            imu_count=counts["IMUS"], trigger_count=counts["TRIG"],
+            wall_clock_us=0 if start is not None and start > EPOCH_US else None,
+            header={"compression": self._file.compression,
+                    "streams": {str(s.number): {"type": s.kind, **s.attributes}
+                                for s in self._file.streams.values()}})
+
+    def _span(self) -> tuple[int | None, int | None]:
+        """Return the half-open interval of all samples, from the index if it is there.
+
+        The index gives a frame's timestamp, so the first and the last are read.
+        """
+        starts: list[int] = []
+        stops: list[int] = []
+        for kind, stream in self._streams.items():
+            if not stream.entries:
+                continue
+            ends = [stream.entries[0], stream.entries[-1]]
+            if kind == "FRME":
+                times = [t for t in map(self._frame_time, ends) if t is not None]
+                starts += times[:1]
+                stops += times[-1:]
+            elif self._file.indexed:
+                starts += [t for t in (ends[0].start_us,) if t is not None]
+                stops += [t for t in (ends[1].stop_us,) if t is not None]
+            else:
+                got = self._cursor(kind, Timeline()).pull()
+                if got is not None and len(got):
+                    starts.append(int(got["t"][0]))
+        return min(starts, default=None), max(stops) + 1 if stops else None
+
+    def _frame_time(self, entry: Entry) -> int | None:
+        try:
+            raw = samples.raw_frame(*self._file.table(entry, "FRME"))
+        except (PayloadError, samples.UnknownFrameError):
+            return entry.start_us
+        return samples.exposure_times(raw.times)[2]
+
+    # Reading -------------------------------------------------------------------
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        return packetise(self._batches(start_us), start_us, stop_us)
+
+    def _batches(self, start_us: int | None) -> Iterator[Batch]:
+        """Read the stream that is least far in time, until all are at their end."""
+        timeline = Timeline()
+        cursors = [
+            self._cursor(kind, timeline, *self._seek(kind, start_us))
+            for kind in KINDS if kind in self._streams]
+        while cursors:
+            cursor = min(cursors, key=lambda c: c.clock.last)
+            got = cursor.pull()
+            if got is None:
+                cursors.remove(cursor)
+                batch = Batch()
+            else:
+                batch = Batch(**{_FIELDS[cursor.kind]: got})
+            if cursors:
+                batch.complete_us = min(c.clock.last for c in cursors)
+            yield batch
+
+    def _cursor(self, kind: str, timeline: Timeline, first: int = 0,
+                last_us: int = NEVER) -> Cursor:
+        return Cursor(
+            self._file, kind, self._streams[kind].entries, timeline, size=self._size,
+            scale=self._scale, strict=self._strict, first=first, last_us=last_us)
+
+    def _seek(self, kind: str, start_us: int | None) -> tuple[int, int]:
+        """Return the packet to begin with, and the last time before it.
+
+        A file whose index shows time running backward is read from its beginning:
+        what is dropped there depends on everything before.
+        """
+        if start_us is None or not self._ordered():
+            return 0, NEVER
+        begin = cell_start(start_us) - (FRAME_SLACK_US if kind == "FRME" else 0)
+        entries = self._streams[kind].entries
+        lo, hi = 0, len(entries)
+        while lo < hi:
+            middle = (lo + hi) // 2
+            if (entries[middle].stop_us or 0) < begin:
+                lo = middle + 1
+            else:
+                hi = middle
+        lo = max(lo - 1, 0)
+        if lo == 0 or kind == "FRME":
+            return lo, NEVER
+        last = entries[lo - 1].stop_us
+        return lo, NEVER if last is None else last
+
+    def _ordered(self) -> bool:
+        if not hasattr(self, "_in_order"):
+            if not self._file.indexed:
+                self._make_index()
+            self._in_order = all(
+                e.start_us is not None and e.stop_us is not None
+                and e.start_us <= e.stop_us
+                and (i == 0 or e.start_us >= (stream.entries[i - 1].stop_us or 0))
+                for stream in self._streams.values()
+                for i, e in enumerate(stream.entries))
+        return self._in_order
+
+    def _make_index(self) -> None:
+        """Find the times of every packet of a file without an index."""
+        for kind, stream in self._streams.items():
+            for entry in stream.entries:
+                try:
+                    times = self._times(kind, entry)
+                except PayloadError:
+                    times = None  # told when it is read
+                if times:
+                    entry.start_us, entry.stop_us = times
+        for stream in self._streams.values():
+            # A packet that says nothing stands where its predecessor ended.
+            last = NEVER
+            for entry in stream.entries:
+                if entry.start_us is None or entry.stop_us is None:
+                    entry.start_us = entry.stop_us = last
+                last = entry.stop_us
+
+    def _times(self, kind: str, entry: Entry) -> tuple[int, int] | None:
+        data, table = self._file.table(entry, kind)
+        if kind == "FRME":
+            time = samples.raw_frame(data, table).times[0]
+            return time, time
+        if kind == "EVTS":
+            at, count = samples.event_vector(table)
+            if not count:
+                return None
+            return (int.from_bytes(data[at:at + 8], "little", signed=True),
+                    int.from_bytes(data[at + 16 * count - 16:][:8], "little",
+                                   signed=True))
+        got = (samples.imu_samples if kind == "IMUS" else samples.triggers)(data, table)
+        return (int(got["t"][0]), int(got["t"][-1])) if len(got) else None
+
+
+_FIELDS = {"EVTS": "events", "FRME": "frames", "IMUS": "imu", "TRIG": "triggers"}
+
+
+def _reopen(path: str, layout: Layout | None, bad_events: str,
+            camera: str | None) -> Aedat4Recording:
+    return Aedat4Recording(path, layout=layout, bad_events=bad_events, camera=camera)

@@ -1,0 +1,167 @@
+"""Reading one stream of an AEDAT-4 file, packet by packet, in time order."""
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.errors import PdavisWarning, RecordingError
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording import aedat4_samples as samples
+from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError
+from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
+
+__all__ = ["Cursor"]
+
+
+class Cursor:
+    """Reads the packets of one stream.
+
+    Parameters
+    ----------
+    file : Aedat4File
+    kind : str
+        ``"EVTS"``, ``"FRME"``, ``"IMUS"`` or ``"TRIG"``.
+    entries : list of Entry
+    timeline : Timeline
+    size : (int, int)
+        Sensor (height, width).
+    scale : FrameScale, optional
+    strict : bool
+        True to raise at the first bad sample.
+    first : int
+        Packet to begin with.
+    last_us : int
+        Time of the last sample before it.
+    """
+
+    def __init__(
+        self, file: Aedat4File, kind: str, entries: list[Entry], timeline: Timeline, *,
+        size: tuple[int, int], scale: samples.FrameScale | None = None,
+        strict: bool = False, first: int = 0, last_us: int = NEVER,
+    ) -> None:
+        self.kind = kind
+        self.clock = Clock(timeline, last_us)
+        self._file, self._entries, self._next = file, entries, first
+        self._size, self._scale, self._strict = size, scale, strict
+        self._last_mid = NEVER
+        self._read = {"EVTS": self._events, "FRME": self._frames,
+                      "IMUS": self._samples, "TRIG": self._samples}[kind]
+
+    def pull(self) -> Any:
+        """Return the samples of the next packet that can be read, None at the end."""
+        while self._next < len(self._entries):
+            entry = self._entries[self._next]
+            self._next += 1
+            try:
+                return self._read(entry)
+            except PayloadError as error:
+                self._file.lost(entry, error)
+        return None
+
+    def _events(self, entry: Entry) -> NDArray[Any]:
+        data, table = self._file.table(entry, "EVTS")
+        at, count = samples.event_vector(table)
+        out = np.empty(count, EVENT_DTYPE)
+        raw, state = np.frombuffer(data, np.uint8), self.clock.state
+        state[0] = state[3] = state[4] = 0
+        done = 0
+        while True:
+            done = _kernels.aedat4_events(
+                raw, at, done, count, *self._size, False, state, out)
+            if self._strict and state[5] >= 0:
+                self._refuse(entry, data, at, int(state[5]))
+            if done == count:
+                break
+            t = _time(data, at, done) + int(state[2])
+            self._segment(entry, (done, t), t)
+        self._count(entry, "outside sensor", int(state[3]),
+                    "events outside the sensor were dropped")
+        self._count(entry, "backward time", int(state[4]),
+                    "events were dropped because time ran backward")
+        return out[:int(state[0])]
+
+    def _frames(self, entry: Entry) -> list[ApsFrame]:
+        data, table = self._file.table(entry, "FRME")
+        try:
+            raw = samples.raw_frame(data, table)
+        except samples.UnknownFrameError as error:
+            self._file.log.add(
+                "unknown frame", entry.offset, f"{error} is skipped",
+                offset=entry.offset - 8, warning=PdavisWarning)
+            return []
+        if raw.colour:
+            self._file.log.add(
+                "colour frame", entry.offset, "colour channels were averaged",
+                offset=entry.offset - 8)
+        soe, eoe, available = samples.exposure_times(raw.times)
+        time = np.array([available], np.int64)
+        before = self.clock.last
+        keep, segments = self.clock.order(time)
+        for _ in segments:
+            self._note_segment(entry, "frame", int(time[0]))
+        move = int(time[0]) - available
+        mid = (soe + eoe) // 2 + move
+        if not keep[0] or int(time[0]) == before or mid <= self._last_mid:
+            self._count(entry, "backward time", 1,
+                        "frames were dropped because time ran backward")
+            return []
+        scale = samples.scale_of(raw.pixels) if self._scale is None else self._scale
+        if scale.itemsize != raw.pixels.dtype.itemsize:
+            scale = samples.scale_of(raw.pixels)
+        frame = samples.aps_frame(
+            raw, scale, (soe + move, eoe + move, available + move), self._size)
+        self._last_mid = mid
+        return [frame]
+
+    def _samples(self, entry: Entry) -> NDArray[Any]:
+        read = samples.imu_samples if self.kind == "IMUS" else samples.triggers
+        got = read(*self._file.table(entry, self.kind))
+        times = got["t"].astype(np.int64)
+        keep, segments = self.clock.order(times)
+        got["t"] = times
+        for i in segments:
+            self._note_segment(entry, i, int(times[i]))
+        if keep.all():
+            return got
+        name = "IMU samples" if self.kind == "IMUS" else "triggers"
+        self._count(entry, "backward time", int(np.count_nonzero(~keep)),
+                    f"{name} were dropped because time ran backward")
+        return got[keep]
+
+    def _segment(self, entry: Entry, key: Any, t_us: int) -> None:
+        moved = self.clock.jump(t_us)
+        self._note_segment(entry, key, t_us + moved)
+
+    def _note_segment(self, entry: Entry, key: Any, t_us: int) -> None:
+        self._file.log.add(
+            "segment", (entry.offset, key), "time jumped back by more than a second: "
+            "a new segment, moved to follow the one before", offset=entry.offset - 8,
+            start_us=t_us, stop_us=t_us)
+
+    def _count(self, entry: Entry, kind: str, count: int, message: str) -> None:
+        if not count:
+            return
+        if self._strict:
+            raise RecordingError(
+                f"{self._file.reader.path}: byte {entry.offset - 8}: {count} {message}")
+        self._file.log.add(
+            kind, entry.offset, message, count=count, offset=entry.offset - 8,
+            start_us=entry.start_us, stop_us=entry.stop_us)
+
+    def _refuse(self, entry: Entry, data: bytes, at: int, i: int) -> None:
+        x, y = (int.from_bytes(data[at + 16 * i + k:][:2], "little", signed=True)
+                for k in (8, 10))
+        raise RecordingError(
+            f"{self._file.reader.path}: byte {entry.offset - 8}: event {i} of the "
+            f"packet at (t={_time(data, at, i)}, x={x}, y={y}, "
+            f"p={data[at + 16 * i + 12]}) lies outside the sensor, or before its "
+            "predecessor")
+
+
+def _time(data: bytes, at: int, i: int) -> int:
+    """Return the file's time of event i of the vector at byte at."""
+    return int.from_bytes(data[at + 16 * i:at + 16 * i + 8], "little", signed=True)

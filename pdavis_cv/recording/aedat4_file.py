@@ -1,0 +1,377 @@
+r"""The AEDAT-4 container: header, packets, index, and what to do when they are torn.
+
+Written from the published AEDAT-4 schema: "#!AER-DAT4.0\r\n", a size-prefixed
+FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
+"""
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+from xml.etree import ElementTree
+
+import lz4.frame
+import numpy as np
+
+from pdavis_cv import _kernels
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.files import FileReader, ProblemLog, clock_text
+from pdavis_cv.recording.flatbuffer import FlatBufferError, Table, root_table
+
+__all__ = ["MAGIC", "Aedat4File", "Entry", "PayloadError", "Stream"]
+
+MAGIC = b"#!AER-DAT4.0\r\n"
+COMPRESSIONS = ("none", "LZ4", "LZ4_HIGH", "ZSTD", "ZSTD_HIGH")
+MAX_PAYLOAD = 128 << 20
+"""No payload is decompressed beyond this; a writer's packet holds 10 ms."""
+MAX_HEADER = 16 << 20
+_LZ4_MAGIC = b"\x04\x22\x4d\x18"
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_PACKET = struct.Struct("<ii")
+
+
+class PayloadError(ValueError):
+    """Raised when a payload cannot be decompressed or decoded."""
+
+
+@dataclass(slots=True)
+class Entry:
+    """Where a packet lies; count and times are None where no index gives them."""
+
+    stream: int
+    offset: int
+    size: int
+    count: int | None = None
+    start_us: int | None = None
+    stop_us: int | None = None
+
+
+@dataclass(slots=True)
+class Stream:
+    """What the header says about one stream."""
+
+    number: int
+    kind: str
+    attributes: dict[str, str] = field(default_factory=dict)
+    entries: list[Entry] = field(default_factory=list)
+
+    @property
+    def source(self) -> str:
+        """Camera and serial number as the writer gives them."""
+        return self.attributes.get("source", "")
+
+
+class Aedat4File:
+    """Header, streams and packets of one file.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    compression : str
+        One of ``COMPRESSIONS``.
+    streams : dict of int to Stream
+    indexed : bool
+        True if the file has a usable index.
+    log : ProblemLog
+
+    Raises
+    ------
+    RecordingError
+        If the header cannot be read.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.reader = FileReader(path)
+        self.log = ProblemLog(str(path))
+        try:
+            self._read_header()
+            self.indexed = self._read_index()
+            if not self.indexed:
+                for entry in self._walk():
+                    self.streams[entry.stream].entries.append(entry)
+        except BaseException:
+            self.reader.close()
+            raise
+
+    def _fail(self, offset: int, message: str) -> RecordingError:
+        return RecordingError(f"{self.reader.path}: byte {offset}: {message}")
+
+    def _read_header(self) -> None:
+        first = self.reader.read(0, len(MAGIC) + 4)
+        if first[:len(MAGIC)] != MAGIC:
+            raise self._fail(0, f"not an AEDAT-4 file, first bytes {first[:8]!r}")
+        if len(first) < len(MAGIC) + 4:
+            raise self._fail(len(first), "the file ends inside the header")
+        size = int.from_bytes(first[-4:], "little")
+        if size > MAX_HEADER:
+            raise self._fail(len(MAGIC), f"the header cannot be {size} bytes long")
+        data = self.reader.read(len(MAGIC), size + 4)
+        if len(data) < size + 4:
+            raise self._fail(self.reader.size, "the file ends inside the header")
+        try:
+            table = root_table(data, b"IOHE")
+            code = table.scalar(0, "i")
+            self.table_position = table.scalar(1, "q", -1)
+            text = table.text(2)
+        except FlatBufferError as error:
+            raise self._fail(len(MAGIC), f"the header is damaged: {error}") from error
+        if not 0 <= code < len(COMPRESSIONS):
+            raise self._fail(len(MAGIC), f"unknown compression {code}")
+        self.compression = COMPRESSIONS[code]
+        self.data_start = len(MAGIC) + 4 + size
+        try:
+            self.streams = {s.number: s for s in _streams(text)}
+        except (ElementTree.ParseError, ValueError) as error:
+            raise self._fail(
+                len(MAGIC), f"the header's XML is damaged: {error}") from error
+        if not self.streams:
+            raise self._fail(len(MAGIC), "the header names no stream")
+
+    # Index ---------------------------------------------------------------------
+
+    def _read_index(self) -> bool:
+        at = self.table_position
+        if at < 0:
+            return False  # the writer did not close the file, or keeps no index
+        if not self.data_start <= at < self.reader.size:
+            self.log.damage(
+                ("index", at), f"byte {at}: the index should be here, but the file "
+                f"ends at byte {self.reader.size}; packets are searched instead",
+                offset=at)
+            return False
+        try:
+            self._take_index(self.reader.read(at, MAX_PAYLOAD))
+        except (PayloadError, FlatBufferError) as error:
+            self.log.damage(
+                ("index", at), f"byte {at}: the index cannot be read ({error}); "
+                "packets are searched instead", offset=at)
+            for stream in self.streams.values():
+                stream.entries.clear()
+            return False
+        return True
+
+    def _take_index(self, payload: bytes) -> None:
+        if payload[8:12] != b"FTAB":  # DV compresses it, jAER does not
+            payload = self._decompress(payload)
+        table = root_table(payload, b"FTAB")
+        at, count = table.vector(0, 4)
+        data = np.frombuffer(payload, np.uint8)
+        columns = np.zeros((5, count), np.int64)
+        for row, place in zip(columns, range(5), strict=True):
+            if _kernels.aedat4_table_times(data, at, place, row) != count:
+                raise FlatBufferError("an entry lies outside the table")
+        offset, header, number, start, stop = columns
+        stream, size = header & 0xFFFFFFFF, header >> 32
+        stream = stream.astype(np.int32).astype(np.int64)
+        if not count:
+            if self.table_position > self.data_start:
+                raise FlatBufferError("it is empty, but the file holds packets")
+            return
+        # DV counts from the payload, jAER from the packet's header.
+        first = int(offset.min()) - self.data_start
+        if first == 0:
+            offset = offset + 8
+        order = np.argsort(offset, kind="stable")
+        ends = (offset + size)[order]
+        if first not in (0, 8) or np.any(
+                offset[order][1:] != ends[:-1] + 8) or ends[-1] != self.table_position:
+            raise FlatBufferError("its entries do not add up to the file")
+        if not np.isin(stream, list(self.streams)).all():
+            raise FlatBufferError("it names a stream that the header does not")
+        if np.any(number < 0):
+            raise FlatBufferError("it holds a negative number of elements")
+        for i in order.tolist():
+            self.streams[int(stream[i])].entries.append(Entry(
+                int(stream[i]), int(offset[i]), int(size[i]), int(number[i]),
+                int(start[i]), int(stop[i])))
+
+    # Packets -------------------------------------------------------------------
+
+    def _walk(self) -> Iterator[Entry]:
+        """Find packets from their headers alone, looking for the next after damage."""
+        at, size = self.data_start, self.reader.size
+        limit = size
+        if self.data_start <= self.table_position < size:
+            limit = self.table_position
+        while at < limit:
+            head = self.reader.read(at, 24)
+            entry = self._plausible(head, at, limit)
+            if entry is not None:
+                yield entry
+                at = entry.offset + entry.size
+                continue
+            if self._is_index(head, at):
+                return
+            found = self._resync(at + 1, limit)
+            self.log.damage(
+                at, f"byte {at}: no whole packet is here, reading goes on at byte "
+                f"{limit if found is None else found}", offset=at)
+            if found is None:
+                return
+            at = found
+
+    def _plausible(self, head: bytes, at: int, limit: int) -> Entry | None:
+        if len(head) < 8:
+            return None
+        stream, size = _PACKET.unpack_from(head)
+        if stream not in self.streams or not 0 < size <= limit - at - 8:
+            return None
+        payload = head[8:]
+        if self.compression.startswith("LZ4"):
+            right = payload[:4] == _LZ4_MAGIC
+        elif self.compression.startswith("ZSTD"):
+            right = payload[:4] == _ZSTD_MAGIC
+        else:
+            right = size >= 8 and int.from_bytes(payload[:4], "little") == size - 4
+        return Entry(stream, at + 8, size) if right else None
+
+    def _is_index(self, head: bytes, at: int) -> bool:
+        if head[8:12] == b"FTAB":
+            return True
+        if head[:4] not in (_LZ4_MAGIC, _ZSTD_MAGIC):
+            return False
+        try:
+            return self._decompress(self.reader.read(at, MAX_PAYLOAD))[8:12] == b"FTAB"
+        except PayloadError:
+            return False
+
+    def _resync(self, at: int, limit: int) -> int | None:
+        """Return where the next plausible packet begins."""
+        if self.compression == "none":
+            marks = [stream.kind.encode() for stream in self.streams.values()]
+            before = 16  # stream, size, prefix, root, identifier
+        else:
+            lz4_used = self.compression.startswith("LZ4")
+            marks, before = [_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC], 8
+        step, overlap = 1 << 20, 32
+        for base in range(at, limit, step):
+            block = self.reader.read(base, step + overlap)
+            places = sorted({i for mark in set(marks) for i in _find_all(block, mark)})
+            for i in places:
+                start = base + i - before
+                if start >= at and self._plausible(
+                        self.reader.read(start, 24), start, limit) is not None:
+                    return start
+        return None
+
+    def payload(self, entry: Entry) -> bytes:
+        """Return the FlatBuffer of a packet.
+
+        Raises
+        ------
+        PayloadError
+            If it cannot be decompressed, or the header is not the index's.
+        """
+        raw = self.reader.read(entry.offset - 8, entry.size + 8)
+        if len(raw) < entry.size + 8:
+            raise PayloadError("the file ends inside it")
+        if _PACKET.unpack_from(raw) != (entry.stream, entry.size):
+            raise PayloadError("its header is not what the index says")
+        return self._decompress(memoryview(raw)[8:])
+
+    def table(self, entry: Entry, kind: str) -> tuple[bytes, Table]:
+        """Return the FlatBuffer of a packet and its root table.
+
+        Raises
+        ------
+        PayloadError
+            If it cannot be decompressed, or is of another kind.
+        """
+        data = self.payload(entry)
+        try:
+            return data, root_table(data, kind.encode())
+        except FlatBufferError as error:
+            raise PayloadError(str(error)) from error
+
+    def lost(self, entry: Entry, error: Exception) -> None:
+        """Note that a packet could not be read."""
+        self.log.damage(
+            entry.offset, f"byte {entry.offset - 8}: packet of stream {entry.stream} "
+            f"{clock_text(entry.start_us, entry.stop_us)} cannot be read ({error})",
+            offset=entry.offset - 8, start_us=entry.start_us, stop_us=entry.stop_us)
+
+    def _decompress(self, payload: bytes | memoryview) -> bytes:
+        if self.compression == "none":
+            return bytes(payload)
+        if self.compression.startswith("ZSTD"):
+            return _unpack_zstd(bytes(payload))
+        return _unpack_lz4(payload)
+
+
+def _unpack_lz4(payload: bytes | memoryview) -> bytes:
+    unpacker = lz4.frame.LZ4FrameDecompressor()
+    try:
+        guess = min(max(4 * len(payload), 1 << 16), MAX_PAYLOAD)
+        data: bytes = unpacker.decompress(payload, max_length=guess)
+        size = _declared(data)
+        if size > len(data):
+            data += unpacker.decompress(b"", max_length=size - len(data))
+    except (RuntimeError, EOFError, MemoryError) as error:
+        raise PayloadError(f"LZ4: {error}") from error
+    if len(data) < size:
+        raise PayloadError(f"LZ4: {len(data)} of {size} bytes")
+    return data
+
+
+def _unpack_zstd(payload: bytes) -> bytes:
+    try:
+        import zstandard
+    except ImportError:
+        raise RecordingError(
+            "this file is compressed with zstd: pip install 'pdavis-cv[zstd]'"
+        ) from None
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=MAX_PAYLOAD).stream_reader(
+                payload) as stream:
+            data: bytes = stream.read(4)
+            size = _declared(data)
+            data += stream.read(size - 4)
+    except zstandard.ZstdError as error:
+        raise PayloadError(f"zstd: {error}") from error
+    if len(data) < size:
+        raise PayloadError(f"zstd: {len(data)} of {size} bytes")
+    return data
+
+
+def _declared(data: bytes) -> int:
+    """Return how many bytes the size prefix of a buffer promises, itself included."""
+    size = int.from_bytes(data[:4], "little") + 4
+    if len(data) < 4 or not 12 <= size <= MAX_PAYLOAD:
+        raise PayloadError(f"a packet cannot hold {size} bytes")
+    return size
+
+
+def _find_all(block: bytes, mark: bytes) -> Iterator[int]:
+    i = block.find(mark)
+    while i >= 0:
+        yield i
+        i = block.find(mark, i + 1)
+
+
+def _streams(text: str) -> Iterator[Stream]:
+    root = ElementTree.fromstring(text.rstrip("\0"))
+    for node in _nodes(root):
+        attributes = _attributes(node)
+        kind = attributes.get("typeIdentifier", "")
+        if len(kind) == 4 and kind.isascii():
+            info = [child for child in node if child.get("name") == "info"]
+            for child in info:
+                attributes.update(_attributes(child))
+            yield Stream(int(node.get("name", "")), kind, attributes)
+
+
+def _nodes(root: Any) -> Iterator[Any]:
+    """Give the nodes of streams: named by a number, wherever they are."""
+    for node in root.iter("node"):
+        if node.get("name", "").isdecimal():
+            yield node
+
+
+def _attributes(node: Any) -> dict[str, str]:
+    return {child.get("key", ""): child.text or "" for child in node
+            if child.tag == "attr"}

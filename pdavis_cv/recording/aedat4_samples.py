@@ -1,0 +1,233 @@
+"""What is inside the packets of AEDAT-4: events, frames, IMU samples, triggers."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.recording.aedat4_file import PayloadError
+from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
+from pdavis_cv.recording.flatbuffer import FlatBufferError, Table
+
+__all__ = [
+    "FrameScale",
+    "RawFrame",
+    "UnknownFrameError",
+    "aps_frame",
+    "event_vector",
+    "exposure_times",
+    "imu_samples",
+    "raw_frame",
+    "scale_of",
+    "triggers",
+]
+
+MAX_EXPOSURE_US = 60_000_000
+"""A longer exposure is damage, not an exposure."""
+
+_PIXELS: dict[int, np.dtype[Any]] = {0: np.dtype("u1"), 2: np.dtype("<u2")}
+"""By OpenCV's depth code."""
+
+
+class UnknownFrameError(ValueError):
+    """Raised for a frame whose pixels are of a type that no event camera gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameScale:
+    """How pixel values become 10-bit DN.
+
+    Parameters
+    ----------
+    factor : float
+        DN per unit of the file.
+    full_scale_dn : int
+    clipped : int
+        Values from here on are saturated.
+    itemsize : int
+        Bytes per pixel in the file.
+    """
+
+    factor: float
+    full_scale_dn: int
+    clipped: int
+    itemsize: int = 2
+
+
+EIGHT_BIT = FrameScale(4.0, 1020, 255, 1)
+TEN_BIT = FrameScale(1.0, 1023, 1023)
+LEFT_JUSTIFIED = FrameScale(1 / 64, 1023, 1023 << 6)
+
+
+@dataclass(slots=True)
+class RawFrame:
+    """A frame as the file holds it.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8 or uint16, shape (h, w)
+    x, y : int
+        Place of its first pixel on the sensor.
+    times : tuple of int
+        timestamp, start and end of frame, start and end of exposure, exposure.
+    colour : bool
+        True if channels that differed were averaged.
+    """
+
+    pixels: NDArray[Any]
+    x: int
+    y: int
+    times: tuple[int, int, int, int, int, int]
+    colour: bool = False
+
+
+def raw_frame(data: bytes, table: Table) -> RawFrame:
+    """Return the frame of a FRME table.
+
+    Raises
+    ------
+    PayloadError
+        If sizes contradict each other.
+    UnknownFrameError
+        If the pixel type is not 8 or 16 bit unsigned with 1, 3 or 4 channels.
+    """
+    try:
+        times = [table.scalar(i, "q") for i in range(5)]
+        code = table.scalar(5, "b")
+        width, height, x, y = (table.scalar(i, "h") for i in range(6, 10))
+        at, size = table.vector(10, 1)
+        times.append(table.scalar(11, "q"))
+    except FlatBufferError as error:
+        raise PayloadError(str(error)) from error
+    depth, channels = code & 7, (code >> 3) + 1
+    if depth not in _PIXELS or channels not in (1, 3, 4):
+        raise UnknownFrameError(f"frame of OpenCV type {code}")
+    dtype = _PIXELS[depth]
+    if width <= 0 or height <= 0 or x < 0 or y < 0 or (
+            size != width * height * channels * dtype.itemsize):
+        raise PayloadError(
+            f"a frame of {width}x{height} at ({x}, {y}) with {channels} channels "
+            f"cannot have {size} bytes")
+    pixels = np.frombuffer(data, dtype, width * height * channels, at)
+    colour = False
+    if channels > 1:
+        planes = pixels.reshape(height, width, channels)[..., :3]
+        pixels = planes[..., 0]
+        colour = bool(np.any(planes != planes[..., :1]))
+        if colour:
+            pixels = np.rint(planes.mean(2)).astype(dtype)
+    t, sof, eof, soe, eoe, exposure = times
+    return RawFrame(pixels.reshape(height, width), x, y,
+                    (t, sof, eof, soe, eoe, exposure), colour)
+
+
+def scale_of(pixels: NDArray[Any]) -> FrameScale:
+    """Tell 8-bit, 10-bit and left-justified 16-bit frames apart."""
+    if pixels.dtype.itemsize == 1:
+        return EIGHT_BIT
+    if int(pixels.max(initial=0)) <= 1023:
+        return TEN_BIT
+    return LEFT_JUSTIFIED
+
+
+def exposure_times(
+    times: tuple[int, int, int, int, int, int]
+) -> tuple[int, int, int]:
+    """Return start and end of exposure and end of readout of a DV-written frame.
+
+    SOE and EOE where EOE > SOE; else the timestamp is taken as mid-exposure.
+    """
+    t, _, eof, soe, eoe, exposure = times
+    if not 0 < eoe - soe <= MAX_EXPOSURE_US:
+        span = exposure if 0 < exposure <= MAX_EXPOSURE_US else 0
+        soe = t - span // 2
+        eoe = soe + span
+    return soe, eoe, eof if 0 <= eof - eoe <= MAX_EXPOSURE_US else eoe
+
+
+def aps_frame(
+    raw: RawFrame, scale: FrameScale, times: tuple[int, int, int],
+    size: tuple[int, int], *, flip: bool = False,
+) -> ApsFrame:
+    """Return a raw frame in 10-bit DN on the whole sensor, upright.
+
+    Parameters
+    ----------
+    raw : RawFrame
+    scale : FrameScale
+    times : (int, int, int)
+        Start and end of exposure, end of readout.
+    size : (int, int)
+        Sensor (height, width).
+    flip : bool
+        True if the file's first row is the lowest.
+
+    Raises
+    ------
+    PayloadError
+        If the frame does not fit on the sensor.
+    """
+    height, width = raw.pixels.shape
+    if raw.y + height > size[0] or raw.x + width > size[1]:
+        raise PayloadError(
+            f"a frame of {width}x{height} at ({raw.x}, {raw.y}) does not fit on a "
+            f"sensor of {size[1]}x{size[0]}")
+    usable = raw.pixels < scale.clipped
+    dn = raw.pixels * np.float32(scale.factor)
+    if (height, width) != size:
+        window = np.s_[raw.y:raw.y + height, raw.x:raw.x + width]
+        whole, valid = np.zeros(size, np.float32), np.zeros(size, np.bool_)
+        whole[window], valid[window] = dn, usable
+        dn, usable = whole, valid
+    if flip:
+        dn, usable = dn[::-1], usable[::-1]
+    return ApsFrame(
+        dn, times[0], times[1], available_us=times[2],
+        full_scale_dn=scale.full_scale_dn,
+        valid=None if usable.all() else np.ascontiguousarray(usable))
+
+
+def event_vector(table: Table) -> tuple[int, int]:
+    """Return where the events of an EVTS table begin, and how many there are."""
+    try:
+        return table.vector(0, 16)
+    except FlatBufferError as error:
+        raise PayloadError(str(error)) from error
+
+
+def imu_samples(data: bytes, table: Table) -> NDArray[Any]:
+    """Return the samples of an IMUS table, shape (N,)."""
+    at, count = _vector(table)
+    samples = np.zeros(count, IMU_DTYPE)
+    raw = np.frombuffer(data, np.uint8)
+    times = np.zeros(count, np.int64)
+    values = np.zeros((count, 7), np.float32)
+    if (_kernels.aedat4_table_times(raw, at, 0, times) != count
+            or _kernels.aedat4_table_floats(raw, at, 1, values) != count):
+        raise PayloadError("an IMU sample lies outside its packet")
+    samples["t"], samples["temperature"] = times, values[:, 0]
+    samples["accel"], samples["gyro"] = values[:, 1:4], values[:, 4:7]
+    return samples
+
+
+def triggers(data: bytes, table: Table) -> NDArray[Any]:
+    """Return the samples of a TRIG table, shape (N,)."""
+    at, count = _vector(table)
+    samples = np.zeros(count, TRIGGER_DTYPE)
+    raw = np.frombuffer(data, np.uint8)
+    times, kinds = np.zeros(count, np.int64), np.zeros(count, np.uint8)
+    if (_kernels.aedat4_table_times(raw, at, 0, times) != count
+            or _kernels.aedat4_table_bytes(raw, at, 1, kinds) != count):
+        raise PayloadError("a trigger lies outside its packet")
+    samples["t"], samples["type"] = times, kinds
+    return samples
+
+
+def _vector(table: Table) -> tuple[int, int]:
+    try:
+        return table.vector(0, 4)
+    except FlatBufferError as error:
+        raise PayloadError(str(error)) from error

@@ -1,0 +1,150 @@
+"""What every reader of files needs: positioned reads and a list of problems."""
+from __future__ import annotations
+
+import dataclasses
+import os
+import threading
+import warnings
+import weakref
+from collections.abc import Hashable
+from pathlib import Path
+
+from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
+from pdavis_cv.recording.base import Problem
+
+__all__ = ["FileReader", "ProblemLog", "clock_text"]
+
+
+class FileReader:
+    """A file that several threads may read at any place; closed when collected.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be opened.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+        try:
+            self._descriptor = os.open(self.path, flags)
+        except OSError as error:
+            raise RecordingError(
+                f"{path}: cannot be opened: {error.strerror}") from error
+        self._close = weakref.finalize(self, os.close, self._descriptor)
+        self._lock = threading.Lock()
+        self.size = os.fstat(self._descriptor).st_size
+
+    def read(self, offset: int, size: int) -> bytes:
+        """Return up to size bytes from offset on; fewer only at the end.
+
+        Raises
+        ------
+        ValueError
+            If the recording was closed.
+        RecordingError
+            If the system cannot read.
+        """
+        if not self._close.alive:
+            raise ValueError(f"{self.path.name}: recording is closed")
+        if offset < 0 or size <= 0:
+            return b""
+        size = min(size, max(self.size - offset, 0))
+        parts = []
+        try:
+            while size > 0:
+                part = self._pread(size, offset)
+                if not part:
+                    break
+                parts.append(part)
+                offset, size = offset + len(part), size - len(part)
+        except OSError as error:
+            raise RecordingError(
+                f"{self.path}: byte {offset} cannot be read: {error.strerror}"
+            ) from error
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def _pread(self, size: int, offset: int) -> bytes:
+        if hasattr(os, "pread"):
+            return os.pread(self._descriptor, size, offset)
+        with self._lock:  # Windows has no positioned read
+            os.lseek(self._descriptor, offset, os.SEEK_SET)
+            return os.read(self._descriptor, size)
+
+    def close(self) -> None:
+        """Release the file."""
+        self._close()
+
+
+class ProblemLog:
+    """Problems of one recording, each finding counted once however often it is read.
+
+    Parameters
+    ----------
+    name : str
+        Name of the recording, for warnings.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._lock = threading.Lock()
+        self._found: dict[str, Problem] = {}
+        self._seen: set[Hashable] = set()
+        self._warned: set[type[Warning]] = set()
+
+    def add(self, kind: str, key: Hashable, message: str, *, count: int = 1,
+            offset: int | None = None, start_us: int | None = None,
+            stop_us: int | None = None,
+            warning: type[PdavisWarning] | None = None) -> None:
+        """Note a finding; key says which one it is.  Warns once per class of warning.
+
+        The findings of one kind make one `Problem`: the message and the offset of
+        the first, the sum of the counts, the hull of the time ranges.
+        """
+        with self._lock:
+            if (kind, key) in self._seen:
+                return
+            self._seen.add((kind, key))
+            old = self._found.get(kind)
+            if old is None:
+                self._found[kind] = Problem(
+                    kind, message, count, offset, start_us, stop_us)
+            else:
+                starts = [t for t in (old.start_us, start_us) if t is not None]
+                stops = [t for t in (old.stop_us, stop_us) if t is not None]
+                self._found[kind] = dataclasses.replace(
+                    old, count=old.count + count, start_us=min(starts, default=None),
+                    stop_us=max(stops, default=None))
+            warn = warning is not None and warning not in self._warned
+            if warning is not None:
+                self._warned.add(warning)
+        if warn and warning is not None:
+            warnings.warn(f"{self.name}: {message}", warning, stacklevel=3)
+
+    def damage(self, key: Hashable, message: str, *, offset: int,
+               start_us: int | None = None, stop_us: int | None = None) -> None:
+        """Note that a part of the file is lost."""
+        self.add("damage", key, message, offset=offset, start_us=start_us,
+                 stop_us=stop_us, warning=DamagedFileWarning)
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """One Problem per kind, in the order of finding."""
+        with self._lock:
+            return tuple(self._found.values())
+
+
+def clock_text(start_us: int | None, stop_us: int | None) -> str:
+    """Return words for a time range of which an end may be unknown."""
+    if start_us is None and stop_us is None:
+        return "at an unknown time"
+    if start_us is None:
+        return f"before {stop_us} us"
+    if stop_us is None:
+        return f"after {start_us} us"
+    return f"from {start_us} to {stop_us} us"

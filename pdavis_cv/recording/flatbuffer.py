@@ -1,0 +1,96 @@
+"""Reading FlatBuffers that nothing vouches for: every offset is checked."""
+from __future__ import annotations
+
+import struct
+
+__all__ = ["FlatBufferError", "Table", "root_table"]
+
+_U16 = struct.Struct("<H")
+_U32 = struct.Struct("<I")
+_I32 = struct.Struct("<i")
+_SCALARS = {code: struct.Struct("<" + code) for code in "bBhHiIqQf"}
+
+
+class FlatBufferError(ValueError):
+    """Raised when a buffer does not hold what its offsets say."""
+
+
+class Table:
+    """One table inside a buffer.
+
+    Parameters
+    ----------
+    data : bytes
+    at : int
+        Where the table lies.
+    """
+
+    __slots__ = ("_at", "_data", "_length", "_vtable")
+
+    def __init__(self, data: bytes, at: int) -> None:
+        self._data, self._at = data, at
+        back = _get(_I32, data, at)
+        self._vtable = at - back
+        self._length = _get(_U16, data, self._vtable)
+
+    def place(self, field: int) -> int:
+        """Return where a field lies, 0 if it has its default."""
+        slot = 4 + 2 * field
+        if slot + 2 > self._length:
+            return 0
+        relative = _get(_U16, self._data, self._vtable + slot)
+        return self._at + relative if relative else 0
+
+    def scalar(self, field: int, code: str, default: int = 0) -> int:
+        """Return an integer field; code as in `struct`."""
+        at = self.place(field)
+        return _get(_SCALARS[code], self._data, at) if at else default
+
+    def vector(self, field: int, item: int) -> tuple[int, int]:
+        """Return where the items of a vector begin, and how many there are.
+
+        Parameters
+        ----------
+        field : int
+        item : int
+            Bytes per item.
+        """
+        at = self.place(field)
+        if not at:
+            return 0, 0
+        at += _get(_U32, self._data, at)
+        count = _get(_U32, self._data, at)
+        if count * item > len(self._data) - at - 4:
+            raise FlatBufferError(
+                f"a vector of {count} items of {item} bytes does not fit into "
+                f"{len(self._data)} bytes")
+        return at + 4, count
+
+    def text(self, field: int) -> str:
+        """Return a string field."""
+        at, count = self.vector(field, 1)
+        return self._data[at:at + count].decode("utf-8", "replace")
+
+
+def root_table(data: bytes, identifier: bytes) -> Table:
+    """Return the root of a size-prefixed buffer.
+
+    Raises
+    ------
+    FlatBufferError
+        If the size or the identifier is not right.
+    """
+    size = _get(_U32, data, 0)
+    if size > len(data) - 4:
+        raise FlatBufferError(f"it should hold {size + 4} bytes, but has {len(data)}")
+    if data[8:12] != identifier:
+        raise FlatBufferError(
+            f"it should be {identifier.decode()}, but is {data[8:12]!r}")
+    return Table(data, 4 + _get(_U32, data, 4))
+
+
+def _get(code: struct.Struct, data: bytes, at: int) -> int:
+    if at < 0 or at + code.size > len(data):
+        raise FlatBufferError(f"offset {at} points outside {len(data)} bytes")
+    value: int = code.unpack_from(data, at)[0]
+    return value

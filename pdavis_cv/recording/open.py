@@ -1,0 +1,81 @@
+"""open_recording: one door for every kind of file."""
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.base import Recording
+from pdavis_cv.sensor import Layout
+
+__all__ = ["open_recording"]
+
+_BAD_EVENTS = ("drop", "raise")
+
+
+def open_recording(
+    source: str | os.PathLike[str] | Recording,
+    *,
+    layout: Layout | None = None,
+    fps: float | None = None,
+    bad_events: str = "drop",
+    camera: str | None = None,
+) -> Recording:
+    """Open a recording, whatever its format.
+
+    The first bytes decide, never the name.
+
+    Parameters
+    ----------
+    source : path or Recording
+        A file; a Recording is returned as it is.
+    layout : Layout, optional
+        Polarizer layout of the camera.
+    fps : float, optional
+        Images per second of a source whose images carry no times.
+    bad_events : {"drop", "raise"}
+        What to do with events outside the sensor or before their predecessor:
+        drop and count them in ``problems``, or raise RecordingError.
+    camera : str, optional
+        Which camera, by name or serial number, if the file holds several.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    RecordingError
+        If the source cannot be opened or is not a recording; the message names the
+        file, the byte and what was seen.
+    LayoutError
+        If the recording gives another layout than the caller.
+    """
+    if isinstance(source, Recording):
+        return source
+    if layout is not None and not isinstance(layout, Layout):
+        raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
+    if bad_events not in _BAD_EVENTS:
+        raise ValueError(
+            f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")
+    path = Path(source)
+    start = _first_bytes(path)
+    options: dict[str, Any] = {
+        "layout": layout, "bad_events": bad_events, "camera": camera}
+    if start.startswith(b"#!AER-DAT4"):
+        from pdavis_cv.recording.aedat4 import Aedat4Recording
+
+        return Aedat4Recording(path, **options)
+    if not start:
+        raise RecordingError(f"{path}: byte 0: the file is empty")
+    raise RecordingError(
+        f"{path}: byte 0: not a recording, first bytes {start[:8]!r}")
+
+
+def _first_bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(64)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be opened: {error.strerror}") from error

@@ -1,0 +1,187 @@
+"""Cutting streams of samples into packets: where boundaries lie."""
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.base import (
+    IMU_DTYPE,
+    MAX_PACKET_EVENTS,
+    MAX_PACKET_US,
+    TRIGGER_DTYPE,
+    ApsFrame,
+    Packet,
+)
+
+__all__ = ["END_OF_TIME", "Batch", "cell_start", "packetise"]
+
+END_OF_TIME = 1 << 62
+
+
+@dataclass(slots=True)
+class Batch:
+    """Samples as a reader decodes them, each kind in time order.
+
+    Parameters
+    ----------
+    events, imu, triggers : ndarray or None
+        Of EVENT_DTYPE, IMU_DTYPE and TRIGGER_DTYPE.
+    frames : list of ApsFrame
+        In the order of ``available_us``.
+    complete_us : int
+        Later batches hold no sample before this time.
+    """
+
+    events: NDArray[Any] | None = None
+    frames: list[ApsFrame] = field(default_factory=list)
+    imu: NDArray[Any] | None = None
+    triggers: NDArray[Any] | None = None
+    complete_us: int = END_OF_TIME
+
+
+def cell_start(t_us: int) -> int:
+    """Return the start of the 10 ms cell that holds a time; no packet crosses it."""
+    return t_us // MAX_PACKET_US * MAX_PACKET_US
+
+
+def packetise(
+    batches: Iterable[Batch], start_us: int | None = None, stop_us: int | None = None
+) -> Iterator[Packet]:
+    """Cut batches into packets, and give those in start_us <= time < stop_us.
+
+    A packet ends at a multiple of 10 ms, just after a frame, or after 65,536
+    events, whatever comes first.  So that boundaries do not depend on the
+    interval, batches must hold every sample from ``cell_start(start_us)`` on.
+
+    Parameters
+    ----------
+    batches : iterable of Batch
+    start_us, stop_us : int, optional
+        Half-open interval.
+
+    Yields
+    ------
+    Packet
+        Its arrays are copies.
+    """
+    events, imu, triggers = (
+        _Queue(dtype) for dtype in (EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE))
+    queues = (events, imu, triggers)
+    frames: deque[ApsFrame] = deque()
+    first = -END_OF_TIME if start_us is None else start_us
+    end = END_OF_TIME if stop_us is None else stop_us
+    begin = first if start_us is None else cell_start(start_us)
+    for batch in batches:
+        for queue, samples in zip(
+                queues, (batch.events, batch.imu, batch.triggers), strict=True):
+            if samples is not None and len(samples):
+                queue.put(samples, begin)
+        frames.extend(f for f in batch.frames if f.available_us >= begin)
+        while True:
+            at = min(queue.next_us for queue in queues)
+            if frames:
+                at = min(at, frames[0].available_us)
+            if at >= end or at == END_OF_TIME:
+                break
+            until = cell_start(at) + MAX_PACKET_US
+            closing = bool(frames) and frames[0].available_us < until
+            if closing:
+                until = frames[0].available_us + 1
+            if until > batch.complete_us:
+                break
+            for part_end, part in events.parts(until):
+                last = part_end == until
+                shut = ((frames.popleft(),) if last and closing else ())
+                packet = Packet(part, shut, imu.take(part_end), triggers.take(part_end))
+                packet = _cut(packet, first, end)
+                if packet.start_us is not None:
+                    yield packet
+        if batch.complete_us >= end and at >= end:
+            return
+
+
+def _cut(packet: Packet, first: int, end: int) -> Packet:
+    if packet.start_us is None or packet.stop_us is None or (
+            packet.start_us >= first and packet.stop_us <= end):
+        return packet
+    return Packet(
+        _between(packet.events, first, end),
+        tuple(f for f in packet.frames if first <= f.available_us < end),
+        _between(packet.imu, first, end), _between(packet.triggers, first, end))
+
+
+def _between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
+    # bisect, not searchsorted: that copies a strided column before it searches.
+    times = samples["t"]
+    return samples[bisect_left(times, start):bisect_left(times, stop)]
+
+
+class _Queue:
+    """Samples of one kind that wait to be packed."""
+
+    __slots__ = ("_chunks", "_empty", "_used", "next_us")
+
+    def __init__(self, dtype: np.dtype[Any]) -> None:
+        self._chunks: deque[NDArray[Any]] = deque()
+        self._empty = np.empty(0, dtype)
+        self._used = 0
+        self.next_us = END_OF_TIME
+
+    def put(self, samples: NDArray[Any], begin: int) -> None:
+        if samples["t"][0] < begin:
+            samples = samples[bisect_left(samples["t"], begin):]
+            if not len(samples):
+                return
+        self._chunks.append(samples)
+        if self.next_us == END_OF_TIME:
+            self.next_us = int(samples["t"][0])
+
+    def parts(self, until: int) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Give samples before until, at most 65,536 a time, and where each part ends."""
+        while True:
+            part = self.take(until, MAX_PACKET_EVENTS)
+            if self.next_us >= until:
+                yield until, part
+                return
+            yield self.next_us, part
+
+    def take(self, until: int, limit: int = END_OF_TIME) -> NDArray[Any]:
+        """Remove and return samples before until, at most limit."""
+        if self.next_us >= until:
+            return self._empty.copy()
+        got: list[NDArray[Any]] = []
+        while self._chunks and limit > 0:
+            chunk, lo = self._chunks[0], self._used
+            hi = min(len(chunk), lo + limit)
+            if chunk["t"][hi - 1] >= until:
+                hi = bisect_left(chunk["t"], until, lo, hi)
+            if hi > lo:
+                got.append(chunk[lo:hi])
+                limit -= hi - lo
+            if hi < len(chunk):
+                self._used = hi
+                break
+            self._chunks.popleft()
+            self._used = 0
+        self.next_us = (int(self._chunks[0]["t"][self._used])
+                        if self._chunks else END_OF_TIME)
+        return _joined(got)
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    if len(parts) == 1:
+        return parts[0].copy()
+    # np.concatenate promotes structured dtypes field by field each time.
+    out = np.empty(sum(map(len, parts)), parts[0].dtype)
+    at = 0
+    for part in parts:
+        out[at:at + len(part)] = part
+        at += len(part)
+    return out

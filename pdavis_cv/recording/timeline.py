@@ -1,0 +1,105 @@
+"""Making time run forward: what is dropped, and where a new segment begins.
+
+Jumps back by more than a second start a new segment, which is moved to follow
+the one before it; smaller ones are dropped and counted.
+"""
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["NEVER", "SEGMENT_US", "Clock", "Timeline"]
+
+NEVER = -(1 << 61)
+"""Before any time that a file may hold."""
+FAR = 1 << 61
+SEGMENT_US = 1_000_000
+WRAP_US = 1 << 32
+"""A 32-bit microsecond counter that was not unwrapped jumps back by this."""
+
+
+class Timeline:
+    """The segments of one pass over a recording, common to its streams."""
+
+    def __init__(self) -> None:
+        self._moves: list[int] = []
+        self.last = NEVER
+
+    def move(self, jump: int, back_us: int) -> int:
+        """Return by how much the times after a stream's jump-th jump are moved.
+
+        Parameters
+        ----------
+        jump : int
+            How many jumps this stream had before.
+        back_us : int
+            By how much its time fell.
+        """
+        if jump == len(self._moves):
+            wraps = round(back_us / WRAP_US)
+            if wraps and abs(back_us - wraps * WRAP_US) < SEGMENT_US:
+                self._moves.append(wraps * WRAP_US)
+            else:
+                self._moves.append(back_us + 1)
+        return self._moves[jump]
+
+
+class Clock:
+    """Time of one stream: its last sample, and what is added to the file's times.
+
+    Attributes
+    ----------
+    state : ndarray of int64, shape (6,)
+        As in ``_kernels/_check.pxd``: filled, last, offset, outside, backward,
+        first bad.
+    """
+
+    def __init__(self, timeline: Timeline, last: int = NEVER) -> None:
+        self._timeline = timeline
+        self._jumps = 0
+        self.state = np.array([0, last, 0, 0, 0, -1], np.int64)
+
+    @property
+    def last(self) -> int:
+        """Time of the last sample taken."""
+        return int(self.state[1])
+
+    def jump(self, t_us: int) -> int:
+        """Begin a new segment before a sample at t_us; return how far it was moved."""
+        back = self.last - t_us
+        move = self._timeline.move(self._jumps, back)
+        self._jumps += 1
+        self.state[2] += move
+        return move
+
+    def order(self, times: NDArray[Any]) -> tuple[NDArray[np.bool_], list[int]]:
+        """Move times in place; return which samples to keep and where segments begin.
+
+        Parameters
+        ----------
+        times : ndarray of int64, shape (N,)
+        """
+        keep = np.ones(len(times), np.bool_)
+        segments: list[int] = []
+        if not len(times):
+            return keep, segments
+        offset = int(self.state[2])
+        if (self.last <= int(times[0]) + offset and np.all(times[1:] >= times[:-1])
+                and -FAR < int(times[0]) and int(times[-1]) + offset < FAR):
+            times += offset
+            self.state[1] = times[-1]
+            return keep, segments
+        for i, raw in enumerate(times.tolist()):
+            t = raw + int(self.state[2])
+            while self.last - t > SEGMENT_US and -FAR < t:
+                t += self.jump(t)
+                segments.append(i)
+            keep[i] = self.last <= t < FAR and t > -FAR
+            if keep[i]:
+                times[i] = t
+                self.state[1] = t
+            else:
+                self.state[4] += 1
+        return keep, segments
