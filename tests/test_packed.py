@@ -50,7 +50,8 @@ def test_the_documented_groups():
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 8])
 def test_one_byte_less_is_refused(packing, n):
     whole = next(size for size in range(20) if _fits(packing, n, size))
-    assert whole == (3 * n + 1) // 2 if "packed" in packing else -(-n * BITS[packing] // 8)
+    in_pairs = packing.endswith("packed")
+    assert whole == ((3 * n + 1) // 2 if in_pairs else -(-n * BITS[packing] // 8))
     with pytest.raises(ValueError, match=f"must hold {whole} bytes for {n} pixels"):
         unpack(bytes(whole - 1), packing, (n,))
 

@@ -129,7 +129,8 @@ def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:
         New; channels last, as cv2 has them.
     """
     if output == c.CAP_PDAVIS_BGR:
-        return np.multiply(frame.s0, np.float32(0.5))
+        half: NDArray[np.float32] = frame.s0 * np.float32(0.5)
+        return half
     if output == c.CAP_PDAVIS_QUAD:
         return np.ascontiguousarray(np.moveaxis(frame.quad, 0, -1))
     if output == c.CAP_PDAVIS_STOKES:
