@@ -5,10 +5,21 @@ from pdavis_cv.simulation.camera import PRESETS, Camera
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.simulation.optics import Optics
+from pdavis_cv.simulation.patterns import (
+    Fan,
+    FunctionScene,
+    Tendon,
+    Texture,
+    VideoScene,
+)
 from pdavis_cv.simulation.scenes import (
     FULL,
     FlatLight,
     Flicker,
+    IrradianceSweep,
+    MalusSweep,
+    PolarizerBeforePlate,
+    RotatingPlate,
     RotatingPolarizer,
     Scene,
     Sum,
@@ -23,13 +34,22 @@ __all__ = [
     "Bus",
     "Camera",
     "DvsPixel",
+    "Fan",
     "FlatLight",
     "Flicker",
+    "FunctionScene",
+    "IrradianceSweep",
+    "MalusSweep",
     "Optics",
+    "PolarizerBeforePlate",
+    "RotatingPlate",
     "RotatingPolarizer",
     "Scene",
     "SimulatedRecording",
     "Sum",
+    "Tendon",
+    "Texture",
     "Truth",
+    "VideoScene",
     "rotating_polarizer",
 ]

@@ -15,12 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.simulation.checks import at_least_zero, fraction, positive
+from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
 
 __all__ = [
     "FULL",
     "FlatLight",
     "Flicker",
+    "IrradianceSweep",
+    "MalusSweep",
+    "PolarizerBeforePlate",
+    "RotatingPlate",
     "RotatingPolarizer",
     "Scene",
     "Sum",
@@ -71,6 +75,10 @@ class Scene(ABC):
         of its fastest part that is exact to 1e-9 of S0.
         """
 
+    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
+        """Return where linear light has kinks, strictly between start and stop."""
+        return np.empty(0)
+
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Where the scene shows what it is about: everywhere, unless it says."""
         return np.ones(np.broadcast_shapes(np.shape(x), np.shape(y)), np.bool_)
@@ -106,6 +114,22 @@ def rad_per_us(rpm: float) -> float:
     return 2 * math.pi * rpm / 60e6
 
 
+def grid(step_us: float, start_us: float, stop_us: float) -> FloatArray:
+    """Return the multiples of step strictly between start and stop."""
+    if math.isinf(step_us):
+        return np.empty(0)
+    first = math.floor(start_us / step_us) + 1
+    return step_us * np.arange(
+        first, math.ceil(stop_us / step_us), dtype=np.float64)
+
+
+def kinks(scene: Scene, start_us: float, stop_us: float) -> FloatArray:
+    """Return where light that is to be linear between samples needs one."""
+    if scene.linear:
+        return scene.times_us(start_us, stop_us)
+    return grid(scene.step_us, start_us, stop_us)
+
+
 @dataclass(frozen=True)
 class Sum(Scene):
     """Light of two scenes together.
@@ -133,6 +157,11 @@ class Sum(Scene):
     def step_us(self) -> float:
         """The finer of both."""
         return min(self.first.step_us, self.second.step_us)
+
+    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
+        """Kinks of both, and samples of the smooth one."""
+        return np.union1d(*(kinks(scene, start_us, stop_us)
+                            for scene in (self.first, self.second)))
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms."""
@@ -175,6 +204,12 @@ class Flicker(Scene):
     def linear(self) -> bool:  # type: ignore[override]
         """As the scene."""
         return self.scene.linear
+
+    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
+        """Kinks of the scene, and samples of the lamp."""
+        step = step_of(2e-6 * math.pi * self.hz)
+        return np.union1d(self.scene.times_us(start_us, stop_us),
+                          grid(step, start_us, stop_us))
 
     @property
     def step_us(self) -> float:
@@ -266,3 +301,212 @@ class RotatingPolarizer(Scene):
     def rad_per_us(self) -> float:
         """Speed of the polarizer in radians per microsecond."""
         return rad_per_us(self.rpm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolarizerBeforePlate(Scene):
+    """A turning polarizer before a fixed retarder (Haessig, supplement S1.2).
+
+    With a quarter-wave plate DoLP makes four cycles per turn, and AoP jumps between
+    the plate's axis and 90 degrees from it.
+
+    Parameters
+    ----------
+    rpm : float
+        Turns per minute of the polarizer.
+    s0 : float
+        S0 behind both, DN per ms.
+    start_angle, axis : float
+        Angle of the polarizer at time 0 and of the plate's fast axis, radians.
+    retardance : float
+        Radians; pi/2 for a quarter-wave plate.
+    """
+
+    rpm: float
+    s0: float = FULL
+    start_angle: float = 0.0
+    axis: float = 0.0
+    retardance: float = math.pi / 2
+    uniform = True
+
+    def __post_init__(self) -> None:
+        at_least_zero(s0=self.s0)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        t = same_everywhere(t_us, x, y)
+        polarizer = self.start_angle + rad_per_us(self.rpm) * t
+        return behind_plate(self.s0, polarizer, self.axis, self.retardance)
+
+    @property
+    def step_us(self) -> float:
+        """Interval at which sampling the light loses nothing."""
+        return step_of(2 * rad_per_us(self.rpm))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotatingPlate(Scene):
+    """A turning retarder behind a fixed polarizer.
+
+    With a quarter-wave plate DoLP and AoP both make four cycles per turn, and the
+    means of the four channels differ.
+
+    Parameters
+    ----------
+    rpm : float
+        Turns per minute of the plate.
+    s0 : float
+        S0 behind both, DN per ms.
+    start_angle, polarizer : float
+        Angle of the plate's fast axis at time 0 and of the polarizer, radians.
+    retardance : float
+        Radians; pi/2 for a quarter-wave plate.
+    """
+
+    rpm: float
+    s0: float = FULL
+    start_angle: float = 0.0
+    polarizer: float = 0.0
+    retardance: float = math.pi / 2
+    uniform = True
+
+    def __post_init__(self) -> None:
+        at_least_zero(s0=self.s0)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        t = same_everywhere(t_us, x, y)
+        axis = self.start_angle + rad_per_us(self.rpm) * t
+        return behind_plate(self.s0, self.polarizer, axis, self.retardance)
+
+    @property
+    def step_us(self) -> float:
+        """Interval at which sampling the light loses nothing."""
+        return step_of(4 * rad_per_us(self.rpm))
+
+
+def behind_plate(
+    s0: float, polarizer: ArrayLike, axis: ArrayLike, retardance: float
+) -> Stokes:
+    """Linear part of polarized light behind a retarder.
+
+    The part along the axis passes; of the part at 45 degrees to it cos(retardance)
+    stays linear, and the rest becomes circular.
+    """
+    axis = np.asarray(axis, np.float64)
+    turn = 2 * (np.asarray(polarizer, np.float64) - axis)
+    along, across = np.cos(turn), np.sin(turn) * math.cos(retardance)
+    cos, sin = np.cos(2 * axis), np.sin(2 * axis)
+    s1, s2 = along * cos - across * sin, along * sin + across * cos
+    return np.full(s1.shape, float(s0)), s0 * s1, s0 * s2
+
+
+def staircase(t_us: FloatArray, hold_us: float, move_us: float) -> FloatArray:
+    """Count held intervals: flat, but for a smooth rise at the start of each.
+
+    The rise is a quintic with two continuous derivatives; the first interval, 0,
+    has none.
+    """
+    step = np.floor(t_us / hold_us)
+    inside = np.clip((t_us - step * hold_us) / move_us, 0, 1)
+    rise = inside**3 * (10 - inside * (15 - 6 * inside))
+    return np.where(step <= 0, step, step - 1 + rise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MalusSweep(Scene):
+    """A polarizer that is turned in steps and held, as a calibration bench does it.
+
+    Parameters
+    ----------
+    step : float
+        Radians; the paper's bench makes 5 degrees.
+    hold_us : float
+        Time from one step to the next.
+    move_us : float
+        Part of it that the turn takes.
+    s0, dolp, start_angle : float
+        Of the light, DN per ms, 0..1 and radians.
+    """
+
+    step: float = math.radians(5)
+    hold_us: float = 250_000
+    move_us: float = 20_000
+    s0: float = FULL
+    dolp: float = 1.0
+    start_angle: float = 0.0
+    uniform = True
+
+    def __post_init__(self) -> None:
+        positive(hold_us=self.hold_us, move_us=self.move_us)
+        require("move_us", self.move_us, self.move_us <= self.hold_us,
+                "be at most hold_us")
+        at_least_zero(s0=self.s0)
+        fraction(dolp=self.dolp)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        t = same_everywhere(t_us, x, y)
+        angle = self.start_angle + self.step * staircase(
+            t, self.hold_us, self.move_us)
+        return polarized(self.s0, self.dolp, angle)
+
+    @property
+    def step_us(self) -> float:
+        """A hundredth of a turn's time, or finer for large steps."""
+        return min(self.move_us / 100, step_of(4 * self.step / self.move_us))
+
+
+@dataclass(frozen=True, kw_only=True)
+class IrradianceSweep(Scene):
+    """A rotating polarizer under light that is raised in equal ratios and held.
+
+    Parameters
+    ----------
+    rpm : float
+        Turns per minute of the polarizer; the paper's measurement has 60.
+    low_uw_cm2, high_uw_cm2 : float
+        Irradiance on the sensor at the first and the last level, microwatt per cm2.
+    levels : int
+        Number of levels.
+    hold_us : float
+        Time at each level.
+    dn_per_ms : float
+        DN per ms that 1 microwatt per cm2 gives: 27 for the PDAVIS (18.5 um pixels,
+        24 % quantum efficiency at 520 nm, 80 electrons per DN), 0.68 for the Sony
+        (4095 DN at 300 microwatt per cm2 in 20 ms; Haessig, figure S9).
+    start_angle : float
+        AoP at time 0, radians.
+    """
+
+    rpm: float = 60.0
+    low_uw_cm2: float = 0.04
+    high_uw_cm2: float = 42_000.0
+    levels: int = 13
+    hold_us: float = 2_000_000
+    dn_per_ms: float = 27.0
+    start_angle: float = 0.0
+    uniform = True
+
+    def __post_init__(self) -> None:
+        positive(low_uw_cm2=self.low_uw_cm2, high_uw_cm2=self.high_uw_cm2,
+                 levels=self.levels, hold_us=self.hold_us, dn_per_ms=self.dn_per_ms)
+
+    def irradiance(self, t_us: ArrayLike) -> FloatArray:
+        """Irradiance in microwatt per cm2."""
+        t = np.asarray(t_us, np.float64)
+        level = staircase(t, self.hold_us, self.hold_us / 20)
+        part = np.clip(level / max(self.levels - 1, 1), 0, 1)
+        ratio = self.high_uw_cm2 / self.low_uw_cm2
+        return np.asarray(self.low_uw_cm2 * ratio**part)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        t = same_everywhere(t_us, x, y)
+        return polarized(self.dn_per_ms * self.irradiance(t), 1.0,
+                         self.start_angle + rad_per_us(self.rpm) * t)
+
+    @property
+    def step_us(self) -> float:
+        """The finer of the turn and of a hundredth of a rise."""
+        return min(step_of(2 * rad_per_us(self.rpm)), self.hold_us / 2000)

@@ -1,6 +1,7 @@
 """A simulation as a recording: made while it is read, in flat memory."""
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -150,17 +151,13 @@ class SimulatedRecording(Recording):
     ) -> list[NDArray[Any]]:
         """Feed 10 ms of light to the pixels and to the frames; return the events."""
         height, width = self.camera.size
-        step = PIECE_US / self._intervals
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
-        block = self._intervals if self.scene.uniform else _INTERVALS
-        if self.scene.uniform and self.threads == 1:
+        if self.threads == 1 and (self.scene.uniform or self.scene.linear):
             rows = [slice(0, height)]
-        blocks = range(0, self._intervals, block)
+        blocks = self._blocks(start)
         weights = {} if clock is None else {
-            (frame, first): clock.weights(
-                frame, start + first * step, step,
-                min(block, self._intervals - first), self.scene.linear)
-            for frame in clock.frames(start, start + PIECE_US) for first in blocks}
+            (frame, block): clock.weights(frame, *block, self.scene.linear)
+            for frame in clock.frames(start, start + PIECE_US) for block in blocks}
         for frame, _ in weights:
             sums.setdefault(frame, np.zeros((height, width)))
         edges, first_edge = np.empty(0), 0
@@ -170,19 +167,19 @@ class SimulatedRecording(Recording):
 
         def band(part: slice) -> list[NDArray[Any]]:
             events: list[NDArray[Any]] = []
-            for first in blocks:
-                count = min(block, self._intervals - first)
-                light, slope, analyser = self._light(start, step, first, count, part)
+            for block in blocks:
+                at, step, _ = block
+                light, slope, analyser = self._light(block, part)
                 nodes = light if self.scene.linear else light[2:-2]
                 if pixels is not None:
-                    if start == 0 and first == 0:
+                    if at == 0:
                         pixels.settle(nodes[0] if analyser is None
                                       else analyser @ nodes[0], part)
                     events += pixels.advance(
-                        start + first * step, step, nodes, slope, analyser,
+                        at, step, nodes, slope, analyser,
                         rows=part, edges=edges, first_edge=first_edge)
-                for (frame, at), weight in weights.items():
-                    if at == first and np.any(weight):
+                for (frame, other), weight in weights.items():
+                    if other == block and np.any(weight):
                         sums[frame][part] += _integral(
                             weight, light, analyser, (part.stop - part.start, width))
             return events
@@ -190,15 +187,27 @@ class SimulatedRecording(Recording):
         found = pool.map(band, rows) if self.threads > 1 else map(band, rows)
         return [events for part in found for events in part]
 
+    def _blocks(self, start: int) -> list[tuple[float, float, int]]:
+        """Return (start, step, intervals) of the blocks of nodes that make 10 ms."""
+        if self.scene.linear:
+            kinks = self.scene.times_us(start, start + PIECE_US)
+            times = [float(start), *kinks.tolist(), float(start + PIECE_US)]
+            return [(a, b - a, 1) for a, b in itertools.pairwise(times)]
+        step = PIECE_US / self._intervals
+        size = self._intervals if self.scene.uniform else _INTERVALS
+        return [(start + first * step, step, min(size, self._intervals - first))
+                for first in range(0, self._intervals, size)]
+
     def _light(
-        self, start: int, step: float, first: int, count: int, rows: slice
+        self, block: tuple[float, float, int], rows: slice
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Light at the nodes of some intervals, its slopes, and how pixels see it.
+        """Light at the nodes of a block, its slopes, and how pixels see it.
 
         Two more nodes at each end give the slopes of smooth light.
         """
         beyond = 0 if self.scene.linear else 2
-        t = start + step * np.arange(first - beyond, first + count + 1 + beyond)
+        start, step, count = block
+        t = start + step * np.arange(-beyond, count + 1 + beyond)
         camera = self.camera
         analyser = camera.maps["analyser"][rows]
         row, column = camera.origin

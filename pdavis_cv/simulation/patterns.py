@@ -1,0 +1,383 @@
+"""Scenes with structure: fan, tendon, textures, and the user's own."""
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.sensor import CHANNELS, Sensor
+from pdavis_cv.simulation import noise
+from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
+from pdavis_cv.simulation.scenes import (
+    FULL,
+    FloatArray,
+    Scene,
+    Stokes,
+    rad_per_us,
+    step_of,
+)
+
+__all__ = ["Fan", "FunctionScene", "Tendon", "Texture", "VideoScene"]
+
+_MIDDLE = ((Sensor.PDAVIS.size[1] - 1) / 2, (Sensor.PDAVIS.size[0] - 1) / 2)
+_SECTORS = np.stack((np.cos(np.arange(6) * (np.pi / 3)),
+                     np.sin(np.arange(6) * (np.pi / 3))))
+_EDGE_SAMPLES = 16  # while an edge passes
+
+
+def smooth_edge(u: FloatArray) -> FloatArray:
+    """Rise from 0 at -1/2 to 1 at 1/2, with two continuous derivatives."""
+    s = np.clip(u + 0.5, 0, 1)
+    return np.asarray(s * s * s * (10 - s * (15 - 6 * s)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fan(Scene):
+    """Six polarizers in a wheel, 30 degrees apart, one half of it lit far brighter.
+
+    Sector k covers 60 degrees; its polarizer stands at 30 k degrees on the wheel and
+    turns with it, so that AoP at a place is that of the sector that passes.
+
+    Parameters
+    ----------
+    rpm : float
+        Turns per minute, positive = counter-clockwise as displayed.
+    s0 : float
+        S0 behind the wheel in the dim half, DN per ms.
+    bright : float
+        How much brighter the left half is; the paper's scene has 2000.
+    start_angle : float
+        Angle of sector 0's first edge at time 0, radians.
+    centre : (float, float)
+        x and y of the axis in pixels of the sensor.
+    radius, hub : float
+        Of the wheel and of its opaque hub, pixels.
+    edge : float
+        Width of the soft edges, pixels.
+    opaque : float
+        Light of the hub and around the wheel, relative to that behind it, unpolarized.
+    """
+
+    rpm: float
+    s0: float = FULL
+    bright: float = 2000.0
+    start_angle: float = 0.0
+    centre: tuple[float, float] = _MIDDLE
+    radius: float = 125.0
+    hub: float = 20.0
+    edge: float = 2.0
+    opaque: float = 0.05
+
+    def __post_init__(self) -> None:
+        positive(s0=self.s0, bright=self.bright, hub=self.hub, edge=self.edge)
+        fraction(opaque=self.opaque)
+        require("radius", self.radius, self.radius > self.hub, "exceed hub")
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        u = np.asarray(x, np.float64) - self.centre[0]
+        v = self.centre[1] - np.asarray(y, np.float64)
+        r = np.hypot(u, v)
+        t = np.asarray(t_us, np.float64)
+        turned = self.start_angle + rad_per_us(self.rpm) * t
+        place = (np.arctan2(v, u) - turned) * (3 / np.pi)  # in sectors
+        nearest = np.rint(place)
+        weight = smooth_edge((place - nearest) * (r * (np.pi / 3 / self.edge)))
+        sector = np.mod(nearest, 6).astype(np.intp)
+        light = self.s0 * (1 + (self.bright - 1) * smooth_edge(-u / self.edge))
+        seen = smooth_edge((r - self.hub) / self.edge) * smooth_edge(
+            (self.radius - r) / self.edge)
+        before, after = _SECTORS[:, sector - 1], _SECTORS[:, sector]
+        cos, sin = before + weight * (after - before)
+        s0 = light * (seen + (1 - seen) * self.opaque)
+        light, ct, st = light * seen, np.cos(2 * turned), np.sin(2 * turned)
+        s1, s2 = light * (ct * cos - st * sin), light * (st * cos + ct * sin)
+        return np.broadcast_to(s0, s1.shape), s1, s2
+
+    def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Tell the wheel between hub and rim, soft edges excluded."""
+        r = np.hypot(np.asarray(x) - self.centre[0], np.asarray(y) - self.centre[1])
+        return np.asarray((r > self.hub + self.edge) & (r < self.radius - self.edge))
+
+    @property
+    def step_us(self) -> float:
+        """Finer than the passage of an edge at the rim, and than the turn."""
+        speed = rad_per_us(self.rpm)
+        if speed == 0:
+            return math.inf
+        passage = self.edge / (abs(speed) * self.radius)
+        return min(passage / _EDGE_SAMPLES, step_of(2 * speed))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tendon(Scene):
+    """Circularly polarized light through a fibre sheet that is pulled in cycles.
+
+    A birefringent fibre of retardance d whose axis stands at angle f turns circular
+    light into s1 = -sin d sin 2f, s2 = sin d cos 2f: DoLP is |sin d|, AoP f + 45
+    degrees.  Pulling stretches the sheet, straightens the crimp of the fibres and
+    raises their retardance.
+
+    Parameters
+    ----------
+    hz : float
+        Cycles per second; the paper pulls at 1, 5 and 10 Hz.
+    strain_low, strain_high : float
+        Strain between which it moves; 2 % and 3 %.
+    s0 : float
+        Mean of S0, DN per ms.
+    retardance, gain : float
+        Retardance in radians at the middle of the cycle, and its relative change
+        from there to the end.
+    fibre_angle, fibre_width : float
+        Direction in radians and width in pixels of the fibres.
+    crimp_angle, crimp_length : float
+        Amplitude of the fibres' waviness in radians at the lowest strain, and its
+        period in pixels.
+    contrast : float
+        Depth of the dark lines between fibres, 0..1.
+    fixed : (float, float)
+        x and y of the point that does not move, pixels of the sensor.
+    """
+
+    hz: float = 1.0
+    strain_low: float = 0.02
+    strain_high: float = 0.03
+    s0: float = FULL
+    retardance: float = 0.5
+    gain: float = 0.4
+    fibre_angle: float = 0.1
+    fibre_width: float = 9.0
+    crimp_angle: float = 0.25
+    crimp_length: float = 60.0
+    contrast: float = 0.4
+    fixed: tuple[float, float] = (0.0, _MIDDLE[1])
+
+    def __post_init__(self) -> None:
+        positive(hz=self.hz, s0=self.s0, fibre_width=self.fibre_width,
+                 crimp_length=self.crimp_length)
+        at_least_zero(strain_low=self.strain_low, retardance=self.retardance)
+        fraction(contrast=self.contrast, gain=self.gain)
+        require("strain_high", self.strain_high, self.strain_high > self.strain_low,
+                f"exceed strain_low = {self.strain_low}")
+
+    def strain(self, t_us: ArrayLike) -> FloatArray:
+        """Strain of the sheet: a sine between its two ends."""
+        middle = (self.strain_low + self.strain_high) / 2
+        swing = (self.strain_high - self.strain_low) / 2
+        phase = 2e-6 * np.pi * self.hz * np.asarray(t_us, np.float64)
+        return np.asarray(middle - swing * np.cos(phase))
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        strain = self.strain(t_us)
+        pull = (strain - self.strain_low) / (self.strain_high - self.strain_low)
+        cos, sin = math.cos(self.fibre_angle), math.sin(self.fibre_angle)
+        u = np.asarray(x, np.float64) - self.fixed[0]
+        v = self.fixed[1] - np.asarray(y, np.float64)
+        along = (u * cos + v * sin) / (1 + strain)  # place on the sheet at rest
+        across = v * cos - u * sin
+        wave = 2 * np.pi / self.crimp_length
+        slope = self.crimp_angle * (1 - 0.6 * pull)
+        axis = self.fibre_angle + slope * np.cos(wave * along)
+        across = across - slope / wave * np.sin(wave * along)
+        line = 2 * np.pi * across / self.fibre_width
+        depth = self.retardance * (1 + self.gain * (2 * pull - 1)) * (
+            1 + 0.25 * np.cos(line / 3.7 + 1.0))
+        s0 = self.s0 * (1 - self.contrast * (0.5 + 0.5 * np.cos(line)))
+        linear = s0 * np.sin(depth)
+        return s0, -linear * np.sin(2 * axis), linear * np.cos(2 * axis)
+
+    @property
+    def step_us(self) -> float:
+        """A fine part of the cycle, finer where the far end crosses fibres."""
+        travel = Sensor.PDAVIS.size[1] * (self.strain_high - self.strain_low)
+        cycle = 2 * math.pi * 1e-6 * self.hz
+        phase = 1 + travel * 2 * math.pi * (
+            self.crimp_angle / self.fibre_width + 1 / self.crimp_length)
+        return step_of(cycle * phase) * 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Texture(Scene):
+    """A moving random texture with fields of AoP and DoLP, spectrum 1/f.
+
+    Each field is a sum of plane waves that moves as a whole; intensity is the
+    exponential of one, AoP and DoLP follow two others.
+
+    Parameters
+    ----------
+    velocity : (float, float)
+        Pixels per second, x to the right and y down.
+    s0, contrast : float
+        Geometric mean of S0 in DN per ms, and rms of its natural log.
+    dolp, dolp_spread : float
+        Mean of DoLP, and how far it goes up and down at the most.
+    aop, aop_spread : float
+        Mean and rms spread of AoP in radians.
+    longest, shortest : float
+        Wavelengths in pixels.
+    waves : int
+        Plane waves per field.
+    seed : int
+        Of the texture.
+    """
+
+    velocity: tuple[float, float] = (200.0, 60.0)
+    s0: float = FULL
+    contrast: float = 0.5
+    dolp: float = 0.5
+    dolp_spread: float = 0.4
+    aop: float = 0.8
+    aop_spread: float = 0.6
+    longest: float = 120.0
+    shortest: float = 8.0
+    waves: int = 12
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        positive(s0=self.s0, longest=self.longest, shortest=self.shortest,
+                 waves=self.waves)
+        at_least_zero(contrast=self.contrast, aop_spread=self.aop_spread,
+                      dolp_spread=self.dolp_spread)
+        require("shortest", self.shortest, self.shortest <= self.longest,
+                f"be at most longest = {self.longest}")
+        require("dolp", self.dolp,
+                self.dolp_spread <= self.dolp <= 1 - self.dolp_spread,
+                "stay in 0..1 within dolp_spread")
+
+    def _field(self, name: str, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Return a field of mean 0 and rms 1 at places u, v."""
+        index = np.arange(self.waves)
+
+        def draw(what: str) -> FloatArray:
+            return noise.uniform(self.seed, f"texture {name} {what}", index)
+
+        # Equal power per octave: amplitude falls as 1/f.
+        wavelength = self.shortest * (self.longest / self.shortest) ** (
+            (index + draw("wavelength")) / self.waves)
+        direction, phase = 2 * np.pi * draw("direction"), 2 * np.pi * draw("phase")
+        k = 2 * np.pi / wavelength
+        total = np.zeros(np.broadcast_shapes(u.shape, v.shape))
+        weight = wavelength / math.sqrt(float(np.sum(wavelength**2)) / 2)
+        for i in index:
+            total += weight[i] * np.cos(
+                k[i] * math.cos(direction[i]) * u + k[i] * math.sin(direction[i]) * v
+                + phase[i])
+        return total
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        t = np.asarray(t_us, np.float64) * 1e-6
+        u = np.asarray(x, np.float64) - self.velocity[0] * t
+        v = np.asarray(y, np.float64) - self.velocity[1] * t
+        s0 = self.s0 * np.exp(self.contrast * self._field("intensity", u, v))
+        dolp = self.dolp + self.dolp_spread * np.sin(self._field("dolp", u, v))
+        aop = self.aop + self.aop_spread * self._field("aop", u, v)
+        return s0, s0 * dolp * np.cos(2 * aop), s0 * dolp * np.sin(2 * aop)
+
+    @property
+    def step_us(self) -> float:
+        """A fine part of the passage of the shortest wave."""
+        speed = math.hypot(*self.velocity) * 1e-6
+        return step_of(2 * math.pi * speed / self.shortest) * 2
+
+
+@dataclass(frozen=True)
+class FunctionScene(Scene):
+    """A scene of the user's own, in closed form.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(t_us, x, y) -> (s0, s1, s2)`` of arrays that broadcast together.
+    sampling_us : float
+        Interval at which it is sampled; between samples it is a cubic whose error is
+        at most sampling_us^4 / 384 times the largest fourth derivative.
+    uniform : bool
+        Whether the light is the same everywhere, which is far quicker.
+    """
+
+    function: Callable[[FloatArray, FloatArray, FloatArray], Stokes]
+    sampling_us: float = 100.0
+    uniform: bool = False
+
+    def __post_init__(self) -> None:
+        positive(sampling_us=self.sampling_us)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
+        """S0, S1, S2 in DN per ms, as the function gives them."""
+        t, u, v = (np.asarray(a, np.float64) for a in (t_us, x, y))
+        shape = np.broadcast_shapes(t.shape, u.shape, v.shape)
+        s0, s1, s2 = (np.broadcast_to(np.asarray(s, np.float64), shape)
+                      for s in self.function(t, u, v))
+        return s0, s1, s2
+
+    @property
+    def step_us(self) -> float:
+        """What the user gave."""
+        return self.sampling_us
+
+
+class VideoScene(Scene):
+    """A scene from a video of the intensities behind four ideal analysers.
+
+    Intensity is linear in time between frames: where the light is smooth, the error
+    is at most interval^2 / 8 times its largest second derivative.  Before the first
+    and after the last frame it is constant.
+
+    Parameters
+    ----------
+    quad : array_like, shape (N, 4, H, W)
+        I0, I45, I90, I135 in DN per ms; a memory map will do.
+    fps : float
+        Frames per second; frame k is the light at k / fps.
+    origin : (int, int)
+        (row, column) on the sensor of the video's first pixel.
+    """
+
+    linear = True
+
+    def __init__(self, quad: ArrayLike, fps: float, origin: tuple[int, int] = (0, 0)
+                 ) -> None:
+        positive(fps=fps)
+        self.quad = np.asanyarray(quad)
+        require("quad", self.quad.shape,
+                self.quad.ndim == 4 and self.quad.shape[1] == len(CHANNELS)
+                and self.quad.shape[0] > 0, "have shape (N, 4, H, W)")
+        self.fps, self.origin = float(fps), origin
+
+    @property
+    def step_us(self) -> float:
+        """Interval of the video."""
+        return 1e6 / self.fps
+
+    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
+        """Return the times of frames strictly between start and stop."""
+        first = math.floor(start_us * self.fps / 1e6) + 1
+        last = min(math.ceil(stop_us * self.fps / 1e6) - 1, len(self.quad) - 1)
+        return np.arange(first, last + 1, dtype=np.float64) * (1e6 / self.fps)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
+        """S0, S1, S2 in DN per ms; places are rounded to pixels of the video."""
+        at = np.clip(np.asarray(t_us, np.float64) * (self.fps / 1e6), 0,
+                     len(self.quad) - 1)
+        k = np.minimum(at.astype(np.intp), max(len(self.quad) - 2, 0))
+        after = np.minimum(k + 1, len(self.quad) - 1)
+        rows = np.rint(y).astype(np.intp) - self.origin[0]
+        columns = np.rint(x).astype(np.intp) - self.origin[1]
+        height, width = self.quad.shape[2:]
+        if (np.any((rows < 0) | (rows >= height))
+                or np.any((columns < 0) | (columns >= width))):
+            raise ValueError(
+                f"the video's {width}x{height} pixels must cover the camera's, got "
+                f"columns {np.min(columns)}..{np.max(columns)}, rows "
+                f"{np.min(rows)}..{np.max(rows)}")
+        part = at - k
+        i0, i45, i90, i135 = (
+            self.quad[k, c, rows, columns] * (1 - part)
+            + self.quad[after, c, rows, columns] * part for c in range(4))
+        return (i0 + i45 + i90 + i135) / 2, i0 - i90, i45 - i135
