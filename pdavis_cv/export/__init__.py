@@ -1,13 +1,31 @@
 """Writing images and series of images to files that other programs open."""
 from pdavis_cv.export.arrays import ArrayFile
 from pdavis_cv.export.files import beside, write_json
+from pdavis_cv.export.hdf5 import Hdf5File
+from pdavis_cv.export.npz import NpzFile, write_npz
+from pdavis_cv.export.ometiff import OmeTiffFile
+from pdavis_cv.export.provenance import provenance, read_embedded
+from pdavis_cv.export.stacks import QUANTITIES, StackFile, plane
+from pdavis_cv.export.tables import write_csv, write_jaer_csv, write_traces
 from pdavis_cv.export.video import PlaneVideo, VideoFile, write_png
 
 __all__ = [
+    "QUANTITIES",
     "ArrayFile",
+    "Hdf5File",
+    "NpzFile",
+    "OmeTiffFile",
     "PlaneVideo",
+    "StackFile",
     "VideoFile",
     "beside",
+    "plane",
+    "provenance",
+    "read_embedded",
+    "write_csv",
+    "write_jaer_csv",
     "write_json",
+    "write_npz",
     "write_png",
+    "write_traces",
 ]

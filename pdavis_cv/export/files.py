@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["beside", "write_json"]
+__all__ = ["beside", "plain", "write_json"]
 
 
 @contextlib.contextmanager
@@ -49,11 +49,12 @@ def write_json(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
     """
     with beside(path) as part:
         part.write_text(
-            json.dumps(facts, indent=2, default=_plain, allow_nan=False) + "\n",
+            json.dumps(facts, indent=2, default=plain, allow_nan=False) + "\n",
             encoding="utf-8")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value as JSON can hold it."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.export.files import beside
+from pdavis_cv.export.provenance import embed, embed_png
 from pdavis_cv.render import even, opencv
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
@@ -27,6 +29,8 @@ class VideoFile:
         ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; appears when it is whole.
     fps : float
         Pictures per second of playing.
+    facts : mapping of str to object, optional
+        Provenance to embed; `read_embedded` returns it.
 
     Raises
     ------
@@ -38,7 +42,11 @@ class VideoFile:
 
     _grey = False
 
-    def __init__(self, path: str | os.PathLike[str], fps: float) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], fps: float,
+        facts: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.facts = facts
         self.path = Path(path)
         self._fourcc = self._codec(self.path.suffix.lower())
         if not 0 < fps < float("inf"):
@@ -111,6 +119,8 @@ class VideoFile:
             raise OSError(
                 f"{self.path}: only {count} of {self.count} pictures were written: "
                 "is the disk full?")
+        if self.facts is not None:
+            embed(self._part, self.facts)
 
     def __enter__(self) -> Self:
         return self
@@ -145,6 +155,8 @@ class PlaneVideo(VideoFile):
         Pictures per second of playing.
     low, high : float
         Values of codes 1 and 65535.
+    facts : mapping of str to object, optional
+        Provenance to embed, with the scale.
 
     Raises
     ------
@@ -155,12 +167,14 @@ class PlaneVideo(VideoFile):
     _grey = True
 
     def __init__(
-        self, path: str | os.PathLike[str], fps: float, low: float, high: float
+        self, path: str | os.PathLike[str], fps: float, low: float, high: float,
+        facts: Mapping[str, Any] | None = None,
     ) -> None:
         if not high > low:
             raise ValueError(f"high must be above low {low}, got {high}")
-        super().__init__(path, fps)
         self.low, self.high, self.clipped = float(low), float(high), 0
+        super().__init__(
+            path, fps, None if facts is None else {**facts, "scale": self.scale})
 
     @staticmethod
     def _codec(suffix: str) -> str:
@@ -195,7 +209,10 @@ class PlaneVideo(VideoFile):
         self.add(np.where(usable, code, 0).astype(np.uint16))
 
 
-def write_png(path: str | os.PathLike[str], picture: NDArray[Any]) -> None:
+def write_png(
+    path: str | os.PathLike[str], picture: NDArray[Any],
+    facts: Mapping[str, Any] | None = None,
+) -> None:
     """Write a picture as PNG.
 
     Parameters
@@ -204,6 +221,8 @@ def write_png(path: str | os.PathLike[str], picture: NDArray[Any]) -> None:
         File to write; appears when it is whole.
     picture : ndarray of uint8 or uint16, shape (H, W, 3) or (H, W)
         BGR or grey.
+    facts : mapping of str to object, optional
+        Provenance to embed; `read_embedded` returns it.
 
     Raises
     ------
@@ -214,4 +233,5 @@ def write_png(path: str | os.PathLike[str], picture: NDArray[Any]) -> None:
     if not done:
         raise OSError(f"{path}: OpenCV cannot encode {picture.shape} as PNG")
     with beside(path) as part:
-        part.write_bytes(data.tobytes())
+        png = data.tobytes()
+        part.write_bytes(png if facts is None else embed_png(png, facts))

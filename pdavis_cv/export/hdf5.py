@@ -1,0 +1,73 @@
+"""HDF5 stacks: one dataset per quantity, grown image by image."""
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv.export.provenance import to_json
+from pdavis_cv.export.stacks import HEADER, QUANTITIES, StackFile
+
+__all__ = ["Hdf5File"]
+
+
+class Hdf5File(StackFile):
+    """An HDF5 file: datasets (T, H, W) named like the quantities, and ``t_us`` (T,).
+
+    Each dataset has an attribute ``unit``; the file has ``provenance`` (JSON), and
+    ``pixel_um`` if it is known.
+
+    Raises
+    ------
+    ImportError
+        If h5py, of the extra ``[export]``, is missing.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        try:
+            import h5py
+        except ImportError:
+            raise ImportError(
+                "HDF5 needs h5py: pip install 'pdavis-cv[export]'") from None
+        self._h5py = h5py
+        super().__init__(*arguments, **options)
+
+    def _finish(self) -> Path:
+        height, width = self.shape or (0, 0)
+        stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", HEADER, (
+            self.count, len(self.quantities), height, width))
+        part = self.path.with_name(f".{self.path.name}.part")
+        try:
+            # h5py raises once more when it closes what it could not write.
+            with contextlib.closing(_File(self._h5py, part)) as target:
+                file = target.file
+                file.attrs["provenance"] = to_json(self.facts)
+                if self.pixel_um is not None:
+                    file.attrs["pixel_um"] = self.pixel_um
+                file["t_us"] = np.array(self.times_us, np.int64)
+                file["t_us"].attrs["unit"] = "us"
+                for c, name in enumerate(self.quantities):
+                    data = file.create_dataset(
+                        name, (self.count, height, width), "<f4")
+                    data.attrs["unit"] = QUANTITIES[name]
+                    for t in range(self.count):
+                        data[t] = stack[t, c]
+                file.flush()
+        except BaseException as error:
+            part.unlink(missing_ok=True)
+            if isinstance(error, OSError | RuntimeError):
+                raise OSError(f"{self.path}: cannot be written: {error}") from None
+            raise
+        finally:
+            stack._mmap.close()  # type: ignore[attr-defined]
+        return part
+
+
+class _File:
+    def __init__(self, h5py: Any, path: Path) -> None:
+        self.file = h5py.File(path, "w")
+
+    def close(self) -> None:
+        self.file.close()

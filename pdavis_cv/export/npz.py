@@ -1,0 +1,72 @@
+"""NPZ: one array per quantity, for NumPy."""
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv.export.files import beside
+from pdavis_cv.export.provenance import to_json
+from pdavis_cv.export.stacks import HEADER, StackFile
+
+__all__ = ["NpzFile", "write_npz"]
+
+
+class NpzFile(StackFile):
+    """A ``.npz`` with each quantity (T, H, W), ``t_us`` (T,) and ``provenance``.
+
+    The provenance is JSON, a string of shape ().
+    """
+
+    def _finish(self) -> Path:
+        height, width = self.shape or (0, 0)
+        shape = (self.count, len(self.quantities), height, width)
+        stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", HEADER, shape)
+        part = self.path.with_name(f".{self.path.name}.part")
+        try:
+            with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+                for c, name in enumerate(self.quantities):
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                        np.lib.format.write_array_header_2_0(member, {
+                            "descr": "<f4", "fortran_order": False,
+                            "shape": (self.count, height, width)})
+                        for t in range(self.count):
+                            member.write(np.ascontiguousarray(stack[t, c]).data)
+                for name, array in (
+                        ("t_us", np.array(self.times_us, np.int64)),
+                        ("provenance", np.array(to_json(self.facts)))):
+                    with archive.open(f"{name}.npy", "w") as member:
+                        np.lib.format.write_array(member, array, allow_pickle=False)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+        finally:
+            # Before the file goes; an array of it would hold it open.
+            stack._mmap.close()  # type: ignore[attr-defined]
+        return part
+
+
+def write_npz(
+    path: str | Path, arrays: dict[str, Any], facts: dict[str, Any]
+) -> None:
+    """Write named arrays and their provenance.
+
+    Parameters
+    ----------
+    path : path
+        File to write; appears when it is whole.
+    arrays : dict of str to array_like
+        What to write.
+    facts : dict of str to object
+        Becomes ``provenance``, JSON in a string of shape ().
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    with beside(path) as part, part.open("wb") as file:
+        named: dict[str, Any] = {name: np.asarray(a) for name, a in arrays.items()}
+        np.savez(file, **named, provenance=np.array(to_json(facts)))

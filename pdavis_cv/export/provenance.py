@@ -1,0 +1,214 @@
+"""Where a file's numbers come from, written into the file itself."""
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+import pdavis_cv
+from pdavis_cv.export.files import plain
+
+__all__ = ["embed", "embed_png", "provenance", "read_embedded", "to_json"]
+
+# Identifies our box in MP4; random, version 4.
+_UUID = bytes.fromhex("6f0c5f1e2a4b4f6e9c3d70646176697a")
+_PNG_START, _PNG_KEY = b"\x89PNG\r\n\x1a\n", b"pdavis_cv"
+_TAG_NAME = "PDAVIS_PROVENANCE"
+# Element numbers of Matroska.
+_SEGMENT, _TAGS = b"\x18\x53\x80\x67", b"\x12\x54\xc3\x67"
+_TAG, _TARGETS, _SIMPLE = b"\x73\x73", b"\x63\xc0", b"\x67\xc8"
+_NAME, _STRING = b"\x45\xa3", b"\x44\x87"
+_LONGEST = 64  # numbers of an array that are written out
+
+
+def provenance(
+    images: Mapping[str, Any], source: str | os.PathLike[str] | None = None,
+    **facts: Any,
+) -> dict[str, Any]:
+    """Return what a file should say about its origin.
+
+    Parameters
+    ----------
+    images : mapping of str to object
+        Provenance of the images, as a PolarFrame has it.
+    source : path, optional
+        The recording's file; its name, size and SHA-256 are added.
+    **facts
+        Anything else, e.g. channels and units.
+
+    Returns
+    -------
+    dict of str to object
+        Ready for JSON; arrays of more than 64 numbers become shape and SHA-256.
+
+    Raises
+    ------
+    OSError
+        If the source cannot be read.
+    """
+    found: dict[str, Any] = {"pdavis_cv": pdavis_cv.__version__, **images, **facts}
+    if source is not None:
+        path = Path(source)
+        digest = hashlib.sha256()
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+        found["input"] = {"name": path.name, "bytes": path.stat().st_size,
+                          "sha256": digest.hexdigest()}
+    return {str(name): _short(value) for name, value in found.items()}
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.size > _LONGEST:
+        return {"shape": list(value.shape), "dtype": str(value.dtype),
+                "sha256": hashlib.sha256(np.ascontiguousarray(value).tobytes()
+                                         ).hexdigest()}
+    if isinstance(value, Mapping):
+        return {str(name): _short(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_short(inner) for inner in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return _short(plain(value))
+
+
+def to_json(facts: Mapping[str, Any]) -> str:
+    """Return facts as one line of JSON."""
+    return json.dumps(_short(facts), allow_nan=False)
+
+
+def embed(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
+    """Add facts to a finished video: a box in MP4, a tag in Matroska, a chunk in AVI.
+
+    Parameters
+    ----------
+    path : path
+        ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; changed in place, players ignore
+        the addition.
+    facts : mapping of str to object
+        What to write, as JSON.
+
+    Raises
+    ------
+    ValueError
+        If the file is none of these.
+    OSError
+        If it cannot be written.
+    """
+    text = to_json(facts).encode()
+    with Path(path).open("r+b") as file:
+        start = file.read(12)
+        if start[:4] == b"\x1aE\xdf\xa3":
+            _extend_segment(file, text)
+            return
+        file.seek(0, os.SEEK_END)
+        if start[4:8] == b"ftyp":
+            file.write(struct.pack(">I4s", 24 + len(text), b"uuid") + _UUID + text)
+        elif start[:4] == b"RIFF":
+            # Behind the last RIFF list, where readers have stopped.
+            file.write(b"pdvs" + struct.pack("<I", len(text)) + text)
+        else:
+            raise ValueError(f"{path}: neither MP4, Matroska nor AVI")
+
+
+def read_embedded(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """Return the facts that `embed` or `embed_png` wrote, None if there are none.
+
+    Parameters
+    ----------
+    path : path
+        A video or a PNG.
+
+    Returns
+    -------
+    dict of str to object, or None
+    """
+    data = Path(path).read_bytes()
+    if data.startswith(_PNG_START):
+        for kind, body in _png_chunks(data):
+            if kind == b"iTXt" and body.startswith(_PNG_KEY + b"\0"):
+                return _loaded(body[len(_PNG_KEY) + 5:])
+        return None
+    if data[:4] == b"RIFF":
+        at = data.rfind(b"pdvs")
+        return None if at < 0 else _loaded(data[at + 8:])
+    if data[4:8] == b"ftyp":
+        at = data.rfind(b"uuid" + _UUID)
+        return None if at < 0 else _loaded(data[at + 20:])
+    at = data.rfind(_TAG_NAME.encode())
+    if at < 0:
+        return None
+    at += len(_TAG_NAME) + len(_STRING)
+    length = int.from_bytes(data[at + 1:at + 8], "big")
+    return _loaded(data[at + 8:at + 8 + length])
+
+
+def _loaded(text: bytes) -> dict[str, Any]:
+    facts: dict[str, Any] = json.loads(text)
+    return facts
+
+
+def embed_png(data: bytes, facts: Mapping[str, Any]) -> bytes:
+    """Return PNG data with facts as a text chunk behind the header.
+
+    Parameters
+    ----------
+    data : bytes
+        A PNG file.
+    facts : mapping of str to object
+        What to write, as JSON.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ValueError
+        If the data are not PNG.
+    """
+    if not data.startswith(_PNG_START):
+        raise ValueError(f"data must be PNG, got first bytes {data[:4]!r}")
+    body = b"iTXt" + _PNG_KEY + b"\0" * 5 + to_json(facts).encode()
+    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(
+        ">I", zlib.crc32(body))
+    header = len(_PNG_START) + 25  # IHDR has 13 bytes, always
+    return data[:header] + chunk + data[header:]
+
+
+def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    at = len(_PNG_START)
+    while at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        yield data[at + 4:at + 8], data[at + 8:at + 8 + length]
+        at += 12 + length
+
+
+def _element(kind: bytes, body: bytes) -> bytes:
+    return kind + (len(body) | 1 << 56).to_bytes(8, "big") + body
+
+
+def _extend_segment(file: BinaryIO, text: bytes) -> None:
+    """Append a Tags element to Matroska's Segment and enlarge the Segment by it."""
+    tags = _element(_TAGS, _element(_TAG, _element(_TARGETS, b"") + _element(
+        _SIMPLE, _element(_NAME, _TAG_NAME.encode()) + _element(_STRING, text))))
+    file.seek(0)
+    head = file.read(4096)
+    at = head.find(_SEGMENT)
+    if at < 0 or head[at + 4] != 1:
+        raise ValueError("Matroska file without a Segment of 8-byte size")
+    size = int.from_bytes(head[at + 5:at + 12], "big")
+    if size != (1 << 56) - 1:  # all ones: unknown, it ends with the file
+        file.seek(at + 5)
+        file.write((size + len(tags)).to_bytes(7, "big"))
+    file.seek(0, os.SEEK_END)
+    file.write(tags)

@@ -1,0 +1,262 @@
+"""Stacks of planes that grow image by image and can be continued after a stop."""
+from __future__ import annotations
+
+import hashlib
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.export.provenance import to_json
+from pdavis_cv.polarimetry import PolarFrame
+
+__all__ = ["QUANTITIES", "StackFile", "plane"]
+
+QUANTITIES = {
+    "I0": "DN/ms", "I45": "DN/ms", "I90": "DN/ms", "I135": "DN/ms", "S0": "DN/ms",
+    "S1": "DN/ms", "S2": "DN/ms", "AoP": "rad", "DoLP": "1", "sigma_AoP": "rad",
+    "sigma_DoLP": "1",
+}
+"""Quantities of a PolarFrame that can be written, with their units."""
+
+_BY_NAME = {name.lower(): name for name in QUANTITIES}
+HEADER = 16  # bytes before the first plane: room for either TIFF header
+
+
+def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
+    """Return one quantity of an image.
+
+    Parameters
+    ----------
+    frame : PolarFrame
+        The image.
+    name : str
+        One of ``QUANTITIES``, in any case.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+        Read-only; pixels that are not valid hold what was computed.
+
+    Raises
+    ------
+    ValueError
+        If there is no such quantity, or the method gives no sigma.
+    """
+    key = name.lower()
+    if key not in _BY_NAME:
+        raise ValueError(
+            f"quantity must be one of {', '.join(QUANTITIES)}, got {name!r}")
+    if key.startswith("i"):
+        channel: NDArray[np.float32] = frame.quad[
+            ("i0", "i45", "i90", "i135").index(key)]
+        return channel
+    values: NDArray[np.float32] | None = getattr(frame, key)
+    if values is None:
+        raise ValueError(
+            f"{name} needs a method that knows its variance, such as kalman")
+    return values
+
+
+class StackFile(ABC):
+    """A file of float32 planes, one per quantity and time; NaN = not valid.
+
+    Until the file is whole its data lie beside it in ``.NAME.unfinished``.  When
+    the block ends with an error they are removed, unless ``resume`` is set; then a
+    later StackFile with ``resume`` and the same facts continues: `count` says how
+    many images it already has.
+
+    Parameters
+    ----------
+    path : path
+        File to write; appears when it is whole.
+    quantities : sequence of str
+        Names from ``QUANTITIES``.
+    facts : mapping of str to object
+        Provenance, written into the file; see `provenance`.
+    pixel_um : float, optional
+        Size of a pixel in the object, micrometres.
+    resume : bool
+        Keep what an interruption leaves, and continue it.
+
+    Attributes
+    ----------
+    count : int
+        Images so far.
+
+    Raises
+    ------
+    ValueError
+        If a quantity is unknown or ``pixel_um`` is not positive.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str],
+        quantities: Sequence[str] = ("I0", "I45", "I90", "I135", "S0", "AoP", "DoLP"),
+        facts: Mapping[str, Any] | None = None, *, pixel_um: float | None = None,
+        resume: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        for name in quantities:
+            if name.lower() not in _BY_NAME:
+                raise ValueError(
+                    f"quantity must be one of {', '.join(QUANTITIES)}, got {name!r}")
+        self.quantities = tuple(_BY_NAME[name.lower()] for name in quantities)
+        if not self.quantities:
+            raise ValueError("quantities must name at least one")
+        if pixel_um is not None and not (np.isfinite(pixel_um) and pixel_um > 0):
+            raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
+        self.pixel_um, self.resume = pixel_um, resume
+        self.facts = {**(facts or {}), "units": {
+            name: QUANTITIES[name] for name in self.quantities}}
+        self.times_us: list[int] = []
+        self.shape: tuple[int, int] | None = None
+        self._closed = False
+        self.unfinished = self.path.with_name(f".{self.path.name}.unfinished")
+        self._log_path = self.path.with_name(f".{self.path.name}.unfinished.log")
+        self._identity = hashlib.sha256(to_json(
+            {**self.facts, "kind": type(self).__name__}).encode()).digest()
+        if not (resume and self._continue()):
+            self._data: BinaryIO = self.unfinished.open("wb")
+            try:
+                self._data.write(bytes(HEADER))
+                self._log: BinaryIO = self._log_path.open("wb", buffering=0)
+                self._log.write(self._identity)
+            except BaseException:
+                self.discard()
+                raise
+
+    @property
+    def count(self) -> int:
+        """Images so far."""
+        return len(self.times_us)
+
+    def _continue(self) -> bool:
+        """Take up what an earlier run left, if it was of the same; whole images only.
+
+        The log holds the identity, height and width, and a time per image; it is
+        written after the image, so it never promises more than there is.
+        """
+        try:
+            log = self._log_path.read_bytes()
+            size = self.unfinished.stat().st_size
+        except OSError:
+            return False
+        known = np.frombuffer(log[32:32 + (len(log) - 32) // 8 * 8], "<i8")
+        if log[:32] != self._identity or len(known) < 3 or np.any(known[:2] <= 0):
+            return False
+        self.shape = (int(known[0]), int(known[1]))
+        whole = min(len(known) - 2, (size - HEADER) // self._image_bytes)
+        if whole < 1:
+            self.shape = None
+            return False
+        self.times_us = [int(t) for t in known[2:2 + whole]]
+        self._data = self.unfinished.open("r+b")
+        self._data.truncate(HEADER + whole * self._image_bytes)
+        self._data.seek(0, os.SEEK_END)
+        self._log = self._log_path.open("r+b", buffering=0)
+        self._log.truncate(32 + 16 + 8 * whole)
+        self._log.seek(0, os.SEEK_END)
+        return True
+
+    @property
+    def _image_bytes(self) -> int:
+        height, width = self.shape or (0, 0)
+        return len(self.quantities) * height * width * 4
+
+    def add(self, frame: PolarFrame) -> None:
+        """Append an image.
+
+        Parameters
+        ----------
+        frame : PolarFrame
+            The same shape each time, with a time.
+
+        Raises
+        ------
+        ValueError
+            If the shape differs from the first image's, or time does not increase.
+        OSError
+            If it cannot be written.
+        """
+        if frame.t_us is None:
+            raise ValueError("frame must have a time")
+        if self.shape is None:
+            self.shape = frame.shape
+            self._log.write(np.array(self.shape, "<i8").tobytes())
+        elif frame.shape != self.shape:
+            raise ValueError(
+                f"frame must have the first one's shape {self.shape}, got "
+                f"{frame.shape}")
+        if self.times_us and frame.t_us <= self.times_us[-1]:
+            raise ValueError(
+                f"frame must be later than {self.times_us[-1]} us, got {frame.t_us}")
+        bad = None if frame.valid.all() else ~frame.valid
+        for name in self.quantities:
+            values = plane(frame, name)
+            if bad is not None:
+                values = np.where(bad, np.float32(np.nan), values)
+            self._data.write(np.ascontiguousarray(values, "<f4").data)
+        self._log.write(frame.t_us.to_bytes(8, "little", signed=True))
+        self.times_us.append(frame.t_us)
+
+    @abstractmethod
+    def _finish(self) -> Path:
+        """Make the finished file from the data, under another name; return that."""
+
+    def close(self) -> None:
+        """Make the file whole and give it its name.
+
+        Raises
+        ------
+        ValueError
+            If there is no image.
+        OSError
+            If it cannot be written.
+        """
+        if self._closed:
+            return
+        if not self.times_us:
+            raise ValueError(f"{self.path}: no image to write")
+        self._data.flush()
+        self._finish().replace(self.path)
+        self.discard()
+
+    def discard(self) -> None:
+        """Remove what is unfinished."""
+        self._release()
+        self.unfinished.unlink(missing_ok=True)
+        self._log_path.unlink(missing_ok=True)
+
+    def _release(self) -> None:
+        self._closed = True
+        for name in ("_data", "_log"):
+            file = getattr(self, name, None)
+            if file is not None:
+                try:
+                    file.close()
+                except OSError:  # what it still held does not fit; said before
+                    continue
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            try:
+                self.close()
+            except BaseException:
+                self._release() if self.resume else self.discard()
+                raise
+        elif self.resume:
+            self._release()
+        else:
+            self.discard()

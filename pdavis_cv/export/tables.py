@@ -1,0 +1,162 @@
+"""CSV: traces with units in the header, and jAER's dialect."""
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pdavis_cv.export.files import beside
+from pdavis_cv.export.provenance import to_json
+
+if TYPE_CHECKING:
+    from pdavis_cv.analysis import Traces
+
+__all__ = ["JAER_HEADER", "write_csv", "write_jaer_csv", "write_traces"]
+
+JAER_HEADER = ("lastTimestamp(s)", "ROINumPixels", "f0", "f45", "f90", "f135",
+               "AoP(deg)", "AoPStd(deg)", "DoLP", "DoLPStd")
+"""Columns of the ROI file of jAER's PolarizationComplementaryFilter."""
+
+
+def write_csv(
+    path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[Any]],
+    facts: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a table; facts become comment lines at its top.
+
+    Parameters
+    ----------
+    path : path
+        File to write; appears when it is whole.  ``pandas.read_csv(path,
+        comment="#")`` reads it.
+    header : sequence of str
+        Names of the columns, units in them.
+    rows : iterable of sequence
+        Values; floats are written so that they return exactly, NaN as nothing.
+    facts : mapping of str to object, optional
+        One comment line each.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    with beside(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        for name, value in (facts or {}).items():
+            file.write(f"# {name}: {to_json({'': value})[5:-1]}\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for row in rows:
+            writer.writerow([_cell(value) for value in row])
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float | np.floating):
+        return repr(float(value)) if np.isfinite(value) else ""
+    return value
+
+
+_COLUMNS = (
+    ("pixels", "pixels", None), ("s0_dn_per_ms", "s0", None),
+    ("s0_se_dn_per_ms", "s0_se", None), ("dolp", "dolp", None),
+    ("dolp_se", "dolp_se", None), ("dolp_sd", "dolp_sd", None),
+    ("aop_deg", "aop", np.rad2deg), ("aop_se_deg", "aop_se", np.rad2deg),
+    ("aop_sd_deg", "aop_sd", np.rad2deg), ("event_rate_hz", "event_rate", None),
+    ("event_rate_se_hz", "event_rate_se", None), ("i0_dn_per_ms", "i0", None),
+    ("i45_dn_per_ms", "i45", None), ("i90_dn_per_ms", "i90", None),
+    ("i135_dn_per_ms", "i135", None))
+
+
+def write_traces(
+    path: str | os.PathLike[str], traces: Traces, *, origin_us: int = 0,
+    facts: Mapping[str, Any] | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> None:
+    """Write traces as a long table, one row per region and time.
+
+    Parameters
+    ----------
+    path : path
+        File to write; appears when it is whole.
+    traces : Traces
+        Of `analysis.TraceRecorder`.
+    origin_us : int
+        Time of ``t_s`` 0.
+    facts : mapping of str to object, optional
+        One comment line each; default the traces' provenance.
+    extra : mapping of str to array_like of shape (T,) or (R, T), optional
+        More columns.
+
+    Raises
+    ------
+    ValueError
+        If an extra column does not fit.
+    OSError
+        If it cannot be written.
+    """
+    table = traces.table
+    columns: dict[str, Any] = {}
+    for name, source, convert in _COLUMNS:
+        columns[name] = table[source] if convert is None else convert(table[source])
+    for name, values in (extra or {}).items():
+        array = np.asarray(values)
+        if array.shape not in (table.shape, table.shape[1:]):
+            raise ValueError(
+                f"{name} must be {table.shape} or {table.shape[1:]}, got {array.shape}")
+        columns[name] = np.broadcast_to(array, table.shape)
+
+    def rows() -> Iterable[Sequence[Any]]:
+        for r, roi in enumerate(traces.rois):
+            for i, t in enumerate(traces.t_us.tolist()):
+                yield [roi.name, (t - origin_us) / 1e6, t,
+                       *(values[r, i] for values in columns.values())]
+
+    write_csv(path, ("roi", "t_s", "t_us", *columns), rows(),
+              traces.provenance if facts is None else facts)
+
+
+def write_jaer_csv(
+    path: str | os.PathLike[str], traces: Traces, *, origin_us: int = 0,
+    facts: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Write traces with the header of jAER's ROI files, one file per region.
+
+    Parameters
+    ----------
+    path : path
+        File to write; with several regions ``-NAME`` goes before the suffix.
+    traces : Traces
+        Of `analysis.TraceRecorder`.
+    origin_us : int
+        Time of timestamp 0.
+    facts : mapping of str to object, optional
+        One comment line each; default the traces' provenance.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    written = []
+    for roi, table in zip(traces.rois, traces.table, strict=True):
+        target = Path(path)
+        if len(traces.rois) > 1:
+            safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in roi.name)
+            target = target.with_stem(f"{target.stem}-{safe}")
+        rows = ([(int(row["t_us"]) - origin_us) / 1e6, int(row["pixels"]),
+                 row["i0"], row["i45"], row["i90"], row["i135"],
+                 np.rad2deg(row["aop"]), np.rad2deg(row["aop_sd"]), row["dolp"],
+                 row["dolp_sd"]] for row in table)
+        write_csv(target, JAER_HEADER, rows,
+                  traces.provenance if facts is None else facts)
+        written.append(target)
+    return written
