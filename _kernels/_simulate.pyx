@@ -37,6 +37,8 @@ cdef struct config_t:
     double bright_light     # DN/ms
     double burst_chance
     double burst_width      # us
+    double noise            # candidates of shot noise per us
+    double dark             # DN/ms
     double e, w0, w1, w2, w3  # end value of the filter, constant cutoff
 
 
@@ -49,7 +51,6 @@ cdef struct pixel_t_:
     uint64_t key
     double on, off          # thresholds
     double leak             # ln units per us
-    double noise            # candidates per us
     double light            # light at the node
     double v                # its log
 
@@ -59,7 +60,7 @@ cdef struct cell_t:
     double i0, i1, i2, i3
     double v0, m0, b, e     # its log as a cubic in x
     double phi, cutoff, slope, drift
-    int unfiltered, series, ready
+    int unfiltered, series, ready, terms
     double level            # at s = 0
     double a, p0, p1, p2, p3
     double term[TERMS]
@@ -91,6 +92,9 @@ cdef inline void prepare(cell_t *c) noexcept nogil:
             v = c.v0 if n == 0 else c.m0 if n == 1 else c.b if n == 2 else (
                 c.e if n == 3 else 0.0)
             c.term[n + 1] = c.phi * (v - c.term[n]) / (n + 1)
+            if n > 3 and fabs(c.term[n + 1]) < 1e-17:
+                break
+        c.terms = n + 1
         return
     c.p3 = c.e
     c.p2 = c.b - 3 * c.p3 / c.phi
@@ -103,8 +107,8 @@ cdef inline double filtered(cell_t *c, double x) noexcept nogil:
     cdef int n
     cdef double y
     if c.series:
-        y = c.term[TERMS - 1]
-        for n in range(TERMS - 2, -1, -1):
+        y = c.term[c.terms]
+        for n in range(c.terms - 1, -1, -1):
             y = y * x + c.term[n]
         return y
     return c.a * exp64(-c.phi * x) + c.p0 + x * (c.p1 + x * (c.p2 + x * c.p3))
@@ -171,20 +175,25 @@ cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, dou
     c.e = c.m0 + m1 - 2 * dv
 
 
-cdef inline double root(cell_t *c, double target, double sa, double sb,
-                        double tolerance) noexcept nogil:
-    """Where value() reaches target on a monotonic stretch; Newton kept in bounds."""
-    cdef double s, y, slope, ya, step
-    cdef int rising, _n
-    ya = value(c, sa, &slope)
-    rising = ya < target
-    s = 0.5 * (sa + sb)
-    if slope != 0:
-        step = sa + (target - ya) / slope
-        if sa < step < sb:
-            s = step
+cdef inline double root(cell_t *c, double target, double sa, double sb, double ya,
+                        double yb, double tolerance) noexcept nogil:
+    """Where value(), ya and yb at sa and sb, reaches target on a monotonic stretch.
+
+    Newton's method from the chord's guess, kept in bounds by bisection.
+    """
+    cdef double s, y, slope, step
+    cdef int rising = ya < target, direct = c.unfiltered and c.drift == 0, _n
+    s = sa + (target - ya) / (yb - ya) * (sb - sa) if yb != ya else sb
+    if not (sa <= s <= sb):
+        s = 0.5 * (sa + sb)
+    if direct:  # light itself instead of its log
+        target = exp64(target)
     for _n in range(60):
-        y = value(c, s, &slope)
+        if direct:
+            y = c.i0 + s * (c.i1 + s * (c.i2 + s * c.i3))
+            slope = c.i1 + s * (2 * c.i2 + s * 3 * c.i3)
+        else:
+            y = value(c, s, &slope)
         if (y < target) == rising:
             sa = s
         else:
@@ -210,7 +219,7 @@ cdef inline double turning(cell_t *c, double sa, double sb) noexcept nogil:
     for _n in range(80):
         s = (fa * sb - fb * sa) / (fa - fb)
         y = value(c, s, &f)
-        if fabs(f) < 1e-13 or sb - sa < 1e-12:
+        if fabs(f) < 1e-13 or sb - sa < 1e-9:
             break
         if (f < 0) == (fb < 0):
             sb = s
@@ -245,12 +254,12 @@ cdef inline void emit(sink_t *out, double t, int polarity) noexcept nogil:
     out.n += 1
 
 
-cdef inline void next_noise(pixel_t_ *p) noexcept nogil:
+cdef inline void next_noise(pixel_t_ *p, config_t *cfg) noexcept nogil:
     """Advance to the next candidate of the pixel's Poisson process."""
-    if p.noise <= 0:
+    if cfg.noise <= 0:
         p.noise_t = NEVER
         return
-    p.noise_t -= log64(uniform64(draw64(p.key, 2 * p.counter))) / p.noise
+    p.noise_t -= log64(uniform64(draw64(p.key, 2 * p.counter))) / cfg.noise
     p.counter += 1
 
 
@@ -266,18 +275,19 @@ cdef inline int noise_polarity(pixel_t_ *p, config_t *cfg, cell_t *c,
 cdef void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last,
                    double *burst_t, int burst_p, sink_t *out) noexcept nogil:
     """Events of one pixel in [t0, t0 + h); `last` is the filtered log at its end."""
-    cdef double s = 0, stop, ga, gb, slope_a, slope_b, at, up, down, extreme = 2
+    cdef double s = 0, stop, ga = c.level, gb = 0, slope_a, slope_b, at, up, down
+    cdef double extreme = 2
     cdef double reach, t1 = t0 + cfg.h, tolerance = 1e-4 / cfg.h
     cdef int polarity, checked = 0, forced
     if p.release > t0:
         if p.release >= t1:
             while p.noise_t < t1:
-                next_noise(p)
+                next_noise(p, cfg)
             if burst_t[0] < t1:
                 burst_t[0] = NEVER
             return
         s = (p.release - t0) / cfg.h
-        p.ref = value(c, s, &slope_a)
+        ga = p.ref = value(c, s, &slope_a)
     while not out.full:
         # The next time at which an event is forced, or the end.
         forced = 0
@@ -290,12 +300,11 @@ cdef void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last
                 if burst_t[0] == at:
                     burst_t[0] = NEVER
                 else:
-                    next_noise(p)
+                    next_noise(p, cfg)
                 continue
         # The first crossing before that.
         up = p.ref + p.on
         down = p.ref - p.off
-        ga = c.level if s == 0 else value(c, s, &slope_a)
         at = -1
         if ga >= up or ga <= down:
             at = s
@@ -315,10 +324,12 @@ cdef void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last
                         c.phi if c.slope == 0
                         else c.cutoff + c.slope * light_at(c, 1))
                 if slope_a * slope_b < 0:
+                    # Four times what a parabola exceeds its higher end by.
                     reach = fabs(slope_a)
                     if fabs(slope_b) < reach:
                         reach = fabs(slope_b)
-                    if (reach > 1e-12 and (
+                    reach *= 2 * reach / (fabs(slope_a) + fabs(slope_b))
+                    if (reach > 1e-15 and (
                             (slope_a > 0
                              and (c.level if c.level > last + c.drift
                                   else last + c.drift) + reach >= up)
@@ -331,13 +342,15 @@ cdef void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last
                 reach = value(c, extreme, &slope_a)
                 if reach >= up or reach <= down:
                     polarity = reach >= up
-                    at = root(c, up if polarity else down, s, extreme, tolerance)
+                    at = root(c, up if polarity else down, s, extreme, ga, reach,
+                              tolerance)
                 elif gb >= up or gb <= down:
                     polarity = gb >= up
-                    at = root(c, up if polarity else down, extreme, stop, tolerance)
+                    at = root(c, up if polarity else down, extreme, stop, reach, gb,
+                              tolerance)
             elif gb >= up or gb <= down:
                 polarity = gb >= up
-                at = root(c, up if polarity else down, s, stop, tolerance)
+                at = root(c, up if polarity else down, s, stop, ga, gb, tolerance)
         if at < 0:
             if not forced:
                 break
@@ -347,10 +360,14 @@ cdef void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last
                 burst_t[0] = NEVER
             else:
                 polarity = noise_polarity(p, cfg, c, at)
-                next_noise(p)
+                next_noise(p, cfg)
                 if polarity < 0:
                     s = at
+                    ga = gb
                     continue
+            ga = gb
+        elif at > s:
+            ga = up if polarity else down
         emit(out, t0 + at * cfg.h, polarity)
         p.ref += p.on if polarity else -p.off
         s = at
@@ -358,12 +375,30 @@ cdef void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last
             p.release = t0 + at * cfg.h + cfg.refractory
             if p.release >= t1:
                 while p.noise_t < t1:
-                    next_noise(p)
+                    next_noise(p, cfg)
                 if burst_t[0] < t1:
                     burst_t[0] = NEVER
                 return
             s = (p.release - t0) / cfg.h
-            p.ref = value(c, s, &slope_a)
+            ga = p.ref = value(c, s, &slope_a)
+
+
+cdef inline int quiet(cell_t *c, pixel_t_ *p, double last) noexcept nogil:
+    """Whether the interval's end shows that nothing crosses within it.
+
+    The slope has one sign, and the end lies between the thresholds.
+    """
+    cdef double a, b
+    last += c.drift
+    if not p.ref - p.off < last < p.ref + p.on:
+        return 0
+    if c.unfiltered:
+        return 0
+    last -= c.drift
+    a = (c.v0 - c.level) * (c.phi if c.slope == 0 else c.cutoff + c.slope * c.i0)
+    b = (c.v0 + c.m0 + c.b + c.e - last) * (
+        c.phi if c.slope == 0 else c.cutoff + c.slope * light_at(c, 1))
+    return (a + c.drift) * (b + c.drift) > 0
 
 
 cdef void filter_weights(config_t *cfg) noexcept nogil:
@@ -401,6 +436,8 @@ cdef void read_config(const double[::1] settings, config_t *cfg) noexcept:
     cfg.bright_light = settings[7]
     cfg.burst_chance = settings[8]
     cfg.burst_width = settings[9]
+    cfg.noise = settings[10]
+    cfg.dark = settings[11]
     filter_weights(cfg)
 
 
@@ -437,10 +474,10 @@ def pixel_events(const double[:, ::1] light not None,
 
     light, slope: (K + 1, N) of each pixel; with analyser (N, 3), (K + 1, 3) Stokes
     components that all pixels share.  slope is per interval; without rows, light is
-    linear between nodes.  pixels (N, 5): on, off,
-    leak, noise rate, dark light; places (N, 2): x, y; state (N, 4): level, reference,
-    release, next noise.  Returns (pixels done up to, events written): it stops before
-    a pixel whose events do not fit.
+    linear between nodes.  pixels (N, 3): on, off, leak; places (N, 2): x, y; state
+    (N, 6): level, reference, release, next noise, light and its log at the node.
+    Returns (pixels done up to, events written): it stops before a pixel whose events
+    do not fit.
     """
     cdef Py_ssize_t n = pixels.shape[0], k = light.shape[0] - 1, i, j, m, edge
     cdef Py_ssize_t saved
@@ -448,15 +485,17 @@ def pixel_events(const double[:, ::1] light not None,
     cdef cell_t c
     cdef pixel_t_ p
     cdef sink_t sink
-    cdef double d0, d1, light1, v1, last, dark, burst_t, t0
+    cdef double d0, d1, light1, v1, last, burst_t, t0, top = 0, bottom = 0
     cdef int burst_p = 0, shared = analyser is not None
+    cdef int known, direct, still
+    cdef Py_ssize_t before
     cdef int linear = slope.shape[0] == 0
     m = 3 if shared else n
     if (k < 0 or light.shape[1] != m
             or (not linear and (slope.shape[0] != k + 1 or slope.shape[1] != m))
-            or pixels.shape[1] != 5 or keys.shape[0] != n or places.shape[0] != n
-            or places.shape[1] != 2 or state.shape[0] != n or state.shape[1] != 4
-            or counters.shape[0] != n or settings.shape[0] != 10
+            or pixels.shape[1] != 3 or keys.shape[0] != n or places.shape[0] != n
+            or places.shape[1] != 2 or state.shape[0] != n or state.shape[1] != 6
+            or counters.shape[0] != n or settings.shape[0] != 12
             or not 0 <= start <= stop <= n):
         raise ValueError("pixel_events: shapes do not fit")
     if shared and (analyser.shape[0] != n or analyser.shape[1] != 3):
@@ -480,24 +519,27 @@ def pixel_events(const double[:, ::1] light not None,
             p.on = pixels[i, 0]
             p.off = pixels[i, 1]
             p.leak = pixels[i, 2]
-            p.noise = pixels[i, 3]
-            dark = pixels[i, 4]
             sink.x = places[i, 0]
             sink.y = places[i, 1]
-            p.light = p.v = d0 = 1
+            p.light = state[i, 4]
+            p.v = state[i, 5]
+            d0 = 0
             if p.counter == 0:
-                next_noise(&p)
+                next_noise(&p, &cfg)
             edge = 0
+            known = 1
+            # Without filter and leak, light itself is compared, and seldom its log.
+            direct = cfg.unfiltered and p.leak == 0
             burst_t = next_burst(&p, &cfg, edges, &edge, first_edge, cfg.t0, &burst_p)
             for j in range(k + 1):
                 if shared:
-                    light1 = dark + analyser[i, 0] * light[j, 0] + (
+                    light1 = cfg.dark + analyser[i, 0] * light[j, 0] + (
                         analyser[i, 1] * light[j, 1] + analyser[i, 2] * light[j, 2])
                     if not linear:
                         d1 = analyser[i, 0] * slope[j, 0] + (
                             analyser[i, 1] * slope[j, 1] + analyser[i, 2] * slope[j, 2])
                 else:
-                    light1 = dark + light[j, i]
+                    light1 = cfg.dark + light[j, i]
                     if not linear:
                         d1 = slope[j, i]
                 if light1 < FAINT:
@@ -505,17 +547,41 @@ def pixel_events(const double[:, ::1] light not None,
                     d1 = 0
                 if linear:
                     d0 = d1 = light1 - p.light
+                if j == 0:
+                    if light1 != p.light:
+                        p.light = light1
+                        p.v = log64(light1)
+                    d0 = d1
+                    if direct:
+                        p.level = p.v
+                        top = exp64(p.ref + p.on)
+                        bottom = exp64(p.ref - p.off)
+                    continue
+                t0 = cfg.t0 + (j - 1) * cfg.h
+                still = p.noise_t >= t0 + cfg.h and burst_t >= t0 + cfg.h and (
+                    p.release <= t0)
+                if direct and still and bottom < light1 < top and d0 * d1 > 0:
+                    p.light = light1
+                    d0 = d1
+                    known = 0
+                    continue
                 v1 = log64(light1)
-                if j > 0:
-                    t0 = cfg.t0 + (j - 1) * cfg.h
-                    begin(&c, &cfg, &p, light1, v1, d0, d1)
-                    last = end_level(&c, &cfg, v1)
+                if not known:
+                    p.level = p.v = log64(p.light)
+                    known = 1
+                begin(&c, &cfg, &p, light1, v1, d0, d1)
+                last = end_level(&c, &cfg, v1)
+                if not (still and quiet(&c, &p, last)):
+                    before = sink.n
                     interval(&p, &cfg, &c, t0, last, &burst_t, burst_p, &sink)
+                    if direct and before != sink.n:
+                        top = exp64(p.ref + p.on)
+                        bottom = exp64(p.ref - p.off)
                     while burst_t == NEVER and edge < edges.shape[0]:
                         burst_t = next_burst(&p, &cfg, edges, &edge, first_edge,
                                              t0 + cfg.h, &burst_p)
-                    p.level = last
-                    p.ref -= c.drift
+                p.level = last
+                p.ref -= c.drift
                 p.light = light1
                 p.v = v1
                 d0 = d1
@@ -526,6 +592,8 @@ def pixel_events(const double[:, ::1] light not None,
             state[i, 1] = p.ref
             state[i, 2] = p.release
             state[i, 3] = p.noise_t
+            state[i, 4] = p.light
+            state[i, 5] = p.v if known else log64(p.light)
             counters[i] = p.counter
         else:
             i = stop

@@ -128,7 +128,7 @@ def test_background_and_flicker_add_as_light_does():
                          strict=True):
         np.testing.assert_allclose(got, (a + b) * lamp)
     assert both.uniform
-    assert both.step_us <= 32
+    assert both.step_us == pytest.approx(0.04 / (2 * math.pi * 100e-6))
 
 
 def test_texture_is_light_and_moves_as_a_whole():

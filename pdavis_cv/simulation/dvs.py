@@ -151,17 +151,15 @@ class PixelArray:
         self.pixel = pixel
         self.size = (maps["theta_on"].shape[0], maps["theta_on"].shape[1])
         n = self.size[0] * self.size[1]
-        self._pixels = np.empty((n, 5))
+        self._pixels = np.empty((n, 3))
         self._pixels[:, 0] = maps["theta_on"].ravel()
         self._pixels[:, 1] = maps["theta_off"].ravel()
         self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
-        self._pixels[:, 3] = pixel.shot_noise_hz / 1e6
-        self._pixels[:, 4] = pixel.dark_dn_ms
         index = noise.pixel_index(self.size, origin).ravel()
         self._keys = noise.keys(seed, "events", index)
         y, x = np.divmod(np.arange(n), self.size[1])
         self._places = np.stack((x, y), axis=-1).astype(np.uint16)
-        self._state = np.zeros((n, 4))
+        self._state = np.zeros((n, 6))
         self._state[:, 2] = -np.inf
         self._counters = np.zeros(n, np.uint64)
         self._settings = np.array([
@@ -169,13 +167,13 @@ class PixelArray:
             2e-6 * np.pi * (pixel.cutoff_hz or 0.0),
             2e-6 * np.pi * pixel.cutoff_hz_per_dn_ms, pixel.refractory_us,
             pixel.shot_noise_bright_factor, pixel.bright_dn_ms, pixel.burst_chance,
-            pixel.burst_us])
+            pixel.burst_us, pixel.shot_noise_hz / 1e6, pixel.dark_dn_ms])
         self._local = threading.local()
 
     def settle(self, light: FloatArray, rows: slice = slice(None)) -> None:
         """Let the pixels of some rows adapt to light, shape (rows, W), DN per ms."""
         part = self._part(rows)
-        total = np.maximum(light.ravel() + self._pixels[part, 4], 1e-9)
+        total = np.maximum(light.ravel() + self.pixel.dark_dn_ms, 1e-9)
         self._state[part, 0] = self._state[part, 1] = np.log(total)
 
     def advance(

@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 Stokes = tuple[FloatArray, FloatArray, FloatArray]
 
 FULL = 30.75
-_PHASE = 0.02  # radians of a Stokes component's phase per sample
+_PHASE = 0.04  # radians of a Stokes component's phase per sample
 
 
 class Scene(ABC):
@@ -71,8 +71,8 @@ class Scene(ABC):
     def step_us(self) -> float:
         """Interval at which sampling the light loses nothing; inf if it is constant.
 
-        Between samples the light is a cubic; at a phase of 0.02 radians per sample
-        of its fastest part that is exact to 1e-9 of S0.
+        Between samples the light is a cubic; at a phase of 0.04 radians per sample
+        of its fastest part that is exact to 1e-8 of S0.
         """
 
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
