@@ -81,6 +81,7 @@ class VideoCapture:
 
     Examples
     --------
+    >>> from pdavis_cv import Layout
     >>> from pdavis_cv.data import example_recording
     >>> with VideoCapture(example_recording(), fps=100, layout=Layout.PDAVIS) as cap:
     ...     ok, picture = cap.read()
