@@ -16,6 +16,7 @@ from pdavis_cv._opencv import opencv
 
 __all__ = [
     "INVALID",
+    "Picture",
     "aop_bgr",
     "aop_legend",
     "bar_legend",
@@ -25,6 +26,7 @@ __all__ = [
     "grey_bgr",
     "opencv",
     "panel",
+    "stack",
     "tile",
 ]
 
@@ -186,8 +188,8 @@ def bar_legend(width: int, height: int, *, kind: str = "dolp") -> Picture:
 
 
 def panel(
-    picture: Picture, title: str, *, legend: str | None = None, end: str = "1",
-    scale: int = 1,
+    picture: Picture, title: str, *, legend: str | None = None, start: str = "0",
+    end: str = "1", scale: int = 1,
 ) -> Picture:
     """Put a title above a picture and the legend of its colours below it.
 
@@ -199,8 +201,8 @@ def panel(
         One line.
     legend : {"aop", "dolp", "grey"}, optional
         What the colours mean.
-    end : str
-        What the right end of the bar stands for, e.g. ``"36 DN/ms"``.
+    start, end : str
+        What the ends of the bar stand for, e.g. ``"36 DN/ms"``.
     scale : int
         Each pixel of the picture becomes a square of this side.
 
@@ -214,8 +216,8 @@ def panel(
     if legend == "aop":
         parts.append(_aop_strip())
     elif legend is not None:
-        parts.append(_bar_strip(legend, end))
-    return _stack(parts)
+        parts.append(_bar_strip(legend, start, end))
+    return stack(parts)
 
 
 def tile(
@@ -251,8 +253,33 @@ def tile(
         left = gap + column * (width + gap) + (width - picture.shape[1]) // 2
         sheet[top:top + picture.shape[0], left:left + picture.shape[1]] = picture
     if title:
-        sheet = _stack([_line(title), sheet])
+        sheet = stack([_line(title), sheet])
     return even(sheet)
+
+
+def stack(pictures: Sequence[Picture], gap: int = 0) -> Picture:
+    """Put pictures below each other, left-aligned on black.
+
+    Parameters
+    ----------
+    pictures : sequence of ndarray of uint8, shape (H, W, 3)
+        BGR, from top to bottom.
+    gap : int
+        Pixels between them.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR; W' is the largest width.
+    """
+    width = max(picture.shape[1] for picture in pictures)
+    height = sum(picture.shape[0] + gap for picture in pictures) - gap
+    sheet = np.zeros((height, width, 3), np.uint8)
+    top = 0
+    for picture in pictures:
+        sheet[top:top + picture.shape[0], :picture.shape[1]] = picture
+        top += picture.shape[0] + gap
+    return sheet
 
 
 def even(picture: NDArray[Any]) -> NDArray[Any]:
@@ -341,21 +368,10 @@ def _aop_strip(radius: int = 30) -> Picture:
     return strip
 
 
-def _bar_strip(kind: str, end: str, width: int = 120) -> Picture:
-    left = 18
+def _bar_strip(kind: str, start: str, end: str, width: int = 120) -> Picture:
+    left = 10 + _text_width(start)
     strip = np.zeros((50, left + width + 12 + _text_width(end), 3), np.uint8)
     strip[20:34, left:left + width] = bar_legend(width, 14, kind=kind)
-    caption(strip, "0", 4, 31)
+    caption(strip, start, 4, 31)
     caption(strip, end, left + width + 6, 31)
     return strip
-
-
-def _stack(parts: Sequence[Picture]) -> Picture:
-    width = max(part.shape[1] for part in parts)
-    height = sum(part.shape[0] for part in parts)
-    sheet = np.zeros((height, width, 3), np.uint8)
-    top = 0
-    for part in parts:
-        sheet[top:top + part.shape[0], :part.shape[1]] = part
-        top += part.shape[0]
-    return sheet

@@ -2,6 +2,7 @@
 import enum
 import importlib
 import inspect
+from enum import EnumType
 
 import pytest
 from numpydoc.validate import validate
@@ -20,7 +21,7 @@ def public_objects():
     names = []
     for name in pdavis_cv.__all__:
         value, home = getattr(pdavis_cv, name), pdavis_cv._HOME.get(name)
-        if home is None or not callable(value):
+        if home is None or not callable(value) or isinstance(value, EnumType):
             continue
         names.append(f"pdavis_cv.{home}.{name}")
         if inspect.isclass(value) and not issubclass(value, Exception):

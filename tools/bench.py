@@ -7,16 +7,15 @@ figures depend on the machine.
 """
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
 import statistics
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from pdavis_cv.tools._common import Parser, UsageError, command
 from pdavis_cv.tools.bench_cases import CASES, Case, Comparison
 
 __all__ = ["Result", "main", "measure"]
@@ -112,9 +111,10 @@ def _line(result: Result) -> str:
         f"{verdict}")
 
 
+@command
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; return 0 if every goal is reached, 1 if not."""
-    parser = argparse.ArgumentParser(prog="pdavis bench", description=__doc__)
+    parser = Parser("bench", __doc__ or "", "pdavis bench --pairs 5")
     parser.add_argument("cases", nargs="*", metavar="CASE",
                         help=f"which to run (default all): {', '.join(CASES)}")
     parser.add_argument("--pairs", type=int, default=PAIRS,
@@ -123,13 +123,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     unknown = [name for name in args.cases if name not in CASES]
     if unknown:
-        print(f"pdavis bench: no case {unknown[0]!r}; there are {', '.join(CASES)}",
-              file=sys.stderr)
-        return 2
+        raise UsageError(f"no case {unknown[0]!r}; there are {', '.join(CASES)}")
     if args.pairs < 2:
-        print(f"pdavis bench: --pairs must be at least 2, got {args.pairs}",
-              file=sys.stderr)
-        return 2
+        raise UsageError(f"--pairs must be at least 2, got {args.pairs}")
     results: list[Result] = []
     skipped: dict[str, str] = {}
     with _one_core():

@@ -145,7 +145,7 @@ class Aedat4File:
                 offset=at)
             return False
         try:
-            self._take_index(self.reader.read(at, MAX_PAYLOAD))
+            return self._take_index(self.reader.read(at, MAX_PAYLOAD))
         except (PayloadError, FlatBufferError) as error:
             self.log.damage(
                 ("index", at), f"byte {at}: the index cannot be read ({error}); "
@@ -153,9 +153,9 @@ class Aedat4File:
             for stream in self.streams.values():
                 stream.entries.clear()
             return False
-        return True
 
-    def _take_index(self, payload: bytes) -> None:
+    def _take_index(self, payload: bytes) -> bool:
+        """Take over the index; False if it leaves counts and times out."""
         if payload[8:12] != b"FTAB":  # DV compresses it, jAER does not
             payload = self._decompress(payload)
         table = root_table(payload, b"FTAB")
@@ -171,7 +171,7 @@ class Aedat4File:
         if not count:
             if self.table_position > self.data_start:
                 raise FlatBufferError("it is empty, but the file holds packets")
-            return
+            return True
         # DV counts from the payload, jAER from the packet's header.
         first = int(offset.min()) - self.data_start
         if first == 0:
@@ -185,10 +185,13 @@ class Aedat4File:
             raise FlatBufferError("it names a stream that the header does not")
         if np.any(number < 0):
             raise FlatBufferError("it holds a negative number of elements")
+        if not (number.any() or start.any() or stop.any()):
+            return False  # some writers fill in the places only
         for i in order.tolist():
             self.streams[int(stream[i])].entries.append(Entry(
                 int(stream[i]), int(offset[i]), int(size[i]), int(number[i]),
                 int(start[i]), int(stop[i])))
+        return True
 
     # Packets -------------------------------------------------------------------
 

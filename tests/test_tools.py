@@ -1,0 +1,253 @@
+"""The commands, through main() as the console script calls it."""
+import json
+import os
+import pty
+import subprocess
+import sys
+import termios
+
+import cv2
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv.data import example_recording
+from pdavis_cv.tools import demo
+from pdavis_cv.tools.main import COMMANDS, main
+
+SAMPLE = str(example_recording())
+
+
+def run(*arguments):
+    return main([str(argument) for argument in arguments])
+
+
+def frames_of(path, raw=False):
+    reader = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if raw:
+        reader.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+    frames = []
+    while (got := reader.read())[0]:
+        frames.append(got[1])
+    rate = reader.get(cv2.CAP_PROP_FPS)
+    reader.release()
+    return frames, rate
+
+
+def only_files(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_every_command_has_a_help_with_an_example(capsys):
+    for name in COMMANDS:
+        assert run(name, "--help") == 0
+        text = capsys.readouterr().out
+        assert f"usage: pdavis {name}" in text
+        assert f"example:\n  pdavis {name} " in text
+
+
+def test_help_lists_every_command(capsys):
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    for name, what in COMMANDS.items():
+        assert f"{name} " in text
+        assert what in text
+
+
+def test_version(capsys):
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"pdavis_cv {pdavis_cv.__version__}\n"
+
+
+@pytest.mark.parametrize(("arguments", "word"), [
+    (["fuze"], "no command 'fuze'"),
+    (["info"], "required: file"),
+    (["info", "nowhere.aedat4"], "nowhere.aedat4"),
+    (["info", __file__], "test_tools.py"),
+    (["export", SAMPLE], "required: -o"),
+    (["export", SAMPLE, "-o", "x.gif"], "-o must end in .mp4"),
+    (["export", SAMPLE, "-o", "x.mp4", "--fps", "0"], "must be positive, got 0"),
+    (["export", SAMPLE, "-o", "x.mp4", "--roi", "1,2,3"], "4 numbers"),
+    (["export", SAMPLE, "-o", "x.mp4", "--roi", "340,0,20,20"], "roi"),
+    (["export", SAMPLE, "-o", "x.mp4", "--layout", "0,0,45,90"], "layout must hold"),
+    (["export", SAMPLE, "-o", "x.mp4", "--method", "magic"], "method"),
+    (["export", SAMPLE, "-o", "x.mp4", "--quantities", "aop,q"], "'q' is none of"),
+    (["export", SAMPLE, "-o", "x.mp4", "--start", "100"], "no image in the interval"),
+    (["export", SAMPLE, "-o", "x.mkv", "--lossless"], "--lossless writes one"),
+    (["export", SAMPLE, "-o", "x.png", "--at", "0.1", "--fps", "5"], "--at is one"),
+    (["export", SAMPLE, "-o", "x.mp4", "--set", "cutoff_hz"], "NAME=VALUE"),
+    (["export", SAMPLE, "-o", "x.mp4", "--set", "no_such=1"], "no_such"),
+    (["export", SAMPLE, "-o", "nowhere/x.mp4"], "nowhere"),
+])
+def test_a_mistake_is_one_line_and_2(arguments, word, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    more = ["--layout", "pdavis"] if "--layout" not in arguments else []
+    assert main([*arguments, *(more if arguments[0] == "export" else [])]) == 2
+    text = capsys.readouterr()
+    assert text.out == ""
+    assert text.err.startswith("pdavis: ")
+    assert text.err.count("\n") == 1
+    assert word in text.err
+    assert not only_files(tmp_path)
+
+
+def test_without_opencv_export_says_so_in_one_line(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    assert run("export", SAMPLE, "-o", tmp_path / "x.mp4") == 2
+    text = capsys.readouterr().err
+    assert "pip install 'pdavis-cv[cv2]'" in text
+    assert text.count("\n") == 1
+    assert run("export", SAMPLE, "-o", tmp_path / "x.npy", "--fps", "20",
+               "--layout", "pdavis") == 0
+
+
+def test_info_counts_the_sample(capsys):
+    assert run("info", SAMPLE, "--scan") == 0
+    text = capsys.readouterr().out
+    for word in ("AEDAT-4", "346x260", "6,676", "frames     4 "):
+        assert word in text
+
+
+def test_info_json_is_json_and_equals_the_scan(capsys):
+    assert run("info", SAMPLE, "--scan", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    with pdavis_cv.open_recording(SAMPLE) as recording:
+        report = recording.scan()
+    assert facts["scan"]["event_count"] == report.event_count == 6676
+    assert facts["scan"]["start_us"] == report.start_us
+    assert facts["info"]["sensor_size"] == [260, 346]
+    assert facts["problems"] == []
+
+
+def test_export_video_holds_one_picture_per_image(tmp_path, capsys):
+    path = tmp_path / "x.mp4"
+    assert run("export", SAMPLE, "-o", path, "--fps", 200, "--slow", 8,
+               "--layout", "pdavis", "--stop", 0.12) == 0
+    frames, rate = frames_of(path)
+    with pdavis_cv.open_recording(SAMPLE) as recording:
+        start = recording.info.start_us or recording.scan().start_us
+        images = list(pdavis_cv.fuse(recording, fps=200, layout=pdavis_cv.Layout.PDAVIS,
+                                     stop_us=start + 120_000))
+    assert len(frames) == len(images) > 10
+    assert rate == pytest.approx(25)
+    assert all(side % 2 == 0 for side in frames[0].shape[:2])
+    text = capsys.readouterr()
+    assert text.out.startswith(f"wrote {path}: {len(images)} pictures")
+    assert text.err == ""
+
+
+def test_export_warns_in_one_line_that_the_layout_is_unknown(tmp_path, capsys):
+    assert run("export", SAMPLE, "-o", tmp_path / "x.npy", "--at", 0.1) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("pdavis: warning: polarizer layout unknown")
+
+
+def test_export_npy_holds_the_images_of_fuse(tmp_path):
+    path = tmp_path / "x.npy"
+    assert run("export", SAMPLE, "-o", path, "--fps", 100, "--layout", "sony",
+               "--quantities", "aop,i45", "--roi", "11,20,41,33") == 0
+    with pdavis_cv.open_recording(SAMPLE) as recording:
+        images = list(pdavis_cv.fuse(recording, fps=100, layout=pdavis_cv.Layout.SONY,
+                                     roi=(11, 20, 41, 33)))
+    got = np.load(path)
+    assert got.shape == (len(images), 2, 33, 41)
+    for planes, image in zip(got, images, strict=True):
+        np.testing.assert_array_equal(
+            planes, np.where(image.valid, [image.aop, image.quad[1]], np.nan))
+    facts = json.loads((tmp_path / "x.npy.json").read_text())
+    assert facts["quantities"] == ["aop", "i45"]
+    assert facts["units"] == ["rad", "DN/ms"]
+    assert facts["t_us"] == [image.t_us for image in images]
+    assert facts["provenance"]["method"] == images[0].provenance["method"]
+
+
+def test_export_lossless_returns_the_quantity_within_half_a_step(tmp_path):
+    path = tmp_path / "x.mkv"
+    assert run("export", SAMPLE, "-o", path, "--fps", 100, "--layout", "pdavis",
+               "--quantities", "s0", "--lossless", "--roi", "10,20,41,33") == 0
+    codes, _ = frames_of(path, raw=True)
+    facts = json.loads((tmp_path / "x.mkv.json").read_text())
+    with pdavis_cv.open_recording(SAMPLE) as recording:
+        images = list(pdavis_cv.fuse(recording, fps=100, roi=(10, 20, 41, 33),
+                                     layout=pdavis_cv.Layout.PDAVIS))
+    assert len(codes) == len(images) == len(facts["t_us"])
+    assert facts["clipped"] == 0
+    for code, image in zip(codes, images, strict=True):
+        code = code.reshape(code.shape[:2])[:facts["height"], :facts["width"]]
+        back = facts["offset"] + facts["step"] * code
+        np.testing.assert_array_equal(code == facts["invalid_code"], ~image.valid)
+        assert np.abs(back - image.s0)[image.valid].max() <= 0.51 * facts["step"]
+
+
+def test_export_png_at_a_time_is_one_picture(tmp_path):
+    path = tmp_path / "x.png"
+    assert run("export", SAMPLE, "-o", path, "--at", 0.1, "--bare",
+               "--layout", "pdavis", "--quantities", "aop") == 0
+    assert only_files(tmp_path) == ["x.png"]
+    picture = cv2.imread(str(path))
+    assert picture.shape == (260, 346, 3)
+    with pdavis_cv.open_recording(SAMPLE) as recording:
+        start = recording.info.start_us or recording.scan().start_us
+        image, = pdavis_cv.fuse(recording, times_us=[start + 100_000],
+                                layout=pdavis_cv.Layout.PDAVIS)
+    np.testing.assert_array_equal(
+        picture, pdavis_cv.render.aop_bgr(image.aop, image.valid))
+
+
+def test_export_png_without_a_time_is_a_series(tmp_path, capsys):
+    assert run("export", SAMPLE, "-o", tmp_path / "x.png", "--fps", 50,
+               "--layout", "pdavis") == 0
+    names = only_files(tmp_path)
+    assert names[0] == "x-00000.png"
+    assert len(names) > 3
+    assert f"x-00000.png .. {names[-1]}" in capsys.readouterr().out
+
+
+def test_progress_shows_on_a_terminal_only(tmp_path):
+    command = [sys.executable, "-P", "-m", "pdavis_cv.tools.main", "export", SAMPLE,
+               "-o", str(tmp_path / "x.npy"), "--layout", "pdavis"]
+    piped = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert piped.stderr == ""
+    main_end, child_end = pty.openpty()
+    termios.tcsetwinsize(child_end, (24, 80))
+    subprocess.run(command, stdout=subprocess.DEVNULL, stderr=child_end, check=True)
+    os.set_blocking(main_end, False)
+    shown = os.read(main_end, 4096)
+    os.close(child_end)
+    os.close(main_end)
+    assert b"images" in shown
+
+
+def test_demo_reports_a_small_error_for_cf_and_a_large_one_for_frames(
+        tmp_path, capsys):
+    assert run("demo", "-o", tmp_path) == 0
+    text = capsys.readouterr()
+    assert text.err == ""
+    errors = {line.split(", ")[1].split(":")[0]: float(line.split()[-2])
+              for line in text.out.splitlines() if line.startswith("ideal")}
+    assert errors["cf"] < 10
+    assert errors["frames"] > 25
+    assert only_files(tmp_path) == [
+        "davis346_short.mp4", "davis346_short.png", "polarizer_200rpm.mp4",
+        "polarizer_200rpm.png"]
+    assert str(tmp_path) in text.out.splitlines()[-1]
+    assert len(frames_of(tmp_path / "polarizer_200rpm.mp4")[0]) == 250
+
+
+def test_axial_difference_is_symmetric_and_periodic():
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(0, np.pi, (2, 100))
+    d = demo.axial_difference(a, b)
+    np.testing.assert_allclose(d, demo.axial_difference(b, a + np.pi), atol=1e-12)
+    np.testing.assert_allclose(np.cos(2 * d), np.cos(2 * (a - b)), atol=1e-12)
+    assert np.all((d >= 0) & (d <= np.pi / 2))
+
+
+def test_the_samples_index_without_counts_is_not_believed():
+    with pdavis_cv.open_recording(SAMPLE) as recording:
+        assert recording.info.event_count is None
+        assert recording.info.stop_us is None
+        report = recording.scan()
+        assert 0 < report.stop_us - recording.info.start_us < 300_000
+        assert report.problems == ()

@@ -1,0 +1,226 @@
+"""What the tools share: errors in one line, and the options of fuse()."""
+from __future__ import annotations
+
+import argparse
+import functools
+import math
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NoReturn, TextIO
+
+from pdavis_cv.errors import PdavisError, PdavisWarning
+from pdavis_cv.recording.base import Recording
+from pdavis_cv.sensor import Layout
+
+__all__ = [
+    "Parser",
+    "UsageError",
+    "add_fuse_options",
+    "command",
+    "fuse_options",
+    "numbers",
+    "positive",
+    "progress",
+    "start_of",
+]
+
+Main = Callable[[Sequence[str] | None], int]
+
+
+class UsageError(Exception):
+    """A mistake of the user; its text is the line that they see."""
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser whose complaints are one line.
+
+    Parameters
+    ----------
+    name : str
+        Name of the subcommand.
+    description : str
+        What it does.
+    example : str
+        A command line that works, shown by ``--help``.
+    """
+
+    def __init__(self, name: str, description: str, example: str) -> None:
+        super().__init__(
+            prog=f"pdavis {name}", description=description,
+            epilog=f"example:\n  {example}",
+            formatter_class=argparse.RawDescriptionHelpFormatter)
+
+    def error(self, message: str) -> NoReturn:
+        """Raise UsageError instead of printing the whole usage."""
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+def command(main: Main) -> Main:
+    """Give a tool's main the manners of a command.
+
+    A mistake of the user or a file that cannot be read gives one line and 2, an
+    output that cannot be written one line and 1, an interrupt 130; warnings are
+    one line each.
+    """
+
+    @functools.wraps(main)
+    def run(argv: Sequence[str] | None = None) -> int:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", PdavisWarning)
+            warnings.showwarning = _show_warning
+            try:
+                return main(argv)
+            except SystemExit as leave:  # argparse after --help
+                return leave.code if isinstance(leave.code, int) else 0
+            except BrokenPipeError:  # the reader of our output has gone
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return 1
+            except (FileNotFoundError, NotADirectoryError, IsADirectoryError,
+                    PermissionError, PdavisError, UsageError, ImportError,
+                    TypeError, ValueError) as error:
+                return _complain(error, 2)
+            except OSError as error:
+                return _complain(error, 1)
+            except KeyboardInterrupt:
+                return _complain("interrupted; nothing unfinished was left", 130)
+
+    return run
+
+
+def _complain(error: object, code: int) -> int:
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        error = f"{error.filename}: {error.strerror}"
+    print("pdavis:", " ".join(str(error).split()), file=sys.stderr)
+    return code
+
+
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int,
+    file: TextIO | None = None, line: str | None = None,
+) -> None:
+    print("pdavis: warning:", " ".join(str(message).split()), file=sys.stderr)
+
+
+def add_fuse_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what fuse() is to do."""
+    group = parser.add_argument_group("fusion")
+    group.add_argument("--method", help="how to fuse; default: what fits the file")
+    group.add_argument(
+        "--fps", type=positive, metavar="RATE",
+        help="images per second of the recording; default 100, or one per frame "
+             "if there are no events")
+    group.add_argument(
+        "--start", type=float, metavar="S",
+        help="first image, seconds after the start of the recording")
+    group.add_argument(
+        "--stop", type=float, metavar="S", help="end, in the same seconds, exclusive")
+    group.add_argument(
+        "--roi", type=_roi, metavar="X,Y,W,H", help="part of the sensor, in pixels")
+    group.add_argument(
+        "--layout", type=_layout, metavar="LAYOUT",
+        help="polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
+             "e.g. 135,90,0,45")
+    group.add_argument(
+        "--demosaic", choices=("bilinear", "superpixel"), default="bilinear",
+        help="default bilinear")
+    group.add_argument(
+        "--causal", action="store_true", help="use only what had arrived at each time")
+    group.add_argument(
+        "--thresholds", type=_thresholds, metavar="T",
+        help="calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
+    group.add_argument(
+        "--set", action="append", default=[], type=_setting, metavar="NAME=VALUE",
+        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6")
+
+
+def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
+    """Return the keyword arguments of fuse() that the options stand for."""
+    fps = args.fps
+    if fps is None and recording.info.event_count != 0:
+        fps = 100.0
+    origin = start_of(recording)
+    return {
+        "method": args.method, "fps": fps, "roi": args.roi, "layout": args.layout,
+        "demosaic": args.demosaic, "causal": args.causal,
+        "thresholds": args.thresholds,
+        "start_us": _after(origin, args.start), "stop_us": _after(origin, args.stop),
+        **dict(args.settings)}
+
+
+def _after(origin: int, seconds: float | None) -> int | None:
+    return None if seconds is None else origin + round(seconds * 1e6)
+
+
+def start_of(recording: Recording) -> int:
+    """Return the time of the recording's first sample, 0 if it is empty."""
+    start = recording.info.start_us
+    if start is None:
+        start = next((packet.start_us for packet in recording.packets()), None)
+    return 0 if start is None else start
+
+
+def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterable[Any]:
+    """Show progress on a terminal; be silent anywhere else."""
+    from tqdm import tqdm
+    return tqdm(items, total=total, unit=f" {unit}", leave=False, disable=None)
+
+
+def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:
+    """Parse so many numbers with commas between them."""
+    parts = text.split(",")
+    if len(parts) != count:
+        raise argparse.ArgumentTypeError(
+            f"{count} numbers with commas between them are needed, got {text!r}")
+    try:
+        return [kind(part) for part in parts]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"not {count} numbers: {text!r}") from None
+
+
+def positive(text: str) -> float:
+    """Parse a positive number."""
+    value = numbers(text, 1)[0]
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
+    return float(value)
+
+
+def _roi(text: str) -> tuple[int, int, int, int]:
+    x, y, width, height = numbers(text, 4, int)
+    return x, y, width, height
+
+
+def _layout(text: str) -> Layout:
+    known = {"pdavis": Layout.PDAVIS, "sony": Layout.SONY}
+    if text.lower() in known:
+        return known[text.lower()]
+    a, b, c, d = numbers(text, 4, int)
+    try:
+        return Layout((a, b), (c, d))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _thresholds(text: str) -> str | tuple[float, float]:
+    if "," not in text:
+        return text
+    on, off = numbers(text, 2)
+    return on, off
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise argparse.ArgumentTypeError(f"NAME=VALUE is needed, got {text!r}")
+    words = {"true": True, "false": False, "none": None}
+    if value.lower() in words:
+        return name, words[value.lower()]
+    for kind in (int, float):
+        try:
+            return name, kind(value)
+        except ValueError:
+            continue
+    return name, value
+

@@ -1,0 +1,127 @@
+"""Make pictures and videos from the sample recording and from an ideal camera.
+
+The sample is a piece of a real DAVIS346 recording; that camera has no polarizers.
+The ideal camera looks at a polarizer that turns at 200 RPM, and the error of the
+reconstructed angle is printed.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import PolarFrame, aop, export, fuse, render
+from pdavis_cv.data import example_recording
+from pdavis_cv.simulation import rotating_polarizer
+from pdavis_cv.tools import export as export_tool
+from pdavis_cv.tools._common import Parser, command
+
+__all__ = ["axial_difference", "main", "mean_aop"]
+
+RPM = 200
+METHODS = ("frames", "cf")
+NO_POLARIZERS = "this camera has no polarizers: AoP and DoLP are noise"
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis demo``."""
+    parser = Parser("demo", __doc__ or "", "pdavis demo -o demo")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("demo"), metavar="FOLDER",
+        help="where to write; default demo")
+    folder = parser.parse_args(argv).out
+    render.opencv()
+    folder.mkdir(parents=True, exist_ok=True)
+    code = _sample(folder)
+    if code == 0:
+        _polarizer(folder)
+        print(f"The results are in {folder.resolve()}")
+    return code
+
+
+def _sample(folder: Path) -> int:
+    path = example_recording()
+    common = [str(path), "--layout", "pdavis", "--title", NO_POLARIZERS]
+    stem = folder / path.stem
+    return (
+        export_tool.main([*common, "--fps", "200", "--slow", "10",
+                          "-o", f"{stem}.mp4"])
+        or export_tool.main([*common, "--at", "0.15", "-o", f"{stem}.png"]))
+
+
+def _polarizer(folder: Path) -> None:
+    """Film an ideal rotating polarizer and hold the results against the truth."""
+    recording, truth = rotating_polarizer(RPM, 1.0)
+    times = np.arange(0, 1_000_000, 1000)
+    strips = {"truth": truth.aop(times)}
+    titles = {"truth": f"truth: {RPM} RPM, one second from left to right"}
+    images: dict[str, list[PolarFrame]] = {}
+    for method in METHODS:
+        images[method] = list(fuse(
+            recording, method=method, times_us=times, thresholds=(0.15, 0.15)))
+        seen = np.array([frame.valid.all() for frame in images[method]])
+        strips[method] = np.where(
+            seen, [mean_aop(frame) for frame in images[method]], np.nan)
+        error = np.rad2deg(np.mean(
+            axial_difference(strips[method], strips["truth"])[seen]))
+        titles[method] = f"{method}: mean error {error:.1f} degrees"
+        print(f"ideal polarizer at {RPM} RPM, {method}: AoP error {error:.1f} degrees")
+    path = folder / f"polarizer_{RPM}rpm.png"
+    export.write_png(path, _strips(strips, titles))
+    print(f"wrote {path}: AoP over time")
+    path = folder / f"polarizer_{RPM}rpm.mp4"
+    with export.VideoFile(path, 25) as video:
+        for i in range(0, len(times), 4):
+            video.add(_dials(i, times, strips))
+    print(f"wrote {path}: the same, ten times slower")
+
+
+def _strips(strips: dict[str, NDArray[np.float64]], titles: dict[str, str]
+            ) -> render.Picture:
+    rows = [render.panel(
+        render.aop_bgr(np.broadcast_to(strip, (56, len(strip)))), titles[name],
+        legend="aop" if name == METHODS[-1] else None)
+        for name, strip in strips.items()]
+    return render.tile([render.stack(rows, gap=6)], columns=1)
+
+
+def _dials(i: int, times: NDArray[np.int64], strips: dict[str, NDArray[np.float64]]
+           ) -> render.Picture:
+    panels = [render.panel(_dial(strip[i]), name, legend="aop")
+              for name, strip in strips.items()]
+    return render.tile(
+        panels, columns=len(panels),
+        title=f"AoP of a polarizer turning at {RPM} RPM, ideal camera   "
+              f"t = {times[i] / 1e6:.3f} s   10 x slower than life")
+
+
+def _dial(angle: float, side: int = 240) -> render.Picture:
+    """Fill a square with an angle's colour and draw the angle as a line."""
+    picture = render.aop_bgr(np.full((side, side), angle))
+    if np.isfinite(angle):
+        middle, reach = side / 2, 0.42 * side
+        dx, dy = reach * np.cos(angle), -reach * np.sin(angle)
+        cv2 = render.opencv()
+        ends = [(round(middle + sign * dx), round(middle + sign * dy))
+                for sign in (-1, 1)]
+        cv2.line(picture, *ends, (0, 0, 0), 3, cv2.LINE_AA)
+    return picture
+
+
+def mean_aop(frame: PolarFrame) -> float:
+    """Return the angle of the mean S1, S2 of an image, radians."""
+    return float(aop(frame.s1.mean(), frame.s2.mean()))
+
+
+def axial_difference(
+    a: NDArray[np.float64], b: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return how far axial angles are apart, radians, 0..pi/2."""
+    return np.abs((a - b + np.pi / 2) % np.pi - np.pi / 2)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,329 @@
+"""Fuse a recording into a video, pictures or arrays.
+
+The suffix of OUT says what is written: .mp4, .mkv, .avi a colour video; .png
+pictures; .npy float arrays (AoP in radians).  With --lossless, .mkv or .avi hold one
+quantity in 16 bits (FFV1).  Times, units and scales stand in a .json beside it.
+"""
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv import PolarFrame, Recording, export, fuse, open_recording, render
+from pdavis_cv.tools._common import (
+    Parser,
+    UsageError,
+    add_fuse_options,
+    command,
+    fuse_options,
+    numbers,
+    positive,
+    progress,
+    start_of,
+)
+
+__all__ = ["QUANTITIES", "Sheet", "main"]
+
+# Quantity -> unit of its numbers.
+QUANTITIES = {
+    "s0": "DN/ms", "aop": "rad", "dolp": "1", "i0": "DN/ms", "i45": "DN/ms",
+    "i90": "DN/ms", "i135": "DN/ms", "s1": "DN/ms", "s2": "DN/ms",
+}
+_TITLES = {"s0": "intensity S0", "aop": "angle of polarization",
+           "dolp": "degree of linear polarization"}
+_COLOUR, _PLANE = (".mp4", ".m4v", ".mkv", ".avi"), (".mkv", ".avi")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis export``."""
+    args = _parser().parse_args(argv)
+    suffix = args.out.suffix.lower()
+    if suffix not in (*_COLOUR, ".png", ".npy"):
+        raise UsageError(
+            f"-o must end in {', '.join(_COLOUR)}, .png or .npy, got {args.out}")
+    if args.lossless and (suffix not in _PLANE or len(args.quantities) != 1):
+        raise UsageError(
+            "--lossless writes one quantity to .mkv or .avi, got "
+            f"{','.join(args.quantities)} and {args.out}")
+    if suffix != ".npy":
+        render.opencv()  # say what is missing before the work, not after
+    with open_recording(args.file) as recording:
+        options = fuse_options(args, recording)
+        if args.at is not None:
+            if (args.start, args.stop, args.fps) != (None, None, None):
+                raise UsageError(
+                    "--at is one image: it excludes --start, --stop and --fps")
+            at = start_of(recording) + round(args.at * 1e6)
+            options |= {"fps": None, "times_us": [at]}
+        images = iter(fuse(recording, **options))
+        first = list(itertools.islice(images, 2))
+        if not first:
+            raise UsageError(f"{args.file}: no image in the interval asked for")
+        rate = _playing_rate(first, options["fps"], args.slow)
+        total = _expected(recording, options, first)
+        frames = iter(progress(itertools.chain(first, images), total, "images"))
+        if suffix == ".npy":
+            lines = _write_arrays(args, frames)
+        elif suffix == ".png":
+            lines = _write_pictures(args, frames, Sheet(args, recording, first[0]))
+        elif args.lossless:
+            lines = _write_plane(args, frames, rate, recording, first[0])
+        else:
+            lines = _write_video(
+                args, frames, rate, Sheet(args, recording, first[0]))
+    print("\n".join(lines))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "export", __doc__ or "",
+        "pdavis export recording.aedat4 -o fused.mp4 --fps 200 --slow 8")
+    parser.add_argument("file", help="a recording")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
+    parser.add_argument(
+        "--at", type=float, metavar="S",
+        help="one image, at so many seconds after the start of the recording")
+    parser.add_argument(
+        "--quantities", type=_quantities, default=["s0", "aop", "dolp"],
+        metavar="LIST", help=f"of {','.join(QUANTITIES)}; default s0,aop,dolp")
+    parser.add_argument(
+        "--lossless", action="store_true", help="16-bit FFV1 of one quantity")
+    parser.add_argument(
+        "--range", type=lambda text: tuple(numbers(text, 2)), metavar="LOW,HIGH",
+        help="values of the ends of the 16-bit scale; default: all that can occur")
+    look = parser.add_argument_group("pictures")
+    look.add_argument(
+        "--slow", type=positive, default=1.0, metavar="FACTOR",
+        help="play a video so many times slower; default 1")
+    look.add_argument(
+        "--white", type=positive, metavar="DN/MS",
+        help="intensity shown as white; default: from the first image, then fixed")
+    look.add_argument("--title", default="", help="a line above each picture")
+    look.add_argument(
+        "--columns", type=int, metavar="N", help="panels in a row; default all")
+    look.add_argument(
+        "--bare", action="store_true", help="no titles, no legends, no margins")
+    add_fuse_options(parser)
+    return parser
+
+
+def _quantities(text: str) -> list[str]:
+    names = text.lower().split(",")
+    for name in names:
+        if name not in QUANTITIES:
+            raise argparse.ArgumentTypeError(
+                f"{name!r} is none of {', '.join(QUANTITIES)}")
+    return names
+
+
+def quantity(frame: PolarFrame, name: str) -> Any:
+    """Return one quantity of a PolarFrame as a float32 plane."""
+    if name.startswith("i"):
+        return frame.quad[("i0", "i45", "i90", "i135").index(name)]
+    return getattr(frame, name)
+
+
+class Sheet:
+    """How each image of an export looks: fixed when it starts.
+
+    Parameters
+    ----------
+    args : Namespace
+        Options of the command line.
+    recording : Recording
+        Gives the name and the start of time in the title.
+    first : PolarFrame
+        First image; gives the white of intensities unless --white does.
+    """
+
+    def __init__(
+        self, args: argparse.Namespace, recording: Recording, first: PolarFrame
+    ) -> None:
+        self.args = args
+        self.origin_us = start_of(recording)
+        self.source = recording.path.name if recording.path else recording.info.format
+        self.white = float(args.white or _white(first, recording))
+        # small images are shown large enough to see and to carry a caption
+        self.scale = 1 if args.bare else max(1, -(-240 // first.shape[1]))
+
+    def picture(self, frame: PolarFrame) -> render.Picture:
+        """Compose the picture of one image."""
+        names = self.args.quantities
+        columns = self.args.columns or len(names)
+        if self.args.bare:
+            return render.tile(
+                [self._colour(frame, name) for name in names], columns=columns, gap=0)
+        panels = [self._panel(frame, name) for name in names]
+        seconds = (frame.t_us or 0) / 1e6 - self.origin_us / 1e6
+        method = frame.provenance["method"]
+        line = f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
+        return render.tile(panels, columns=columns, title=line.rstrip())
+
+    def _colour(self, frame: PolarFrame, name: str) -> render.Picture:
+        plane = quantity(frame, name)
+        if name == "aop":
+            return render.aop_bgr(plane, frame.valid)
+        if name == "dolp":
+            return render.dolp_bgr(plane, frame.valid)
+        # An intensity that is not valid is too dark or too bright to measure, and
+        # may still be seen.
+        if name in ("s1", "s2"):  # mid-grey is 0
+            return render.grey_bgr(plane + self.white, 2 * self.white)
+        return render.grey_bgr(plane, self.white)
+
+    def _panel(self, frame: PolarFrame, name: str) -> render.Picture:
+        legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"
+        if name in ("aop", "dolp"):
+            legend, end = name, "1"
+        elif name in ("s1", "s2"):
+            start = f"-{self.white:.4g}"
+        return render.panel(
+            self._colour(frame, name), _TITLES.get(name, name.upper()),
+            legend=legend, start=start, end=end, scale=self.scale)
+
+
+def _white(frame: PolarFrame, recording: Recording) -> float:
+    """Return a round intensity somewhat above all but the brightest pixels."""
+    usable = frame.s0[frame.valid & np.isfinite(frame.s0)]
+    bright = float(np.percentile(usable, 99)) * 1.1 if usable.size else 0.0
+    if not bright > 0:
+        top = _full_scale(recording)
+        return 1.0 if top is None else top
+    digit = 10.0 ** (math.floor(math.log10(bright)) - 1)
+    return math.ceil(bright / digit) * digit
+
+
+def _full_scale(recording: Recording) -> float | None:
+    """Return the intensity at which the converter ends, None without frames."""
+    frame = next((f for packet in recording.packets() for f in packet.frames), None)
+    return None if frame is None else frame.full_scale_dn / (frame.exposure_ms or 1.0)
+
+
+def _playing_rate(
+    first: Sequence[PolarFrame], fps: float | None, slow: float
+) -> float:
+    times = [frame.t_us for frame in first if frame.t_us is not None]
+    if fps is None:
+        fps = 1e6 / (times[1] - times[0]) if len(times) == 2 else 25.0
+    return fps / slow
+
+
+def _expected(
+    recording: Recording, options: dict[str, Any], first: Sequence[PolarFrame]
+) -> int | None:
+    """Return how many images there will be, where that is known before."""
+    stop, fps = options["stop_us"] or recording.info.stop_us, options["fps"]
+    if fps is None or stop is None or first[0].t_us is None:
+        return recording.info.frame_count if options.get("times_us") is None else 1
+    return math.ceil((stop - first[0].t_us) * fps / 1e6)
+
+
+class _Log:
+    """Times and provenance of the images that pass, for the JSON beside them."""
+
+    def __init__(self, frames: Iterator[PolarFrame]) -> None:
+        self._frames = frames
+        self.times: list[int | None] = []
+        self.frame_times: list[int | None] = []
+        self.facts: dict[str, Any] = {}
+
+    def __iter__(self) -> Iterator[PolarFrame]:
+        for frame in self._frames:
+            self.times.append(frame.t_us)
+            self.frame_times.append(frame.frame_us)
+            if not self.facts:
+                self.facts = {"provenance": dict(frame.provenance)}
+            yield frame
+
+    def write(self, path: Path, **facts: Any) -> str:
+        beside = path.with_suffix(path.suffix + ".json")
+        export.write_json(beside, {
+            **self.facts, **facts, "t_us": self.times, "frame_us": self.frame_times})
+        return f"wrote {beside}: times and scale"
+
+
+def _write_video(
+    args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float, sheet: Sheet
+) -> list[str]:
+    with export.VideoFile(args.out, rate) as video:
+        for frame in frames:
+            picture = sheet.picture(frame)
+            video.add(picture)
+    height, width = picture.shape[:2]
+    return [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
+            f"{rate:g} per second; white is {sheet.white:g} DN/ms"]
+
+
+def _write_pictures(
+    args: argparse.Namespace, frames: Iterator[PolarFrame], sheet: Sheet
+) -> list[str]:
+    written = []
+    for i, frame in enumerate(frames):
+        path = args.out
+        if args.at is None:
+            path = path.with_stem(f"{path.stem}-{i:05d}")
+        export.write_png(path, sheet.picture(frame))
+        written.append(path)
+    last = f" .. {written[-1].name}" if len(written) > 1 else ""
+    return [f"wrote {written[0]}{last}; white is {sheet.white:g} DN/ms"]
+
+
+def _write_plane(
+    args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float,
+    recording: Recording, first: PolarFrame,
+) -> list[str]:
+    name = args.quantities[0]
+    low, high = args.range or _natural_range(name, recording)
+    log = _Log(frames)
+    with export.PlaneVideo(args.out, rate, low, high) as video:
+        for frame in log:
+            video.add_plane(quantity(frame, name), frame.valid)
+    beside = log.write(
+        args.out, quantity=name, unit=QUANTITIES[name], **video.scale,
+        clipped=video.clipped, height=first.shape[0], width=first.shape[1],
+        playing_fps=rate)
+    lines = [f"wrote {args.out}: {video.count} images of {name}, 16 bits for "
+             f"{low:g} .. {high:g} {QUANTITIES[name]}", beside]
+    if video.clipped:
+        lines.append(f"{video.clipped} samples were beyond that range and clipped")
+    return lines
+
+
+def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
+    """Return the range that the camera's converter leaves a quantity."""
+    fixed = {"aop": (0.0, math.pi), "dolp": (0.0, 1.0)}
+    if name in fixed:
+        return fixed[name]
+    top = _full_scale(recording)
+    if top is None:
+        raise UsageError(f"--range is needed: no frame says how large {name} can be")
+    return {"s0": (0.0, 2 * top), "s1": (-top, top), "s2": (-top, top)}.get(
+        name, (0.0, top))
+
+
+def _write_arrays(args: argparse.Namespace, frames: Iterator[PolarFrame]) -> list[str]:
+    log, names = _Log(frames), args.quantities
+    with export.ArrayFile(args.out) as file:
+        for frame in log:
+            planes = np.stack([quantity(frame, name) for name in names])
+            planes[:, ~frame.valid] = np.nan
+            file.add(planes)
+            shape = planes.shape
+    beside = log.write(
+        args.out, axes="T, quantity, row, column", quantities=names,
+        units=[QUANTITIES[name] for name in names], invalid="NaN")
+    size = " x ".join(map(str, (file.count, *shape)))
+    return [f"wrote {args.out}: float32, {size} ({', '.join(names)})", beside]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

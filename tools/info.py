@@ -1,0 +1,116 @@
+"""Say what a recording holds: its header, and with --scan everything in it."""
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import datetime
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv import Layout, Sensor, open_recording
+from pdavis_cv.recording.base import RecordingInfo, Report
+from pdavis_cv.tools._common import Parser, command
+
+__all__ = ["main"]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis info``."""
+    args = _parser().parse_args(argv)
+    with open_recording(args.file) as recording:
+        report = recording.scan() if args.scan else None
+        problems = recording.problems
+        if args.json:
+            facts = {"file": args.file, "info": _plain(recording.info),
+                     "problems": _plain(list(problems))}
+            if report is not None:
+                facts["scan"] = _plain(report)
+            json.dump(facts, sys.stdout, indent=2)
+            print()
+            return 0
+        print(args.file)
+        for name, text in _rows(recording.info, report):
+            print(f"  {name:<10} {text}")
+        for problem in problems:
+            print(f"  problem    {problem.message}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser("info", __doc__ or "", "pdavis info recording.aedat4 --scan")
+    parser.add_argument("file", help="a recording")
+    parser.add_argument("--json", action="store_true", help="for programs")
+    parser.add_argument(
+        "--scan", action="store_true", help="read everything once and count it")
+    return parser
+
+
+def _rows(info: RecordingInfo, report: Report | None) -> list[tuple[str, str]]:
+    height, width = info.sensor_size
+    writer = f", written by {info.writer}" if info.writer else ""
+    rows = [("format", info.format + writer)]
+    if info.camera:
+        rows.append(("camera", info.camera))
+    rows.append(("sensor", f"{width}x{height}"
+                 + (f", {info.sensor.name}" if info.sensor else "")))
+    rows.append(("polarizers", f"{info.layout}" if info.layout
+                 else "layout not known from the file"))
+    known = info if report is None else report
+    seconds = None
+    if known.start_us is not None and known.stop_us is not None:
+        seconds = (known.stop_us - known.start_us) / 1e6
+        rows.append(("time", f"{known.start_us} .. {known.stop_us} us "
+                     f"({seconds:.6g} s)"))
+    for name in ("event", "frame", "imu", "trigger"):
+        count = getattr(known, f"{name}_count")
+        label = "imu" if name == "imu" else f"{name}s"
+        rows.append((label, _count(count, seconds)))
+    if report is not None and report.event_count:
+        share = report.on_count / report.event_count
+        rows.append(("ON events", f"{report.on_count:,} ({share:.1%})"))
+    if info.exposure_us is not None:
+        rows.append(("exposure", f"{info.exposure_us / 1000:g} ms"))
+    if info.wall_clock_us is not None and known.start_us is not None:
+        moment = datetime.datetime.fromtimestamp(
+            (info.wall_clock_us + known.start_us) / 1e6, datetime.UTC)
+        rows.append(("recorded", f"{moment:%Y-%m-%d %H:%M:%S} UTC"))
+    for name, ampere in info.biases.items():
+        rows.append(("bias", f"{name} {ampere:.3g} A"))
+    return rows
+
+
+def _count(count: int | None, seconds: float | None) -> str:
+    if count is None:
+        return "not known without --scan"
+    if not count or not seconds:
+        return f"{count:,}"
+    return f"{count:,} ({count / seconds:,.5g} per second)"
+
+
+def _plain(value: Any) -> Any:
+    """Return value as JSON can write it."""
+    if isinstance(value, Layout):
+        return [list(row) for row in value.angles_deg]
+    if isinstance(value, Sensor):
+        return value.name
+    if dataclasses.is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name))
+                for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    return str(value)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,51 @@
+"""pdavis: frames and events of a polarization event camera, fused."""
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Sequence
+
+from pdavis_cv import __version__
+from pdavis_cv.tools._common import UsageError, command
+
+__all__ = ["COMMANDS", "main"]
+
+# Subcommand -> what it does; each is pdavis_cv.tools.<name>.main(argv).
+COMMANDS = {
+    "info": "say what a recording holds",
+    "export": "fuse a recording into a video, pictures or arrays",
+    "bench": "time the library against fixed floors",
+    "demo": "make pictures from the sample recording and an ideal camera",
+}
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a subcommand; return 0, or 2 after a mistake of the user."""
+    width = max(map(len, COMMANDS))
+    parser = argparse.ArgumentParser(
+        prog="pdavis", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="\n".join([
+            "commands:", *(f"  {name:<{width}}  {what}"
+                           for name, what in COMMANDS.items()),
+            "", "example:", "  pdavis export recording.aedat4 -o fused.mp4 --fps 200",
+            "", "pdavis COMMAND --help tells more."]))
+    parser.add_argument("command", metavar="COMMAND", nargs="?", help="see below")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--version", action="version", version=f"pdavis_cv {__version__}")
+    args = parser.parse_args(argv)
+    if args.command is None:
+        parser.print_help()
+        return 0
+    if args.command not in COMMANDS:
+        raise UsageError(
+            f"no command {args.command!r}; there are {', '.join(COMMANDS)}")
+    module = importlib.import_module(f"pdavis_cv.tools.{args.command}")
+    result: int = module.main(args.arguments)
+    return result
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
