@@ -97,31 +97,42 @@ cdef inline void propagate(double* s, double n_on, double n_off) noexcept nogil:
     s[5] += n_on * s[7] - n_off * s[8]
 
 
+cdef inline double drift(int64_t dt, double n, const double* tuning) noexcept nogil:
+    """Variance in theta^2 that dt microseconds and n events add."""
+    return tuning[0] * 1e-6 * <double>dt + tuning[1] * n
+
+
 cdef inline void update(double* s, double h_on, double h_off, double noise,
-                        double error, double* chi) noexcept nogil:
-    """Kalman update with measured = b + h_on on + h_off off, innovation error."""
+                        double error, bint learn, double* chi) noexcept nogil:
+    """Kalman update with measured = b + h_on on + h_off off, innovation error.
+
+    Without learn, thresholds stay what they are (Schmidt-Kalman update).
+    """
     cdef double g0 = s[3] + h_on * s[4] + h_off * s[5]
     cdef double g1 = s[4] + h_on * s[6] + h_off * s[7]
     cdef double g2 = s[5] + h_on * s[7] + h_off * s[8]
     cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2
+    chi[1] += log_f(<float>v)
+    chi[2] += 1.0
     if error * error > 16.0 * v:
         # Lost events or a wrong sample: the base may have jumped, thresholds not.
+        chi[0] += 16.0
         s[3] += error * error
         g0 += error * error
         v += error * error
     else:
         chi[0] += error * error / v
-        chi[1] += log_f(<float>v)
-        chi[2] += 1.0
     k0 = g0 / v
     k1 = g1 / v
     k2 = g2 / v
     s[0] += k0 * error
-    s[1] += k1 * error
-    s[2] += k2 * error
     s[3] -= k0 * g0
     s[4] -= k0 * g1
     s[5] -= k0 * g2
+    if not learn:
+        return
+    s[1] += k1 * error
+    s[2] += k2 * error
     s[6] -= k1 * g1
     s[7] -= k1 * g2
     s[8] -= k2 * g2
@@ -146,7 +157,7 @@ def kalman_frame(const float[:, ::1] sample not None,
     sample is ln intensity, noise its variance, 0 or less where there is no usable
     sample; times holds start, middle and end of exposure by column.  prior is
     (row, column, (on, off)).  tuning: variance per second and per event in units of
-    theta^2, hz, hz per unit of intensity.  chi collects e^2/v, ln v and their number.
+    theta^2, hz, hz per unit of intensity.  chi collects e^2/v (16 at most), ln v and their number.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
@@ -206,8 +217,7 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
     else:
         theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
         propagate(s, n_on, n_off)
-        s[3] += theta2 * (tuning[0] * 1e-6 * <double>(mid - reference[0])
-                          + tuning[1] * (n_on + n_off))
+        s[3] += theta2 * drift(mid - reference[0], n_on + n_off, tuning)
         level = s[0]
     # The double integral, relative to the level at the last event before mid.
     walk.t = track.t_old
@@ -227,7 +237,8 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
     h_off = -total.off / total.whole
     if fresh:
         s[0] = sample - blur
-    update(s, h_on, h_off, noise, sample - s[0] - blur, chi)
+    # One or two events are as likely noise, which would teach that thresholds are 0.
+    update(s, h_on, h_off, noise, sample - s[0] - blur, n_on + n_off >= 3, chi)
     s[1] = limited(s[1], prior[0])
     s[2] = limited(s[2], prior[1])
     track.n_on = all_on - at_on
@@ -309,6 +320,5 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
     v = (v * theta2 + 0.01 * u * u + s[3]
          + n_on * n_on * s[6] + n_off * n_off * s[8]
          + 2.0 * (n_on * s[4] - n_off * s[5] - n_on * n_off * s[7])
-         + theta2 * (tuning[0] * 1e-6 * <double>(t - reference)
-                     + tuning[1] * (walk.n_on + walk.n_off)))
+         + theta2 * drift(t - reference, walk.n_on + walk.n_off, tuning))
     variance[0] = <float>(v if v > 1e-8 else 1e-8)

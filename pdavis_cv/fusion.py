@@ -27,9 +27,9 @@ from pdavis_cv._arguments import (
 )
 from pdavis_cv._feed import Feed, first_time
 from pdavis_cv.analyser import Analyser
-from pdavis_cv.aps import clip_level, correct
+from pdavis_cv.calibration.corrected import corrected
+from pdavis_cv.calibration.insitu import learned
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.mosaic import demosaic_valid
@@ -109,7 +109,9 @@ def fuse(
     thresholds : str or (on, off), optional
         "calibration", "bias", "in-situ", "nominal", or contrast thresholds in
         natural-log units, scalars or (H, W); default: the first available of
-        calibration, bias, nominal.
+        calibration, bias, nominal.  "in-situ" starts from those and looks at the
+        first 10 s of the recording before the first image; with `causal` nothing is
+        looked at before its time, and ``kalman`` learns from the past alone.
     nominal_thresholds : (on, off)
         Used for "nominal", and where nothing better is known.
     **method_parameters
@@ -213,8 +215,9 @@ class Fusion:
         self._causal = bool(causal)
         self.extinction_ratio = resolved_extinction_ratio(extinction_ratio, info.sensor)
 
-        on, off = resolve_thresholds(
-            recording, thresholds, nominal_thresholds, self._calibration)
+        on, off, method_parameters = learned(
+            recording, thresholds, nominal_thresholds, self._calibration,
+            method_parameters, self.method, causal=self._causal)
         self._roi = checked_roi(roi, info.sensor_size, demosaic)
         if causal and self.method == "kalman":
             method_parameters.setdefault("mode", "causal")
@@ -447,7 +450,7 @@ class Fusion:
         self._frames.append((frame.mid_us, frame.available_us))
         if self.method == "events":
             return
-        frame = self._corrected(frame).cropped(*self._window)
+        frame = corrected(frame, self._calibration).cropped(*self._window)
         if self._lagged is None:
             self._current.add_frame(frame)
             return
@@ -507,19 +510,6 @@ class Fusion:
         top, left = (y - rows.start) // scale, (x - columns.start) // scale
         return (slice(top, top + height // scale),
                 slice(left, left + width // scale))
-
-    def _corrected(self, frame: ApsFrame) -> ApsFrame:
-        known = self._calibration
-        dark, gain, clip_dn = (None, None, None) if known is None else (
-            known.dark, known.gain, known.clip_dn)
-        if clip_dn is None:
-            clip_dn = clip_level(frame.dn, frame.full_scale_dn)
-        dn, valid = correct(frame.dn, dark, gain, clip_dn, frame.valid)
-        if known is not None and known.usable is not None:
-            valid &= known.usable
-        return ApsFrame(
-            dn, frame.exposure_start_us, frame.exposure_end_us, valid=valid,
-            available_us=frame.available_us, full_scale_dn=frame.full_scale_dn)
 
     def _window_analyser(self) -> Analyser | None:
         """Return the channels' responses in the images, from those of the pixels."""

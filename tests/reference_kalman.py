@@ -95,6 +95,7 @@ class Pixel:
     def frame(self, sample, noise, begin, mid, end, known):
         fresh = self.reference is None
         at = self.next(mid)
+        learn = not fresh and at - self.since >= 3
         if not fresh:
             n_on, n_off = n = self.counts(self.since, at)
             F = np.eye(3)
@@ -103,7 +104,7 @@ class Pixel:
             self.x = F @ self.x
             self.P = F @ self.P @ F.T
             self.P[0, 0] += theta2 * (
-                1.3 * US * (mid - self.reference) + 0.02 * n.sum())
+                1.3 * US * (mid - self.reference) + 0.005 * n.sum())
         level = sample if fresh else self.x[0]
         inner = sorted({t for t, _ in self.events if begin < t < end})
         cuts = [begin, *inner, end]
@@ -123,8 +124,11 @@ class Pixel:
             self.P[0, 0] += error**2
         PH = self.P @ H
         v = H @ PH + noise
-        self.x = self.x + PH * error / v
-        self.P = self.P - np.outer(PH, PH) / v
+        K = PH / v
+        if not learn:
+            K[1:] = 0
+        self.x = self.x + K * error
+        self.P = self.P - np.outer(K, PH) - np.outer(PH, K) + v * np.outer(K, K)
         self.x[1:] = np.clip(self.x[1:], 0.3 * self.prior, 3 * self.prior)
         self.since, self.reference = at, mid
 
@@ -137,7 +141,7 @@ class Pixel:
         variance = F @ self.P @ F + theta2 * (
             (0.01 if seen else 0.02 if known > t else 0.05)
             + 1.3 * US * (t - (self.reference or 0))
-            + 0.02 * (i - self.since)) + 0.01 * u**2
+            + 0.005 * (i - self.since)) + 0.01 * u**2
         fresh = self.reference is None
         return self.x[0] + y + u, 0.0 if fresh else max(variance, 1e-8), not fresh
 

@@ -11,11 +11,12 @@ ROOT = Path(__file__).resolve().parents[1]
 LINES = (
     ("tools",),
     ("capture",),
-    ("fusion", "_arguments", "_feed"),
+    ("fusion", "_arguments"),
     ("analysis", "export", "render"),
     ("calibration",),
     ("simulation",),
     ("reconstruct",),
+    ("_feed",),
     ("recording",),
     ("polarimetry", "analyser", "mosaic", "aps", "packed", "events"),
     ("sensor", "errors", "_checks", "_opencv", "data"),

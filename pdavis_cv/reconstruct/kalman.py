@@ -21,11 +21,12 @@ __all__ = ["KalmanFilter"]
 LOOKAHEAD_US = 50_000
 """How long the buffered mode waits for a pixel's next event."""
 
-# Variance of the log intensity that events leave: per second (leak, noise events) and
-# per event, in units of the threshold squared.  Of a frame: read noise in DN, DN per
-# unit of shot noise variance, and what the de-blurring leaves.
-DRIFT_PER_S, DRIFT_PER_EVENT = 1.3, 0.02
-READ_NOISE_DN, DN_PER_SHOT, FRAME_SIGMA = 2.0, 10.0, 0.05
+NOISE = (0.05, 1.3, 0.005)
+"""What de-blurring leaves in a frame (standard deviation of log intensity); variance
+of the sum of events per second (leak, noise events) and per event, in thresholds^2."""
+
+# Of a frame: read noise in DN, and DN per unit of shot noise variance.
+READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
 # Committed events are kept this long, and at least twice the longest exposure.
 KEEP_US = 100_000
 # An estimate is valid up to this variance of log intensity.
@@ -57,6 +58,10 @@ class KalmanFilter(Reconstructor):
     bandwidth : (float, float), optional
         Corner frequency of the photoreceptor in Hz, and what is added to it per unit
         of intensity (Hz per DN/ms).  Default: no lag.
+    noise : (float, float, float)
+        What de-blurring leaves in a frame (standard deviation of log intensity), and
+        the variance of the sum of events per second and per event, in units of the
+        threshold squared.
 
     Raises
     ------
@@ -77,6 +82,7 @@ class KalmanFilter(Reconstructor):
         mode: str = "buffered", lookahead_us: int | None = None,
         threshold_sigma: ArrayLike = 0.035,
         bandwidth: tuple[float, float] | None = None,
+        noise: tuple[float, float, float] = NOISE,
     ) -> None:
         self.shape = sensor_shape(shape)
         if mode not in ("buffered", "causal"):
@@ -92,7 +98,8 @@ class KalmanFilter(Reconstructor):
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
         self._sigma = _checked_sigma(threshold_sigma, self.shape)
         self._bandwidth = _checked_bandwidth(bandwidth)
-        self._tuning = np.array([DRIFT_PER_S, DRIFT_PER_EVENT, *self._bandwidth])
+        self._noise = _checked_noise(noise)
+        self._tuning = np.array([*self._noise[1:], *self._bandwidth])
         self._prior = np.empty((*self.shape, 2))
         self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
         self._state9 = np.zeros((*self.shape, 9))
@@ -111,7 +118,8 @@ class KalmanFilter(Reconstructor):
         """Parameters that make an equal KalmanFilter."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "mode": self._mode, "lookahead_us": self.lookahead_us,
-                "threshold_sigma": self._sigma, "bandwidth": self._bandwidth}
+                "threshold_sigma": self._sigma, "bandwidth": self._bandwidth,
+                "noise": self._noise}
 
     @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -145,7 +153,8 @@ class KalmanFilter(Reconstructor):
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame; it acts when the events that it needs are there."""
         self._clock.check_frame(frame)
-        self._frames = (*self._frames, _Frame(frame, self.lookahead_us or 0))
+        waiting = _Frame(frame, self.lookahead_us or 0, self._noise[0])
+        self._frames = (*self._frames, waiting)
         longest = int(np.max(np.subtract(frame.exposure_end_us,
                                          frame.exposure_start_us)))
         delay = frame.available_us - int(np.min(frame.exposure_start_us))
@@ -203,10 +212,12 @@ class _Frame:
 
     __slots__ = ("known_us", "noise", "sample", "times")
 
-    def __init__(self, frame: ApsFrame, lookahead_us: int) -> None:
+    def __init__(
+        self, frame: ApsFrame, lookahead_us: int, sigma: float
+    ) -> None:
         self.sample, valid = log_samples(frame)
         dn = np.maximum(frame.dn, 1)
-        noise = (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2 + FRAME_SIGMA**2
+        noise = (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2 + sigma**2
         self.noise = np.where(valid, noise, 0).astype(np.float32)
         width = frame.shape[1]
         self.times = np.empty((3, width), np.int64)
@@ -236,9 +247,20 @@ def _checked_sigma(
 def _checked_bandwidth(value: tuple[float, float] | None) -> tuple[float, float]:
     if value is None:
         return 0.0, 0.0
+    if isinstance(value, str):
+        raise ValueError(f"bandwidth must be (hz, hz_per_intensity), got {value!r}")
     hz, slope = (float(part) for part in value)
     if not (np.isfinite(hz) and np.isfinite(slope) and hz >= 0 and slope >= 0):
         raise ValueError(
             "bandwidth must be two finite numbers that are not negative, got "
             f"{value!r}")
     return hz, slope
+
+
+def _checked_noise(value: Sequence[float]) -> tuple[float, float, float]:
+    sigma, per_s, per_event = (float(part) for part in value)
+    if not all(np.isfinite(x) and x >= 0 for x in (sigma, per_s, per_event)):
+        raise ValueError(
+            "noise must be three finite numbers that are not negative, got "
+            f"{value!r}")
+    return sigma, per_s, per_event

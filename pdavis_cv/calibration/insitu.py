@@ -1,0 +1,418 @@
+"""Thresholds and bandwidth from the recording itself: no stage, no known scene.
+
+Frames at their mid-exposure say where log intensity was; events say how it got from
+one frame to the next.  What fits both tells each pixel's thresholds, and frames taken
+while the light changes tell how late the events are.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+
+from pdavis_cv._feed import Feed
+from pdavis_cv.calibration.corrected import corrected
+from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
+from pdavis_cv.reconstruct.kalman import KalmanFilter
+from pdavis_cv.recording.base import ApsFrame, Recording
+
+__all__ = ["Bandwidth", "ThresholdEstimate", "bandwidth_in_situ", "learned",
+           "thresholds_in_situ"]
+
+SIGMA = 0.035
+"""Standard deviation of a threshold about its nominal value, natural-log units."""
+
+LEARNED_SIGMA = 0.003
+"""What the filter is told of thresholds learned in situ: it goes on learning."""
+
+_USUAL_MISMATCH = 0.035
+# Bounds on what is held in memory and looked at.
+_MAX_SECONDS, _MAX_EVENTS = 10.0, 5_000_000
+# For the bandwidth a sample of pixels is enough.
+_SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
+
+# ln of the corner frequency at bright pixels: what a DAVIS has at usual biases.
+_LN_HZ, _LN_HZ_SIGMA = np.log(300.0), 1.5
+_GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
+
+_Items = list["ApsFrame | NDArray[Any]"]
+
+
+@dataclass(frozen=True)
+class Bandwidth:
+    """Corner frequency of the photoreceptors: ``hz + hz_per_intensity * I``.
+
+    Parameters
+    ----------
+    hz : float
+        Part that does not depend on the light.
+    hz_per_intensity : float
+        Per unit of intensity, Hz per DN/ms.
+    at_intensity : float
+        A bright pixel's intensity in DN/ms, at which the sum is known best.
+    sigma : float
+        Standard deviation of the log of the corner frequency there.
+    """
+
+    hz: float
+    hz_per_intensity: float
+    at_intensity: float
+    sigma: float
+
+    @property
+    def law(self) -> tuple[float, float]:
+        """(hz, hz_per_intensity), what `KalmanFilter` takes."""
+        return self.hz, self.hz_per_intensity
+
+
+@dataclass(frozen=True, eq=False)
+class ThresholdEstimate:
+    """Contrast thresholds of every pixel, as its own recording tells them.
+
+    Parameters
+    ----------
+    theta_on, theta_off : ndarray of float64, shape (H, W)
+        Positive magnitudes, natural-log units.
+    covariance : ndarray of float64, shape (H, W, 2, 2)
+        Of (theta_on, theta_off); their ratio is known far better than their sum.
+    bandwidth : Bandwidth or None
+        What was assumed or found out about the photoreceptors.
+    """
+
+    theta_on: NDArray[np.float64]
+    theta_off: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    bandwidth: Bandwidth | None
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """Standard deviation of theta_on and theta_off, shape (2, H, W)."""
+        return np.sqrt(np.stack([self.covariance[..., 0, 0],
+                                 self.covariance[..., 1, 1]]))
+
+    @property
+    def ratio_sigma(self) -> NDArray[np.float64]:
+        """Standard deviation of ln(theta_on / theta_off), shape (H, W)."""
+        a, b, c = 1 / self.theta_on, -1 / self.theta_off, self.covariance
+        return np.sqrt(a * a * c[..., 0, 0] + b * b * c[..., 1, 1]
+                       + 2 * a * b * c[..., 0, 1])
+
+
+def thresholds_in_situ(
+    recording: Recording,
+    *,
+    nominal: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    sigma: float = SIGMA,
+    bandwidth: Bandwidth | str | None = "in-situ",
+    calibration: Calibration | None = None,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+) -> ThresholdEstimate:
+    """Estimate each pixel's thresholds from its events and the de-blurred frames.
+
+    The difference between two frames must be theta_on N_on - theta_off N_off; a
+    Kalman filter per pixel adds up what all frames say about it.  Pixels then borrow
+    from each other: the spread over the chip is estimated too, and where the
+    recording says little the estimate stays near `nominal`.
+
+    Parameters
+    ----------
+    recording : Recording
+        With frames and events; the light must change.
+    nominal : (on, off)
+        Expected thresholds, scalars or (H, W).
+    sigma : float
+        How far a pixel may lie from them at first, natural-log units.
+    bandwidth : Bandwidth, "in-situ" or None
+        Of the photoreceptors; estimated first, or lag is neglected.
+    calibration : Calibration, optional
+        Its dark, gain and clip level are applied to the frames.
+    start_us, stop_us : int, optional
+        The part to look at, at most 10 s and 5 million events of it; default: from
+        the beginning.
+
+    Returns
+    -------
+    ThresholdEstimate
+
+    Raises
+    ------
+    ValueError
+        If ``sigma`` is not positive or ``bandwidth`` is another word.
+    """
+    if not sigma > 0:
+        raise ValueError(f"sigma must be positive, got {sigma}")
+    if isinstance(bandwidth, str) and bandwidth != "in-situ":
+        raise ValueError(
+            f"bandwidth must be 'in-situ', a Bandwidth or None, got {bandwidth!r}")
+    shape = recording.info.sensor_size
+    items = _window(recording, calibration, start_us, stop_us)
+    sample = _sample(items, shape, nominal)
+    found = bandwidth if isinstance(bandwidth, Bandwidth) else None
+    if sample is not None and isinstance(bandwidth, str):
+        found = _bandwidth(sample)
+    law = (0.0, 0.0) if found is None else found.law
+    method = _run(items, shape, *nominal, sigma, law)
+    theta, covariance = method.thresholds
+    chi, _, n = method.misfit
+    # The noise was assumed; what is left over says how large it is.
+    scale = float(np.clip(chi / n, 1e-3, 4.0)) if n else 1.0
+    theta, covariance = _shrunk(theta, covariance, nominal, sigma, scale)
+    return ThresholdEstimate(theta[0], theta[1], covariance, found)
+
+
+def bandwidth_in_situ(
+    recording: Recording,
+    *,
+    nominal: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    calibration: Calibration | None = None,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+) -> Bandwidth | None:
+    """Estimate how fast the photoreceptors are, from frames and events alone.
+
+    Frames have no lag: the bandwidth that makes the events of a sample of busy pixels
+    agree with them best is the one.  It may be constant, in proportion to the
+    intensity, or anything between.
+
+    Parameters
+    ----------
+    recording, nominal, calibration, start_us, stop_us
+        As for `thresholds_in_situ`.
+
+    Returns
+    -------
+    Bandwidth or None
+        None where frames or events are too few to tell anything.
+    """
+    items = _window(recording, calibration, start_us, stop_us)
+    sample = _sample(items, recording.info.sensor_size, nominal)
+    return None if sample is None else _bandwidth(sample)
+
+
+def learned(
+    recording: Recording,
+    thresholds: str | tuple[ArrayLike, ArrayLike] | None,
+    nominal: tuple[ArrayLike, ArrayLike],
+    calibration: Calibration | None,
+    parameters: dict[str, Any],
+    method: str,
+    *,
+    causal: bool,
+) -> tuple[Theta, Theta, dict[str, Any]]:
+    """Return thresholds and parameters of a method, learned where that was asked for.
+
+    ``fuse`` documents the arguments.  For ``kalman`` the bandwidth too is estimated
+    unless it is given; with `causal` nothing is.
+
+    Returns
+    -------
+    theta_on, theta_off : floats or ndarrays of float32, shape (H, W)
+    parameters : dict
+        With ``bandwidth`` as numbers.
+    """
+    learn = isinstance(thresholds, str) and thresholds == "in-situ"
+    on, off = resolve_thresholds(
+        recording, None if learn else thresholds, nominal, calibration)
+    parameters = dict(parameters)
+    late = causal or parameters.get("mode") == "causal"
+    wanted = parameters.get("bandwidth", None if late else "in-situ")
+    ask = method == "kalman" and isinstance(wanted, str)
+    if ask:
+        if wanted != "in-situ":
+            raise ValueError(
+                "bandwidth must be 'in-situ', (hz, hz_per_intensity) or None, got "
+                f"{wanted!r}")
+        if causal:
+            raise ValueError(
+                "bandwidth='in-situ' looks at the recording before the first image, "
+                "which causal=True forbids")
+        parameters.pop("bandwidth", None)
+    if recording.info.frame_count == 0 or causal or not (ask or learn):
+        return on, off, parameters
+    found: Bandwidth | None
+    if learn:
+        estimate = thresholds_in_situ(
+            recording, nominal=(on, off), calibration=calibration,
+            bandwidth="in-situ" if ask or method != "kalman" else None)
+        on, off = (theta.astype(np.float32)
+                   for theta in (estimate.theta_on, estimate.theta_off))
+        found = estimate.bandwidth
+        if method == "kalman":
+            parameters.setdefault("threshold_sigma", LEARNED_SIGMA)
+    else:
+        found = bandwidth_in_situ(recording, nominal=(on, off), calibration=calibration)
+    if ask:
+        parameters["bandwidth"] = None if found is None else found.law
+    return on, off, parameters
+
+
+def _window(
+    recording: Recording, calibration: Calibration | None, start_us: int | None,
+    stop_us: int | None,
+) -> _Items:
+    """Return frames and events in order of time, from start_us, bounded."""
+    items: _Items = []
+    events = 0
+    begin: int | None = None
+    feed = Feed(recording, None if start_us is None else start_us - 1,
+                start_us, by_arrival=False)
+    for item in feed.until(stop_us):
+        t = item.mid_us if isinstance(item, ApsFrame) else int(item["t"][0])
+        begin = t if begin is None else begin
+        if t - begin > _MAX_SECONDS * 1e6 or events > _MAX_EVENTS:
+            break
+        items.append(corrected(item, calibration) if isinstance(item, ApsFrame)
+                     else item)
+        events += 0 if isinstance(item, ApsFrame) else len(item)
+    return items
+
+
+def _run(
+    items: _Items, shape: tuple[int, int], on: ArrayLike, off: ArrayLike,
+    sigma: ArrayLike, bandwidth: tuple[float, float] | None,
+) -> KalmanFilter:
+    method = KalmanFilter(shape, theta_on=on, theta_off=off, threshold_sigma=sigma,
+                          bandwidth=bandwidth)
+    for item in items:
+        if isinstance(item, ApsFrame):
+            method.add_frame(item)
+        else:
+            method.add_events(item)
+    return method
+
+
+class _Sample:
+    """Some busy pixels, in one row, and how badly a filter fits them."""
+
+    def __init__(self, pixels: NDArray[np.intp], items: _Items, shape: tuple[int, int],
+                 nominal: tuple[ArrayLike, ArrayLike]) -> None:
+        self.items, self.shape = items, (1, len(pixels))
+        self.on, self.off = (
+            np.broadcast_to(np.asarray(value, np.float64), shape).ravel()[pixels][None]
+            for value in nominal)
+        bright = np.quantile(np.concatenate(
+            [item.dn.ravel() / max(item.exposure_ms, 1e-3) for item in items
+             if isinstance(item, ApsFrame)]), 0.9)
+        self.bright = max(float(bright), 1e-3)
+
+    def misfit(self, law: tuple[float, float]) -> tuple[float, float]:
+        """Return minus the log likelihood, and the mean of e^2 / v."""
+        chi, log, n = _run(self.items, self.shape, self.on, self.off, SIGMA, law).misfit
+        return 0.5 * float(chi + log), float(chi / max(n, 1))
+
+
+def _bandwidth(sample: _Sample) -> Bandwidth:
+    def cost(point: NDArray[np.float64]) -> float:
+        prior = 0.5 * ((point[0] - _LN_HZ) / _LN_HZ_SIGMA) ** 2
+        return sample.misfit(_law(point, sample.bright))[0] + float(prior)
+
+    grid = [np.array([np.log(hz), share]) for share in (0.0, 1.0) for hz in _GRID_HZ]
+    best = min(grid, key=cost)
+    toward = np.diag([0.3, 0.3 - 0.6 * best[1]])
+    found = minimize(cost, best, method="Nelder-Mead", options={
+        "maxfev": 24, "xatol": 0.01, "fatol": 0.1, "initial_simplex": [
+            best, best + toward[0], best + toward[1]]})
+    # The curvature of the misfit, for the noise that it says there is.
+    hz, slope = _law(found.x, sample.bright)
+    _, left = sample.misfit((hz, slope))
+    step = np.array([0.1, 0.0])
+    bend = (cost(found.x + step) + cost(found.x - step) - 2 * found.fun) / 0.1**2
+    sigma = np.sqrt(max(left, 1e-3) / max(bend, 1 / _LN_HZ_SIGMA**2))
+    return Bandwidth(hz, slope, sample.bright, float(sigma))
+
+
+def _law(point: NDArray[np.float64], bright: float) -> tuple[float, float]:
+    hz, share = float(np.exp(point[0])), float(np.clip(point[1], 0, 1))
+    return hz * (1 - share), hz * share / bright
+
+
+def _shrunk(
+    theta: NDArray[np.float64], covariance: NDArray[np.float64],
+    nominal: tuple[ArrayLike, ArrayLike], sigma: float, scale: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Replace the prior spread `sigma` by the spread that the pixels have.
+
+    Empirical Bayes by expectation-maximisation: what each pixel's own samples say
+    is the filter's result less its prior.  The variance that is left is multiplied by
+    `scale` as far as it comes from the samples.
+    """
+    shape = theta.shape[1:]
+    center = np.stack([np.broadcast_to(value, shape) for value in nominal], -1)
+    shift = np.moveaxis(theta, 0, -1) - center
+    prior = np.eye(2) / sigma**2
+    total = np.linalg.inv(covariance)
+    own, pull = total - prior, total @ shift[..., None]
+    # A sample of the pixels tells the spread; it grows from what is usual.
+    some = slice(None, None, max(own[..., 0, 0].size // 4000, 1))
+    few, their = own.reshape(-1, 2, 2)[some], pull.reshape(-1, 2, 1)[some]
+    spread = (_USUAL_MISMATCH * center.mean((0, 1))) ** 2
+    for _ in range(30):
+        after = np.linalg.inv(few + np.diag(1 / spread))
+        variance = np.stack([after[:, 0, 0], after[:, 1, 1]], -1)
+        spread = np.mean((after @ their)[..., 0] ** 2 + variance, axis=0)
+        spread = np.clip(spread, (0.01 * sigma) ** 2, sigma**2)
+    shift = (np.linalg.inv(own + np.diag(1 / spread)) @ pull)[..., 0]
+    after = np.linalg.inv(own / scale + np.diag(1 / spread))
+    limited = np.clip(center + shift, 0.3 * center, 3 * center)
+    return np.moveaxis(limited, -1, 0), np.asarray(after, np.float64)
+
+
+def _sample(
+    items: _Items, shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike]
+) -> _Sample | None:
+    """Return some busy pixels, None if frames or events are too few."""
+    counts = np.zeros(shape[0] * shape[1], np.int64)
+    usable = np.zeros(shape, np.int64)
+    frames = 0
+    for item in items:
+        if isinstance(item, ApsFrame):
+            good = item.dn >= 8
+            usable += good if item.valid is None else good & item.valid
+            frames += 1
+        else:
+            counts += np.bincount(
+                item["y"].astype(np.intp) * shape[1] + item["x"], minlength=len(counts))
+    if frames < 4:
+        return None
+    counts[usable.ravel() < 0.8 * frames] = 0
+    if not counts.any():
+        return None
+    # The busiest without hot pixels: of those within a factor of two of the 95 % level.
+    level = np.quantile(counts[counts > 0], 0.95)
+    pixels = np.flatnonzero((counts >= 0.5 * level) & (counts <= 2 * level))
+    n = int(np.clip(_SAMPLE_EVENTS / level, 16, _SAMPLE_PIXELS))
+    pixels = np.sort(np.random.default_rng(0).permutation(pixels)[:n])
+    place = np.full(len(counts), -1, np.int64)
+    place[pixels] = np.arange(len(pixels))
+    rows, columns = np.unravel_index(pixels, shape)
+    part: _Items = []
+    frames = 0
+    pending: list[NDArray[Any]] = []
+    for item in items:
+        if not isinstance(item, ApsFrame):
+            at = place[item["y"].astype(np.intp) * shape[1] + item["x"]]
+            mine = item[at >= 0].copy()
+            mine["x"], mine["y"] = at[at >= 0], 0
+            pending.append(mine)
+            continue
+        frames += 1
+        if frames > _SAMPLE_FRAMES:
+            break
+        if pending:
+            part.append(np.concatenate(pending))
+            pending = []
+        times = [np.broadcast_to(time, shape[1:])[columns] for time in (
+            item.exposure_start_us, item.exposure_end_us)]
+        valid = None if item.valid is None else item.valid[rows, columns][None]
+        part.append(ApsFrame(
+            item.dn[rows, columns][None], *times, valid=valid,
+            available_us=max(item.available_us, int(times[1].max())),
+            full_scale_dn=item.full_scale_dn))
+    if pending:
+        part.append(np.concatenate(pending))
+    return _Sample(pixels, part, shape, nominal)

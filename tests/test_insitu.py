@@ -1,0 +1,139 @@
+import numpy as np
+import pytest
+
+from pdavis_cv import Calibration, fuse, recording_from_arrays
+from pdavis_cv.calibration import bandwidth_in_situ, insitu, thresholds_in_situ
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+NOMINAL = (0.16, 0.18)
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    camera = Camera.preset("nominal", seed=3, size=(8, 8))
+    scene = RotatingPolarizer(rpm=200 * 1.013, start_angle=1.0)
+    recording, truth = camera.record(scene, 2.5)
+    return camera, recording, truth
+
+
+@pytest.fixture(scope="module")
+def estimate(nominal):
+    return thresholds_in_situ(nominal[1], nominal=NOMINAL)
+
+
+def ratio_error(camera, estimate):
+    return (np.log(estimate.theta_on / estimate.theta_off)
+            - np.log(camera.maps["theta_on"] / camera.maps["theta_off"]))
+
+
+def test_the_ratio_of_the_thresholds_is_found(nominal, estimate):
+    error = ratio_error(nominal[0], estimate)
+    assert np.sqrt(np.mean(error**2)) < 0.006
+    assert 0.6 < np.mean(np.abs(error) < estimate.ratio_sigma) < 0.98
+    assert estimate.sigma.shape == (2, 8, 8)
+
+
+def test_the_bandwidth_is_found(estimate):
+    assert estimate.bandwidth.hz == pytest.approx(250, rel=0.1)
+    share = estimate.bandwidth.hz_per_intensity * estimate.bandwidth.at_intensity
+    assert share < 0.1 * estimate.bandwidth.hz
+    assert 0 < estimate.bandwidth.sigma < 0.1
+
+
+def test_a_bandwidth_in_proportion_to_the_light_is_told_apart():
+    camera = Camera.preset("realistic", seed=3, size=(6, 6))
+    recording, _ = camera.record(RotatingPolarizer(rpm=202.6), 2.0)
+    found = bandwidth_in_situ(recording, nominal=NOMINAL)
+    assert found.hz_per_intensity == pytest.approx(0.42 * 20, rel=0.1)
+    assert found.hz < 10
+
+
+def test_without_change_the_estimate_is_the_nominal_value(nominal):
+    camera = nominal[0]
+    recording, _ = camera.record(RotatingPolarizer(rpm=0.0), 1.5)
+    estimate = thresholds_in_situ(recording, nominal=NOMINAL)
+    assert np.abs(estimate.theta_on - 0.16).max() < 0.02
+    prior = np.log(0.16 / 0.18) - np.log(
+        camera.maps["theta_on"] / camera.maps["theta_off"])
+    assert np.std(ratio_error(camera, estimate)) < 1.2 * np.std(prior)
+
+
+def test_a_window_of_the_recording_is_enough(nominal):
+    camera, recording, _ = nominal
+    late = thresholds_in_situ(
+        recording, nominal=NOMINAL, start_us=1_000_000, stop_us=2_000_000)
+    assert np.std(ratio_error(camera, late)) < 0.012
+
+
+def test_the_window_is_bounded(nominal, monkeypatch):
+    monkeypatch.setattr(insitu, "_MAX_EVENTS", 2000)
+    items = insitu._window(nominal[1], None, None, None)
+    assert sum(len(i) for i in items if isinstance(i, np.ndarray)) < 6000
+
+
+def test_too_little_gives_the_prior():
+    recording = recording_from_arrays(None, sensor_size=(4, 4))
+    estimate = thresholds_in_situ(recording, nominal=NOMINAL)
+    assert estimate.bandwidth is None
+    np.testing.assert_array_equal(estimate.theta_on, 0.16)
+    assert bandwidth_in_situ(recording) is None
+
+
+def errors(truth, images):
+    return np.rad2deg(np.mean([np.abs(
+        (image.aop - truth.aop(image.t_us) + np.pi / 2) % np.pi - np.pi / 2)
+        for image in images]))
+
+
+def test_fuse_learns_before_the_first_image(nominal):
+    _, recording, truth = nominal
+    options = dict(method="kalman", nominal_thresholds=NOMINAL, demosaic="superpixel",
+                   times_us=np.arange(300_000, 2_400_000, 7_000))
+    images = list(fuse(recording, thresholds="in-situ", **options))
+    assert errors(truth, images) < 1.0
+    learned = images[0].provenance["parameters"]
+    assert learned["bandwidth"][0] == pytest.approx(250, rel=0.1)
+    assert np.std(learned["theta_on"]) > 0.002
+    lagging = list(fuse(recording, bandwidth=None, **options))
+    assert errors(truth, lagging) > errors(truth, images) + 0.1
+
+
+def test_causal_images_do_not_know_the_future(nominal):
+    _, recording, truth = nominal
+    options = dict(method="kalman", nominal_thresholds=NOMINAL, causal=True,
+                   thresholds="in-situ", demosaic="superpixel")
+    times = np.arange(1_000_000, 1_500_000, 7_000)
+    images = list(fuse(recording, times_us=times, **options))
+    assert errors(truth, images) < 2.5
+    parts = list(recording.packets(None, 1_500_000))
+    short = recording_from_arrays(
+        np.concatenate([part.events for part in parts]),
+        [frame for part in parts for frame in part.frames], sensor_size=(8, 8),
+        layout=recording.info.layout)
+    for a, b in zip(images, fuse(short, times_us=times, **options), strict=False):
+        np.testing.assert_array_equal(a.quad, b.quad)
+    with pytest.raises(ValueError, match="bandwidth='in-situ' looks"):
+        fuse(recording, bandwidth="in-situ", **options)
+
+
+def test_impossible_parameters_are_refused(nominal):
+    with pytest.raises(ValueError, match="sigma must be positive"):
+        thresholds_in_situ(nominal[1], sigma=0)
+    with pytest.raises(ValueError, match="bandwidth must be 'in-situ'"):
+        thresholds_in_situ(nominal[1], bandwidth="fast")
+    with pytest.raises(ValueError, match="bandwidth must be 'in-situ'"):
+        fuse(nominal[1], method="kalman", bandwidth="fast")
+
+
+def test_frames_are_corrected_by_the_calibration_first(nominal):
+    camera, recording, _ = nominal
+    dark = np.full((8, 8), 100.0, np.float32)
+    known = Calibration(sensor_size=(8, 8), dark=dark)
+    for packet in recording.packets():
+        for frame in packet.frames:
+            frame.dn += dark
+    calibrated = thresholds_in_situ(recording, nominal=NOMINAL, calibration=known)
+    for packet in recording.packets():
+        for frame in packet.frames:
+            frame.dn -= dark
+    assert np.std(ratio_error(camera, calibrated)) < 0.006
