@@ -17,6 +17,7 @@ KERNELS = (
     "_build",
     "_demosaic",
     "_elementwise",
+    "_events",
     "_floor",
     "_kalman",
     "_leaky",

@@ -9,6 +9,7 @@ from ._aps import cds, correct
 from ._build import DEBUG
 from ._demosaic import bilinear, superpixel
 from ._elementwise import exp, reconcile
+from ._events import count, surface, voxel
 from ._floor import floor_sum
 from ._kalman import kalman_frame, kalman_read
 from ._leaky import (
@@ -40,6 +41,7 @@ __all__ = [
     "cf_frame_literal",
     "check_events",
     "correct",
+    "count",
     "dolp",
     "exp",
     "floor_sum",
@@ -57,6 +59,7 @@ __all__ = [
     "sort_events",
     "stokes",
     "superpixel",
+    "surface",
     "tone_bgr",
     "track_commit",
     "track_drop",
@@ -64,4 +67,5 @@ __all__ = [
     "unpack_10p",
     "unpack_12p",
     "unpack_packed",
+    "voxel",
 ]

@@ -26,7 +26,12 @@ _HOME = {
     "Layout": "sensor",
     "Sensor": "sensor",
     "EVENT_DTYPE": "events",
+    "EventSlice": "events",
+    "accumulate": "events",
     "as_events": "events",
+    "slices": "events",
+    "time_surface": "events",
+    "voxel_grid": "events",
     "Analyser": "analyser",
     "cds": "aps",
     "demosaic": "mosaic",
@@ -145,7 +150,15 @@ if TYPE_CHECKING:
         PdavisWarning,
         RecordingError,
     )
-    from pdavis_cv.events import EVENT_DTYPE, as_events
+    from pdavis_cv.events import (
+        EVENT_DTYPE,
+        EventSlice,
+        accumulate,
+        as_events,
+        slices,
+        time_surface,
+        voxel_grid,
+    )
     from pdavis_cv.fusion import DEFAULT_METHOD, fuse
     from pdavis_cv.mosaic import demosaic
     from pdavis_cv.packed import unpack

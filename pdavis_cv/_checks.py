@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["output", "outputs", "positive", "sensor_shape"]
+__all__ = ["checked_threshold", "output", "outputs", "positive", "sensor_shape"]
 
 
 def output(
@@ -123,3 +123,26 @@ def sensor_shape(shape: Sequence[int]) -> tuple[int, int]:
     if not (0 < height <= 65_536 and 0 < width <= 65_536):
         raise ValueError(f"shape must lie in 1..65536, got {shape!r}")
     return height, width
+
+
+def checked_threshold(
+    name: str, value: ArrayLike, shape: tuple[int, int]
+) -> float | NDArray[np.float64]:
+    """Return a threshold as a float, or as a read-only copy of shape (H, W).
+
+    Raises
+    ------
+    ValueError
+        If it is neither a scalar nor (H, W), or not positive and finite.
+    """
+    array = np.array(value, np.float64)
+    if array.shape not in ((), shape):
+        raise ValueError(
+            f"{name} must be a scalar or have shape {shape}, got {array.shape}")
+    if not np.all(np.isfinite(array) & (array > 0)):
+        bad = array[~(np.isfinite(array) & (array > 0))].flat[0]
+        raise ValueError(f"{name} must be positive and finite, got {bad}")
+    if array.ndim == 0:
+        return float(array)
+    array.flags.writeable = False
+    return array

@@ -24,6 +24,7 @@ __all__ = [
     "cf_frame_literal",
     "check_events",
     "correct",
+    "count",
     "dolp",
     "exp",
     "floor_sum",
@@ -41,6 +42,7 @@ __all__ = [
     "sort_events",
     "stokes",
     "superpixel",
+    "surface",
     "tone_bgr",
     "track_commit",
     "track_drop",
@@ -48,6 +50,7 @@ __all__ = [
     "unpack_10p",
     "unpack_12p",
     "unpack_packed",
+    "voxel",
 ]
 
 DEBUG: bool
@@ -84,6 +87,9 @@ def correct(
 ) -> None: ...
 def dolp(s0: _F32, s1: _F32, s2: _F32, out: _F32) -> None: ...
 def exp(x: _F32, out: _F32) -> None: ...
+def count(
+    events: NDArray[Any], start: int, stop: int, out: NDArray[np.int32]
+) -> int: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def kalman_frame(
     sample: _F32, noise: _F32, times: NDArray[np.int64], known: int,
@@ -147,3 +153,5 @@ def tone_bgr(plane: _F32, scale: float, table: _U8, out: _U8) -> None: ...
 def unpack_10p(data: _U8, out: NDArray[np.uint16]) -> None: ...
 def unpack_12p(data: _U8, out: NDArray[np.uint16]) -> None: ...
 def unpack_packed(data: _U8, bits: int, out: NDArray[np.uint16]) -> None: ...
+def surface(events: NDArray[Any], t: int, rate: float, out: _F32) -> None: ...
+def voxel(events: NDArray[Any], start: int, stop: int, out: _F32) -> int: ...

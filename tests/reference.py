@@ -87,3 +87,29 @@ def tone_bgr(plane, scale, table):
     scaled = np.nan_to_num(plane * np.float32(scale), nan=0, posinf=65535, neginf=0)
     index = (np.clip(scaled, 0, 65535) + np.float32(0.5)).astype(int)
     return np.repeat(table[index][..., None], 3, axis=-1)
+
+
+def count(events, shape, start_us, stop_us):
+    events = events[(events["t"] >= start_us) & (events["t"] < stop_us)]
+    out = np.zeros((2, *shape), np.int32)
+    np.add.at(out, (events["p"], events["y"], events["x"]), 1)
+    return out
+
+
+def voxel_grid(events, shape, bins, start_us, stop_us):
+    """Every event against every bin, in float64."""
+    events = events[(events["t"] >= start_us) & (events["t"] < stop_us)]
+    place = (bins - 1) * (events["t"] - start_us) / (stop_us - start_us)
+    sign = np.where(events["p"], 1.0, -1.0)
+    out = np.zeros((bins, *shape))
+    for k in range(bins):
+        share = np.maximum(0, 1 - np.abs(place - k))
+        np.add.at(out[k], (events["y"], events["x"]), sign * share)
+    return out
+
+
+def time_surface(events, shape, tau_us, t_us):
+    last = np.full((2, *shape), -np.inf)
+    for e in events[events["t"] <= t_us]:
+        last[e["p"], e["y"], e["x"]] = e["t"]
+    return np.exp((last - t_us) / tau_us)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, positive, sensor_shape
+from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock, checked_threshold, steps
+from pdavis_cv.reconstruct.clock import Clock, steps
 from pdavis_cv.reconstruct.frames import log_exposure, log_samples
 from pdavis_cv.recording.base import ApsFrame
 

@@ -1,12 +1,13 @@
-"""What every method checks about what it is fed: order in time, shape, thresholds."""
+"""What every method checks about what it is fed: order in time and shape."""
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._checks import checked_threshold
 from pdavis_cv.events import as_events, bad_event
 from pdavis_cv.recording.base import ApsFrame
 
@@ -96,29 +97,6 @@ class Clock:
                 f"t_us must not lie before the last time seen, {self.last_us}, "
                 f"got {t}")
         return t
-
-
-def checked_threshold(
-    name: str, value: ArrayLike, shape: tuple[int, int]
-) -> float | NDArray[np.float64]:
-    """Return a threshold as a float, or as a read-only copy of shape (H, W).
-
-    Raises
-    ------
-    ValueError
-        If it is neither a scalar nor (H, W), or not positive and finite.
-    """
-    array = np.array(value, np.float64)
-    if array.shape not in ((), shape):
-        raise ValueError(
-            f"{name} must be a scalar or have shape {shape}, got {array.shape}")
-    if not np.all(np.isfinite(array) & (array > 0)):
-        bad = array[~(np.isfinite(array) & (array > 0))].flat[0]
-        raise ValueError(f"{name} must be positive and finite, got {bad}")
-    if array.ndim == 0:
-        return float(array)
-    array.flags.writeable = False
-    return array
 
 
 def steps(
