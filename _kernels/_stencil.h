@@ -9,6 +9,7 @@
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
 #if defined(__GLIBC__) && defined(__x86_64__) && defined(__GNUC__) \
     && !defined(__clang__) && __GNUC__ >= 12 && defined(__OPTIMIZE__) \
@@ -85,15 +86,42 @@ PDAVIS_BILINEAR(float, f32)
 
 /* ---- Stokes parameters, angle and degree ------------------------------------- */
 
-/* atan2(s2, s1) / 2 in [0, pi).  With r = min / max in [0, 1],
-   atan(r) / 2 = r / 2 + r^3 p(r^2); p is a minimax fit, error 4e-9 rad.  The octant
-   adds a multiple of pi/4, held as a rounded value and its remainder. */
-PDAVIS_INLINE float half_atan2(float s2, float s1)
+#define PDAVIS_SIGN ((int32_t)0x80000000)
+
+PDAVIS_INLINE int32_t bits_of(float value)
 {
-    float a1 = s1 < 0.0f ? -s1 : s1, a2 = s2 < 0.0f ? -s2 : s2;
-    float large = a2 > a1 ? a2 : a1, small = a2 > a1 ? a1 : a2;
-    float r = small / (large == 0.0f ? 1.0f : large), t = r * r;
-    float p = 1.311122323e-03f, angle, base, rest;
+    int32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+PDAVIS_INLINE float float_of(int32_t bits)
+{
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+/* The smaller over the larger of two lengths, 0 if both are 0; NaN if one is. */
+PDAVIS_INLINE float ratio(float s1, float s2, float *large)
+{
+    float a1 = float_of(bits_of(s1) & 0x7fffffff);
+    float a2 = float_of(bits_of(s2) & 0x7fffffff);
+    float small = a2 > a1 ? a1 : a2;
+    *large = a2 > a1 ? a2 : a1;
+    return small / (*large + 1e-37f); /* adds nothing to what is over 1e-29 */
+}
+
+/* atan2(y, x) / 2 in [0, pi); neither is -0.  With r = min / max in [0, 1],
+   h = atan(r) / 2 = r / 2 + r^3 p(r^2); p is a minimax fit, error 4e-9 rad.  The
+   angle is k pi/4 + h or - h, folded at pi/4, pi/2 and pi by the bits of the signs;
+   pi/4 is split so that k times its upper part is exact. */
+PDAVIS_INLINE float half_atan2(float y, float x, float r)
+{
+    int32_t sx = bits_of(x), sy = bits_of(y);
+    int32_t steep = float_of(sy & 0x7fffffff) > float_of(sx & 0x7fffffff) ? -1 : 0;
+    float t = r * r, h, k, angle;
+    float p = 1.311122323e-03f;
     p = p * t - 7.566268556e-03f;
     p = p * t + 2.056093141e-02f;
     p = p * t - 3.683353215e-02f;
@@ -101,46 +129,60 @@ PDAVIS_INLINE float half_atan2(float s2, float s1)
     p = p * t - 7.092987746e-02f;
     p = p * t + 9.995198250e-02f;
     p = p * t - 1.666649282e-01f;
-    angle = 0.5f * r + r * t * p;
-    /* folded at pi/4, then at pi/2, then at pi: three signs and one constant */
-    base = a2 > a1 ? 7.853981853e-01f : 0.0f;
-    rest = a2 > a1 ? -2.185569414e-08f : 0.0f;
-    angle = a2 > a1 ? -angle : angle;
-    base = s1 < 0.0f ? 1.570796371e+00f - base : base;
-    rest = s1 < 0.0f ? -4.371138829e-08f - rest : rest;
-    angle = s1 < 0.0f ? -angle : angle;
-    base = s2 < 0.0f ? 3.141592741e+00f - base : base;
-    rest = s2 < 0.0f ? -8.742277657e-08f - rest : rest;
-    angle = s2 < 0.0f ? -angle : angle;
-    angle = base + (rest + angle);
+    h = 0.5f * r + r * t * p;
+    k = float_of(steep & bits_of(1.0f));
+    k = float_of((sx >> 31) & bits_of(2.0f))
+        + float_of(bits_of(k) ^ (sx & PDAVIS_SIGN));
+    k = float_of((sy >> 31) & bits_of(4.0f))
+        + float_of(bits_of(k) ^ (sy & PDAVIS_SIGN));
+    h = float_of(bits_of(h) ^ ((steep ^ sx ^ sy) & PDAVIS_SIGN));
+    angle = k * 7.85397530e-01f + (k * 6.33794e-07f + h);
     return angle >= 3.141592741e+00f ? 0.0f : angle;
 }
 
 /* Scaled by the larger of the two, so that no square over- or underflows. */
-PDAVIS_INLINE float degree(float s0, float s1, float s2)
+PDAVIS_INLINE float degree(float s0, float large, float r)
 {
-    float a1 = s1 < 0.0f ? -s1 : s1, a2 = s2 < 0.0f ? -s2 : s2;
-    float large = a2 > a1 ? a2 : a1, small = a2 > a1 ? a1 : a2;
-    float r = small / (large == 0.0f ? 1.0f : large);
-    float size = large * sqrtf(1.0f + r * r);
-    float value = size / (s0 > 0.0f ? s0 : 1.0f);
+    float value = large * sqrtf(1.0f + r * r) / s0;
     return s0 > 0.0f ? value : 0.0f;
 }
+
+/* Rows go by blocks that fill a vector; the last one overlaps its predecessor. */
+#define PDAVIS_BLOCK 16
+#define PDAVIS_BLOCKS(n, DO)                                                         \
+    do {                                                                             \
+        ptrdiff_t i, b, last = (n) - PDAVIS_BLOCK;                                   \
+        if (last < 0)                                                                \
+            for (i = 0; i < (n); i++) { DO; }                                        \
+        else                                                                         \
+            for (b = 0; b < (n); b += PDAVIS_BLOCK) {                                \
+                ptrdiff_t from = b < last ? b : last;                                \
+                for (i = from; i < from + PDAVIS_BLOCK; i++) { DO; }                 \
+            }                                                                        \
+    } while (0)
 
 PDAVIS_CLONES PDAVIS_UNUSED static void aop_row(
     const float *restrict s1, const float *restrict s2, ptrdiff_t n,
     float *restrict aop)
 {
-    for (ptrdiff_t i = 0; i < n; i++)
-        aop[i] = half_atan2(s2[i], s1[i]);
+    PDAVIS_BLOCKS(n, {
+        float x = s1[i] + 0.0f; /* -0 becomes 0 */
+        float y = s2[i] + 0.0f;
+        float large;
+        float r = ratio(x, y, &large);
+        aop[i] = half_atan2(y, x, r);
+    });
 }
 
 PDAVIS_CLONES PDAVIS_UNUSED static void dolp_row(
     const float *restrict s0, const float *restrict s1, const float *restrict s2,
     ptrdiff_t n, float *restrict dolp)
 {
-    for (ptrdiff_t i = 0; i < n; i++)
-        dolp[i] = degree(s0[i], s1[i], s2[i]);
+    PDAVIS_BLOCKS(n, {
+        float large;
+        float r = ratio(s1[i], s2[i], &large);
+        dolp[i] = degree(s0[i], large, r);
+    });
 }
 
 /* gain multiplies s1 and s2: what the polarizers' leakage took from them. */
@@ -178,12 +220,15 @@ PDAVIS_CLONES PDAVIS_UNUSED static void polarization_row(
     const float *restrict i135, float gain, ptrdiff_t n, float *restrict aop,
     float *restrict dolp)
 {
-    for (ptrdiff_t i = 0; i < n; i++) {
+    PDAVIS_BLOCKS(n, {
         float s0 = 0.5f * ((i0[i] + i90[i]) + (i45[i] + i135[i]));
-        float s1 = gain * (i0[i] - i90[i]), s2 = gain * (i45[i] - i135[i]);
-        aop[i] = half_atan2(s2, s1);
-        dolp[i] = degree(s0, s1, s2);
-    }
+        float x = gain * (i0[i] - i90[i]) + 0.0f;
+        float y = gain * (i45[i] - i135[i]) + 0.0f;
+        float large;
+        float r = ratio(x, y, &large);
+        aop[i] = half_atan2(y, x, r);
+        dolp[i] = degree(s0, large, r);
+    });
 }
 
 #endif

@@ -44,28 +44,29 @@ def mix(quad, matrix):
                      + (row[1] * quad[1] + row[3] * quad[3]) for row in matrix])
 
 
-def aop(s1, s2):
-    """The kernel's own arithmetic, in float32."""
+def ratio(s1, s2):
     a1, a2 = np.abs(s1), np.abs(s2)
     large, small = np.maximum(a1, a2), np.minimum(a1, a2)
-    r = small / np.where(large == 0, F32(1), large)
+    return small / (large + F32(1e-37)), large
+
+
+def aop(s1, s2):
+    """The kernel's own arithmetic, in float32."""
+    (r, _), steep = ratio(s1, s2), np.abs(s2) > np.abs(s1)
     t, p = r * r, F32(HALF_ATAN[0])
     for c in HALF_ATAN[1:]:
         p = p * t + F32(c)
-    angle = F32(0.5) * r + r * t * p
-    base = rest = np.zeros_like(angle)
-    for fold, full in ((a2 > a1, np.pi / 4), (s1 < 0, np.pi / 2), (s2 < 0, np.pi)):
-        base = np.where(fold, F32(full) - base, base)
-        rest = np.where(fold, F32(full - float(F32(full))) - rest, rest)
-        angle = np.where(fold, -angle, angle)
-    angle = base + (rest + angle)
+    h = F32(0.5) * r + r * t * p
+    k = np.zeros_like(h)
+    for fold, full in ((steep, 1), (s1 < 0, 2), (s2 < 0, 4)):
+        k = np.where(fold, F32(full) - k, k)
+        h = np.where(fold, -h, h)
+    angle = k * F32(7.85397530e-01) + (k * F32(6.33794e-07) + h)
     return np.where(angle >= PI, F32(0), angle)
 
 
 def dolp(s0, s1, s2):
-    a1, a2 = np.abs(s1), np.abs(s2)
-    large, small = np.maximum(a1, a2), np.minimum(a1, a2)
-    r = small / np.where(large == 0, F32(1), large)
+    r, large = ratio(s1, s2)
     size = large * np.sqrt(F32(1) + r * r)
     return np.where(s0 > 0, size / np.where(s0 > 0, s0, F32(1)), F32(0))
 
