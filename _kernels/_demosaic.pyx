@@ -1,5 +1,6 @@
 """Demosaicing kernels."""
-from _kernels._rows cimport bilinear_row, check_places, plane_of_place
+from _kernels._rows cimport (
+    bilinear_row, check_places, plane_of_place, row_stride, scratch_row)
 from _kernels._types cimport pixel_t
 
 
@@ -27,25 +28,29 @@ def superpixel(const pixel_t[:, ::1] mosaic not None,
 
 def bilinear(const pixel_t[:, ::1] mosaic not None,
              const Py_ssize_t[::1] places not None,
-             float[:, ::1] scratch not None,
+             float[::1] scratch not None,
              float[:, :, ::1] out not None):
     """Interpolate each channel of mosaic (h, w), sides >= 2, into out (4, h, w).
 
-    scratch is (2, w + 2) floats.
+    scratch is 2 * (w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y
     cdef Py_ssize_t plane[4]
     cdef float* to[4]
+    cdef float* own
+    cdef float* other
     if h < 2 or w < 2 or out.shape[0] != 4 or out.shape[1] != h or out.shape[2] != w:
         raise ValueError("bilinear: mosaic must be (h, w), out (4, h, w), sides >= 2")
-    if scratch.shape[0] != 2 or scratch.shape[1] != w + 2:
-        raise ValueError("bilinear: scratch must be (2, w + 2)")
+    if scratch.shape[0] < 2 * row_stride(w) + 32:
+        raise ValueError("bilinear: scratch must be 2 * (w + 32) + 32 floats")
     check_places(places)
     plane_of_place(places, plane)
+    own = scratch_row(&scratch[0], 0, w)
+    other = scratch_row(&scratch[0], 1, w)
     with nogil:
         for y in range(h):
             to[0] = &out[plane[0], y, 0]
             to[1] = &out[plane[1], y, 0]
             to[2] = &out[plane[2], y, 0]
             to[3] = &out[plane[3], y, 0]
-            bilinear_row(&mosaic[0, 0], y, h, w, &scratch[0, 1], &scratch[1, 1], to)
+            bilinear_row(&mosaic[0, 0], y, h, w, own, other, to)

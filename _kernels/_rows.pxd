@@ -1,5 +1,5 @@
 """Row functions of _stencil.h, and what the image kernels share around them."""
-from libc.stdint cimport uint8_t, uint16_t
+from libc.stdint cimport uint8_t, uint16_t, uintptr_t
 
 from _kernels._types cimport pixel_t
 
@@ -36,6 +36,21 @@ cdef inline int check_places(const Py_ssize_t[::1] places) except -1:
     if seen != 15:
         raise ValueError("places must be a permutation of 0, 1, 2, 3")
     return 0
+
+
+cdef inline Py_ssize_t row_stride(Py_ssize_t w) noexcept nogil:
+    """Floats from a scratch row to the next: room for w + 2, whole cache lines."""
+    return (w + 32) // 16 * 16
+
+
+cdef inline float* scratch_row(
+        float* scratch, Py_ssize_t row, Py_ssize_t w) noexcept nogil:
+    """Row of a scratch of rows * row_stride(w) + 32 floats, on a cache line.
+
+    A float before it and one after w are its own too.
+    """
+    cdef uintptr_t first = (<uintptr_t>scratch + 127) // 64 * 64
+    return <float*>first + row * row_stride(w)
 
 
 cdef inline void plane_of_place(

@@ -14,7 +14,7 @@
 #if defined(__GLIBC__) && defined(__x86_64__) && defined(__GNUC__) \
     && !defined(__clang__) && __GNUC__ >= 12 && defined(__OPTIMIZE__) \
     && !defined(__SANITIZE_ADDRESS__)
-#define PDAVIS_CLONES __attribute__((target_clones("arch=x86-64-v3", "default")))
+#define PDAVIS_CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
 #define PDAVIS_CLONES
 #endif
@@ -29,6 +29,41 @@
 #if defined(_MSC_VER)
 #define restrict __restrict
 #endif
+
+#define PDAVIS_SIGN ((int32_t)0x80000000)
+
+PDAVIS_INLINE int32_t bits_of(float value)
+{
+    int32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+PDAVIS_INLINE float float_of(int32_t bits)
+{
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+PDAVIS_INLINE float pick(int32_t mask, float where_set, float where_not)
+{
+    return float_of((mask & bits_of(where_set)) | (~mask & bits_of(where_not)));
+}
+
+/* Rows go by blocks that fill a vector; the last one overlaps its predecessor. */
+#define PDAVIS_BLOCK 16
+#define PDAVIS_BLOCKS(n, DO)                                                         \
+    do {                                                                             \
+        ptrdiff_t i, b, last = (n) - PDAVIS_BLOCK;                                   \
+        if (last < 0)                                                                \
+            for (i = 0; i < (n); i++) { DO; }                                        \
+        else                                                                         \
+            for (b = 0; b < (n); b += PDAVIS_BLOCK) {                                \
+                ptrdiff_t from = b < last ? b : last;                                \
+                for (i = from; i < from + PDAVIS_BLOCK; i++) { DO; }                 \
+            }                                                                        \
+    } while (0)
 
 /* ---- bilinear demosaicing ---------------------------------------------------- */
 
@@ -65,18 +100,27 @@
 PDAVIS_INLINE void spread_row(
     float *restrict row, ptrdiff_t w, float *restrict even, float *restrict odd)
 {
-    ptrdiff_t x, far_left = w > 3 ? 3 : 1, far_right = w > 3 ? w - 4 : w - 2;
+    ptrdiff_t x = 0, far_left = w > 3 ? 3 : 1, far_right = w > 3 ? w - 4 : w - 2;
     row[-1] = 2.0f * row[1] - row[far_left];
     row[w] = 2.0f * row[w - 2] - row[far_right];
-    for (x = 0; x + 1 < w; x += 2) {
-        even[x] = row[x];
-        even[x + 1] = 0.5f * (row[x] + row[x + 2]);
-        odd[x] = 0.5f * (row[x - 1] + row[x + 1]);
-        odd[x + 1] = row[x + 1];
+    if (w >= PDAVIS_BLOCK) {
+        /* the last block overlaps its predecessor and starts at an even column too */
+        ptrdiff_t b, last = (w - PDAVIS_BLOCK) & ~(ptrdiff_t)1;
+        for (b = 0; x < last + PDAVIS_BLOCK; b += PDAVIS_BLOCK) {
+            ptrdiff_t from = b < last ? b : last;
+            for (int32_t j = 0; j < PDAVIS_BLOCK; j++) {
+                float sample = row[from + j];
+                float mean = 0.5f * (row[from + j - 1] + row[from + j + 1]);
+                even[from + j] = pick(-(j & 1), mean, sample);
+                odd[from + j] = pick(-(j & 1), sample, mean);
+            }
+            x = from + PDAVIS_BLOCK;
+        }
     }
-    if (x < w) {
-        even[x] = row[x];
-        odd[x] = 0.5f * (row[x - 1] + row[x + 1]);
+    for (; x < w; x++) {
+        float mean = 0.5f * (row[x - 1] + row[x + 1]);
+        even[x] = x & 1 ? mean : row[x];
+        odd[x] = x & 1 ? row[x] : mean;
     }
 }
 
@@ -85,22 +129,6 @@ PDAVIS_BILINEAR(uint16_t, u16)
 PDAVIS_BILINEAR(float, f32)
 
 /* ---- Stokes parameters, angle and degree ------------------------------------- */
-
-#define PDAVIS_SIGN ((int32_t)0x80000000)
-
-PDAVIS_INLINE int32_t bits_of(float value)
-{
-    int32_t bits;
-    memcpy(&bits, &value, sizeof bits);
-    return bits;
-}
-
-PDAVIS_INLINE float float_of(int32_t bits)
-{
-    float value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
 
 /* The smaller over the larger of two lengths, 0 if both are 0; NaN if one is. */
 PDAVIS_INLINE float ratio(float s1, float s2, float *large)
@@ -146,20 +174,6 @@ PDAVIS_INLINE float degree(float s0, float large, float r)
     float value = large * sqrtf(1.0f + r * r) / s0;
     return s0 > 0.0f ? value : 0.0f;
 }
-
-/* Rows go by blocks that fill a vector; the last one overlaps its predecessor. */
-#define PDAVIS_BLOCK 16
-#define PDAVIS_BLOCKS(n, DO)                                                         \
-    do {                                                                             \
-        ptrdiff_t i, b, last = (n) - PDAVIS_BLOCK;                                   \
-        if (last < 0)                                                                \
-            for (i = 0; i < (n); i++) { DO; }                                        \
-        else                                                                         \
-            for (b = 0; b < (n); b += PDAVIS_BLOCK) {                                \
-                ptrdiff_t from = b < last ? b : last;                                \
-                for (i = from; i < from + PDAVIS_BLOCK; i++) { DO; }                 \
-            }                                                                        \
-    } while (0)
 
 PDAVIS_CLONES PDAVIS_UNUSED static void aop_row(
     const float *restrict s1, const float *restrict s2, ptrdiff_t n,

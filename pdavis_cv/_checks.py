@@ -88,14 +88,14 @@ def outputs(
         If the number of entries differs, an entry is unfit (see `output`), or two
         entries overlap.
     """
-    names = ", ".join(name for name, _, _ in specs)
     if out is None:
-        out = (None,) * len(specs)
-    if not isinstance(out, tuple):
-        raise TypeError(
-            f"out must be a tuple ({names}) of arrays or None, got "
-            f"{type(out).__name__}")
-    if len(out) != len(specs):
+        return tuple(np.empty(shape, dtype) for _, shape, dtype in specs)
+    if not isinstance(out, tuple) or len(out) != len(specs):
+        names = ", ".join(name for name, _, _ in specs)
+        if not isinstance(out, tuple):
+            raise TypeError(
+                f"out must be a tuple ({names}) of arrays or None, got "
+                f"{type(out).__name__}")
         raise ValueError(
             f"out must have {len(specs)} entries ({names}), got {len(out)}")
     checked: list[NDArray[Any]] = []

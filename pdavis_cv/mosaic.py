@@ -1,6 +1,7 @@
 """Demosaicing: four full images from the 2x2 polarizer mosaic."""
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ __all__ = ["DEMOSAIC_METHODS", "demosaic", "demosaic_valid"]
 DEMOSAIC_METHODS = ("bilinear", "superpixel")
 """What the ``demosaic`` arguments take."""
 
-PIXEL_DTYPES = ("uint8", "uint16", "float32")
+PIXEL_DTYPES = tuple(map(np.dtype, (np.uint8, np.uint16, np.float32)))
 
 
 def demosaic(
@@ -72,7 +73,7 @@ def demosaic(
     else:
         out = output(out, (4, height, width), np.float32, mosaic)
         if mosaic.size:
-            scratch = np.empty((2, width + 2), np.float32)
+            scratch = scratch_rows(2, width)
             _kernels.bilinear(mosaic, places, scratch, out)
     return out
 
@@ -135,7 +136,7 @@ def checked_mosaic(mosaic: NDArray[Any]) -> NDArray[Any]:
     """Return mosaic, C-contiguous, after checking its dtype and dimensions."""
     if not isinstance(mosaic, np.ndarray):
         raise TypeError(f"mosaic must be an ndarray, got {type(mosaic).__name__}")
-    if mosaic.dtype.name not in PIXEL_DTYPES or not mosaic.dtype.isnative:
+    if mosaic.dtype not in PIXEL_DTYPES:
         raise TypeError(
             f"mosaic must be uint8, uint16 or float32, got {mosaic.dtype}")
     if mosaic.ndim != 2:
@@ -164,4 +165,16 @@ def places_of(layout: Layout) -> NDArray[np.intp]:
     """Return the place of each channel in the cell, as the kernels take it."""
     if not isinstance(layout, Layout):
         raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
-    return np.array(layout.places, np.intp)
+    return _places(layout)
+
+
+def scratch_rows(rows: int, width: int) -> NDArray[np.float32]:
+    """Return memory for so many rows, as the kernels take it."""
+    return np.empty(rows * (width + 32) + 32, np.float32)
+
+
+@lru_cache(maxsize=24)  # there are no more layouts
+def _places(layout: Layout) -> NDArray[np.intp]:
+    places = np.array(layout.places, np.intp)
+    places.flags.writeable = False
+    return places

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, outputs
 from pdavis_cv.analyser import Analyser, stokes_gain
-from pdavis_cv.mosaic import check_method, checked_mosaic, places_of
+from pdavis_cv.mosaic import check_method, checked_mosaic, places_of, scratch_rows
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.sensor import Layout
 
@@ -272,11 +272,12 @@ class PolarFrame:
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
         if valid is not None and valid.dtype != np.bool_:
             raise TypeError(f"valid must be bool, got {valid.dtype}")
-        for name, array, shape in (("valid", valid, self.shape),
-                                   ("variance", variance, (4, *self.shape))):
+        size = self.shape
+        for name, array, shape in (("valid", valid, size),
+                                   ("variance", variance, (4, *size))):
             if array is not None and array.shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-        _solution(analyser, extinction_ratio, self.shape)
+        _solution(analyser, extinction_ratio, size)
         stokes_gain(extinction_ratio)
         if analyser is not None and not isinstance(analyser, Analyser):
             analyser = Analyser(analyser)
@@ -389,8 +390,9 @@ class PolarFrame:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         if self._aop_dolp is not None:
             return self._aop_dolp
+        shape = self.shape
         angle, degree = outputs(
-            out, (("aop", self.shape, np.float32), ("dolp", self.shape, np.float32)))
+            out, (("aop", shape, np.float32), ("dolp", shape, np.float32)))
         gain = stokes_gain(self.extinction_ratio)
         if self._analyser is not None or self._stokes is not None:
             s0, s1, s2 = self._planes()
@@ -399,7 +401,7 @@ class PolarFrame:
         elif self._quad is None and self._mosaic is not None:
             mosaic, layout = self._mosaic
             if mosaic.size:
-                scratch = np.empty((6, mosaic.shape[1] + 2), np.float32)
+                scratch = scratch_rows(6, mosaic.shape[1])
                 _kernels.polarize(
                     mosaic, places_of(layout), gain, scratch, angle, degree)
         else:
@@ -479,7 +481,7 @@ def polarization(
         quad = demosaic_mosaic(pixels, layout, demosaic)
         frame = PolarFrame.adopt(quad, extinction_ratio=extinction_ratio)
     else:
-        own = np.array(pixels)
+        own = pixels.copy()
         own.flags.writeable = False
         frame = PolarFrame.__new__(PolarFrame)
         frame._set(None, None, None, None, extinction_ratio, None, None, None,

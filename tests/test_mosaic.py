@@ -171,11 +171,11 @@ def test_eight_threads_get_what_one_gets():
 def test_the_kernels_check_sizes_themselves():
     kernels = pdavis_cv._kernels
     mosaic, places = np.zeros((4, 4), np.uint8), np.arange(4, dtype=np.intp)
-    out, scratch = np.zeros((4, 4, 4), np.float32), np.zeros((2, 6), np.float32)
+    out, scratch = np.zeros((4, 4, 4), np.float32), np.zeros(104, np.float32)
     with pytest.raises(ValueError, match="sides >= 2"):
         kernels.bilinear(mosaic[:1], places, scratch, out)
     with pytest.raises(ValueError, match="scratch"):
-        kernels.bilinear(mosaic, places, scratch[:1], out)
+        kernels.bilinear(mosaic, places, scratch[:90], out)
     with pytest.raises(ValueError, match="permutation"):
         kernels.bilinear(mosaic, places + 1, scratch, out)
     with pytest.raises(ValueError, match="permutation"):

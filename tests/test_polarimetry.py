@@ -418,7 +418,7 @@ def test_the_kernels_check_sizes_themselves():
     kernels = pdavis_cv._kernels
     f4 = np.zeros((4, 6), np.float32)
     image, places = np.zeros((4, 4), np.float32), np.arange(4, dtype=np.intp)
-    scratch = np.zeros((6, 6), np.float32)
+    scratch = np.zeros(6 * 36 + 32, np.float32)
     for call, words in (
             (lambda: kernels.stokes(f4, 1.0, f4), "stokes"),
             (lambda: kernels.aop(f4[0], f4[0, :5], f4[0]), "aop"),
@@ -428,7 +428,7 @@ def test_the_kernels_check_sizes_themselves():
             (lambda: kernels.mix(f4, np.zeros((12, 6), "f4"), f4), "mix: quad"),
             (lambda: kernels.polarize(image, places, 1.0, scratch, image, image[:2]),
              "polarize: mosaic"),
-            (lambda: kernels.polarize(image, places, 1.0, f4, image, image),
+            (lambda: kernels.polarize(image, places, 1.0, f4[0], image, image),
              "polarize: scratch"),
             (lambda: kernels.polarize(image, places[::-1].copy() * 0, 1.0, scratch,
                                       image, image), "permutation")):
