@@ -53,17 +53,18 @@ PDAVIS_INLINE float pick(int32_t mask, float where_set, float where_not)
 
 /* Rows go by blocks that fill a vector; the last one overlaps its predecessor. */
 #define PDAVIS_BLOCK 16
-#define PDAVIS_BLOCKS(n, DO)                                                         \
+#define PDAVIS_BLOCKS_OF(size, n, DO)                                                \
     do {                                                                             \
-        ptrdiff_t i, b, last = (n) - PDAVIS_BLOCK;                                   \
+        ptrdiff_t i, b, last = (n) - (size);                                         \
         if (last < 0)                                                                \
             for (i = 0; i < (n); i++) { DO; }                                        \
         else                                                                         \
-            for (b = 0; b < (n); b += PDAVIS_BLOCK) {                                \
+            for (b = 0; b < (n); b += (size)) {                                      \
                 ptrdiff_t from = b < last ? b : last;                                \
-                for (i = from; i < from + PDAVIS_BLOCK; i++) { DO; }                 \
+                for (i = from; i < from + (size); i++) { DO; }                       \
             }                                                                        \
     } while (0)
+#define PDAVIS_BLOCKS(n, DO) PDAVIS_BLOCKS_OF(PDAVIS_BLOCK, n, DO)
 
 /* ---- bilinear demosaicing ---------------------------------------------------- */
 
@@ -80,8 +81,7 @@ PDAVIS_INLINE float pick(int32_t mask, float where_set, float where_not)
         float *restrict other1)                                                      \
     {                                                                                \
         ptrdiff_t x;                                                                 \
-        for (x = 0; x < w; x++)                                                      \
-            own[x] = (float)row[x];                                                  \
+        PDAVIS_BLOCKS_OF((ptrdiff_t)(64 / sizeof(T)), w, own[i] = (float)row[i]);                 \
         if (edge)                                                                    \
             for (x = 0; x < w; x++) {                                                \
                 float near_dn = (float)near_row[x];                                  \
@@ -89,8 +89,9 @@ PDAVIS_INLINE float pick(int32_t mask, float where_set, float where_not)
                 other[x] = 0.5f * (beyond + near_dn);                                \
             }                                                                        \
         else                                                                         \
-            for (x = 0; x < w; x++)                                                  \
-                other[x] = 0.5f * ((float)near_row[x] + (float)far_row[x]);          \
+            PDAVIS_BLOCKS_OF(                                                        \
+                (ptrdiff_t)(64 / sizeof(T)), w,                                                   \
+                other[i] = 0.5f * ((float)near_row[i] + (float)far_row[i]));         \
         spread_row(own, w, own0, own1);                                              \
         spread_row(other, w, other0, other1);                                        \
     }
