@@ -6,7 +6,7 @@ text is drawn by OpenCV.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -136,7 +136,10 @@ def grey_bgr(
     return _masked(np.repeat(grey[..., None], 3, axis=-1), valid, value)
 
 
-def aop_legend(radius: int, background: int = 0) -> Picture:
+def aop_legend(
+    radius: int, background: int = 0, *,
+    colours: Callable[[ArrayLike], Picture] = aop_bgr,
+) -> Picture:
     """Draw the half-turn wheel that explains `aop_bgr`.
 
     Parameters
@@ -145,6 +148,8 @@ def aop_legend(radius: int, background: int = 0) -> Picture:
         Outer radius in pixels; the ring is half as wide.
     background : int
         Grey value around the ring, 0..255.
+    colours : callable
+        What gives an angle its colour.
 
     Returns
     -------
@@ -155,7 +160,7 @@ def aop_legend(radius: int, background: int = 0) -> Picture:
     across, up, distance = _wheel_places(radius)
     picture = np.full((radius, 2 * radius, 3), background, np.uint8)
     ring = (distance <= radius) & (distance >= radius / 2)
-    picture[ring] = aop_bgr(np.arctan2(up, across))[ring]
+    picture[ring] = colours(np.arctan2(up, across))[ring]
     return picture
 
 

@@ -1,0 +1,52 @@
+"""Colour pictures of polarization, their legends, and sheets of several."""
+from pdavis_cv._opencv import opencv
+from pdavis_cv.render.chart import Line, chart
+from pdavis_cv.render.colours import (
+    INVALID,
+    aop_bgr,
+    aop_legend,
+    bar_legend,
+    caption,
+    dolp_bgr,
+    even,
+    grey_bgr,
+    panel,
+    tile,
+)
+from pdavis_cv.render.cyclic import cyclic_bgr, cyclic_legend
+from pdavis_cv.render.layouts import (
+    fan_sheet,
+    frames_and_fused,
+    quad_picture,
+    tendon_sheet,
+)
+from pdavis_cv.render.overlay import burn, events_on, faded, reliable, scale_bar
+from pdavis_cv.render.tone import ToneCurve
+
+__all__ = [
+    "INVALID",
+    "Line",
+    "ToneCurve",
+    "aop_bgr",
+    "aop_legend",
+    "bar_legend",
+    "burn",
+    "caption",
+    "chart",
+    "cyclic_bgr",
+    "cyclic_legend",
+    "dolp_bgr",
+    "even",
+    "events_on",
+    "faded",
+    "fan_sheet",
+    "frames_and_fused",
+    "grey_bgr",
+    "opencv",
+    "panel",
+    "quad_picture",
+    "reliable",
+    "scale_bar",
+    "tendon_sheet",
+    "tile",
+]

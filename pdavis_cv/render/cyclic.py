@@ -1,0 +1,77 @@
+"""A cyclic map of equal steps: constant lightness and chroma, hue alone turns.
+
+HSV hues differ in lightness by a factor of three, so that edges appear where there
+are none; here equal angles look equally different.  The circle lies in Oklab (Bjorn
+Ottosson, 2020, public domain), at the largest chroma that sRGB holds all around.
+"""
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.render.colours import Picture, _masked, aop_legend
+
+__all__ = ["cyclic_bgr", "cyclic_legend"]
+
+_STEPS = 1024
+_LIGHTNESS, _CHROMA = 0.75, 0.124
+_START = np.deg2rad(29.23)  # Oklab hue of sRGB red, as HSV has it at 0
+
+
+def _table() -> Picture:
+    hue = _START + 2 * np.pi * np.arange(_STEPS) / _STEPS
+    a, b = _CHROMA * np.cos(hue), _CHROMA * np.sin(hue)
+    root = np.stack((
+        _LIGHTNESS + 0.3963377774 * a + 0.2158037573 * b,
+        _LIGHTNESS - 0.1055613458 * a - 0.0638541728 * b,
+        _LIGHTNESS - 0.0894841775 * a - 1.2914855480 * b))
+    blue_green_red = np.array([
+        [-0.0041960863, -0.7034186147, 1.7076147010],
+        [-1.2684380046, 2.6097574011, -0.3413193965],
+        [4.0767416621, -3.3077115913, 0.2309699292]])
+    linear = np.clip(blue_green_red @ root**3, 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear,
+                       1.055 * np.power(linear, 1 / 2.4) - 0.055)
+    table: Picture = np.rint(255 * encoded.T).astype(np.uint8)
+    return table
+
+
+_TABLE = _table()
+
+
+def cyclic_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
+    """Colour an angle of polarization so that equal steps look equal.
+
+    Parameters
+    ----------
+    aop : array_like of float, shape (H, W)
+        Radians; 0 and pi have the same colour, a reddish one.
+    valid : ndarray of bool, shape (H, W), optional
+        Pixels that are False become `INVALID`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR of constant lightness.
+    """
+    turn = np.asarray(aop, np.float64) * (_STEPS / np.pi)
+    with np.errstate(invalid="ignore"):
+        index = np.rint(turn).astype(np.int64) % _STEPS
+    return _masked(_TABLE[index], valid, turn)
+
+
+def cyclic_legend(radius: int, background: int = 0) -> Picture:
+    """Draw the half-turn wheel that explains `cyclic_bgr`; see `aop_legend`.
+
+    Parameters
+    ----------
+    radius : int
+        Outer radius in pixels.
+    background : int
+        Grey value around the ring.
+
+    Returns
+    -------
+    ndarray of uint8, shape (radius, 2 * radius, 3)
+    """
+    return aop_legend(radius, background, colours=cyclic_bgr)

@@ -1,0 +1,192 @@
+"""Sheets that lie like the paper's Supplementary Videos 1 to 5."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.render.colours import (
+    Picture,
+    aop_bgr,
+    dolp_bgr,
+    even,
+    grey_bgr,
+    panel,
+    tile,
+)
+from pdavis_cv.render.overlay import reliable
+
+__all__ = ["fan_sheet", "frames_and_fused", "quad_picture", "tendon_sheet"]
+
+Grey = Callable[[ArrayLike, NDArray[np.bool_] | None], Picture]
+
+
+def quad_picture(frame: PolarFrame, white: float) -> Picture:
+    """Show the four channels as quarters of one picture: 0 and 45 above 90 and 135.
+
+    Parameters
+    ----------
+    frame : PolarFrame
+        The image.
+    white : float
+        Intensity that becomes white, DN per ms.
+
+    Returns
+    -------
+    ndarray of uint8, shape (2 * (H // 2), 2 * (W // 2), 3)
+        BGR; each quarter is every second row and column.
+    """
+    height, width = (side // 2 * 2 for side in frame.shape)
+    parts = [grey_bgr(channel[:height:2, :width:2], white) for channel in frame.quad]
+    return np.vstack((np.hstack(parts[:2]), np.hstack(parts[2:])))
+
+
+def frames_and_fused(
+    held: PolarFrame, fused: PolarFrame, *, white: float, quantity: str = "aop",
+    scale: int = 1, title: str = "", least_dolp: float | None = None,
+) -> Picture:
+    """Lay out Supplementary Videos 1 (AoP) and 2 (DoLP).
+
+    Frames above, fused below; the four channels at the left, the quantity at the
+    right.
+
+    Parameters
+    ----------
+    held, fused : PolarFrame
+        The same time, from ``frames`` and from another method.
+    white : float
+        Intensity that becomes white, DN per ms.
+    quantity : {"aop", "dolp"}
+        What stands at the right.
+    scale : int
+        Picture pixels per pixel.
+    title : str
+        One line over all.
+    least_dolp : float, optional
+        AoP of weaker polarization is masked.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR of even size.
+    """
+    pictures = []
+    for frame, name in ((held, "frames"),
+                        (fused, str(fused.provenance.get("method", "fused")))):
+        pictures.append(panel(
+            quad_picture(frame, white), f"{name}: I0 I45 / I90 I135", legend="grey",
+            end=f"{white:.3g} DN/ms", scale=scale))
+        if quantity == "aop":
+            colour = aop_bgr(frame.aop, reliable(frame, least_dolp=least_dolp))
+        else:
+            colour = dolp_bgr(frame.dolp, frame.valid)
+        pictures.append(panel(colour, f"{name}: {_NAMES[quantity]}", legend=quantity,
+                              scale=scale))
+    return tile(pictures, columns=2, title=title)
+
+
+_NAMES = {"aop": "angle of polarization", "dolp": "degree of linear polarization"}
+
+
+def fan_sheet(
+    rows: Sequence[tuple[str, PolarFrame, Grey]], *, scale: int = 1, title: str = "",
+    least_dolp: float | None = 0.3,
+    marks: Callable[[Picture], Picture] | None = None,
+) -> Picture:
+    """Lay out Supplementary Videos 3 and 4: I0, AoP and DoLP, a row per source.
+
+    Parameters
+    ----------
+    rows : sequence of (str, PolarFrame, callable)
+        Name, image and tone curve of each source, top first: PDAVIS frames, fused,
+        and a second camera if there is one.
+    scale : int
+        Picture pixels per pixel of the first source; others are brought to its
+        height by nearest neighbours.
+    title : str
+        One line over all.
+    least_dolp : float, optional
+        AoP of weaker polarization is masked, as in the paper's figure.
+    marks : callable, optional
+        Draws on the AoP pictures, e.g. sectors.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR of even size.
+    """
+    pictures = []
+    height = rows[0][1].shape[0]
+    for i, (name, frame, grey) in enumerate(rows):
+        good = reliable(frame, least_dolp=least_dolp)
+        colour = aop_bgr(frame.aop, good)
+        last = i == len(rows) - 1
+        pictures += [
+            panel(_to_height(picture, height, scale), f"{name}: {what}",
+                  legend=legend if last else None)
+            for picture, what, legend in (
+                (grey(frame.quad[0], frame.valid), "I0", None),
+                (colour if marks is None or i else marks(colour), "AoP", "aop"),
+                (dolp_bgr(frame.dolp, frame.valid), "DoLP", "dolp"))]
+    return tile(pictures, columns=3, title=title)
+
+
+def tendon_sheet(
+    held: PolarFrame, events: Picture, fused: PolarFrame, below: Picture, *,
+    grey: Grey, top: float, scale: int = 1, title: str = "",
+    marks: Callable[[Picture], Picture] | None = None,
+) -> Picture:
+    """Lay out Supplementary Video 5 and Figure 4b: frame, events, DoLP; traces below.
+
+    Parameters
+    ----------
+    held : PolarFrame
+        From ``frames``; its S0 is shown.
+    events : ndarray of uint8, shape (H, W, 3)
+        Event window; see `events_on`.
+    fused : PolarFrame
+        Its DoLP is shown.
+    below : ndarray of uint8, shape (H', W', 3)
+        Traces; see `chart`.
+    grey : callable
+        Tone curve of S0.
+    top : float
+        DoLP of the brightest colour.
+    scale : int
+        Picture pixels per pixel.
+    title : str
+        One line over all.
+    marks : callable, optional
+        Draws the regions on the DoLP picture.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H'', W'', 3)
+        BGR of even size.
+    """
+    colour = dolp_bgr(fused.dolp, fused.valid, top=top).repeat(
+        scale, axis=0).repeat(scale, axis=1)
+    name = str(fused.provenance.get("method", "fused"))
+    upper = tile([
+        panel(grey(held.s0, held.valid), "frame: S0", scale=scale),
+        panel(events, "events: ON white, OFF black", scale=scale),
+        panel(colour if marks is None else marks(colour), f"{name}: DoLP",
+              legend="dolp", end=f"{top:.3g}")], columns=3, title=title)
+    sheet = np.zeros((upper.shape[0] + below.shape[0],
+                      max(upper.shape[1], below.shape[1]), 3), np.uint8)
+    sheet[:upper.shape[0], :upper.shape[1]] = upper
+    sheet[upper.shape[0]:, :below.shape[1]] = below
+    return np.asarray(even(sheet), np.uint8)
+
+
+def _to_height(picture: Picture, height: int, scale: int) -> Picture:
+    """Bring a picture of another camera to a common height, nearest neighbour."""
+    if picture.shape[0] == height:
+        return picture.repeat(scale, axis=0).repeat(scale, axis=1)
+    tall = height * scale
+    wide = round(picture.shape[1] * tall / picture.shape[0])
+    rows = (np.arange(tall) * picture.shape[0]) // tall
+    columns = (np.arange(wide) * picture.shape[1]) // wide
+    return np.asarray(picture[rows][:, columns], np.uint8)

@@ -1,0 +1,201 @@
+"""What is laid over pictures: events, fading by reliability, text, a scale bar."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.events import as_events
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.render.colours import Picture, _text_width, caption
+
+__all__ = ["burn", "events_on", "faded", "reliable", "scale_bar"]
+
+ON, OFF = (255, 255, 255), (0, 0, 0)
+
+
+def events_on(
+    picture: Picture | tuple[int, int], events: Any, *,
+    origin: tuple[int, int] = (0, 0), step: int = 64,
+    colours: tuple[Sequence[int], Sequence[int]] = (ON, OFF),
+) -> Picture:
+    """Show events over a picture, ON towards white and OFF towards black.
+
+    Each event moves its pixel by a part of the way to its colour, the more the
+    surer: n more ON than OFF events move it by ``min(1, n * step / 255)``.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3), or (H, W)
+        What lies below; a pair of sizes means mid-grey, as in the paper's figure 4.
+    events : structured array
+        Anything that `as_events` takes, in sensor pixels; those outside are left out.
+    origin : (int, int)
+        (x, y) of the picture's top left corner on the sensor.
+    step : int
+        Grey values per event.
+    colours : (sequence of int, sequence of int)
+        BGR of ON and of OFF.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        A new picture.
+    """
+    if isinstance(picture, tuple):
+        picture = np.full((*picture, 3), 128, np.uint8)
+    height, width = picture.shape[:2]
+    found = as_events(events)
+    x = found["x"].astype(np.int64) - origin[0]
+    y = found["y"].astype(np.int64) - origin[1]
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    sign = np.where(found["p"][inside] > 0, 1.0, -1.0)
+    net = np.bincount(y[inside] * width + x[inside], sign, height * width)
+    net = net.reshape(height, width)
+    share = np.minimum(np.abs(net) * (step / 255), 1)[..., None]
+    target = np.where(
+        (net > 0)[..., None], np.array(colours[0]), np.array(colours[1]))
+    mixed = picture + share * (target - picture.astype(np.float64))
+    result: Picture = np.rint(mixed).astype(np.uint8)
+    return result
+
+
+def reliable(
+    frame: PolarFrame, *, least_dolp: float | None = None,
+    most_sigma_deg: float | None = None,
+) -> NDArray[np.bool_]:
+    """Return where an angle can be believed.
+
+    Parameters
+    ----------
+    frame : PolarFrame
+        The image.
+    least_dolp : float, optional
+        Weaker polarization is left out, as the paper does.
+    most_sigma_deg : float, optional
+        Larger standard deviations of AoP, in degrees, are left out.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        A part of ``frame.valid``.
+
+    Raises
+    ------
+    ValueError
+        If sigma is asked for and the method gives none.
+    """
+    good = frame.valid.copy()
+    if least_dolp is not None:
+        good &= frame.dolp >= least_dolp
+    if most_sigma_deg is not None:
+        if frame.sigma_aop is None:
+            raise ValueError(
+                "most_sigma_deg needs a method that knows its variance, such as kalman")
+        good &= frame.sigma_aop <= np.deg2rad(most_sigma_deg)
+    return good
+
+
+def faded(
+    picture: Picture, weight: ArrayLike, background: Sequence[int] = (0, 0, 0)
+) -> Picture:
+    """Fade a picture where its colour means little.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR.
+    weight : array_like of float, shape (H, W)
+        1 keeps the colour, 0 is the background: DoLP, or ``1 - sigma / limit``;
+        NaN counts as 0.
+    background : sequence of int
+        BGR.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        A new picture.
+    """
+    share = np.clip(np.nan_to_num(np.asarray(weight, np.float64)), 0, 1)[..., None]
+    base = np.array(background, np.float64)
+    result: Picture = np.rint(base + share * (picture - base)).astype(np.uint8)
+    return result
+
+
+def burn(picture: Picture, *lines: str, corner: str = "bottom left") -> Picture:
+    """Write lines of text into a corner, on a darkened ground.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR.
+    *lines : str
+        ASCII.
+    corner : str
+        ``top`` or ``bottom``, and ``left`` or ``right``.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        A new picture.
+
+    Raises
+    ------
+    ValueError
+        If the corner is none.
+    """
+    words = corner.split()
+    if len(words) != 2 or words[0] not in ("top", "bottom") or words[1] not in (
+            "left", "right"):
+        raise ValueError(
+            f"corner must be top or bottom, and left or right, got {corner!r}")
+    result = np.ascontiguousarray(picture).copy()
+    height, width = result.shape[:2]
+    text_height = 16 * len(lines) + 4
+    text_width = max(map(_text_width, lines), default=0) + 8
+    top = 0 if words[0] == "top" else max(0, height - text_height)
+    left = 0 if words[1] == "left" else max(0, width - text_width)
+    ground = result[top:top + text_height, left:left + text_width]
+    ground[:] = ground // 3
+    for i, line in enumerate(lines):
+        caption(result, line, left + 4, top + 14 + 16 * i)
+    return result
+
+
+def scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> Picture:
+    """Draw a bar of a round length, at most a third of the width, bottom right.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR.
+    pixel_um : float
+        Size of a sensor pixel in the object, micrometres.
+    scale : int
+        Picture pixels per sensor pixel.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        A new picture.
+
+    Raises
+    ------
+    ValueError
+        If ``pixel_um`` is not positive.
+    """
+    if not (np.isfinite(pixel_um) and pixel_um > 0):
+        raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
+    result = np.ascontiguousarray(picture).copy()
+    height, width = result.shape[:2]
+    longest = width / 3 / scale * pixel_um
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = next(m * power for m in (5, 2, 1) if m * power <= longest)
+    pixels = max(1, round(length / pixel_um * scale))
+    right, bottom = width - 8, height - 8
+    result[bottom - 3:bottom, right - pixels:right] = 235
+    text = f"{length:g} um" if length < 1000 else f"{length / 1000:g} mm"
+    caption(result, text, max(0, right - (pixels + _text_width(text)) // 2), bottom - 8)
+    return result

@@ -1,0 +1,171 @@
+"""Maps of equal steps, tone curves, overlays, charts and sheets."""
+import numpy as np
+import pytest
+
+from pdavis_cv import PolarFrame, render
+from pdavis_cv.events import EVENT_DTYPE
+
+cv2 = pytest.importorskip("cv2")
+
+
+def lab(bgr):
+    """CIELAB by OpenCV, an independent conversion."""
+    return cv2.cvtColor(np.float32(bgr)[None] / 255, cv2.COLOR_BGR2Lab)[0]
+
+
+def light(aop, dolp=0.5, s0=40.0, shape=(20, 30), **facts):
+    angles = np.deg2rad([0, 45, 90, 135])[:, None, None]
+    quad = s0 / 2 * (1 + dolp * np.cos(2 * (aop - angles)))
+    return PolarFrame(np.broadcast_to(quad, (4, *shape)), **facts)
+
+
+def test_the_cyclic_map_has_equal_lightness_and_equal_steps_and_hsv_has_not():
+    angles = np.linspace(0, np.pi, 180, endpoint=False)
+    uniform, hsv = (lab(colours(angles[None])[0])
+                    for colours in (render.cyclic_bgr, render.aop_bgr))
+    assert np.ptp(uniform[:, 0]) < 8
+    assert np.ptp(hsv[:, 0]) > 50
+    step, hsv_step = (np.linalg.norm(np.roll(v, -6, 0) - v, axis=1)
+                      for v in (uniform, hsv))
+    assert step.max() / step.min() < 2
+    assert hsv_step.max() / hsv_step.min() > 4
+
+
+@pytest.mark.parametrize(("colours", "legend"), [
+    (render.aop_bgr, render.aop_legend), (render.cyclic_bgr, render.cyclic_legend)])
+def test_the_wheel_shows_each_angle_in_the_colour_that_the_data_have(colours, legend):
+    radius = 200
+    wheel = legend(radius)
+    angles = np.deg2rad(np.arange(1, 180))
+    x = np.rint(radius - 0.5 + 150 * np.cos(angles)).astype(int)
+    y = np.rint(radius - 0.5 - 150 * np.sin(angles)).astype(int)
+    there = np.arctan2(radius - 0.5 - y, x - radius + 0.5)
+    np.testing.assert_array_equal(wheel[y, x], colours(there[None])[0])
+    # Within the 0.2 degrees that a pixel of the wheel spans, the angle's own colour.
+    difference = wheel[y, x].astype(int) - colours(angles[None])[0]
+    assert np.max(np.abs(difference)) <= 6
+
+
+def test_zero_and_a_half_turn_have_one_colour():
+    both = render.cyclic_bgr(np.array([[0, np.pi, -np.pi]]))[0]
+    assert (both == both[0]).all()
+
+
+def test_a_tone_curve_shows_both_halves_of_a_2000_to_1_scene():
+    rng = np.random.default_rng(0)
+    dim, bright = rng.uniform(0.5, 1, (40, 40)), rng.uniform(1000, 2000, (40, 40))
+    curve = render.ToneCurve.of([np.hstack((dim, bright))])
+    grey_dim, grey_bright = curve.grey(dim), curve.grey(bright)
+    assert np.ptp(grey_dim) > 12
+    assert np.ptp(grey_bright) > 12
+    assert grey_dim.max() < grey_bright.min()
+    linear = render.grey_bgr(dim, 2000.0)
+    assert np.ptp(linear) == 0
+
+
+def test_a_tone_curve_cannot_flicker():
+    curve = render.ToneCurve(100.0, 1.0)
+    still = np.linspace(0, 100, 50)
+    for flash in (0.0, 50.0, 1e6, np.nan):
+        image = np.concatenate((still, [flash]))[None]
+        np.testing.assert_array_equal(curve.grey(image)[0, :50], curve.grey(still))
+    values = curve.grey(np.linspace(0, 120, 1000))
+    assert np.all(np.diff(values.astype(int)) >= 0)
+    assert (values[0], values[-1]) == (0, 255)
+    with pytest.raises(ValueError, match="knee must be positive"):
+        render.ToneCurve(1.0, 0.0)
+    with pytest.raises(ValueError, match="images must hold a positive pixel"):
+        render.ToneCurve.of([np.zeros((2, 2))])
+
+
+def test_events_whiten_and_blacken_their_own_pixels():
+    events = np.zeros(6, EVENT_DTYPE)
+    events["x"], events["y"] = [3, 3, 5, 9, 9, 40], [2, 2, 4, 1, 1, 2]
+    events["p"] = [1, 1, 0, 1, 0, 1]
+    picture = render.events_on((8, 12), events, step=128)
+    assert picture[2, 3].tolist() == [255] * 3
+    assert picture[4, 5].tolist() == [64] * 3
+    assert picture[1, 9].tolist() == [128] * 3  # ON and OFF cancel
+    assert np.count_nonzero(picture != 128) == 6
+    shifted = render.events_on((8, 12), events, origin=(1, 1), step=128)
+    assert shifted[1, 2].tolist() == [255] * 3
+
+
+def test_fading_and_masking_follow_reliability():
+    picture = render.aop_bgr(np.full((1, 3), 1.0))
+    faded = render.faded(picture, np.array([[0, 0.5, np.nan]]), (10, 20, 30))
+    assert faded[0, 0].tolist() == [10, 20, 30]
+    assert faded[0, 2].tolist() == [10, 20, 30]
+    assert faded[0, 1].tolist() == np.rint(
+        (picture[0, 1] + np.array([10, 20, 30])) / 2).tolist()
+    frame = PolarFrame(light(0.3, 0.2).quad, variance=np.full((4, 20, 30), 1e-4))
+    assert render.reliable(frame, least_dolp=0.1).all()
+    assert not render.reliable(frame, least_dolp=0.3).any()
+    limit = float(np.rad2deg(frame.sigma_aop[0, 0]))
+    assert render.reliable(frame, most_sigma_deg=limit * 1.01).all()
+    assert not render.reliable(frame, most_sigma_deg=limit * 0.99).any()
+    with pytest.raises(ValueError, match="needs a method that knows its variance"):
+        render.reliable(light(0.3), most_sigma_deg=5)
+
+
+def test_text_and_scale_bar_stay_in_their_corner():
+    ground = np.full((120, 300, 3), 99, np.uint8)
+    burnt = render.burn(ground, "t = 1.250 s", "x 8 slower", corner="top right")
+    changed = np.argwhere((burnt != ground).any(-1))
+    assert changed[:, 0].max() < 40
+    assert changed[:, 1].min() > 150
+    assert (ground == 99).all()
+    bar = render.scale_bar(ground, 0.74)
+    row = bar[120 - 10]
+    assert np.count_nonzero((row == 235).all(-1)) == round(50 / 0.74)  # 50 um
+    with pytest.raises(ValueError, match="corner must be"):
+        render.burn(ground, "x", corner="middle")
+    with pytest.raises(ValueError, match="pixel_um must be positive"):
+        render.scale_bar(ground, 0)
+
+
+def test_a_chart_draws_its_trace_where_the_values_are():
+    t = np.linspace(0, 2, 200)
+    line = render.Line(t, t / 2, (0, 255, 255))
+    picture = render.chart([line], (120, 300), span_s=(0, 2), limits=(0, 1))
+    yellow = np.argwhere((picture[:, :, 1] > 150) & (picture[:, :, 0] < 100))
+    slope = np.polyfit(yellow[:, 1], yellow[:, 0], 1)[0]
+    assert slope == pytest.approx(-(120 - 42) / (300 - 52), rel=0.05)
+    half = render.chart([line], (120, 300), span_s=(0, 2), limits=(0, 1), now_s=1)
+    drawn = np.argwhere((half[:, :, 1] > 150) & (half[:, :, 0] < 100))
+    assert drawn[:, 1].max() <= 44 + 248 // 2 + 1
+    gap = render.Line(t, np.where(np.abs(t - 1) < 0.2, np.nan, 0.5), (0, 255, 255))
+    broken = render.chart([gap], (120, 300), span_s=(0, 2), limits=(0, 1))
+    assert not (broken[:, 44 + 124, 1] > 150).any()
+    with pytest.raises(ValueError, match="axes must not be empty"):
+        render.chart([line], (120, 300), span_s=(0, 0), limits=(0, 1))
+
+
+def test_sheets_of_odd_images_have_even_sides():
+    held = light(0.3, shape=(31, 43), t_us=0, provenance={"method": "frames"})
+    fused = light(0.5, shape=(31, 43), t_us=0, provenance={"method": "cf"})
+    second = light(0.5, shape=(77, 91), t_us=0)
+
+    def grey(plane, valid):
+        return render.grey_bgr(plane, 30, valid)
+
+    events = render.events_on((31, 43), np.zeros(0, EVENT_DTYPE))
+    below = render.chart([], (101, 333), span_s=(0, 1), limits=(0, 1))
+    for sheet in (
+            render.frames_and_fused(held, fused, white=30, quantity="dolp"),
+            render.frames_and_fused(held, fused, white=30, scale=3, title="video 1"),
+            render.fan_sheet([("frames", held, grey), ("cf", fused, grey),
+                              ("Sony", second, grey)], scale=2),
+            render.tendon_sheet(held, events, fused, below, grey=grey, top=0.6)):
+        assert sheet.dtype == np.uint8
+        assert sheet.shape[0] % 2 == sheet.shape[1] % 2 == 0
+
+
+def test_the_fan_sheet_shows_the_angle_of_each_row():
+    held, fused = light(0.3), light(1.2)
+    sheet = render.fan_sheet(
+        [(name, frame, lambda p, v: render.grey_bgr(p, 30, v))
+         for name, frame in (("frames", held), ("cf", fused))])
+    for angle in (0.3, 1.2):
+        colour = render.aop_bgr(np.array([[angle]]))[0, 0]
+        assert np.count_nonzero((sheet == colour).all(-1)) >= 600
