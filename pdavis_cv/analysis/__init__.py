@@ -7,6 +7,7 @@ from pdavis_cv.analysis.align import (
     align_by_triggers,
     hysteresis,
 )
+from pdavis_cv.analysis.fan import SectorSummary, Wheel, summarise_sectors
 from pdavis_cv.analysis.load import LoadTrace, read_load
 from pdavis_cv.analysis.lockin import LockIn, LockInMaps
 from pdavis_cv.analysis.optics import birefringence, retardance, subtract_background
@@ -39,9 +40,11 @@ __all__ = [
     "LockInMaps",
     "Loop",
     "Roi",
+    "SectorSummary",
     "Tone",
     "TraceRecorder",
     "Traces",
+    "Wheel",
     "alias_warning",
     "align_by_correlation",
     "align_by_offset",
@@ -59,4 +62,5 @@ __all__ = [
     "region_statistics",
     "retardance",
     "subtract_background",
+    "summarise_sectors",
 ]

@@ -18,6 +18,7 @@ __all__ = [
     "TraceRecorder",
     "Traces",
     "event_counts",
+    "pixels_per_sample",
     "region_statistics",
 ]
 
@@ -35,6 +36,11 @@ value, ``_sd`` spreads over its pixels (circular for AoP).  NaN = not known."""
 # Bilinear demosaicing: an interpolated pixel has 9/16 of a sample's variance on
 # average, and a region's mean rests on a quarter as many samples as it has pixels.
 _PIXELS_PER_SAMPLE = {"bilinear": 64 / 9, "superpixel": 1.0}
+
+
+def pixels_per_sample(demosaic: str) -> float:
+    """Return how many pixels share one sample's information after demosaicing."""
+    return _PIXELS_PER_SAMPLE.get(demosaic, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +226,7 @@ class TraceRecorder:
     def _begin(self, frame: PolarFrame) -> None:
         self._provenance = dict(frame.provenance)
         demosaic = str(self._provenance.get("demosaic"))
-        self._per_sample = _PIXELS_PER_SAMPLE.get(demosaic, 1.0)
+        self._per_sample = pixels_per_sample(demosaic)
         x, y = (int(v) for v in self._provenance.get("roi", (0, 0))[:2])
         self._shape = frame.valid.shape
         masks = [roi.mask((self._shape[0], self._shape[1]), origin=(x, y),

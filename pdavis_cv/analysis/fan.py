@@ -1,0 +1,229 @@
+"""A wheel of polarizers: what each sector's angle is while it turns."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.analysis.traces import pixels_per_sample, region_statistics
+from pdavis_cv.polarimetry import PolarFrame
+
+__all__ = ["SectorSummary", "Wheel", "summarise_sectors"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wheel:
+    """Equal sectors around an axis, turning at a constant speed.
+
+    Angles are counter-clockwise as displayed, 0 to the right.
+
+    Parameters
+    ----------
+    centre : (float, float)
+        x and y of the axis in sensor pixels; (0, 0) is the middle of the top left
+        pixel.
+    radius, hub : float
+        Outer and inner radius of what is measured, pixels.
+    sectors : int
+        How many.
+    rpm : float
+        Turns per minute; 0 for sectors that stand still.
+    start_angle : float
+        Angle of sector 0's middle at ``origin_us``, radians.
+    origin_us : int
+        Time that ``start_angle`` belongs to.
+    margin : float
+        Part of a sector's angle that is left out at each of its edges.
+
+    Raises
+    ------
+    ValueError
+        If a number is impossible; the message names it.
+    """
+
+    centre: tuple[float, float]
+    radius: float
+    hub: float = 0.0
+    sectors: int = 6
+    rpm: float = 0.0
+    start_angle: float = 0.0
+    origin_us: int = 0
+    margin: float = 0.15
+
+    def __post_init__(self) -> None:
+        for name, holds, rule in (
+                ("radius", self.radius > self.hub >= 0, "exceed hub >= 0"),
+                ("sectors", self.sectors >= 1, "be at least 1"),
+                ("margin", 0 <= self.margin < 0.5, "lie in 0..0.5"),
+                ("rpm", np.isfinite(self.rpm), "be finite")):
+            if not holds:
+                raise ValueError(f"{name} must {rule}, got {getattr(self, name)!r}")
+
+    def turned(self, t_us: int) -> float:
+        """Angle of sector 0's middle at a time, radians."""
+        return self.start_angle + 2 * np.pi * self.rpm / 60e6 * (t_us - self.origin_us)
+
+    def labels(
+        self, t_us: int, shape: tuple[int, int], *, origin: tuple[int, int] = (0, 0),
+        scale: int = 1,
+    ) -> NDArray[np.int8]:
+        """Return the number of each pixel's sector, -1 for none.
+
+        Parameters
+        ----------
+        t_us : int
+            Time.
+        shape : (int, int)
+            (height, width) of the image.
+        origin : (int, int)
+            (x, y) of its top left corner on the sensor.
+        scale : int
+            Sensor pixels per image pixel; 2 for super-pixel images.
+
+        Returns
+        -------
+        ndarray of int8, shape (H, W)
+        """
+        y, x = np.mgrid[:shape[0], :shape[1]]
+        across = (x + 0.5) * scale - 0.5 + origin[0] - self.centre[0]
+        up = self.centre[1] - ((y + 0.5) * scale - 0.5 + origin[1])
+        r = np.hypot(across, up)
+        place = (np.arctan2(up, across) - self.turned(t_us)) * (
+            self.sectors / (2 * np.pi))
+        nearest = np.rint(place)
+        inside = ((r >= self.hub) & (r <= self.radius)
+                  & (np.abs(place - nearest) <= 0.5 - self.margin))
+        return np.where(
+            inside, np.mod(nearest, self.sectors), -1).astype(np.int8)
+
+    def measure(self, frame: PolarFrame) -> NDArray[Any]:
+        """Return the statistics of each sector in one image.
+
+        Parameters
+        ----------
+        frame : PolarFrame
+            With a time.
+
+        Returns
+        -------
+        ndarray of TRACE_DTYPE, shape (sectors,)
+            ``aop`` is in the image; less `turned`, it is on the wheel.
+
+        Raises
+        ------
+        ValueError
+            If the image has no time, or the wheel leaves it.
+        """
+        if frame.t_us is None:
+            raise ValueError("frame must have a time")
+        demosaic = str(frame.provenance.get("demosaic"))
+        scale = 2 if demosaic == "superpixel" else 1
+        left, top = (int(v) for v in frame.provenance.get("roi", (0, 0))[:2])
+        height, width = (side * scale for side in frame.shape)
+        x, y = self.centre[0] - left, self.centre[1] - top
+        if (x - self.radius < -1 or y - self.radius < -1
+                or x + self.radius > width or y + self.radius > height):
+            raise ValueError(
+                f"the wheel (centre {self.centre}, radius {self.radius:g}) must lie "
+                f"inside the {width}x{height} image")
+        labels = self.labels(frame.t_us, frame.shape, origin=(left, top), scale=scale)
+        stokes = np.stack((frame.s0, frame.s1, frame.s2))
+        rows = []
+        for k in range(self.sectors):
+            mask = labels == k
+            rows.append(region_statistics(
+                frame.quad[:, mask], stokes[:, mask], frame.valid[mask],
+                pixels_per_sample=pixels_per_sample(demosaic)))
+            rows[-1]["t_us"] = frame.t_us
+        return np.array(rows)
+
+
+@dataclass(frozen=True)
+class SectorSummary:
+    """One sector over time; angles in radians.
+
+    Parameters
+    ----------
+    sector : int
+        Number.
+    images : int
+        Images in which it was seen.
+    aop : float
+        Mean angle on the wheel, [0, pi).
+    aop_sd : float
+        Spread of the image means over time.
+    aop_se : float
+        Standard error of ``aop``.
+    pixel_sd : float
+        Mean spread over the pixels of an image.
+    error : float
+        Of ``aop`` from equal spacing, after a common offset.
+    dolp : float
+        Mean.
+    """
+
+    sector: int
+    images: int
+    aop: float
+    aop_sd: float
+    aop_se: float
+    pixel_sd: float
+    error: float
+    dolp: float
+
+
+def summarise_sectors(
+    wheel: Wheel, rows: Sequence[NDArray[Any]], *, spacing: float | None = None
+) -> list[SectorSummary]:
+    """Summarise what `Wheel.measure` gave over time.
+
+    Parameters
+    ----------
+    wheel : Wheel
+        The wheel.
+    rows : sequence of ndarray of TRACE_DTYPE, shape (sectors,)
+        One per image.
+    spacing : float, optional
+        Angle from a sector's polarizer to the next one's, radians; default a half
+        turn over all sectors.
+
+    Returns
+    -------
+    list of SectorSummary
+        One per sector; NaN for one that was never seen.
+
+    Raises
+    ------
+    ValueError
+        If there is no image.
+    """
+    if not len(rows):
+        raise ValueError("rows must hold at least one image")
+    table = np.array(rows)
+    step = np.pi / wheel.sectors if spacing is None else spacing
+    turned = np.array([[wheel.turned(int(t))] for t in table["t_us"][:, 0]])
+    unit = np.exp(2j * (table["aop"] - turned))
+    seen = np.isfinite(unit)
+    count = seen.sum(0)
+    mean = np.where(seen, unit, 0).sum(0) / np.maximum(count, 1)
+    mean[count == 0] = np.nan
+    length = np.minimum(np.abs(mean), 1)
+    with np.errstate(divide="ignore"):
+        sd = np.sqrt(-2 * np.log(length)) / 2
+    known = count > 0
+    relative = mean / np.abs(mean) * np.exp(-2j * step * np.arange(wheel.sectors))
+    common = relative[known].mean() if known.any() else 1.0
+    error = np.angle(relative / common) / 2
+    result = []
+    for k in range(wheel.sectors):
+        angle = float(np.mod(np.angle(mean[k]) / 2, np.pi)) if known[k] else np.nan
+        part = table[seen[:, k], k]
+        pixel_sd = float(part["aop_sd"].mean()) if len(part) else np.nan
+        dolp = float(part["dolp"].mean()) if len(part) else np.nan
+        result.append(SectorSummary(
+            k, int(count[k]), 0.0 if angle >= np.pi else angle, float(sd[k]),
+            float(sd[k] / np.sqrt(max(count[k], 1))), pixel_sd, float(error[k]), dolp))
+    return result
