@@ -137,7 +137,8 @@ def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:
         return np.stack((frame.s0, frame.s1, frame.s2), axis=-1)
     if output in _CHANNEL:
         return frame.quad[_CHANNEL[output]].copy()
-    return np.array(getattr(frame, _NAME[output]), np.float32)
+    made: NDArray[np.float32] = getattr(frame, _NAME[output]).astype(np.float32)
+    return made
 
 
 def colour(frame: PolarFrame, output: int) -> NDArray[np.uint8]:

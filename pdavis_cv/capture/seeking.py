@@ -107,8 +107,7 @@ class Cursor:
         known = self._kept[place] if place >= 0 else None
         if index < self.index:
             if known is None:
-                self.fusion.rewind()
-                self.previous_us = None
+                self.rewind()
             else:
                 self.restore(known)
         elif known is not None and known.snapshot.index > self.index:
@@ -116,6 +115,11 @@ class Cursor:
         while self.index < index and self.advance():
             pass
         return self.index
+
+    def rewind(self) -> None:
+        """Go back to before the first image."""
+        self.fusion.rewind()
+        self.previous_us = None
 
     def bookmark(self) -> Bookmark:
         """Return the place; an equal Cursor can `restore` it."""

@@ -20,6 +20,7 @@ from pdavis_cv.capture.source import (
     layout_code,
     opened,
 )
+from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
@@ -88,6 +89,7 @@ class Session:
             raise
         self.grabbed = False
         self._frame: PolarFrame | None = None
+        self._broken: Exception | None = None
         self._capture_fps: float | None = None
 
     def close(self) -> None:
@@ -106,10 +108,22 @@ class Session:
     # ---- images ----------------------------------------------------------------
 
     def grab(self) -> bool:
-        """Move to the next image; it is made when asked for."""
+        """Move to the next image; it is made when asked for.
+
+        Raises
+        ------
+        OSError, ValueError
+            If the recording cannot be read; again until something is sought.
+        """
         self._frame = None
         self.grabbed = False
-        self.grabbed = self.cursor.advance()
+        if self._broken is not None:
+            raise self._broken
+        try:
+            self.grabbed = self.cursor.advance()
+        except (OSError, PdavisError, ValueError) as error:
+            self._broken = error
+            raise
         return self.grabbed
 
     def retrieve(self, output: int) -> NDArray[Any]:
@@ -153,6 +167,9 @@ class Session:
         """Make image number index the next one, clamped to the grid."""
         self._frame = None
         self.grabbed = False
+        if self._broken is not None:
+            self.cursor.rewind()
+            self._broken = None
         self.cursor.seek(int(index))
         self.grabbed = self.cursor.index > 0
 

@@ -350,6 +350,8 @@ class VideoCapture:
         with self._lock:
             if not _is_integer(propId):
                 raise TypeError("Argument 'propId' is required to be an integer")
+            if isinstance(value, bool):
+                raise TypeError("Argument 'value' must be double, not bool")
             try:
                 number = 0.0 if value is None else float(value)
             except (TypeError, ValueError):

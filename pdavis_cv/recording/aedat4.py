@@ -19,7 +19,7 @@ __all__ = ["Aedat4Recording"]
 
 KINDS = ("EVTS", "FRME", "IMUS", "TRIG")
 MAX_SIDE = 8192
-FRAME_SLACK_US = 2_000_000
+FRAMES_UNDER_WAY = 3
 """The index gives a frame's timestamp; its readout ends within this time of it."""
 EPOCH_US = 10**15
 """Times beyond this (2001) are Unix times, smaller ones count from some start."""
@@ -227,7 +227,7 @@ class Aedat4Recording(Recording):
         """
         if start_us is None or not self._ordered():
             return 0, NEVER
-        begin = cell_start(start_us) - (FRAME_SLACK_US if kind == "FRME" else 0)
+        begin = cell_start(start_us)
         entries = self._streams[kind].entries
         lo, hi = 0, len(entries)
         while lo < hi:
@@ -237,7 +237,11 @@ class Aedat4Recording(Recording):
             else:
                 hi = middle
         lo = max(lo - 1, 0)
-        if lo == 0 or kind == "FRME":
+        if kind == "FRME":
+            # The index gives exposures; frames that began before may end after it,
+            # but no more of them than a camera has under way at once.
+            return max(lo - FRAMES_UNDER_WAY, 0), NEVER
+        if lo == 0:
             return lo, NEVER
         last = entries[lo - 1].stop_us
         return lo, NEVER if last is None else last

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import glob
+import itertools
 import os
 import re
 from abc import abstractmethod
@@ -112,9 +113,16 @@ class _MosaicRecording(Recording):
             stop_us=None if count is None else self._time(count - 1) + 1,
             event_count=0, frame_count=count, imu_count=0, trigger_count=0,
             header={"fps": float(fps), "dtype": str(first.dtype)})
-        # 10- and 12-bit cameras leave the upper bits of 16 empty.
-        self._full_scale = 255 if first.dtype == np.uint8 else next(
-            top for top in (4095, 65535) if int(first.max(initial=0)) <= top)
+        self._full_scale = 255 if first.dtype == np.uint8 else self._sixteen_bits(first)
+
+    def _sixteen_bits(self, first: NDArray[Any]) -> int:
+        """Return full scale of uint16: 12-bit cameras leave the upper bits empty."""
+        n = self._count or 1
+        later = {n // 2, n - 1} - {0}
+        samples = [first, *(image for k in later for image in itertools.islice(
+            self._images(k), 1))]
+        brightest = max(int(image.max(initial=0)) for image in samples)
+        return 4095 if brightest <= 4095 else 65535
 
     @property
     def info(self) -> RecordingInfo:

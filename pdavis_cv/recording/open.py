@@ -29,11 +29,14 @@ def open_recording(
     Parameters
     ----------
     source : path or Recording
-        A file; a Recording is returned as it is.
+        A file; a Recording is returned as it is.  With a layout also a grey video,
+        image, TIFF stack or pattern of image names (``shot_%04d.png``, ``shot_*.png``)
+        of a polarization camera.
     layout : Layout, optional
         Polarizer layout of the camera.
     fps : float, optional
-        Images per second of a source whose images carry no times.
+        Images per second of a source whose images carry no times; default the
+        video's, 25 for images.
     bad_events : {"drop", "raise"}
         What to do with events outside the sensor or before their predecessor:
         drop and count them in ``problems``, or raise RecordingError.
@@ -60,17 +63,23 @@ def open_recording(
         raise ValueError(
             f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")
     path = Path(source)
-    start = _first_bytes(path)
+    # What has no such name may be a pattern of image names.
+    start = _first_bytes(path) if layout is None or path.is_file() else b""
     options: dict[str, Any] = {
         "layout": layout, "bad_events": bad_events, "camera": camera}
     if start.startswith(b"#!AER-DAT4"):
         from pdavis_cv.recording.aedat4 import Aedat4Recording
 
         return Aedat4Recording(path, **options)
+    if layout is not None:
+        from pdavis_cv.recording.mosaic_source import open_mosaic
+
+        return open_mosaic(source, layout=layout, fps=fps)
     if not start:
         raise RecordingError(f"{path}: byte 0: the file is empty")
     raise RecordingError(
-        f"{path}: byte 0: not a recording, first bytes {start[:8]!r}")
+        f"{path}: byte 0: not a recording, first bytes {start[:8]!r} (a video or "
+        "image of a polarization camera needs layout=)")
 
 
 def _first_bytes(path: Path) -> bytes:
