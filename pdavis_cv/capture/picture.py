@@ -136,7 +136,7 @@ def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:
     if output == c.CAP_PDAVIS_STOKES:
         return np.stack((frame.s0, frame.s1, frame.s2), axis=-1)
     if output in _CHANNEL:
-        return frame.quad[_CHANNEL[output]].copy()
+        return np.array(frame.quad[_CHANNEL[output]])
     made: NDArray[np.float32] = getattr(frame, _NAME[output]).astype(np.float32)
     return made
 
