@@ -81,12 +81,13 @@ class VideoCapture:
 
     Examples
     --------
-    >>> from pdavis_cv import Layout
+    >>> from pdavis_cv import CAP_PDAVIS_DOLP, Layout
     >>> from pdavis_cv.data import example_recording
     >>> with VideoCapture(example_recording(), fps=100, layout=Layout.PDAVIS) as cap:
     ...     ok, picture = cap.read()
-    >>> picture.shape, picture.dtype
-    ((260, 346, 3), dtype('uint8'))
+    ...     ok, dolp = cap.retrieve(None, CAP_PDAVIS_DOLP)
+    >>> picture.shape, dolp.dtype
+    ((260, 346, 3), dtype('float32'))
     """
 
     def __init__(
