@@ -58,6 +58,7 @@ _HOME = {
     "Calibration": "calibration.model",
     "DEFAULT_METHOD": "fusion",
     "fuse": "fusion",
+    "patched_cv2": "adapters.patching",
     "CaptureStatus": "capture.video",
     "VideoCapture": "capture.video",
     "CAP_PDAVIS": "capture.constants",
@@ -99,6 +100,7 @@ __all__ = ["__version__", *_HOME, *_ROOMS]
 
 if TYPE_CHECKING:
     from pdavis_cv import analysis, calibration, export, render, simulation
+    from pdavis_cv.adapters.patching import patched_cv2
     from pdavis_cv.analyser import Analyser
     from pdavis_cv.aps import cds
     from pdavis_cv.calibration.model import Calibration

@@ -4,7 +4,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-__all__ = ["opencv"]
+__all__ = ["native_capture", "opencv"]
 
 
 def opencv() -> Any:
@@ -27,3 +27,9 @@ def opencv() -> Any:
             "this needs OpenCV, which comes as an extra because its four wheels "
             "exclude each other: pip install 'pdavis-cv[cv2]', or any OpenCV wheel "
             "that you already use") from error
+
+
+def native_capture() -> Any:
+    """Return the real class cv2.VideoCapture, also while it is patched."""
+    found = opencv().VideoCapture
+    return getattr(found, "replaces", found)

@@ -10,6 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 LINES = (
     ("tools",),
+    ("adapters",),
     ("capture",),
     ("fusion", "_arguments"),
     ("analysis", "export", "render"),

@@ -11,7 +11,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._opencv import opencv
+from pdavis_cv._opencv import native_capture
 from pdavis_cv.capture.constants import CAP_PDAVIS_BGR
 from pdavis_cv.capture.manners import (
     StsBadArg,
@@ -185,10 +185,9 @@ class VideoCapture:
                 function, f"{source!r} is not a recording, so that "
                 f"{', '.join(self._parameters)} cannot be used; a mosaic video or "
                 "image needs layout=")
-        cv2 = opencv()
         if isinstance(source, bytes):
             return self._fail(function, "a path must be str, got bytes")
-        foreign = cv2.VideoCapture()
+        foreign = native_capture()()
         arguments = (backend, [int(v) for v in values]) if values else (backend,)
         if not foreign.open(source, *arguments):
             return self._fail(function, f"cv2.VideoCapture cannot open {source!r}")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._opencv import opencv
+from pdavis_cv._opencv import native_capture, opencv
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import (
     ApsFrame,
@@ -252,7 +252,7 @@ class MosaicVideo(_MosaicRecording):
 
     def _opened(self) -> Any:
         cv2 = opencv()
-        video = cv2.VideoCapture(self._file)
+        video = native_capture()(self._file)
         if not video.isOpened():
             raise RecordingError(f"{self._file}: not a video that cv2 can open")
         if int(video.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY:

@@ -1,0 +1,154 @@
+"""Recordings for imageio: ``imiter("run.aedat4", plugin="pdavis", fps=100)``."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from imageio.config import (
+    FileExtension,
+    PluginConfig,
+    extension_list,
+    known_extensions,
+    known_plugins,
+)
+from imageio.core.request import InitializationError, IOMode, Request
+from imageio.core.v3_plugin_api import ImageProperties, PluginV3
+from numpy.typing import NDArray
+
+from pdavis_cv.capture import CAP_PDAVIS_BGR, CAP_PROP_PDAVIS_POS_US, VideoCapture
+from pdavis_cv.recording.open import open_recording
+
+__all__ = ["PdavisPlugin", "register"]
+
+_POS_FRAMES, _FPS, _FRAME_COUNT = 1, 5, 7
+_SUFFIXES = (".aedat", ".aedat2", ".aedat4")
+
+
+class PdavisPlugin(PluginV3):
+    """Reads the images of a recording; pictures are RGB, as imageio has them.
+
+    Every parameter may also be given to the reading functions, as ``imread`` and
+    ``imiter`` do with theirs.
+
+    Parameters
+    ----------
+    request : imageio.core.Request
+    output : int
+        ``CAP_PDAVIS_*``; default the grey picture.
+    **parameters
+        Of `VideoCapture`, e.g. ``fps``.
+
+    Raises
+    ------
+    InitializationError
+        If this is not a recording, or it should be written.
+    """
+
+    def __init__(
+        self, request: Request, *, output: int = CAP_PDAVIS_BGR, **parameters: Any
+    ) -> None:
+        super().__init__(request)
+        self._capture: VideoCapture | None = None
+        self._given = {"output": output, **parameters}
+        self._used: dict[str, Any] = {}
+        if request.mode.io_mode == IOMode.write:
+            raise InitializationError("recordings are not written through imageio")
+        self._path = request.get_local_filename()
+        try:
+            open_recording(self._path).close()
+        except OSError as error:
+            raise InitializationError(str(error)) from error
+
+    def read(self, *, index: Any = 0, **parameters: Any) -> NDArray[Any]:
+        """Return image number index, or all of them with ``index=...``.
+
+        Raises
+        ------
+        IndexError
+            If there is no such image.
+        """
+        if index is None or index is Ellipsis:
+            images = list(self.iter(**parameters))
+            if not images:
+                raise IndexError("the recording holds no image")
+            return np.stack(images)
+        capture, wanted = self._opened(parameters), index
+        if index < 0:
+            index += int(capture.get(_FRAME_COUNT))
+        if index >= 0 and capture.get(_POS_FRAMES) != index:
+            capture.set(_POS_FRAMES, index)
+        image = _next(capture) if index >= 0 else None
+        if image is None:
+            raise IndexError(f"the recording holds no image {wanted}")
+        return image
+
+    def iter(self, **parameters: Any) -> Iterator[NDArray[Any]]:
+        """Yield all images in order."""
+        capture = self._opened(parameters)
+        capture.set(_POS_FRAMES, 0)
+        while (image := _next(capture)) is not None:
+            yield image
+
+    def write(self, ndimage: Any, **keywords: Any) -> None:
+        """Refuse: recordings are not written through imageio."""
+        raise NotImplementedError("recordings are not written through imageio")
+
+    def properties(self, index: Any = 0, **parameters: Any) -> ImageProperties:
+        """Return shape and dtype of an image, or of all with ``index=...``."""
+        every = index is Ellipsis or index is None
+        image = self.read(index=0 if every else index, **parameters)
+        if not every:
+            return ImageProperties(shape=image.shape, dtype=image.dtype)
+        n = int(self._opened(parameters).get(_FRAME_COUNT))
+        return ImageProperties(
+            shape=(n, *image.shape), dtype=image.dtype, n_images=n, is_batch=True)
+
+    def metadata(
+        self, index: Any = 0, exclude_applied: bool = True, **parameters: Any
+    ) -> dict[str, Any]:
+        """Return ``fps`` and, for one image, its time ``t_us``."""
+        found: dict[str, Any] = {"fps": self._opened(parameters).get(_FPS)}
+        if index is not Ellipsis and index is not None:
+            self.read(index=index, **parameters)
+            found["t_us"] = int(
+                self._opened(parameters).get(CAP_PROP_PDAVIS_POS_US))
+        return found
+
+    def close(self) -> None:
+        """Release the recording."""
+        if self._capture is not None:
+            self._capture.release()
+        super().close()
+
+    def _opened(self, parameters: dict[str, Any]) -> VideoCapture:
+        """Return the capture; other parameters than the last time open it anew."""
+        used = {**self._given, **parameters}
+        if self._capture is None or used != self._used:
+            if self._capture is not None:
+                self._capture.release()
+            self._capture, self._used = VideoCapture(self._path, **used), used
+        return self._capture
+
+
+def _next(capture: VideoCapture) -> NDArray[Any] | None:
+    ok, image = capture.read()
+    if not ok or image is None:
+        return None
+    rgb = image.dtype == np.uint8 and image.ndim == 3
+    return np.ascontiguousarray(image[..., ::-1]) if rgb else image
+
+
+def register() -> None:
+    """Make imageio know recordings by their names' ends; once is enough."""
+    if "pdavis" in known_plugins:
+        return
+    known_plugins["pdavis"] = PluginConfig(
+        name="pdavis", class_name="PdavisPlugin",
+        module_name="pdavis_cv.adapters.imageio_plugin", install_name="pdavis-cv")
+    for suffix in _SUFFIXES:
+        extension = FileExtension(
+            extension=suffix, priority=["pdavis"],
+            name="Recording of an event camera (AEDAT)")
+        extension_list.append(extension)
+        known_extensions.setdefault(suffix, []).insert(0, extension)

@@ -1,0 +1,121 @@
+"""Programs that call cv2.VideoCapture open recordings while this is in force."""
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import Any
+
+from pdavis_cv._opencv import native_capture, opencv
+from pdavis_cv.capture import VideoCapture
+from pdavis_cv.capture.source import checked_parameters, is_ours
+from pdavis_cv.recording.base import Recording
+
+__all__ = ["patched_cv2"]
+
+
+@contextlib.contextmanager
+def patched_cv2(
+    *modules: ModuleType, mosaics: bool = False, **parameters: Any
+) -> Iterator[type[VideoCapture]]:
+    """Put `VideoCapture` in the place of ``cv2.VideoCapture``.
+
+    For libraries that construct it themselves (imutils, vidgear, supervision,
+    ultralytics).  It is put into cv2 and into every imported module that holds a
+    copy of the name; sources that are not recordings go to the real one, as ever.
+    Captures that were made inside live on after the end.
+
+    Parameters
+    ----------
+    *modules : module
+        More modules with a ``VideoCapture`` of their own to be replaced.
+    mosaics : bool
+        Also read videos and images as those of a polarization camera; needs a
+        ``layout``.
+    **parameters
+        Of `VideoCapture`, for every recording that is opened, e.g. ``fps``.
+
+    Yields
+    ------
+    type
+        What stands in the place of ``cv2.VideoCapture``.
+
+    Raises
+    ------
+    TypeError
+        If a parameter is unknown.
+    ValueError
+        If `mosaics` is asked for without a layout.
+
+    Notes
+    -----
+    The change is seen by all threads.
+    """
+    if mosaics and parameters.get("layout") is None:
+        raise ValueError("mosaics=True needs layout=, the images do not say it")
+    of_fuse = {name: value for name, value in parameters.items()
+               if name not in ("output", "gain", "gamma", "log")}
+    checked_parameters(of_fuse)
+    cv2, real = opencv(), native_capture()
+    patched = _patched(parameters, mosaics, real)
+    originals = [(module, module.VideoCapture) for module in {cv2, *modules}]
+    outer = cv2.VideoCapture
+    originals += [(module, outer) for module in _holding(outer)
+                  if module not in (cv2, *modules)]
+    for module, _ in originals:
+        vars(module)["VideoCapture"] = patched
+    try:
+        yield patched
+    finally:
+        for module, original in originals:
+            vars(module)["VideoCapture"] = original
+        # Modules that were imported meanwhile hold copies of the replacement.
+        for module in _holding(patched):
+            vars(module)["VideoCapture"] = outer
+
+
+def _holding(value: object) -> list[ModuleType]:
+    """Return the imported modules whose ``VideoCapture`` is a value."""
+    return [module for module in list(sys.modules.values())
+            if isinstance(module, ModuleType)
+            and vars(module).get("VideoCapture") is value]
+
+
+def _patched(
+    parameters: dict[str, Any], mosaics: bool, real: Any
+) -> type[VideoCapture]:
+    layout = parameters.get("layout") if mosaics else None
+
+    class PatchedVideoCapture(VideoCapture):
+        """VideoCapture that uses parameters for recordings only."""
+
+        replaces = real  # where sources that are not recordings go
+
+        def __init__(
+            self,
+            filename: str | os.PathLike[str] | int | Recording | None = None,
+            apiPreference: int = 0,
+            params: Sequence[float] = (),
+            *,
+            index: int | None = None,
+        ) -> None:
+            super().__init__(**parameters)
+            self._asked = self._parameters
+            if filename is not None or index is not None:
+                self._open("VideoCapture", filename, apiPreference, params, index)
+
+        def _open(
+            self, function: str, filename: Any, backend: Any, params: Any, index: Any
+        ) -> bool:
+            ours = is_ours(filename, backend, layout)
+            self._parameters = self._asked if ours else {}
+            return super()._open(function, filename, backend, params, index)
+
+        def __reduce__(self) -> tuple[Any, ...]:
+            # This class has no name that another process could find.
+            return object.__new__, (VideoCapture,), self.__getstate__()
+
+    PatchedVideoCapture.__name__ = PatchedVideoCapture.__qualname__ = "VideoCapture"
+    return PatchedVideoCapture

@@ -1,0 +1,44 @@
+"""Every block of docs/recipes.md runs as it stands."""
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "docs" / "recipes.md").read_text()
+BLOCKS = re.findall(r"^```python\n(.*?)^```", TEXT, re.M | re.S)
+TITLES = [re.findall(r"^## (.*)$", TEXT[:TEXT.index(block)], re.M)[-1]
+          for block in BLOCKS]
+PACKAGES = ("imutils", "supervision", "vidgear", "pims", "imageio")
+
+
+@pytest.fixture
+def folder(data_dir, tmp_path, monkeypatch):
+    (tmp_path / "run.aedat4").symlink_to(data_dir / "davis346.aedat4")
+    writer = cv2.VideoWriter(
+        str(tmp_path / "clip.mkv"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), 25,
+        (80, 64), [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U,
+                   cv2.VIDEOWRITER_PROP_IS_COLOR, 0])
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        writer.write(rng.integers(0, 4096, (64, 80), np.uint16))
+    writer.release()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_there_is_a_recipe_for_each_adapter():
+    for name in PACKAGES:
+        assert any(f"import {name}" in block or f"from {name}" in block
+                   for block in BLOCKS)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")   # of the packages
+@pytest.mark.parametrize("block", BLOCKS, ids=TITLES)
+def test_recipe_runs(block, folder):
+    for name in PACKAGES:
+        if re.search(rf"^(import|from) {name}\b", block, re.M):
+            pytest.importorskip(name)
+    exec(compile(block, "recipes.md", "exec"), {"__name__": "recipe"})
