@@ -10,21 +10,23 @@ import pytest
 
 import pdavis_cv as p
 from pdavis_cv import Layout, VideoCapture, patched_cv2
+from pdavis_cv.data import example_recording
 
-OPTIONS = {"fps": 40, "layout": Layout.PDAVIS, "method": "frames"}
+OPTIONS = {"fps": 500, "layout": Layout.PDAVIS, "method": "frames"}
+N = 87  # images in 0.17 s
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
 @pytest.fixture(scope="module")
-def path(data_dir):
-    return str(data_dir / "davis346.aedat4")
+def path():
+    return str(example_recording())
 
 
 @pytest.fixture(scope="module")
 def expected(path):
     with VideoCapture(path, **OPTIONS) as cap:
         images = list(cap)
-    assert len(images) == 95
+    assert len(images) == N
     return images
 
 
@@ -68,7 +70,7 @@ def test_supervision_reads_and_writes_the_whole_recording(path, expected, tmp_pa
     with patched_cv2(**OPTIONS):
         info = sv.VideoInfo.from_video_path(path)
         assert (info.width, info.height, info.fps, info.total_frames) == (
-            346, 260, 40, len(expected))
+            346, 260, 500, len(expected))
         images = []
         with sv.VideoSink(str(tmp_path / "out.mp4"), info) as sink:
             for image in sv.get_video_frames_generator(path):
@@ -101,7 +103,7 @@ def test_a_loader_in_the_style_of_ultralytics_reads_the_whole_recording(path, ex
     assert cap.isOpened()
     fps = int(cap.get(cv2.CAP_PROP_FPS))
     frames = int(cap.get(cv2.CAP_PROP_FRAME_COUNT))
-    assert (fps, frames) == (40, len(expected))
+    assert (fps, frames) == (500, len(expected))
     images = []
     while len(images) < frames:
         for _ in range(1):
@@ -179,10 +181,10 @@ def test_isinstance_works_while_patched(path):
 def test_a_patched_capture_pickles(path, expected):
     with patched_cv2(**OPTIONS):
         cap = cv2.VideoCapture(path)
-        cap.set(1, 90)
+        cap.set(1, 80)
         copy = pickle.loads(pickle.dumps(cap))
         cap.release()
-    check(list(copy), expected[90:])
+    check(list(copy), expected[80:])
     copy.release()
 
 
@@ -207,7 +209,7 @@ def test_pims_slices_the_recording(path, expected):
         np.testing.assert_array_equal(list(frames[80:10:-13]), expected[80:10:-13])
         np.testing.assert_array_equal(frames[-1], expected[-1])
         assert frames[7].frame_no == 7
-        assert frames[8].metadata["t_us"] - frames[0].metadata["t_us"] == 200_000
+        assert frames[8].metadata["t_us"] - frames[0].metadata["t_us"] == 16_000
         halved = pims.pipeline(lambda image: image // 2)(frames)[5:7]
         np.testing.assert_array_equal(halved[1], expected[6] // 2)
         copy = pickle.loads(pickle.dumps(frames))
@@ -221,7 +223,7 @@ def test_pims_shares_a_recording_among_threads(path, expected):
     wrong = []
     with PdavisSequence(path, output=p.CAP_PDAVIS_BGR, **OPTIONS) as frames:
         def read(k):
-            for i in range(k, 95, 8):
+            for i in range(k, N, 8):
                 if not np.array_equal(frames[i], expected[i]):
                     wrong.append(i)
         threads = [threading.Thread(target=read, args=(k,)) for k in range(4)]
@@ -262,14 +264,14 @@ def test_imageio_reads_one_image_or_all(path, expected, iio):
         iio.imread(path, index=33, **OPTIONS)[..., ::-1], expected[33])
     with iio.imopen(path, "r", **OPTIONS) as file:
         np.testing.assert_array_equal(file.read(index=-1)[..., ::-1], expected[-1])
-        assert file.read(index=...).shape == (95, 260, 346, 3)
+        assert file.read(index=...).shape == (N, 260, 346, 3)
         everything = file.properties(index=...)
-        assert (everything.n_images, everything.shape) == (95, (95, 260, 346, 3))
+        assert (everything.n_images, everything.shape) == (N, (N, 260, 346, 3))
         assert file.properties(index=3).dtype == np.uint8
         assert file.metadata(index=8)["t_us"] - file.metadata(index=0)["t_us"] == (
-            200_000)
-        assert file.metadata(index=...) == {"fps": 40.0}
-        for index in (95, -96):
+            16_000)
+        assert file.metadata(index=...) == {"fps": 500.0}
+        for index in (N, -N - 1):
             with pytest.raises(IndexError, match="holds no image"):
                 file.read(index=index)
     dolp = iio.imread(path, index=3, output=p.CAP_PDAVIS_DOLP, **OPTIONS)

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from pdavis_cv.data import example_recording
+
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "docs" / "recipes.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```", TEXT, re.M | re.S)
@@ -15,8 +17,8 @@ PACKAGES = ("imutils", "supervision", "vidgear", "pims", "imageio")
 
 
 @pytest.fixture
-def folder(data_dir, tmp_path, monkeypatch):
-    (tmp_path / "run.aedat4").symlink_to(data_dir / "davis346.aedat4")
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "run.aedat4").symlink_to(example_recording())
     writer = cv2.VideoWriter(
         str(tmp_path / "clip.mkv"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), 25,
         (80, 64), [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U,
