@@ -50,6 +50,7 @@ _HOME = {
     "open_recording": "recording.open",
     "ComplementaryFilter": "reconstruct.cf",
     "KalmanFilter": "reconstruct.kalman",
+    "EventHighPass": "reconstruct.events",
     "FrameHold": "reconstruct.frames",
     "Estimate": "reconstruct.base",
     "Reconstructor": "reconstruct.base",
@@ -167,6 +168,7 @@ if TYPE_CHECKING:
     from pdavis_cv.polarimetry import PolarFrame, aop, dolp, polarization, stokes
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
+    from pdavis_cv.reconstruct.events import EventHighPass
     from pdavis_cv.reconstruct.frames import FrameHold
     from pdavis_cv.reconstruct.kalman import KalmanFilter
     from pdavis_cv.reconstruct.methods import METHODS

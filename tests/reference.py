@@ -113,3 +113,23 @@ def time_surface(events, shape, tau_us, t_us):
     for e in events[events["t"] <= t_us]:
         last[e["p"], e["y"], e["x"]] = e["t"]
     return np.exp((last - t_us) / tau_us)
+
+
+def event_high_pass(events, shape, theta_on, theta_off, cutoff_hz, radius, t_us):
+    """Every event against every macropixel within the radius, in float64."""
+    tau_us = 1e6 / (2 * np.pi * cutoff_hz)
+    total, seen = np.zeros(shape), np.zeros(shape, bool)
+    ys, xs = np.mgrid[:shape[0], :shape[1]]
+
+    def near(y, x):
+        apart = ((ys - y) // 2) ** 2 + ((xs - x) // 2) ** 2
+        return (apart <= radius**2) & ((ys - y) % 2 == 0) & ((xs - x) % 2 == 0)
+
+    on, off = np.broadcast_to(theta_on, shape), np.broadcast_to(theta_off, shape)
+    for e in events:
+        y, x = int(e["y"]), int(e["x"])
+        step = on[y, x] if e["p"] else -off[y, x]
+        total[near(y, x)] += step * np.exp((int(e["t"]) - t_us) / tau_us)
+        seen |= near(y, x)
+    count = [[near(y, x).sum() for x in range(shape[1])] for y in range(shape[0])]
+    return total / count, seen

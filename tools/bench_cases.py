@@ -280,7 +280,7 @@ def _check_import() -> None:
 def _import() -> Iterator[Comparison]:
     floor = partial(_import_seconds, "import numpy")
     for statement, judged in (("import pdavis_cv", True),
-                              ("from pdavis_cv import ComplementaryFilter", False)):
+                              ("from pdavis_cv import fuse", False)):
         yield Comparison(
             statement.removeprefix("from pdavis_cv "), _check_import,
             partial(_import_seconds, statement), floor, lambda s: 1e3 * s, "ms", judged)

@@ -16,6 +16,7 @@ __all__ = ["METHODS", "make_reconstructor", "method_parameters"]
 # Method -> (module, class, whether it takes thresholds).
 _CLASSES = {
     "frames": ("frames", "FrameHold", False),
+    "events": ("events", "EventHighPass", True),
     "cf": ("cf", "ComplementaryFilter", True),
     "kalman": ("kalman", "KalmanFilter", True),
 }

@@ -1,0 +1,136 @@
+"""The ``events`` method: high-passed sum of events."""
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
+from pdavis_cv.events import as_events
+from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.cf import CELL_DTYPE
+from pdavis_cv.reconstruct.clock import Clock, steps
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["EventHighPass"]
+
+
+class EventHighPass(Reconstructor):
+    """Log intensity relative to its recent mean, from events alone.
+
+    Each event adds ``theta_on`` or subtracts ``theta_off``; between events the value
+    of a pixel decays to 0 with time constant 1 / (2 pi cutoff_hz).  Frames are
+    ignored.  The exponential of the result stands for the intensity divided by its
+    mean over the last moments, so the angle of polarization that is formed of it is
+    right only while the means of the four channels are equal, as before a rotating
+    polarizer; with unequal means (a wave plate, partly polarized light) it is biased
+    by construction.  The degree of polarization is not measured at all.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width).
+    theta_on, theta_off : float, or array_like of shape (H, W)
+        Contrast thresholds, positive, in natural-log units.
+    cutoff_hz : float
+        Corner frequency f3dB.
+    radius : int
+        Each event counts in the macropixels within this distance, in macropixels, in
+        the pixel of the same polarizer; a pixel shows the mean over them.  0 keeps
+        pixels apart.
+
+    Raises
+    ------
+    ValueError
+        If a threshold, the cutoff or the shape is not positive, the radius negative,
+        or a map of thresholds has another shape.
+
+    Notes
+    -----
+    Haessig et al., supplement "Reconstructing AoP from PDAVIS events only".  All
+    pixels decay alike, so spreading events and averaging values are the same: it is
+    done when reading.  A pixel is valid once any pixel that counts in it has had an
+    event.
+    """
+
+    method = "events"
+
+    def __init__(
+        self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
+        cutoff_hz: float = 0.5, radius: int = 1,
+    ) -> None:
+        self.shape = sensor_shape(shape)
+        self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
+        self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
+        self._cutoff_hz = positive("cutoff_hz", cutoff_hz)
+        if radius != int(radius) or radius < 0:
+            raise ValueError(f"radius must be a whole number from 0, got {radius!r}")
+        self._radius = int(radius)
+        self.margin = 2 * self._radius
+        self._steps = steps(self._theta_on, self._theta_off)
+        self._leak = (
+            _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
+        self._clock = Clock(self.shape)
+        self._cells = np.zeros(self.shape, CELL_DTYPE)
+        self._cells["t"] = -np.inf  # no event yet
+        self._cells["rate"] = 2e-6 * math.pi * self._cutoff_hz
+        self._base = np.zeros(self.shape, np.float32)
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Parameters that make an equal EventHighPass."""
+        return {"theta_on": self._theta_on, "theta_off": self._theta_off,
+                "cutoff_hz": self._cutoff_hz, "radius": self._radius}
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Integrate events (see `Reconstructor.add_events`)."""
+        events = as_events(events)
+        clock = self._clock
+        clock.took(events, self._leak(events, self._steps, clock.last_us, self._cells))
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Check the frame and note its time."""
+        self._clock.check_frame(frame)
+
+    def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
+        """Return the high-passed log intensity at t_us (see `Reconstructor.read`)."""
+        t = self._clock.check_read(t_us)
+        log = output(out, self.shape, np.float32)
+        _kernels.leak_read(self._cells, self._base, t, log)
+        seen = np.isfinite(self._cells["t"])
+        if self._radius:
+            own, seen_here = log.copy(), seen.copy()
+            count = np.ones(self.shape, np.float32)
+            for to, of in self._neighbours():
+                log[to] += own[of]
+                count[to] += 1
+                seen[to] |= seen_here[of]
+            log /= count
+        return Estimate(log, None, seen)
+
+    def _neighbours(self) -> Iterator[tuple[tuple[slice, ...], tuple[slice, ...]]]:
+        """Yield (pixels, their neighbours) for each offset within the radius."""
+        r = self._radius
+        for dy in range(-r, r + 1):
+            for dx in range(-r, r + 1):
+                if 0 < dy * dy + dx * dx <= r * r:
+                    pairs = [_shifted(2 * d, side)
+                             for d, side in zip((dy, dx), self.shape, strict=True)]
+                    yield tuple(to for to, _ in pairs), tuple(of for _, of in pairs)
+
+    def _state(self) -> Mapping[str, Any]:
+        return {"last_us": self._clock.last_us, "cells": self._cells.copy()}
+
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        self._clock.last_us = state["last_us"]
+        self._cells = state["cells"].copy()
+
+
+def _shifted(by: int, side: int) -> tuple[slice, slice]:
+    """Return the places that have a neighbour `by` further on, and the neighbours."""
+    lo, hi = min(max(-by, 0), side), max(side - max(by, 0), 0)
+    return slice(lo, max(hi, lo)), slice(lo + by, max(hi, lo) + by)
