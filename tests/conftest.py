@@ -42,7 +42,9 @@ def _open_files():
             path = Path(os.readlink(entry))
         except OSError:
             continue  # the descriptor of the listing itself
-        if path.is_absolute() and path.is_file() and path.parts[1] not in DEVICES:
+        ours = path.suffix != ".ttf"      # matplotlib keeps its fonts open
+        if ours and path.is_absolute() and path.is_file() and (
+                path.parts[1] not in DEVICES):
             found.add((entry.name, str(path)))
     return found
 

@@ -20,9 +20,11 @@ __all__ = [
     "add_fuse_options",
     "command",
     "fuse_options",
+    "layout_option",
     "numbers",
     "positive",
     "progress",
+    "roi_option",
     "start_of",
 ]
 
@@ -117,9 +119,10 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--stop", type=float, metavar="S", help="end, in the same seconds, exclusive")
     group.add_argument(
-        "--roi", type=_roi, metavar="X,Y,W,H", help="part of the sensor, in pixels")
+        "--roi", type=roi_option, metavar="X,Y,W,H",
+        help="part of the sensor, in pixels")
     group.add_argument(
-        "--layout", type=_layout, metavar="LAYOUT",
+        "--layout", type=layout_option, metavar="LAYOUT",
         help="polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
              "e.g. 135,90,0,45")
     group.add_argument(
@@ -187,12 +190,14 @@ def positive(text: str) -> float:
     return float(value)
 
 
-def _roi(text: str) -> tuple[int, int, int, int]:
+def roi_option(text: str) -> tuple[int, int, int, int]:
+    """Parse X,Y,W,H."""
     x, y, width, height = numbers(text, 4, int)
     return x, y, width, height
 
 
-def _layout(text: str) -> Layout:
+def layout_option(text: str) -> Layout:
+    """Parse pdavis, sony or four angles by row."""
     known = {"pdavis": Layout.PDAVIS, "sony": Layout.SONY}
     if text.lower() in known:
         return known[text.lower()]

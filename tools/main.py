@@ -14,6 +14,7 @@ __all__ = ["COMMANDS", "main"]
 COMMANDS = {
     "info": "say what a recording holds",
     "export": "fuse a recording into a video, pictures or arrays",
+    "calibrate": "measure a camera into its calibration file",
     "bench": "time the library against fixed floors",
     "demo": "make pictures from the sample recording and an ideal camera",
 }

@@ -1,0 +1,100 @@
+"""A page of figures and numbers about one part of a calibration."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Page", "write_report"]
+
+
+@dataclass
+class Page:
+    """What a report shows.
+
+    Parameters
+    ----------
+    title : str
+        Headline.
+    lines : list of str
+        ``"what: value"``, printed and kept in the calibration's notes.
+    figures : list of tuple
+        (kind, title, data).
+    """
+
+    title: str
+    lines: list[str] = field(default_factory=list)
+    figures: list[tuple[str, str, Any]] = field(default_factory=list)
+
+    def say(self, what: str, value: object) -> None:
+        """Add a line."""
+        self.lines.append(f"{what}: {value}")
+
+    def image(self, title: str, plane: NDArray[Any]) -> None:
+        """Add a map of the sensor."""
+        self.figures.append(("image", title, plane))
+
+    def histogram(
+        self, title: str, values: NDArray[Any], *, logarithmic: bool = False
+    ) -> None:
+        """Add a histogram."""
+        kind = "log histogram" if logarithmic else "histogram"
+        self.figures.append((kind, title, np.ravel(values)))
+
+    def curves(self, title: str, x: list[float], lines: dict[str, list[float]]) -> None:
+        """Add lines over a common axis."""
+        self.figures.append(("curves", title, (x, lines)))
+
+
+def write_report(path: Path, page: Page) -> bool:
+    """Draw the page as PNG; False if matplotlib is not installed."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        return False
+    figure = Figure(figsize=(8.3, 11.7), layout="constrained")
+    FigureCanvasAgg(figure)
+    text, *rest = figure.subfigures(
+        3, 1, height_ratios=[0.25 + 0.16 * len(page.lines), 3.2, 3.2])
+    text.suptitle(page.title, fontsize=16)
+    text.text(0.05, 0.8, "\n".join(page.lines), va="top", fontsize=10,
+              family="monospace", wrap=True)
+    for row, start in zip(rest, (0, 2), strict=True):
+        figures = page.figures[start:start + 2]
+        if figures:
+            axes = row.subplots(1, len(figures), squeeze=False)[0]
+            for axis, (kind, title, data) in zip(axes, figures, strict=True):
+                _draw(axis, kind, data)
+                axis.set_title(title, fontsize=11)
+                if kind == "image":
+                    row.colorbar(axis.images[0], ax=axis, shrink=0.8)
+    beside = path.with_name(path.name + ".part")
+    try:
+        figure.savefig(beside, format="png", dpi=110)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return True
+
+
+def _draw(axis: Any, kind: str, data: Any) -> None:
+    if kind == "image":
+        finite = data[np.isfinite(data)]
+        low, high = np.percentile(finite, (1, 99)) if finite.size else (0, 1)
+        axis.imshow(data, vmin=low, vmax=high, interpolation="nearest")
+    elif kind == "curves":
+        x, lines = data
+        for name, y in lines.items():
+            axis.plot(x, y, marker="o", label=name)
+        axis.legend()
+        axis.grid(alpha=0.3)
+    else:
+        finite = data[np.isfinite(data)]
+        low, high = np.percentile(finite, (0.1, 99.9)) if finite.size else (0, 1)
+        axis.hist(finite, bins=80, range=(low, high) if high > low else None,
+                  log=kind.startswith("log"))
+        axis.set_ylabel("samples")

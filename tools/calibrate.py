@@ -1,0 +1,431 @@
+"""Measure a camera and write what was found into its calibration file."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import Calibration, Layout, Recording, fuse, open_recording
+from pdavis_cv.aps import clip_level
+from pdavis_cv.calibration.align import alignment
+from pdavis_cv.calibration.check import check_recording
+from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
+from pdavis_cv.calibration.insitu import thresholds_in_situ
+from pdavis_cv.calibration.instrument import background
+from pdavis_cv.calibration.layout import detect_layout
+from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
+from pdavis_cv.sensor import CHANNELS, resolve_layout
+from pdavis_cv.tools._calibration_report import Page, write_report
+from pdavis_cv.tools._common import (
+    Parser,
+    UsageError,
+    command,
+    layout_option,
+    numbers,
+    roi_option,
+    start_of,
+)
+
+__all__ = ["main"]
+
+Found = tuple[dict[str, Any], Page]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis calibrate``."""
+    args = _parser().parse_args(argv)
+    if args.part == "check":
+        return _check(args)
+    if args.part == "align":
+        return _align(args)
+    parts = _ALL if args.part == "all" else (args.part,)
+    path = Path(args.output)
+    known = Calibration.load(path) if path.exists() else None
+    done = 0
+    for part in parts:
+        files = getattr(args, f"{part}_files" if args.part == "all" else "files")
+        if not files:
+            continue
+        known = _measure(part, files, args, known)
+        known.save(path)
+        print(f"wrote {path}: {', '.join(known.parts)}")
+        done += 1
+    if not done:
+        raise UsageError(
+            "all needs a recording for at least one part (see --help)")
+    return 0
+
+
+def _measure(
+    part: str, files: list[str], args: argparse.Namespace, known: Calibration | None
+) -> Calibration:
+    recordings = [open_recording(file, layout=args.layout) for file in files]
+    try:
+        info = recordings[0].info
+        if known is None:
+            known = Calibration(sensor_size=info.sensor_size, serial=info.serial)
+        for recording in recordings:
+            known.check_fits(recording.info.sensor_size, recording.info.serial)
+        values, page = _PARTS[part](recordings, args, known)
+    finally:
+        for recording in recordings:
+            recording.close()
+    note = {"files": [Path(file).name for file in files],
+            **{line.split(":")[0]: line.split(":", 1)[1].strip()
+               for line in page.lines}}
+    for line in page.lines:
+        print(" ", line)
+    merged = known.merge(Calibration(
+        sensor_size=known.sensor_size, serial=info.serial,
+        notes={part: note, **_conditions(args)}))
+    values = {name: value for name, value in values.items() if value is not None}
+    if "layout" in values and args.force:
+        merged = merged.replace(layout=None)
+    merged = merged.merge(Calibration(sensor_size=known.sensor_size, **values))
+    report = Path(args.output).with_suffix(f".{part}.png")
+    if write_report(report, page):
+        print(f"wrote {report}")
+    return merged
+
+
+def _conditions(args: argparse.Namespace) -> dict[str, Any]:
+    names = ("wavelength_nm", "f_number", "temperature_c")
+    return {name: getattr(args, name) for name in names
+            if getattr(args, name, None) is not None}
+
+
+def _dark(
+    recordings: list[Recording], args: argparse.Namespace, known: Calibration
+) -> Found:
+    found = dark_frame(recordings[0])
+    usable = found.usable if known.usable is None else found.usable & known.usable
+    page = Page("Dark frame")
+    page.say("frames", found.frames)
+    page.say("median dark", f"{np.median(found.dark):.2f} DN")
+    page.say("spread of dark", f"{np.std(found.dark[found.usable]):.2f} DN")
+    page.say("noise of one frame", f"{np.median(found.noise):.2f} DN (median)")
+    page.say("hot or noisy pixels", f"{np.count_nonzero(~found.usable)} "
+             "(6 robust standard deviations)")
+    page.image("dark offset (DN)", found.dark)
+    page.image("noise (DN)", found.noise)
+    page.histogram("dark offset (DN)", found.dark)
+    return {"dark": found.dark, "dark_noise": found.noise, "usable": usable}, page
+
+
+def _flat(
+    recordings: list[Recording], args: argparse.Namespace, known: Calibration
+) -> Found:
+    found = flat_frame(recordings[0], known.dark)
+    usable = found.usable if known.usable is None else found.usable & known.usable
+    page = Page("Flat frame")
+    page.say("frames", found.frames)
+    page.say("gain spread", f"{100 * np.std(found.gain[found.usable]):.2f} % rms")
+    page.say("dead or deviating pixels", np.count_nonzero(~found.usable))
+    if known.dark is None:
+        page.say("note", "no dark frame was subtracted: measure dark first")
+    page.image("gain", found.gain)
+    page.histogram("gain", found.gain)
+    return {"gain": found.gain, "usable": usable}, page
+
+
+def _clip(
+    recordings: list[Recording], args: argparse.Namespace, known: Calibration
+) -> Found:
+    frames = [frame for _, frame in zip(range(20), frames_of(recordings[0]),
+                                        strict=False)]
+    if not frames:
+        raise ValueError(f"{recordings[0].path}: a clip level needs frames")
+    stack = np.stack([frame.dn for frame in frames])
+    level = clip_level(stack, frames[0].full_scale_dn)
+    page = Page("Clip level")
+    page.say("frames", len(frames))
+    page.say("clip level", "no pile-up at the top of the histogram: overexpose a part "
+             "of the scene" if level is None else f"{level:.0f} DN")
+    page.histogram("DN", stack, logarithmic=True)
+    return {"clip_dn": level}, page
+
+
+def _sweep(
+    recordings: list[Recording], args: argparse.Namespace, known: Calibration
+) -> Found:
+    fits: list[tuple[float | None, SweepFit]] = []
+    layout = resolve_layout(args.layout, known.layout, recordings[0].info.layout)
+    if args.angles is not None:
+        angles = np.deg2rad(args.angles)
+        if len(angles) != len(recordings):
+            raise UsageError(f"--angles names {len(angles)} angles for "
+                             f"{len(recordings)} files")
+        steps = zip(angles, recordings, strict=True)
+        fits.append((args.wavelength_nm, _fit(steps, known)))
+    else:
+        waves = args.wavelengths or [args.wavelength_nm] * len(recordings)
+        if len(waves) != len(recordings):
+            raise UsageError(f"--wavelengths names {len(waves)} for "
+                             f"{len(recordings)} files")
+        for wave, recording in zip(waves, recordings, strict=True):
+            fits.append((wave, _fit(_steps(recording, args), known)))
+    page = Page("Analyser matrix from a polarizer sweep")
+    for wave, fit in fits:
+        of = "" if wave is None else f" at {wave:g} nm"
+        for angle, place in zip(CHANNELS, layout.places, strict=True):
+            part = np.s_[place // 2::2, place % 2::2]
+            off = np.rad2deg((fit.angle[part] - np.deg2rad(angle) + np.pi / 2) % np.pi
+                             - np.pi / 2)
+            page.say(f"{angle} deg{of}",
+                     f"extinction ratio {np.median(fit.extinction_ratio[part]):.2f}, "
+                     f"angle {angle + np.median(off):.2f} +- {np.std(off):.2f} deg "
+                     f"(error of one {np.rad2deg(np.median(fit.angle_sigma)):.3f})")
+        page.say(f"lamp polarization{of}", f"{100 * np.hypot(*fit.source):.2f} %, "
+                 f"beam wander {100 * np.hypot(*fit.wander):.2f} %")
+    fit = fits[0][1]
+    page.say("response of the cell", f"condition number {_condition(fit, layout):.2f} "
+             "(ideal 1.41)")
+    page.say("residual", f"{np.median(fit.residual):.2f} of the expected noise; "
+             f"{np.count_nonzero(~fit.usable)} pixels left out")
+    page.image("extinction ratio", fit.extinction_ratio)
+    page.image("response to S0", fit.analyser[..., 0])
+    if len(fits) > 1:
+        page.curves("extinction ratio against wavelength (nm)",
+                    [float(wave or 0) for wave, _ in fits],
+                    {f"{angle} deg": [float(np.median(
+                        one.extinction_ratio[place // 2::2, place % 2::2]))
+                        for _, one in fits]
+                     for angle, place in zip(CHANNELS, layout.places, strict=True)})
+    else:
+        page.histogram("extinction ratio", fit.extinction_ratio)
+    usable = fit.usable if known.usable is None else fit.usable & known.usable
+    return {"analyser": fit.analyser, "analyser_sigma": fit.sigma, "usable": usable,
+            "layout": layout}, page
+
+
+def _fit(steps: Any, known: Calibration) -> SweepFit:
+    return fit_sweep(read_sweep(steps, dark=known.dark, gain=known.gain))
+
+
+def _condition(fit: SweepFit, layout: Layout) -> float:
+    cells = [np.median(fit.analyser[place // 2::2, place % 2::2], axis=(0, 1))
+             for place in layout.places]
+    return float(np.linalg.cond(np.stack(cells)))
+
+
+def _steps(recording: Recording, args: argparse.Namespace) -> Any:
+    start = start_of(recording) + round(args.first_s * 1e6)
+    stop = recording.info.stop_us
+    if stop is None:
+        stop = recording.scan().stop_us or start
+    hold, settle = round(args.hold_s * 1e6), round(args.settle_s * 1e6)
+    count = args.steps or max(int((stop - start) // hold), 0)
+    angles = np.deg2rad(args.start_deg + args.step_deg * np.arange(count))
+    return steps_in_time(
+        recording, angles, [start + settle + k * hold for k in range(count)],
+        hold - settle)
+
+
+def _layout(
+    recordings: list[Recording], args: argparse.Namespace, known: Calibration
+) -> Found:
+    origin = start_of(recordings[0])
+    known_angle = None if args.known is None else (
+        origin + round(args.known[0] * 1e6), float(np.deg2rad(args.known[1])))
+    found = detect_layout(
+        recordings[0], direction={"ccw": 1, "cw": -1, None: 0}[args.direction],
+        known_angle=known_angle, family=args.family, roi=args.roi)
+    page = Page("Polarizer layout")
+    page.say("from", f"{found.source}, {found.cycles:.1f} periods of the light")
+    page.say("orthogonal places", f"{found.pairs}, correlation "
+             f"{found.pair_correlation:.2f} (next best {found.rival_correlation:.2f})")
+    sense = {1: "counter-clockwise", -1: "clockwise", 0: "unknown"}[found.direction]
+    page.say("sense of rotation", sense)
+    if len(found.layouts) == 1:
+        page.say("layout", found.layouts[0])
+        return {"layout": found.layouts[0]}, page
+    page.say("candidates", "; ".join(map(str, found.layouts)))
+    page.say("note", "give --direction (as displayed) and --known SECONDS,DEGREES to "
+             "tell them apart; no layout was written")
+    return {}, page
+
+
+def _thresholds(
+    recordings: list[Recording], args: argparse.Namespace, known: Calibration
+) -> Found:
+    found = thresholds_in_situ(recordings[0], nominal=args.nominal)
+    sigma = found.sigma
+    page = Page("Contrast thresholds")
+    for name, plane, error in (("ON", found.theta_on, sigma[0]),
+                               ("OFF", found.theta_off, sigma[1])):
+        page.say(f"{name} threshold", f"median {np.median(plane):.4f}, spread "
+                 f"{np.std(plane):.4f}, error of one {np.median(error):.4f} ln units")
+        page.image(f"{name} threshold", plane)
+    page.say("ON/OFF ratio", f"error of one {100 * np.median(found.ratio_sigma):.2f} %")
+    page.histogram("ON/OFF ratio", found.theta_on / found.theta_off)
+    values: dict[str, Any] = {
+        "theta_on": found.theta_on, "theta_off": found.theta_off,
+        "theta_on_sigma": sigma[0], "theta_off_sigma": sigma[1]}
+    if found.bandwidth is not None:
+        hz, per_dn = found.bandwidth.law
+        page.say("bandwidth", f"{hz:.1f} Hz + {per_dn:.3g} Hz per DN/ms, known to "
+                 f"{100 * found.bandwidth.sigma:.0f} % at "
+                 f"{found.bandwidth.at_intensity:.1f} DN/ms")
+        values["bandwidth_hz"] = hz if hz > 0 else None
+        values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
+    return values, page
+
+
+def _background(
+    recordings: list[Recording], args: argparse.Namespace, known: Calibration
+) -> Found:
+    layout = args.layout or known.layout
+    found = background(fuse(
+        recordings[0], method="frames", hold="mid", layout=layout,
+        calibration=known.replace(layout=layout)))
+    page = Page("Instrument polarization")
+    page.say("images", found.frames)
+    page.say("DoLP without sample", f"{found.dolp:.4f} +- {found.dolp_sigma:.4f}")
+    page.say("AoP", f"{np.rad2deg(found.aop):.2f} deg")
+    page.say("circular purity", f"at most {found.circular_purity:.4f}")
+    page.image("DoLP", np.hypot(found.stokes[..., 1], found.stokes[..., 2]))
+    page.histogram("S1 / S0", found.stokes[..., 1])
+    return {"background": found.stokes}, page
+
+
+_PARTS: dict[str, Callable[
+    [list[Recording], argparse.Namespace, Calibration], Found]] = {
+        "dark": _dark, "flat": _flat, "clip": _clip, "layout": _layout,
+        "sweep": _sweep, "thresholds": _thresholds, "background": _background}
+_ALL = tuple(_PARTS)
+
+
+def _check(args: argparse.Namespace) -> int:
+    with open_recording(args.files[0], layout=args.layout) as recording:
+        findings = check_recording(recording)
+    words = {True: "ok", False: "WRONG", None: "unknown"}
+    for finding in findings:
+        print(f"  {finding.what:<12} {words[finding.ok]:<8} {finding.message}")
+    return 0 if all(finding.ok is not False for finding in findings) else 1
+
+
+def _align(args: argparse.Namespace) -> int:
+    with open_recording(args.files[0], layout=args.layout) as recording:
+        layout = resolve_layout(args.layout, None, recording.info.layout)
+        known: NDArray[np.float32] | None = None
+        if args.camera:
+            known = Calibration.load(args.camera).dark
+        print("  time (s)   mean 0/45/90/135 (DN)      SD 0/45/90/135 (DN)     "
+              "0/90  45/135")
+        origin = start_of(recording)
+        for row in alignment(recording, layout, dark=known, roi=args.roi):
+            mean = " ".join(f"{value:6.1f}" for value in row.mean_dn)
+            sd = " ".join(f"{value:5.1f}" for value in row.sd_dn)
+            print(f"  {(row.t_us - origin) / 1e6:8.3f}   {mean}   {sd}   "
+                  f"{row.ratio[0]:6.2f}  {row.ratio[1]:6.2f}", flush=True)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "calibrate", __doc__ or "",
+        "pdavis calibrate dark covered.aedat4 -o camera.npz\n"
+        "  pdavis calibrate sweep turned.aedat4 -o camera.npz --step-deg 5 --hold-s 2")
+    parts = parser.add_subparsers(
+        dest="part", metavar="PART", required=True, parser_class=_part_parser)
+    texts = {
+        "dark": "offset, noise and hot pixels, from covered frames (the paper: 100)",
+        "flat": "gain and dead pixels, from uniform unpolarized light",
+        "clip": "DN at which pixels saturate, from an overexposed scene",
+        "layout": "polarizer layout, from a rotating polarizer",
+        "sweep": "extinction ratio, angle and gain of each pixel, from a polarizer "
+                 "turned in steps",
+        "thresholds": "contrast thresholds and bandwidth, from a slowly turning "
+                      "polarizer",
+        "background": "polarization of the instrument, without a sample",
+        "all": "every part that a set of recordings allows",
+        "check": "whether layout and orientation can be right (exit code 1: no)",
+        "align": "mean, SD and extinction ratio of neighbours, frame by frame"}
+    for part, text in texts.items():
+        one = parts.add_parser(
+            part, help=text, description=text[0].upper() + text[1:] + ".",
+            epilog=_EXAMPLES[part])
+        _add_options(one, part)
+    return parser
+
+
+def _part_parser(*, prog: str, description: str, epilog: str) -> Parser:
+    return Parser(prog.removeprefix("pdavis "), description, epilog)
+
+
+_EXAMPLES = {
+    "dark": "pdavis calibrate dark covered.aedat4 -o camera.npz",
+    "flat": "pdavis calibrate flat sphere.aedat4 -o camera.npz",
+    "clip": "pdavis calibrate clip overexposed.aedat4 -o camera.npz",
+    "layout": "pdavis calibrate layout turning.aedat4 -o camera.npz --direction ccw "
+              "--known 0.5,30",
+    "sweep": "pdavis calibrate sweep steps.aedat4 -o camera.npz --step-deg 5 "
+             "--hold-s 2",
+    "thresholds": "pdavis calibrate thresholds slow.aedat4 -o camera.npz",
+    "background": "pdavis calibrate background empty.aedat4 -o camera.npz",
+    "all": "pdavis calibrate all --dark covered.aedat4 --sweep steps.aedat4 "
+           "-o camera.npz",
+    "check": "pdavis calibrate check recording.aedat4",
+    "align": "pdavis calibrate align turning.aedat4 --roi 100,80,64,64",
+}
+
+
+def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
+    if part == "all":
+        for name in _ALL:
+            option = "rotating" if name == "layout" else name
+            parser.add_argument(f"--{option}", nargs="+", metavar="FILE", default=[],
+                                dest=f"{name}_files", help=f"recordings for {name}")
+    else:
+        parser.add_argument("files", nargs="+", metavar="FILE", help="a recording")
+    parser.add_argument("--layout", type=layout_option, metavar="LAYOUT",
+                        help="pdavis, sony or four angles by row, e.g. 135,90,0,45")
+    parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
+                        help="lit part of the sensor, in pixels")
+    if part == "align":
+        parser.add_argument("--camera", metavar="NPZ", help="take its dark frame out")
+    if part in ("check", "align"):
+        return
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="NPZ",
+        help="the camera's calibration file; what it holds already is kept")
+    parser.add_argument("--force", action="store_true",
+                        help="replace a layout that contradicts the new one")
+    for name, text in (("wavelength-nm", "wavelength, noted"),
+                       ("f-number", "f-number, noted"),
+                       ("temperature-c", "temperature, noted")):
+        parser.add_argument(f"--{name}", type=float, help=text)
+    if part in ("layout", "all"):
+        parser.add_argument("--direction", choices=("ccw", "cw"),
+                            help="sense of rotation as displayed")
+        parser.add_argument("--known", type=lambda text: numbers(text, 2),
+                            metavar="S,DEG", help="angle at one time")
+        parser.add_argument("--family", type=layout_option, metavar="LAYOUT",
+                            help="layout up to a constant angle")
+    if part in ("thresholds", "all"):
+        parser.add_argument("--nominal", type=lambda text: tuple(numbers(text, 2)),
+                            metavar="ON,OFF", default=(0.2, 0.2),
+                            help="expected thresholds, ln units; default 0.2,0.2")
+    if part in ("sweep", "all"):
+        parser.add_argument("--angles", type=_floats, metavar="DEG,DEG,...",
+                            help="one angle per file; else one file holds all steps")
+        parser.add_argument("--wavelengths", type=_floats, metavar="NM,NM,...",
+                            help="one per file: a table; the first is kept")
+        for name, default, text in (
+                ("start-deg", 0.0, "angle of the first step"),
+                ("step-deg", 5.0, "from step to step, counter-clockwise as displayed"),
+                ("hold-s", 1.0, "seconds from step to step"),
+                ("settle-s", 0.1, "seconds after a step that are left out"),
+                ("first-s", 0.0, "when the first step begins")):
+            parser.add_argument(f"--{name}", type=float, default=default,
+                                help=f"{text}; default {default:g}")
+        parser.add_argument("--steps", type=int, help="number of steps; default: all")
+
+
+def _floats(text: str) -> list[float]:
+    return [float(value) for value in numbers(text, text.count(",") + 1)]
