@@ -11,6 +11,7 @@ from pdavis_cv.render.colours import (
     even,
     grey_bgr,
     panel,
+    stack,
     tile,
 )
 from pdavis_cv.render.cyclic import cyclic_bgr, cyclic_legend
@@ -47,6 +48,7 @@ __all__ = [
     "quad_picture",
     "reliable",
     "scale_bar",
+    "stack",
     "tendon_sheet",
     "tile",
 ]
