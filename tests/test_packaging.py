@@ -67,6 +67,14 @@ def test_import_loads_neither_scipy_nor_cv2_nor_numpy_submodules():
     assert out.split() == []
 
 
+def test_fusing_loads_neither_scipy_nor_cv2():
+    code = ("import sys; from pdavis_cv import VideoCapture, fuse, simulation; "
+            "print(*sorted({'scipy', 'cv2'} & set(sys.modules)))")
+    out = subprocess.run([sys.executable, "-P", "-c", code], check=True,
+                         capture_output=True, text=True).stdout
+    assert out.split() == []
+
+
 def test_every_shipped_datum_is_named_and_its_notice_ships(root):
     shipped = {entry.name for entry in files("pdavis_cv.data").iterdir()
                if entry.is_file() and entry.suffix not in (".py", ".pyc")}

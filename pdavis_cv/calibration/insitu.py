@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
 
 from pdavis_cv._feed import Feed
 from pdavis_cv.calibration.corrected import corrected
@@ -307,6 +306,8 @@ class _Sample:
 
 
 def _bandwidth(sample: _Sample) -> Bandwidth:
+    from scipy.optimize import minimize  # slow to load, seldom needed
+
     def cost(point: NDArray[np.float64]) -> float:
         prior = 0.5 * ((point[0] - _LN_HZ) / _LN_HZ_SIGMA) ** 2
         return sample.misfit(_law(point, sample.bright))[0] + float(prior)

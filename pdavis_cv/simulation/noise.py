@@ -10,7 +10,6 @@ import zlib
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
 
 __all__ = ["keys", "normal", "pixel_index", "uniform"]
 
@@ -67,5 +66,7 @@ def normal(
     seed: int, purpose: str, index: ArrayLike, counter: int = 0
 ) -> NDArray[np.float64]:
     """Draw one standard normal number per index."""
+    from scipy.special import ndtri  # slow to load, seldom needed
+
     drawn: NDArray[np.float64] = ndtri(uniform(seed, purpose, index, counter))
     return drawn
