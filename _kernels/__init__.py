@@ -5,6 +5,7 @@ from ._aedat4 import (
     aedat4_table_floats,
     aedat4_table_times,
 )
+from ._aedat_write import pack_aedat2_events, pack_aedat4_events
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._demosaic import bilinear, superpixel
@@ -53,6 +54,8 @@ __all__ = [
     "log_frame",
     "mix",
     "pixel_events",
+    "pack_aedat2_events",
+    "pack_aedat4_events",
     "polarize",
     "read_out",
     "reconcile",

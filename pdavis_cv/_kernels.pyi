@@ -36,6 +36,8 @@ __all__ = [
     "log_frame",
     "mix",
     "pixel_events",
+    "pack_aedat2_events",
+    "pack_aedat4_events",
     "polarize",
     "read_out",
     "reconcile",
@@ -112,6 +114,10 @@ def log_frame(
     dn: _F32, usable: _U8, log_exposure: _F32, out: _F32, valid: _U8
 ) -> None: ...
 def mix(quad: _F32, solution: _F32, out: _F32) -> None: ...
+def pack_aedat2_events(
+    events: NDArray[Any], origin: int, height: int, width: int, out: _U8
+) -> None: ...
+def pack_aedat4_events(events: NDArray[Any], at: int, out: _U8) -> None: ...
 def polarize(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], gain: float, scratch: _F32,
     aop: _F32, dolp: _F32

@@ -13,7 +13,7 @@ from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError, Str
 from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import NEVER, Timeline
-from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
 __all__ = ["Aedat4Recording"]
 
@@ -44,6 +44,8 @@ class Aedat4Recording(Recording):
         self._file = Aedat4File(path)
         try:
             self._streams = self._choose(camera)
+            self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
+                             for s in self._streams.values())
             self._size = self._sensor_size()
             self._scale = self._frame_scale()
             self._info = self._make_info(layout)
@@ -124,6 +126,11 @@ class Aedat4Recording(Recording):
     def _frame_scale(self) -> samples.FrameScale | None:
         """Judge 16-bit frames by the first: one scale holds for the whole file."""
         stream = self._streams.get("FRME")
+        if stream is not None and stream.attributes.get("fullScaleDN", "").isdecimal():
+            scale = int(stream.attributes["fullScaleDN"])
+            return samples.FrameScale(1.0, scale, scale)
+        if self._jaer:
+            return samples.TEN_BIT
         for entry in stream.entries[:8] if stream else ():
             try:
                 raw = samples.raw_frame(*self._file.table(entry, "FRME"))
@@ -147,14 +154,31 @@ class Aedat4Recording(Recording):
         return RecordingInfo(
             format="AEDAT-4", sensor_size=self._size, writer=writer,
             camera=source or None, serial=serial or None,
-            sensor=Sensor.PDAVIS if davis else None, layout=layout,
+            sensor=Sensor.PDAVIS if davis else None, layout=self._layout(layout),
             start_us=start, stop_us=stop if self._file.indexed else None,
             event_count=counts["EVTS"], frame_count=counts["FRME"],
             imu_count=counts["IMUS"], trigger_count=counts["TRIG"],
             wall_clock_us=0 if start is not None and start > EPOCH_US else None,
             header={"compression": self._file.compression,
+                    "first_row": "bottom" if self._jaer else "top",
+                    "imu_axes": "jAER" if self._jaer else "iniVation",
                     "streams": {str(s.number): {"type": s.kind, **s.attributes}
                                 for s in self._file.streams.values()}})
+
+    def _layout(self, layout: Layout | None) -> Layout | None:
+        """Return the layout that the caller and the header agree on."""
+        texts = {s.attributes["polarizerLayout"] for s in self._streams.values()
+                 if "polarizerLayout" in s.attributes}
+        if not texts:
+            return layout
+        try:
+            [text] = texts
+            a, b, c, d = (int(angle) for angle in text.split(","))
+        except ValueError:
+            raise RecordingError(
+                f"{self.path}: polarizerLayout must be four angles, got "
+                f"{', '.join(sorted(texts))}") from None
+        return resolve_layout(layout, recording=Layout((a, b), (c, d)))
 
     def _span(self) -> tuple[int | None, int | None]:
         """Return the half-open interval of all samples, from the index if it is there.
@@ -185,7 +209,7 @@ class Aedat4Recording(Recording):
             raw = samples.raw_frame(*self._file.table(entry, "FRME"))
         except (PayloadError, samples.UnknownFrameError):
             return entry.start_us
-        return samples.exposure_times(raw.times)[2]
+        return samples.exposure_times(raw.times, jaer=self._jaer)[2]
 
     # Reading -------------------------------------------------------------------
 
@@ -217,7 +241,8 @@ class Aedat4Recording(Recording):
                 last_us: int = NEVER) -> Cursor:
         return Cursor(
             self._file, kind, self._streams[kind].entries, timeline, size=self._size,
-            scale=self._scale, strict=self._strict, first=first, last_us=last_us)
+            scale=self._scale, jaer=self._jaer, strict=self._strict, first=first,
+            last_us=last_us)
 
     def _seek(self, kind: str, start_us: int | None) -> tuple[int, int]:
         """Return the packet to begin with, and the last time before it.

@@ -30,6 +30,8 @@ class Cursor:
     size : (int, int)
         Sensor (height, width).
     scale : FrameScale, optional
+    jaer : bool
+        True if jAER wrote the file: rows from the bottom, its own frame times.
     strict : bool
         True to raise at the first bad sample.
     first : int
@@ -41,12 +43,13 @@ class Cursor:
     def __init__(
         self, file: Aedat4File, kind: str, entries: list[Entry], timeline: Timeline, *,
         size: tuple[int, int], scale: samples.FrameScale | None = None,
-        strict: bool = False, first: int = 0, last_us: int = NEVER,
+        jaer: bool = False, strict: bool = False, first: int = 0, last_us: int = NEVER,
     ) -> None:
         self.kind = kind
         self.clock = Clock(timeline, last_us)
         self._file, self._entries, self._next = file, entries, first
         self._size, self._scale, self._strict = size, scale, strict
+        self._jaer = jaer
         self._last_mid = NEVER
         self._read = {"EVTS": self._events, "FRME": self._frames,
                       "IMUS": self._samples, "TRIG": self._samples}[kind]
@@ -71,7 +74,7 @@ class Cursor:
         done = 0
         while True:
             done = _kernels.aedat4_events(
-                raw, at, done, count, *self._size, False, state, out)
+                raw, at, done, count, *self._size, self._jaer, state, out)
             if self._strict and state[5] >= 0:
                 self._refuse(entry, data, at, int(state[5]))
             if done == count:
@@ -97,7 +100,12 @@ class Cursor:
             self._file.log.add(
                 "colour frame", entry.offset, "colour channels were averaged",
                 offset=entry.offset - 8)
-        soe, eoe, available = samples.exposure_times(raw.times)
+        soe, eoe, available = samples.exposure_times(raw.times, jaer=self._jaer)
+        if self._jaer:
+            self._file.log.add(
+                "frame times", None, "jAER's AEDAT-4 does not hold start and end of "
+                "exposure: its middle was placed in the middle of the readout, within "
+                f"{(available - raw.times[1] - (eoe - soe)) // 2} us")
         time = np.array([available], np.int64)
         before = self.clock.last
         keep, segments = self.clock.order(time)
@@ -113,7 +121,8 @@ class Cursor:
         if scale.itemsize != raw.pixels.dtype.itemsize:
             scale = samples.scale_of(raw.pixels)
         frame = samples.aps_frame(
-            raw, scale, (soe + move, eoe + move, available + move), self._size)
+            raw, scale, (soe + move, eoe + move, available + move), self._size,
+            flip=self._jaer)
         self._last_mid = mid
         return [frame]
 

@@ -134,13 +134,20 @@ def scale_of(pixels: NDArray[Any]) -> FrameScale:
 
 
 def exposure_times(
-    times: tuple[int, int, int, int, int, int]
+    times: tuple[int, int, int, int, int, int], *, jaer: bool = False
 ) -> tuple[int, int, int]:
-    """Return start and end of exposure and end of readout of a DV-written frame.
+    """Return start and end of exposure and end of readout.
 
     SOE and EOE where EOE > SOE; else the timestamp is taken as mid-exposure.
+    jAER writes SOF and EOF into SOE and EOE.  The reads before and after the
+    exposure take about equally long, so its middle is that of SOF .. EOF, for
+    both shutters, within half of (EOF - SOF - exposure).
     """
-    t, _, eof, soe, eoe, exposure = times
+    t, sof, eof, soe, eoe, exposure = times
+    if jaer and 0 < eof - sof <= MAX_EXPOSURE_US:
+        span = exposure if 0 < exposure <= eof - sof else 0
+        soe = sof + (eof - sof - span) // 2
+        return soe, soe + span, eof
     if not 0 < eoe - soe <= MAX_EXPOSURE_US:
         span = exposure if 0 < exposure <= MAX_EXPOSURE_US else 0
         soe = t - span // 2

@@ -144,7 +144,7 @@ class _Queue:
             self.next_us = int(samples["t"][0])
 
     def parts(self, until: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Give samples before until, 65,536 a time at most, and where each ends."""
+        """Give samples before until, at most 65,536 a time, and where that ends."""
         while True:
             part = self.take(until, MAX_PACKET_EVENTS)
             if self.next_us >= until:

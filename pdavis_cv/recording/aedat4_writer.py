@@ -1,0 +1,279 @@
+"""Writing AEDAT-4 as DV does: packets, LZ4, index."""
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any
+from xml.sax.saxutils import escape
+
+import lz4.frame
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.recording.aedat4_file import COMPRESSIONS, MAGIC
+from pdavis_cv.recording.base import ApsFrame, Packet, Recording
+from pdavis_cv.recording.writer import RecordingWriter
+from pdavis_cv.sensor import Layout
+
+__all__ = ["Aedat4Writer", "write_aedat4"]
+
+EVENTS, FRAMES, IMU, TRIGGERS = range(4)
+_STREAMS = (("EVTS", "events", "Array of events (polarity ON/OFF)."),
+            ("FRME", "frames", "Standard frame."),
+            ("IMUS", "imu", "Inertial Measurement Unit data samples."),
+            ("TRIG", "triggers", "External triggers and special signals."))
+# A root table with one vector: size, root, identifier, padding, vtable, table.
+_VECTOR = struct.Struct("<II4s2xHHHiII")
+# vtable of 13 fields, then the table in the order of alignment.
+_FRAME = struct.Struct("<II4s15H2xi6q4hIbb2xI")
+_IMU = np.dtype([("back", "<i4"), ("t", "<i8"), ("values", "<f4", 10), ("pad", "<u4")])
+_IMU_VTABLE = struct.pack("<13H", 26, 52, 4, *range(12, 52, 4))
+_TRIGGER = np.dtype([("back", "<i4"), ("t", "<i8"), ("type", "u1"), ("pad", "V3")])
+_TRIGGER_VTABLE = struct.pack("<4H", 8, 13, 4, 12)
+_INDEX = np.dtype([("back", "<i4"), ("offset", "<i8"), ("stream", "<i4"),
+                   ("size", "<i4"), ("count", "<i8"), ("start", "<i8"),
+                   ("stop", "<i8"), ("pad", "<u4")])
+_INDEX_VTABLE = struct.pack("<7H", 14, 44, 4, 12, 20, 28, 36)
+
+
+class Aedat4Writer(RecordingWriter):
+    """Writes an AEDAT-4 file that DV, dv-processing, aedat and this library read.
+
+    Parameters
+    ----------
+    path : path
+        The file appears under this name when the writer is closed.
+    sensor_size : (int, int)
+        (height, width).
+    layout : Layout, optional
+        Polarizer layout, kept in the header.
+    camera : str
+        Name and serial number as DV writes them.
+    compression : {"lz4", "none", "zstd"}
+        zstd needs the extra ``[zstd]``.
+    frame_bits : {16, 8}, optional
+        16 keeps 10-bit DN, 8 keeps DN / 4; default: 8 if the first frame came from
+        an 8-bit file, else 16.
+    full_scale_dn : int
+        Largest DN of 16-bit frames, kept in the header.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not one of those listed.
+    ImportError
+        If zstd is asked for without its package.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], *, sensor_size: tuple[int, int],
+        layout: Layout | None = None, camera: str = "DAVIS346_00000000",
+        compression: str = "lz4", frame_bits: int | None = None,
+        full_scale_dn: int = 1023,
+    ) -> None:
+        if compression not in ("lz4", "none", "zstd"):
+            raise ValueError(
+                f"compression must be lz4, none or zstd, got {compression!r}")
+        if frame_bits not in (None, 8, 16):
+            raise ValueError(f"frame_bits must be 8 or 16, got {frame_bits!r}")
+        self._compress = _compressor(compression)
+        super().__init__(path, sensor_size)
+        self._bits = frame_bits
+        self._index: list[tuple[int, int, int, int, int, int]] = []
+        code = COMPRESSIONS.index(compression.upper() if compression != "none"
+                                  else "none")
+        text = _info_node(
+            self.sensor_size, layout, camera, COMPRESSIONS[code],
+            full_scale_dn).encode()
+        # vtable at 12, table at 28: position at 32, compression at 40, text at 44.
+        body = struct.pack("<I4s5H6xiqiII", 24, b"IOHE", 10, 20, 12, 4, 16,
+                           16, -1, code, 4, len(text)) + text + b"\0"
+        self._file.write(MAGIC + struct.pack("<I", len(body)) + body)
+        self._position_at = len(MAGIC) + 32
+
+    def _write(self, packet: Packet) -> None:
+        if len(packet.events):
+            self._put(EVENTS, _events(packet.events), len(packet.events),
+                      int(packet.events["t"][0]), int(packet.events["t"][-1]))
+        for frame in packet.frames:
+            self._put(FRAMES, self._frame(frame), 1, frame.mid_us, frame.mid_us)
+        if len(packet.imu):
+            self._put(IMU, _imu(packet.imu), len(packet.imu),
+                      int(packet.imu["t"][0]), int(packet.imu["t"][-1]))
+        if len(packet.triggers):
+            self._put(TRIGGERS, _triggers(packet.triggers), len(packet.triggers),
+                      int(packet.triggers["t"][0]), int(packet.triggers["t"][-1]))
+
+    def _put(self, stream: int, payload: bytes | NDArray[Any], count: int,
+             start: int, stop: int) -> None:
+        data = self._compress(payload)
+        self._file.write(struct.pack("<ii", stream, len(data)))
+        self._index.append((self._file.tell(), stream, len(data), count, start, stop))
+        self._file.write(data)
+
+    def _frame(self, frame: ApsFrame) -> bytes:
+        if self._bits is None:
+            self._bits = 8 if frame.full_scale_dn == 1020 else 16
+        step, most = (4, 255) if self._bits == 8 else (1, 65_535)
+        values = np.rint(frame.dn / np.float32(step))
+        low = int(np.count_nonzero(values < 0))
+        high = int(np.count_nonzero(values > most))
+        self._note("pixels with negative DN were stored as 0", low)
+        self._note("pixels above the full scale were clipped", high)
+        clipped = np.clip(values, 0, most)
+        if frame.valid is not None:
+            shown = clipped < (255 if self._bits == 8 else frame.full_scale_dn)
+            self._note("invalid pixels are not marked as such in the file",
+                       int(np.count_nonzero(~frame.valid & shown)))
+        starts, ends = (np.asarray(t) for t in (
+            frame.exposure_start_us, frame.exposure_end_us))
+        if starts.ndim or ends.ndim:
+            self._note("frames with exposure times per column keep their mean", 1)
+        half = int((ends - starts).mean() / 2)
+        start, end = frame.mid_us - half, frame.mid_us + half
+        if not starts.ndim and not ends.ndim:
+            start, end = int(starts), int(ends)
+        pixels = clipped.astype("u1" if self._bits == 8 else "<u2").tobytes()
+        height, width = frame.shape
+        body = _FRAME.pack(
+            _FRAME.size - 4 + len(pixels), 40, b"FRME",
+            30, 66, 4, 12, 20, 28, 36, 64, 52, 54, 56, 58, 60, 44, 65,
+            32, frame.mid_us, int(starts.min()), frame.available_us, start, end,
+            end - start, width, height, 0, 0, 8,
+            0 if self._bits == 8 else 2, 1, len(pixels))
+        return bytes(body + pixels)
+
+    def _note(self, what: str, count: int) -> None:
+        if count:
+            self._lost[what] += count
+
+    def _finish(self) -> None:
+        position = self._file.tell()
+        table = np.zeros(len(self._index), _INDEX)
+        for name, column in zip(("offset", "stream", "size", "count", "start", "stop"),
+                                zip(*self._index, strict=True), strict=False):
+            table[name] = column
+        self._file.write(self._compress(_tables(b"FTAB", _INDEX_VTABLE, table)))
+        self._file.seek(self._position_at)
+        self._file.write(struct.pack("<q", position))
+
+
+def write_aedat4(
+    path: str | os.PathLike[str], recording: Recording, *, compression: str = "lz4",
+    frame_bits: int | None = None,
+) -> Mapping[str, int]:
+    """Write a recording as AEDAT-4.
+
+    Parameters
+    ----------
+    path : path
+        The file appears under this name when it is whole.
+    recording : Recording
+    compression : {"lz4", "none", "zstd"}
+    frame_bits : {16, 8}, optional
+        See `Aedat4Writer`.
+
+    Returns
+    -------
+    mapping of str to int
+        What the format could not hold, and how often.
+    """
+    info = recording.info
+    with Aedat4Writer(
+            path, sensor_size=info.sensor_size, layout=info.layout,
+            camera=info.camera or "DAVIS346_00000000", compression=compression,
+            frame_bits=frame_bits,
+            full_scale_dn=info.sensor.full_scale_dn if info.sensor else 1023) as writer:
+        for packet in recording.packets():
+            writer.add(packet)
+    return writer.losses
+
+
+def _compressor(name: str) -> Callable[[Any], bytes]:
+    if name == "none":
+        return lambda data: bytes(memoryview(data))
+    if name == "lz4":
+        return lambda data: bytes(lz4.frame.compress(data, store_size=False))
+    try:
+        import zstandard
+    except ImportError:
+        raise ImportError(
+            "zstd needs a package: pip install 'pdavis-cv[zstd]'") from None
+    compressor = zstandard.ZstdCompressor(level=3)
+    return lambda data: bytes(compressor.compress(memoryview(data).cast("B")))
+
+
+def _events(events: NDArray[Any]) -> NDArray[Any]:
+    out = np.empty(32 + 16 * len(events), np.uint8)
+    _head(out, b"EVTS", len(events))
+    _kernels.pack_aedat4_events(np.ascontiguousarray(events), 32, out)
+    return out
+
+
+def _imu(samples: NDArray[Any]) -> bytes:
+    records = np.zeros(len(samples), _IMU)
+    records["t"] = samples["t"]
+    records["values"][:, 0] = samples["temperature"]
+    records["values"][:, 1:4] = samples["accel"]
+    records["values"][:, 4:7] = samples["gyro"]
+    return _tables(b"IMUS", _IMU_VTABLE, records)
+
+
+def _triggers(samples: NDArray[Any]) -> bytes:
+    records = np.zeros(len(samples), _TRIGGER)
+    records["t"], records["type"] = samples["t"], samples["type"]
+    return _tables(b"TRIG", _TRIGGER_VTABLE, records)
+
+
+def _tables(identifier: bytes, vtable: bytes, records: NDArray[Any]) -> bytes:
+    """Return a buffer with a vector of tables that share one vtable."""
+    count, stride = len(records), records.dtype.itemsize
+    vtable_at = 32 + 4 * count
+    # Tables begin 4 bytes before a multiple of 8: their first field is an int64.
+    first = -(-(vtable_at + len(vtable) - 4) // 8) * 8 + 4
+    tables_at = first + stride * np.arange(count)
+    records["back"] = tables_at - vtable_at
+    out = np.zeros(first + stride * count, np.uint8)
+    _head(out, identifier, count)
+    slots = 32 + 4 * np.arange(count)
+    out[32:vtable_at] = (tables_at - slots).astype("<u4").view(np.uint8)
+    out[vtable_at:vtable_at + len(vtable)] = np.frombuffer(vtable, np.uint8)
+    out[first:] = records.view(np.uint8)
+    return out.tobytes()
+
+
+def _head(out: NDArray[Any], identifier: bytes, count: int) -> None:
+    # vtable at 14, table at 20, its vector at 28.
+    _VECTOR.pack_into(out.data, 0, len(out) - 4, 16, identifier, 6, 8, 4, 6, 4, count)
+
+
+def _info_node(size: tuple[int, int], layout: Layout | None, camera: str,
+               compression: str, full_scale_dn: int) -> str:
+    def attribute(key: str, value: object, kind: str = "string") -> str:
+        return (f'<attr key="{key}" type="{kind}">{escape(str(value))}</attr>')
+
+    lines = ['<dv version="2.0">',
+             '<node name="outInfo" path="/mainloop/Recorder/outInfo/">']
+    for number, (kind, name, description) in enumerate(_STREAMS):
+        path = f"/mainloop/Recorder/outInfo/{number}/"
+        lines += [
+            f'<node name="{number}" path="{path}">',
+            attribute("compression", compression.upper()),
+            attribute("originalModuleName", "pdavis_cv"),
+            attribute("originalOutputName", name),
+            attribute("typeDescription", description),
+            attribute("typeIdentifier", kind),
+            f'<node name="info" path="{path}info/">']
+        if number in (EVENTS, FRAMES):
+            lines += [attribute("sizeX", size[1], "int"),
+                      attribute("sizeY", size[0], "int")]
+        if number == FRAMES:
+            lines.append(attribute("fullScaleDN", full_scale_dn, "int"))
+        if layout is not None:
+            cell = ",".join(str(a) for a in (*layout.row0, *layout.row1))
+            lines.append(attribute("polarizerLayout", cell))
+        lines += [attribute("source", camera), attribute("tsOffset", 0, "long"),
+                  "</node>", "</node>"]
+    return "\n".join([*lines, "</node>", "</dv>", ""])
