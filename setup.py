@@ -12,6 +12,7 @@ from setuptools import Extension, setup
 
 # An explicit list: a missing source must fail, not vanish from the wheel.
 KERNELS = (
+    "_aedat2",
     "_aedat4",
     "_aedat_write",
     "_aps",

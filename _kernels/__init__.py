@@ -1,4 +1,5 @@
 """Compiled kernels (private); typed in pdavis_cv/_kernels.pyi."""
+from ._aedat2 import aedat2_words
 from ._aedat4 import (
     aedat4_events,
     aedat4_table_bytes,
@@ -30,6 +31,7 @@ from ._store import track_commit, track_drop, track_push
 
 __all__ = [
     "DEBUG",
+    "aedat2_words",
     "aedat4_events",
     "aedat4_table_bytes",
     "aedat4_table_floats",

@@ -48,6 +48,8 @@ _HOME = {
     "Recording": "recording.base",
     "recording_from_arrays": "recording.memory",
     "open_recording": "recording.open",
+    "Aedat2Writer": "recording.aedat2_writer",
+    "write_aedat2": "recording.aedat2_writer",
     "Aedat4Writer": "recording.aedat4_writer",
     "write_aedat4": "recording.aedat4_writer",
     "ComplementaryFilter": "reconstruct.cf",
@@ -174,6 +176,7 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.frames import FrameHold
     from pdavis_cv.reconstruct.kalman import KalmanFilter
     from pdavis_cv.reconstruct.methods import METHODS
+    from pdavis_cv.recording.aedat2_writer import Aedat2Writer, write_aedat2
     from pdavis_cv.recording.aedat4_writer import Aedat4Writer, write_aedat4
     from pdavis_cv.recording.base import (
         IMU_DTYPE,

@@ -23,7 +23,7 @@ def real(data_dir):
 
 def joined(packets):
     """Return events, frames, IMU samples and triggers of packets."""
-    packets = list(packets)
+    packets = list(packets) or [pdavis_cv.Packet()]
     arrays = [np.concatenate([getattr(p, name) for p in packets])
               for name in ("events", "imu", "triggers")]
     return arrays[0], [f for p in packets for f in p.frames], *arrays[1:]

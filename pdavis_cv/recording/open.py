@@ -71,6 +71,10 @@ def open_recording(
         from pdavis_cv.recording.aedat4 import Aedat4Recording
 
         return Aedat4Recording(path, **options)
+    if start.startswith(b"#!AER-DAT2"):
+        from pdavis_cv.recording.aedat2 import Aedat2Recording
+
+        return Aedat2Recording(path, **options)
     if layout is not None:
         from pdavis_cv.recording.mosaic_source import open_mosaic
 

@@ -5,6 +5,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,7 @@ def packetise(
     first = -END_OF_TIME if start_us is None else start_us
     end = END_OF_TIME if stop_us is None else stop_us
     begin = first if start_us is None else cell_start(start_us)
-    for batch in batches:
+    for batch in chain(batches, (Batch(),)):
         for queue, samples in zip(
                 queues, (batch.events, batch.imu, batch.triggers), strict=True):
             if samples is not None and len(samples):

@@ -1,0 +1,188 @@
+"""AEDAT-2.0 recordings: what jAER wrote for most of its life, and v2e writes."""
+from __future__ import annotations
+
+import os
+import re
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.aedat2_decoder import Decoder, ImuScale, Mark
+from pdavis_cv.recording.aedat2_header import bias_currents, read_header
+from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
+from pdavis_cv.recording.files import FileReader, ProblemLog
+from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.timeline import NEVER
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["Aedat2Recording"]
+
+WARM_UP_US = 2_000_000
+"""Reading begins this long before what is wanted: no frame takes longer."""
+_SERIAL = re.compile(r"[-_]([0-9A-F]{8}|\d{3,8})(?=[-_.]|$)")
+
+
+class Aedat2Recording(Recording):
+    """A recording in AEDAT-2.0; see `open_recording`.
+
+    Rows and columns are those of the image: row 0 at the top, no mirror.  IMU
+    signs are jAER's (``info.header["imu_axes"]``).
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Must be part of the chip's name if given.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
+                 bad_events: str = "drop", camera: str | None = None) -> None:
+        self._arguments = (os.fspath(path), layout, bad_events, camera)
+        self._strict = bad_events == "raise"
+        self._reader = FileReader(path)
+        self._log = ProblemLog(str(path))
+        self._lock = threading.Lock()
+        self._complete = False
+        try:
+            self._header = read_header(self._reader)
+            self._marks = [Mark(0, self._header.origin_us, NEVER)]
+            self._size = self._sensor_size(camera)
+            self._info = self._make_info(layout)
+        except BaseException:
+            self._reader.close()
+            raise
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopen, self._arguments
+
+    @property
+    def path(self) -> Path:
+        """The file that is read."""
+        return self._reader.path
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """What was found wrong so far."""
+        return self._log.problems
+
+    def close(self) -> None:
+        """Release the file."""
+        self._reader.close()
+
+    def _sensor_size(self, camera: str | None) -> tuple[int, int]:
+        chip = self._header.chip
+        if camera is not None and camera.lower() not in (chip or "").lower():
+            raise RecordingError(
+                f"{self.path}: no camera named {camera!r}: it is {chip}")
+        size = self._header.size
+        if size is not None:
+            return size
+        if chip is not None and not chip.lower().startswith("davis"):
+            raise RecordingError(
+                f"{self.path}: chip {chip} is not a DAVIS, its addresses mean other "
+                "things")
+        self._log.add("unknown chip", None, f"the header names {chip or 'no chip'}: "
+                      "addresses are read as those of a DAVIS346")
+        return Sensor.PDAVIS.size
+
+    def _make_info(self, layout: Layout | None) -> RecordingInfo:
+        header = self._header
+        first = self._reader.read(header.data_start, 8)
+        start = None if len(first) < 8 else header.origin_us + int.from_bytes(
+            first[4:], "big", signed=True)
+        clock = header.start_ms
+        if clock is None:
+            clock = header.creation_ms
+        serial = _SERIAL.search(self.path.stem)
+        return RecordingInfo(
+            format="AEDAT-2.0", sensor_size=self._size, writer=_writer(header.facts),
+            camera=header.chip, serial=serial[1] if serial else None,
+            sensor=Sensor.PDAVIS if self._size == Sensor.PDAVIS.size else None,
+            layout=layout, start_us=start, exposure_us=header.number("APS.Exposure"),
+            wall_clock_us=None if clock is None else clock * 1000 - (start or 0),
+            biases=bias_currents(header),
+            header={"first_row": "bottom", "imu_axes": "jAER",
+                    "shutter": {True: "global", False: "rolling",
+                                None: "unknown"}[header.global_shutter],
+                    "data_start": header.data_start,
+                    "preferences": dict(header.preferences), **header.facts})
+
+    def _decoder(self, mark: Mark, quiet_us: int = NEVER) -> Decoder:
+        accel = self._header.number("IMU.AccelFullScale")
+        gyro = self._header.number("IMU.GyroFullScale")
+        # jAER falls back on 8 g and 1000 degrees per second.
+        g = accel if accel in (0, 1, 2, 3) else 2
+        rate = gyro if gyro in (0, 1, 2, 3) else 2
+        scale = ImuScale(1 / (16384 >> g), 1 / (131.0, 65.5, 32.8, 16.4)[rate])
+        return Decoder(
+            self._reader, self._log, self._header.data_start, self._size,
+            global_shutter=self._header.global_shutter, scale=scale, mark=mark,
+            quiet_us=quiet_us, strict=self._strict)
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        return packetise(self._batches(start_us), start_us, stop_us)
+
+    def _batches(self, start_us: int | None) -> Iterator[Batch]:
+        if start_us is None:
+            mark, quiet = self._marks[0], NEVER
+        else:
+            mark = self._find(cell_start(start_us) - WARM_UP_US)
+            quiet = NEVER if mark.chunk == 0 else cell_start(start_us)
+        decoder = self._decoder(mark, quiet)
+        for batch in decoder.batches():
+            self._remember(decoder.mark)
+            yield batch
+        self._complete = True
+        decoder.check_end()
+
+    def _remember(self, mark: Mark) -> None:
+        with self._lock:
+            if mark.chunk == len(self._marks):
+                self._marks.append(mark)
+
+    def _find(self, t_us: int) -> Mark:
+        """Return the last mark that lies before a time, reading on where needed."""
+        if self._marks[-1].last < t_us and not self._complete:
+            decoder = self._decoder(self._marks[-1], quiet_us=1 << 61)
+            for _ in decoder.batches():
+                self._remember(decoder.mark)
+                if decoder.mark.last >= t_us:
+                    break
+            else:
+                self._complete = True
+        lo, hi = 0, len(self._marks)
+        while hi - lo > 1:
+            middle = (lo + hi) // 2
+            if self._marks[middle].last < t_us:
+                lo = middle
+            else:
+                hi = middle
+        return self._marks[lo]
+
+    @property
+    def word_count(self) -> int:
+        """Words in the file, of whatever kind."""
+        return max(self._reader.size - self._header.data_start, 0) // 8
+
+
+def _writer(facts: dict[str, str]) -> str | None:
+    text = " ".join(f"{key} {value}" for key, value in facts.items()).lower()
+    return next((name for name in ("pdavis_cv", "v2e", "jAER") if name.lower() in text),
+                None)
+
+
+def _reopen(path: str, layout: Layout | None, bad_events: str,
+            camera: str | None) -> Aedat2Recording:
+    return Aedat2Recording(path, layout=layout, bad_events=bad_events, camera=camera)

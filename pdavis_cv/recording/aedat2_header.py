@@ -1,0 +1,162 @@
+"""The text before the words of an AEDAT-2.0 file, as many programs wrote it."""
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.files import FileReader
+
+__all__ = ["CHIP_SIZES", "MAGIC", "Header", "bias_currents", "read_header"]
+
+MAGIC = b"#!AER-DAT2"
+MAX_HEADER = 4 << 20
+CHIP_SIZES = {"davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
+              "davis208": (192, 208), "davis128": (128, 128)}
+"""(height, width) by the first letters of the chip class."""
+
+_CHIP = re.compile(r"AEChip\s*[:=]\s*([\w.]+)", re.IGNORECASE)
+_MILLISECONDS = r"\s*:\s*System\.currentTimeMillis\(\)\s*(\d+)"
+_DATA_START = re.compile("DataStartTime" + _MILLISECONDS)
+_ORIGIN = re.compile(r"TimeOrigin: (-?\d{1,18}) us")
+_CREATION = re.compile("Creation time" + _MILLISECONDS)
+# Three styles: XML of all chips, bare entries of this chip, entries without a chip.
+_ENTRY = re.compile(
+    r'<entry\s+key="(?:(\w+)\.)?((?:APS|AddressedIPotCF|IMU|DVS)\.[\w.]+)"\s+'
+    r'value="([^"]*)"')
+_END = re.compile(r"\s*end of ascii header\s*", re.IGNORECASE)
+_ALIASES = {"davis346mini": "davis346blue"}
+
+
+@dataclass(slots=True)
+class Header:
+    """What the header says.
+
+    Parameters
+    ----------
+    data_start : int
+        Byte where the words begin.
+    lines : int
+    chip : str, optional
+        Simple name of the chip class.
+    preferences : dict of str to str
+        Preferences of this chip, without its name.
+    facts : dict of str to str
+        Lines of the form ``name: value``.
+    start_ms, creation_ms : int, optional
+        Unix time in milliseconds of the first event and of the file.
+    origin_us : int
+        What this library's writer subtracted from times.
+    """
+
+    data_start: int
+    lines: int = 0
+    chip: str | None = None
+    preferences: dict[str, str] = field(default_factory=dict)
+    facts: dict[str, str] = field(default_factory=dict)
+    start_ms: int | None = None
+    creation_ms: int | None = None
+    origin_us: int = 0
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Sensor (height, width) of the chip, None if the chip is not known."""
+        name = (self.chip or "").lower()
+        return next((size for start, size in CHIP_SIZES.items()
+                     if name.startswith(start)), None)
+
+    def number(self, key: str) -> int | None:
+        """Return a preference as an integer, None if it is absent or no number."""
+        try:
+            return int(float(self.preferences[key]))
+        except (KeyError, ValueError, OverflowError):
+            return None
+
+    @property
+    def global_shutter(self) -> bool | None:
+        """Shutter mode, None where the header does not say."""
+        text = self.preferences.get("APS.GlobalShutter", "").strip().lower()
+        return {"true": True, "false": False}.get(text)
+
+
+def read_header(reader: FileReader) -> Header:
+    """Return the header of a file that begins with ``MAGIC``.
+
+    Raises
+    ------
+    RecordingError
+        If the header does not end within 4 MiB.
+    """
+    data = reader.read(0, MAX_HEADER)
+    at, lines = 0, []
+    while data[at:at + 1] == b"#":
+        end = data.find(b"\n", at)
+        if end < 0:
+            if len(data) == MAX_HEADER:
+                raise RecordingError(
+                    f"{reader.path}: byte {at}: the header does not end within "
+                    f"{MAX_HEADER} bytes")
+            # A header cut short; or a first word that looks like a comment.
+            if _is_binary(data[at:at + 64]):
+                break
+            at = len(data)
+            break
+        line = data[at + 1:end]
+        if _is_binary(line):
+            break
+        at = end + 1
+        text = line.decode("latin-1").rstrip("\r")
+        lines.append(text)
+        if _END.fullmatch(text):
+            break
+    if len(data) == MAX_HEADER and at > MAX_HEADER - 4096:
+        raise RecordingError(
+            f"{reader.path}: byte {at}: the header does not end within "
+            f"{MAX_HEADER} bytes")
+    return _understand(Header(at, len(lines)), lines)
+
+
+def _is_binary(line: bytes) -> bool:
+    """Tell a word whose first byte is '#' from text: it holds control characters."""
+    return any(byte < 32 and byte not in (9, 13) for byte in line)
+
+
+def _understand(header: Header, lines: list[str]) -> Header:
+    text = "\n".join(lines)
+    if found := _CHIP.search(text):
+        header.chip = found[1].rsplit(".", 1)[-1]
+    for name, pattern in (("start_ms", _DATA_START), ("creation_ms", _CREATION)):
+        if found := pattern.search(text):
+            setattr(header, name, int(found[1][:18]))
+    if found := _ORIGIN.search(text):
+        header.origin_us = int(found[1])
+    chip = (header.chip or "").lower()
+    names = {chip, _ALIASES.get(chip, chip)}
+    for prefix, key, value in _ENTRY.findall(text):
+        if not prefix or not chip or prefix.lower() in names:
+            header.preferences.setdefault(key, value)
+    for line in lines:
+        name, colon, value = line.partition(":")
+        if colon and "<" not in line and len(header.facts) < 100:
+            header.facts.setdefault(name.strip(), value.strip())
+    return header
+
+
+def bias_currents(header: Header) -> dict[str, float]:
+    """Return bias currents in ampere, by name.
+
+    I = 389 nA * 8 ** (b - 5) * fine / 256 with b = 7 - coarse: the XML holds the
+    inverted coarse code.
+    """
+    currents = {}
+    for key in header.preferences:
+        _, _, rest = key.partition("AddressedIPotCF.")
+        name, dot, kind = rest.partition(".")
+        if not dot or kind != "BitValueCoarse":
+            continue
+        coarse = header.number(key)
+        fine = header.number(f"AddressedIPotCF.{name}.BitValueFine")
+        if coarse is not None and fine is not None and (
+                0 <= coarse <= 7 and 0 <= fine <= 255):
+            currents[name] = 389e-9 * 8.0 ** (2 - coarse) * fine / 256
+    return currents

@@ -1,0 +1,146 @@
+"""Kernels that decode and encode files equal their twins."""
+import threading
+
+import numpy as np
+import pytest
+import reference_files
+from streams import random_events
+
+from pdavis_cv import EVENT_DTYPE, _kernels
+
+SIZE = (260, 346)
+
+
+def state4():
+    return np.array([0, -(1 << 61), 0, 0, 0, -1], np.int64)
+
+
+def decode4(data, at, n, *, flip=False):
+    out, state = np.empty(n, EVENT_DTYPE), state4()
+    assert _kernels.aedat4_events(data, at, 0, n, *SIZE, flip, state, out) == n
+    return out[:state[0]], state
+
+
+def decode2(data, size=SIZE):
+    words = np.frombuffer(data, np.uint8).reshape(-1, 8)
+    n, width = len(words), size[1]
+    state = np.zeros(11, np.int64)
+    state[1] = -(1 << 61)
+    events = np.empty(n, EVENT_DTYPE)
+    done = _kernels.aedat2_words(
+        words, 0, n, state, np.zeros(9, np.int64), np.zeros(size, np.uint16),
+        np.zeros(size, np.uint16), np.zeros(size, np.uint8),
+        np.zeros((2, width), np.int64), np.zeros(7, np.int16), events,
+        np.empty(n, np.int64), np.empty((n, 7), np.int16), np.empty(n, np.int64),
+        np.empty(n, np.uint8))
+    assert done == (n, 0)
+    return events[:state[5]]
+
+
+@pytest.mark.parametrize("n", [0, 1, 1000])
+@pytest.mark.parametrize("flip", [False, True])
+def test_aedat4_events_equal_their_twin(n, flip):
+    events = random_events(n, (300, 400), seed=n, stop_us=500_000).copy()
+    rng = np.random.default_rng(n)
+    back = rng.random(n) < 0.1
+    events["t"][back] -= np.minimum(events["t"][back], 2000)
+    packed = np.zeros(16 * n + 5, np.uint8)
+    _kernels.pack_aedat4_events(events, 5, packed)
+    assert packed[5:].tobytes() == reference_files.pack_aedat4_events(events)
+    packed.flags.writeable = False
+    got, state = decode4(packed, 5, n, flip=flip)
+    wanted = reference_files.aedat4_events(packed, 5, n, *SIZE, flip=flip)
+    np.testing.assert_array_equal(got, wanted)
+    assert state[3] + state[4] == n - len(wanted)
+
+
+@pytest.mark.parametrize("n", [0, 1, 1000])
+def test_aedat2_words_equal_their_twin(n):
+    events = random_events(n, SIZE, seed=n)
+    words = np.empty((n, 8), np.uint8)
+    _kernels.pack_aedat2_events(events, -77, *SIZE, words)
+    twin = reference_files.pack_aedat2_events(events, -77, *SIZE)
+    np.testing.assert_array_equal(words, twin)
+    got = decode2(words.tobytes(), size=(250, 340))
+    wanted = reference_files.aedat2_words(words.tobytes(), 250, 340)
+    np.testing.assert_array_equal(got, wanted)
+    if n:
+        again = decode2(words.tobytes())
+        again["t"] -= 77
+        np.testing.assert_array_equal(again, events)
+
+
+def test_places_outside_the_data_are_refused():
+    data, out = np.zeros(40, np.uint8), np.empty(9, EVENT_DTYPE)
+    for at, begin, n in ((-1, 0, 1), (41, 0, 0), (9, 0, 2), (0, 0, 3), (0, 2, 1)):
+        with pytest.raises(ValueError, match="lie outside data"):
+            _kernels.aedat4_events(data, at, begin, n, *SIZE, False, state4(), out)
+    with pytest.raises(ValueError, match="out is too small"):
+        _kernels.aedat4_events(data, 0, 0, 2, *SIZE, False, state4(), out[:1])
+    with pytest.raises(ValueError, match="out is too small"):
+        _kernels.pack_aedat4_events(out, 0, np.zeros(100, np.uint8))
+    with pytest.raises(ValueError, match=r"must be \(n, 8\)"):
+        _kernels.pack_aedat2_events(out, 0, *SIZE, np.zeros((8, 8), np.uint8))
+    for name, column in (("times", np.int64), ("bytes", np.uint8)):
+        with pytest.raises(ValueError, match="lie outside data"):
+            getattr(_kernels, f"aedat4_table_{name}")(data, 0, 0, np.empty(11, column))
+    with pytest.raises(ValueError, match="lie outside data"):
+        _kernels.aedat4_table_floats(data, 0, 0, np.empty((11, 3), np.float32))
+
+
+def test_tables_that_point_anywhere_are_refused():
+    rng = np.random.default_rng(0)
+    for _ in range(3000):
+        data = rng.integers(0, 256, 64, np.uint8)
+        data[rng.random(64) < 0.6] = 0
+        assert _kernels.aedat4_table_times(data, 0, 1, np.empty(4, np.int64)) <= 4
+        assert _kernels.aedat4_table_bytes(data, 0, 1, np.empty(4, np.uint8)) <= 4
+        assert _kernels.aedat4_table_floats(
+            data, 0, 1, np.empty((4, 3), np.float32)) <= 4
+
+
+def test_any_words_decode_without_harm():
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        words = rng.integers(0, 256, (4000, 8), np.uint8)
+        words[:, 4] = 0
+        words[:, 5] &= 7
+        words[:, 4:] = words[np.lexsort(words[:, 7:3:-1].T)][:, 4:]
+        n = len(words)
+        state = np.zeros(11, np.int64)
+        frame = np.array([0, 0, -1, 0, 0, 0, 0, 0, -1])
+        seen = np.zeros(SIZE, np.uint8)
+        done = 0
+        while done < n:
+            before = done
+            done, why = _kernels.aedat2_words(
+                words, done, n, state, frame, np.zeros(SIZE, np.uint16),
+                np.zeros(SIZE, np.uint16), seen, np.zeros((2, 346), np.int64),
+                np.zeros(7, np.int16), np.empty(2 * n, EVENT_DTYPE),
+                np.empty(n, np.int64), np.empty((n, 7), np.int16),
+                np.empty(2 * n, np.int64), np.empty(2 * n, np.uint8))
+            if why == 3:
+                seen[:], frame[:] = 0, [0, 0, -1, 0, 0, 0, 0, 0, -1]
+            elif done < n:
+                assert why == 1
+                state[0] += state[1] + 1 - (int.from_bytes(
+                    words[done, 4:].tobytes(), "big") + state[0])
+            assert done > before or why in (1, 3)
+
+
+def test_eight_threads_decode_the_same():
+    events = random_events(20_000, SIZE, seed=3)
+    packed = np.zeros(16 * len(events), np.uint8)
+    _kernels.pack_aedat4_events(events, 0, packed)
+    results = [None] * 8
+
+    def work(i):
+        results[i] = decode4(packed, 0, len(events))[0]
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for result in results:
+        np.testing.assert_array_equal(result, events)
