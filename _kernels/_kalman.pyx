@@ -157,7 +157,8 @@ def kalman_frame(const float[:, ::1] sample not None,
     sample is ln intensity, noise its variance, 0 or less where there is no usable
     sample; times holds start, middle and end of exposure by column.  prior is
     (row, column, (on, off)).  tuning: variance per second and per event in units of
-    theta^2, hz, hz per unit of intensity.  chi collects e^2/v (16 at most), ln v and their number.
+    theta^2, hz, hz per unit of intensity.  chi collects e^2/v (16 at most), ln v and
+    their number.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
