@@ -1,7 +1,7 @@
 """The analyser matrix: each pixel's response, from a polarizer turned before it."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv.calibration.frames import Mean, frames_of, mean_frame
 from pdavis_cv.recording.base import ApsFrame, Recording
 
-__all__ = ["Sweep", "SweepFit", "fit_sweep", "read_sweep"]
+__all__ = ["Sweep", "SweepFit", "fit_sweep", "read_sweep", "steps_in_time"]
 
 _FULL_TURN = np.deg2rad(300)
 """From this range of angles on, terms of period 360 degrees can be told apart."""
@@ -237,8 +237,10 @@ def _solve(
 
 def steps_in_time(
     recording: Recording, angles: ArrayLike, starts_us: Sequence[int], dwell_us: int
-) -> list[tuple[float, list[ApsFrame]]]:
+) -> Iterator[tuple[float, Iterator[ApsFrame]]]:
     """Cut one recording of a stepped polarizer into the steps that `read_sweep` takes.
+
+    Nothing is read before `read_sweep` asks for it.
 
     Parameters
     ----------
@@ -249,6 +251,11 @@ def steps_in_time(
         When each angle was reached.
     dwell_us : int
         How long it stood.
+
+    Yields
+    ------
+    (float, iterator of ApsFrame)
+        Angle in radians, and the frames that were exposed while it stood.
     """
-    return [(float(angle), list(frames_of(recording, start, start + dwell_us)))
-            for angle, start in zip(np.asarray(angles), starts_us, strict=True)]
+    for angle, start in zip(np.asarray(angles), starts_us, strict=True):
+        yield float(angle), frames_of(recording, start, start + dwell_us)
