@@ -143,7 +143,7 @@ def test_a_backward_seek_reads_at_most_two_snapshot_spacings(
         n, seconds = int(cap.get(COUNT)), cap.get(COUNT) / 100
         spacing = whole / seconds * 0.4
         worst = 0
-        for k in np.random.default_rng(1).integers(0, n, 40):
+        for k in np.random.default_rng(1).integers(0, n, 12):
             cap.set(POS_FRAMES, n)
             worst = max(worst, counted.of(lambda k=k: (cap.set(POS_FRAMES, k),
                                                        cap.grab())))
