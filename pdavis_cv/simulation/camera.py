@@ -251,11 +251,6 @@ class Camera:
         info = dataclasses.replace(
             stream.info, event_count=len(events), frame_count=len(frames),
             imu_count=0, trigger_count=0)
-        truth = Truth(scene, self.size, self.origin, stream.stop_us)
-        if self.bus is not None:
-            truth.bus_t_us = np.array([piece.stop_us for piece in pieces], np.int64)
-            truth.bus_load = np.array([piece.bus_load for piece in pieces])
-            truth.bus_lost = np.array([piece.bus_lost for piece in pieces], np.int64)
         recording = MemoryRecording(
             info, events, frames, np.empty(0, IMU_DTYPE), np.empty(0, TRIGGER_DTYPE))
-        return recording, truth
+        return recording, stream.truth()

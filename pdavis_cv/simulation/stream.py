@@ -23,6 +23,7 @@ from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
 from pdavis_cv.simulation.bus import BusState
 from pdavis_cv.simulation.dvs import PixelArray, in_time_order
 from pdavis_cv.simulation.scenes import FloatArray, Scene
+from pdavis_cv.simulation.truth import Truth
 
 if TYPE_CHECKING:
     from pdavis_cv.simulation.camera import Camera
@@ -81,6 +82,7 @@ class SimulatedRecording(Recording):
             step = min(step, max(gap - dvs.burst_us, 100.0))
         self._intervals = max(1, math.ceil(PIECE_US / step - 1e-9))
         self._info = camera.info(stop_us)
+        self._bus: list[tuple[int, float, int]] = []
 
     @property
     def info(self) -> RecordingInfo:
@@ -109,6 +111,20 @@ class SimulatedRecording(Recording):
                 if kept.start_us is not None:
                     yield kept
 
+    def truth(self) -> Truth:
+        """Return the light in front of the camera.
+
+        With a bus, its load and losses are those of the last complete reading.
+        """
+        truth = Truth(
+            self.scene, self.camera.size, self.camera.origin, self.stop_us)
+        if self._bus:
+            stop, load, lost = zip(*self._bus, strict=True)
+            truth.bus_t_us = np.array(stop, np.int64)
+            truth.bus_load = np.array(load)
+            truth.bus_lost = np.array(lost, np.int64)
+        return truth
+
     def pieces(self) -> Iterator[Piece]:
         """Simulate, 10 ms at a time.
 
@@ -126,6 +142,7 @@ class SimulatedRecording(Recording):
             pixels = PixelArray(camera.dvs, camera.maps, camera.noise_seed(self.run),
                                 camera.origin)
         sums: dict[int, FloatArray] = {}
+        log: list[tuple[int, float, int]] = []
         with ThreadPoolExecutor(self.threads) as pool:
             for start in range(0, self.stop_us, PIECE_US):
                 stop = start + PIECE_US
@@ -136,6 +153,7 @@ class SimulatedRecording(Recording):
                     lost = bus.lost
                     piece.events = bus.pass_on(events, stop)
                     piece.bus_load, piece.bus_lost = bus.load, bus.lost - lost
+                    log.append((stop, piece.bus_load, piece.bus_lost))
                 if clock is not None:
                     piece.frames = self._finish(clock, sums, stop)
                 if stop >= self.stop_us:
@@ -144,6 +162,7 @@ class SimulatedRecording(Recording):
                     piece.frames = [frame for frame in piece.frames
                                     if frame.available_us < self.stop_us]
                 yield piece
+        self._bus = log
 
     def _simulate(
         self, start: int, pixels: PixelArray | None, clock: FrameClock | None,
