@@ -1,461 +1,24 @@
-"""The event pixel: threshold crossings of filtered log light, and injected noise.
+"""Event pixels over intervals of light; the mathematics is in _pixel.pxd."""
+from libc.stdint cimport int32_t, uint16_t, uint64_t
+from libc.string cimport memcpy
 
-Light between two nodes is the cubic with the given values and slopes.  Its log is
-low-pass filtered exactly for a cubic log: in x, the filter's own time within the
-interval (0..1; phi time constants long), L' = phi (v - L), so
-L = a exp(-phi x) + P(x), or a power series where phi is small.  Crossings are roots
-of that function, not of samples.
-"""
-from libc.math cimport fabs, floor
-from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint64_t
-
-from _kernels._double cimport draw64, exp64, log64, uniform64
+from _kernels._double cimport exp64, log64
+from _kernels._pixel cimport (
+    FAINT,
+    NEVER,
+    begin,
+    cell_t,
+    config_t,
+    end_level,
+    interval,
+    next_burst,
+    next_noise,
+    pixel_t_,
+    quiet,
+    read_config,
+    sink_t,
+)
 from _kernels._types cimport event_t
-
-cdef extern from *:
-    """
-    #define NEVER 1e300
-    #define SERIES 0.5
-    #define FAINT 1e-9
-    """
-    const double NEVER      # us
-    const double SERIES     # below this phi the power series is used
-    const double FAINT      # DN/ms: the log of no light is not defined
-
-cdef enum:
-    TERMS = 14              # of the series: 0.5^14 / 14! = 7e-16
-
-
-cdef struct config_t:
-    double h                # interval, us
-    double t0               # time of the first node, us
-    int unfiltered
-    double cutoff           # 1/us
-    double cutoff_slope     # 1/us per DN/ms of light
-    double refractory       # us
-    double bright_factor    # shot-noise rate in bright light, of that in the dark
-    double bright_light     # DN/ms
-    double burst_chance
-    double burst_width      # us
-    double noise            # candidates of shot noise per us
-    double dark             # DN/ms
-    double e, w0, w1, w2, w3  # end value of the filter, constant cutoff
-
-
-cdef struct pixel_t_:
-    double level            # filtered log light at the node
-    double ref              # log light that the comparator remembers
-    double release          # us, end of the refractory period
-    double noise_t          # us, next candidate of shot noise
-    uint64_t counter        # of candidates drawn
-    uint64_t key
-    double on, off          # thresholds
-    double leak             # ln units per us
-    double light            # light at the node
-    double v                # its log
-
-
-cdef struct cell_t:
-    # light i0 + i1 s + i2 s^2 + i3 s^3 over the interval, s = 0..1
-    double i0, i1, i2, i3
-    double v0, m0, b, e     # its log as a cubic in x
-    double phi, cutoff, slope, drift
-    int unfiltered, series, ready, terms
-    double level            # at s = 0
-    double a, p0, p1, p2, p3
-    double term[TERMS]
-
-
-cdef inline double light_at(cell_t *c, double s) noexcept nogil:
-    cdef double i = c.i0 + s * (c.i1 + s * (c.i2 + s * c.i3))
-    return i if i > FAINT else FAINT
-
-
-cdef inline double filter_time(cell_t *c, double s) noexcept nogil:
-    """Turn time s into the filter's own time x."""
-    if c.slope == 0:
-        return s
-    return s * (c.cutoff + c.slope * (c.i0 + s * (c.i1 / 2 + s * (
-        c.i2 / 3 + s * c.i3 / 4)))) / c.phi
-
-
-cdef inline void prepare(cell_t *c) noexcept nogil:
-    """Coefficients of the filtered log light within the interval."""
-    cdef int n
-    cdef double v
-    c.ready = 1
-    if c.unfiltered:
-        return
-    if c.series:
-        c.term[0] = c.level
-        for n in range(TERMS - 1):
-            v = c.v0 if n == 0 else c.m0 if n == 1 else c.b if n == 2 else (
-                c.e if n == 3 else 0.0)
-            c.term[n + 1] = c.phi * (v - c.term[n]) / (n + 1)
-            if n > 3 and fabs(c.term[n + 1]) < 1e-17:
-                break
-        c.terms = n + 1
-        return
-    c.p3 = c.e
-    c.p2 = c.b - 3 * c.p3 / c.phi
-    c.p1 = c.m0 - 2 * c.p2 / c.phi
-    c.p0 = c.v0 - c.p1 / c.phi
-    c.a = c.level - c.p0
-
-
-cdef inline double filtered(cell_t *c, double x) noexcept nogil:
-    cdef int n
-    cdef double y
-    if c.series:
-        y = c.term[c.terms]
-        for n in range(c.terms - 1, -1, -1):
-            y = y * x + c.term[n]
-        return y
-    return c.a * exp64(-c.phi * x) + c.p0 + x * (c.p1 + x * (c.p2 + x * c.p3))
-
-
-cdef inline double value(cell_t *c, double s, double *slope) noexcept nogil:
-    """What the comparator sees at s, and its derivative."""
-    cdef double i, x, y, v
-    if not c.ready:
-        prepare(c)
-    if c.unfiltered:
-        i = light_at(c, s)
-        slope[0] = (c.i1 + s * (2 * c.i2 + s * 3 * c.i3)) / i + c.drift
-        return log64(i) + c.drift * s
-    x = filter_time(c, s)
-    y = filtered(c, x)
-    v = c.v0 + x * (c.m0 + x * (c.b + x * c.e))
-    i = c.phi if c.slope == 0 else c.cutoff + c.slope * light_at(c, s)
-    slope[0] = i * (v - y) + c.drift
-    return y + c.drift * s
-
-
-cdef inline double end_level(cell_t *c, config_t *cfg, double v1) noexcept nogil:
-    """Filtered log light at the end of the interval."""
-    if c.unfiltered:
-        return v1
-    if c.slope == 0:
-        return cfg.e * c.level + cfg.w0 * c.v0 + cfg.w1 * c.m0 + (
-            cfg.w2 * c.b + cfg.w3 * c.e)
-    prepare(c)
-    return filtered(c, 1.0)
-
-
-cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, double v1,
-                       double d0, double d1) noexcept nogil:
-    """Set up the interval from the node's light to light1, slopes d0 and d1."""
-    cdef double m1, dv, rise = light1 - p.light
-    c.i0 = p.light
-    c.i1 = d0
-    c.i2 = 3 * rise - 2 * d0 - d1
-    c.i3 = d0 + d1 - 2 * rise
-    c.drift = p.leak * cfg.h
-    c.level = p.level
-    c.unfiltered = cfg.unfiltered
-    c.ready = 0
-    c.v0 = p.v
-    if c.unfiltered:
-        return
-    c.cutoff = cfg.cutoff * cfg.h
-    c.slope = cfg.cutoff_slope * cfg.h
-    if c.slope == 0:
-        c.phi = c.cutoff
-        c.m0 = d0 / p.light
-        m1 = d1 / light1
-    else:
-        c.phi = c.cutoff + c.slope * (c.i0 + c.i1 / 2 + c.i2 / 3 + c.i3 / 4)
-        if c.phi < 1e-12:
-            c.phi = 1e-12
-        c.m0 = d0 / p.light * c.phi / (c.cutoff + c.slope * p.light)
-        m1 = d1 / light1 * c.phi / (c.cutoff + c.slope * light1)
-    c.series = c.phi < SERIES
-    dv = v1 - c.v0
-    c.b = 3 * dv - 2 * c.m0 - m1
-    c.e = c.m0 + m1 - 2 * dv
-
-
-cdef inline double root(cell_t *c, double target, double sa, double sb, double ya,
-                        double yb, double tolerance) noexcept nogil:
-    """Where value(), ya and yb at sa and sb, reaches target on a monotonic stretch.
-
-    Newton's method from the chord's guess, kept in bounds by bisection.
-    """
-    cdef double s, y, slope, step
-    cdef int rising = ya < target, direct = c.unfiltered and c.drift == 0, _n
-    s = sa + (target - ya) / (yb - ya) * (sb - sa) if yb != ya else sb
-    if not (sa <= s <= sb):
-        s = 0.5 * (sa + sb)
-    if direct:  # light itself instead of its log
-        target = exp64(target)
-    for _n in range(60):
-        if direct:
-            y = c.i0 + s * (c.i1 + s * (c.i2 + s * c.i3))
-            slope = c.i1 + s * (2 * c.i2 + s * 3 * c.i3)
-        else:
-            y = value(c, s, &slope)
-        if (y < target) == rising:
-            sa = s
-        else:
-            sb = s
-        step = s - (y - target) / slope if slope != 0 else -1.0
-        if not (sa <= step <= sb):
-            step = 0.5 * (sa + sb)
-        if fabs(step - s) < tolerance:
-            return step
-        s = step
-    return s
-
-
-cdef inline double turning(cell_t *c, double sa, double sb) noexcept nogil:
-    """Where the slope of value() changes sign between sa and sb (Illinois method)."""
-    cdef double fa, fb, f, s, y
-    cdef int _n, side = 0
-    y = value(c, sa, &fa)
-    y = value(c, sb, &fb)
-    if (fa < 0) == (fb < 0):
-        return 2
-    s = sa
-    for _n in range(80):
-        s = (fa * sb - fb * sa) / (fa - fb)
-        y = value(c, s, &f)
-        if fabs(f) < 1e-13 or sb - sa < 1e-9:
-            break
-        if (f < 0) == (fb < 0):
-            sb = s
-            fb = f
-            if side == -1:
-                fa *= 0.5
-            side = -1
-        else:
-            sa = s
-            fa = f
-            if side == 1:
-                fb *= 0.5
-            side = 1
-    return s
-
-
-cdef struct sink_t:
-    event_t *events
-    Py_ssize_t n, capacity
-    uint16_t x, y
-    int full
-
-
-cdef inline void emit(sink_t *out, double t, int polarity) noexcept nogil:
-    if out.n >= out.capacity:
-        out.full = 1
-        return
-    out.events[out.n].t = <int64_t>floor(t + 0.5)
-    out.events[out.n].x = out.x
-    out.events[out.n].y = out.y
-    out.events[out.n].p = <uint8_t>polarity
-    out.n += 1
-
-
-cdef inline void next_noise(pixel_t_ *p, config_t *cfg) noexcept nogil:
-    """Advance to the next candidate of the pixel's Poisson process."""
-    if cfg.noise <= 0:
-        p.noise_t = NEVER
-        return
-    p.noise_t -= log64(uniform64(draw64(p.key, 2 * p.counter))) / cfg.noise
-    p.counter += 1
-
-
-cdef inline int noise_polarity(pixel_t_ *p, config_t *cfg, cell_t *c,
-                               double s) noexcept nogil:
-    """Polarity of the current candidate, -1 if light thins it out."""
-    cdef uint64_t bits = draw64(p.key, 2 * p.counter - 1)
-    cdef double rate = light_at(c, s) / cfg.bright_light
-    rate = 1 - (1 - cfg.bright_factor) * (rate if rate < 1 else 1.0)
-    return <int>(bits & 1) if uniform64(bits) < rate else -1
-
-
-cdef void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last,
-                   double *burst_t, int burst_p, sink_t *out) noexcept nogil:
-    """Events of one pixel in [t0, t0 + h); `last` is the filtered log at its end."""
-    cdef double s = 0, stop, ga = c.level, gb = 0, slope_a, slope_b, at, up, down
-    cdef double extreme = 2
-    cdef double reach, t1 = t0 + cfg.h, tolerance = 1e-4 / cfg.h
-    cdef int polarity, checked = 0, forced
-    if p.release > t0:
-        if p.release >= t1:
-            while p.noise_t < t1:
-                next_noise(p, cfg)
-            if burst_t[0] < t1:
-                burst_t[0] = NEVER
-            return
-        s = (p.release - t0) / cfg.h
-        ga = p.ref = value(c, s, &slope_a)
-    while not out.full:
-        # The next time at which an event is forced, or the end.
-        forced = 0
-        stop = 1
-        at = burst_t[0] if burst_t[0] < p.noise_t else p.noise_t
-        if at < t1:
-            stop = (at - t0) / cfg.h
-            forced = 1
-            if stop < s:  # held in reset: it does not happen
-                if burst_t[0] == at:
-                    burst_t[0] = NEVER
-                else:
-                    next_noise(p, cfg)
-                continue
-        # The first crossing before that.
-        up = p.ref + p.on
-        down = p.ref - p.off
-        at = -1
-        if ga >= up or ga <= down:
-            at = s
-            polarity = ga >= up
-        else:
-            gb = last + c.drift if stop == 1 else value(c, stop, &slope_b)
-            if not checked:
-                # A turning point inside hides crossings from the two ends.
-                checked = 1
-                if c.unfiltered:
-                    slope_a = c.i1 / c.i0 + c.drift
-                    slope_b = (c.i1 + 2 * c.i2 + 3 * c.i3) / light_at(c, 1) + c.drift
-                else:
-                    slope_a = c.drift + (c.v0 - c.level) * (
-                        c.phi if c.slope == 0 else c.cutoff + c.slope * c.i0)
-                    slope_b = c.drift + (c.v0 + c.m0 + c.b + c.e - last) * (
-                        c.phi if c.slope == 0
-                        else c.cutoff + c.slope * light_at(c, 1))
-                if slope_a * slope_b < 0:
-                    # Four times what a parabola exceeds its higher end by.
-                    reach = fabs(slope_a)
-                    if fabs(slope_b) < reach:
-                        reach = fabs(slope_b)
-                    reach *= 2 * reach / (fabs(slope_a) + fabs(slope_b))
-                    if (reach > 1e-15 and (
-                            (slope_a > 0
-                             and (c.level if c.level > last + c.drift
-                                  else last + c.drift) + reach >= up)
-                            or (slope_a < 0
-                                and (c.level if c.level < last + c.drift
-                                     else last + c.drift) - reach <= down)
-                            or s > 0 or stop < 1 or gb >= up or gb <= down)):
-                        extreme = turning(c, 0, 1)
-            if s < extreme < stop:
-                reach = value(c, extreme, &slope_a)
-                if reach >= up or reach <= down:
-                    polarity = reach >= up
-                    at = root(c, up if polarity else down, s, extreme, ga, reach,
-                              tolerance)
-                elif gb >= up or gb <= down:
-                    polarity = gb >= up
-                    at = root(c, up if polarity else down, extreme, stop, reach, gb,
-                              tolerance)
-            elif gb >= up or gb <= down:
-                polarity = gb >= up
-                at = root(c, up if polarity else down, s, stop, ga, gb, tolerance)
-        if at < 0:
-            if not forced:
-                break
-            at = stop
-            if burst_t[0] <= p.noise_t:
-                polarity = burst_p
-                burst_t[0] = NEVER
-            else:
-                polarity = noise_polarity(p, cfg, c, at)
-                next_noise(p, cfg)
-                if polarity < 0:
-                    s = at
-                    ga = gb
-                    continue
-            ga = gb
-        elif at > s:
-            ga = up if polarity else down
-        emit(out, t0 + at * cfg.h, polarity)
-        p.ref += p.on if polarity else -p.off
-        s = at
-        if cfg.refractory > 0:
-            p.release = t0 + at * cfg.h + cfg.refractory
-            if p.release >= t1:
-                while p.noise_t < t1:
-                    next_noise(p, cfg)
-                if burst_t[0] < t1:
-                    burst_t[0] = NEVER
-                return
-            s = (p.release - t0) / cfg.h
-            ga = p.ref = value(c, s, &slope_a)
-
-
-cdef inline int quiet(cell_t *c, pixel_t_ *p, double last) noexcept nogil:
-    """Whether the interval's end shows that nothing crosses within it.
-
-    The slope has one sign, and the end lies between the thresholds.
-    """
-    cdef double a, b
-    last += c.drift
-    if not p.ref - p.off < last < p.ref + p.on:
-        return 0
-    if c.unfiltered:
-        return 0
-    last -= c.drift
-    a = (c.v0 - c.level) * (c.phi if c.slope == 0 else c.cutoff + c.slope * c.i0)
-    b = (c.v0 + c.m0 + c.b + c.e - last) * (
-        c.phi if c.slope == 0 else c.cutoff + c.slope * light_at(c, 1))
-    return (a + c.drift) * (b + c.drift) > 0
-
-
-cdef void filter_weights(config_t *cfg) noexcept nogil:
-    """End value of the filter for x^n input: w_n = phi int exp(-phi(1-x)) x^n dx."""
-    cdef double phi = cfg.cutoff * cfg.h, term, total
-    cdef double w[4]
-    cdef int n, k
-    cfg.e = exp64(-phi)
-    for n in range(4):
-        if phi < SERIES:
-            term = phi / (n + 1)
-            total = 0
-            for k in range(TERMS + 2):
-                total += term
-                term *= -phi / (n + k + 2)
-            w[n] = total
-        elif n == 0:
-            w[0] = 1 - cfg.e
-        else:
-            w[n] = 1 - n * w[n - 1] / phi
-    cfg.w0 = w[0]
-    cfg.w1 = w[1]
-    cfg.w2 = w[2]
-    cfg.w3 = w[3]
-
-
-cdef void read_config(const double[::1] settings, config_t *cfg) noexcept:
-    cfg.h = settings[0]
-    cfg.t0 = settings[1]
-    cfg.unfiltered = settings[2] != 0
-    cfg.cutoff = settings[3]
-    cfg.cutoff_slope = settings[4]
-    cfg.refractory = settings[5]
-    cfg.bright_factor = settings[6]
-    cfg.bright_light = settings[7]
-    cfg.burst_chance = settings[8]
-    cfg.burst_width = settings[9]
-    cfg.noise = settings[10]
-    cfg.dark = settings[11]
-    filter_weights(cfg)
-
-
-cdef inline double next_burst(pixel_t_ *p, config_t *cfg, const double[::1] edges,
-                              Py_ssize_t *edge, uint64_t first, double after,
-                              int *polarity) noexcept nogil:
-    """Time of the pixel's next event that a frame edge causes, not before `after`."""
-    cdef uint64_t key = p.key ^ 0xd1b54a32d192ed03ULL, bits
-    cdef double t
-    while edge[0] < edges.shape[0]:
-        bits = draw64(key, 2 * (first + <uint64_t>edge[0]))
-        polarity[0] = <int>(bits & 1)
-        t = edges[edge[0]] + cfg.burst_width * uniform64(
-            draw64(key, 2 * (first + <uint64_t>edge[0]) + 1))
-        edge[0] += 1
-        if uniform64(bits) < cfg.burst_chance and t >= after:
-            return t
-    return NEVER
 
 
 def pixel_events(const double[:, ::1] light not None,
@@ -600,104 +163,159 @@ def pixel_events(const double[:, ::1] light not None,
     return i, sink.n
 
 
-def sort_events(const event_t[::1] events not None, int64_t start,
-                int32_t[::1] counts not None, event_t[::1] out not None):
-    """Stable counting sort by time; times lie in start .. start + len(counts) - 1.
+cdef inline float log32(float x) noexcept nogil:
+    """Natural log of a positive, normal x, to 2e-7; the compiler vectorises it.
 
-    Returns the number of events sorted: it stops at the first time outside.
+    The mantissa is taken to sqrt(1/2)..sqrt(2); then Cephes' polynomial (logf.c).
     """
-    cdef Py_ssize_t n = events.shape[0], bins = counts.shape[0], i
-    cdef int64_t t
-    cdef int32_t at, here
-    if out.shape[0] != n or n > 2147483647:
-        raise ValueError("sort_events: out must have as many events")
-    with nogil:
-        for i in range(bins):
-            counts[i] = 0
-        for i in range(n):
-            t = events[i].t - start
-            if t < 0 or t >= bins:
-                break
-            counts[t] += 1
-        else:
-            at = 0
-            for i in range(bins):
-                here = counts[i]
-                counts[i] = at
-                at += here
-            for i in range(n):
-                t = events[i].t - start
-                out[counts[t]] = events[i]
-                counts[t] += 1
-            i = n
-    return i
+    cdef int32_t bits, k
+    cdef float m, z, y, e
+    memcpy(&bits, &x, 4)
+    k = (bits - 0x3f3504f3) >> 23
+    bits -= k << 23
+    memcpy(&m, &bits, 4)
+    m -= <float>1.0
+    z = m * m
+    y = <float>7.0376836292e-2
+    y = y * m + <float>-1.1514610310e-1
+    y = y * m + <float>1.1676998740e-1
+    y = y * m + <float>-1.2420140846e-1
+    y = y * m + <float>1.4249322787e-1
+    y = y * m + <float>-1.6668057665e-1
+    y = y * m + <float>2.0000714765e-1
+    y = y * m + <float>-2.4999993993e-1
+    y = y * m + <float>3.3333331174e-1
+    y = y * m * z
+    e = <float>k
+    y += e * <float>-2.12194440e-4
+    y -= <float>0.5 * z
+    return m + y + e * <float>0.693359375
 
 
-def read_out(const event_t[::1] events not None, double until_us, double event_us,
-             double row_us, double[::1] clock not None, int32_t[::1] waiting not None,
-             uint16_t[:, ::1] queue not None, uint8_t[:, ::1] pending not None,
-             event_t[::1] out not None):
-    """Pass events through the arbiter: one row at a time, round robin.
+cdef void weigh(const float *quad, Py_ssize_t plane, const float *weights,
+                Py_ssize_t area, float dark, Py_ssize_t n, float *light,
+                float *v) noexcept nogil:
+    """Light and log light of n pixels behind their analysers."""
+    cdef Py_ssize_t i
+    cdef float s, faint = <float>FAINT
+    for i in range(n):
+        s = dark + weights[i] * quad[i] + weights[area + i] * quad[plane + i]
+        s += weights[2 * area + i] * quad[2 * plane + i]
+        s += weights[3 * area + i] * quad[3 * plane + i]
+        s = s if s > faint else faint
+        light[i] = s
+        v[i] = log32(s)
 
-    A row's requests leave together with the time at which the row was taken, and keep
-    the bus for row_us + n event_us.  A pixel that still waits loses its next event.
-    clock (3,): time at which the bus is free, row served last, requests waiting.
-    waiting (H,), queue and pending (H, W): requests per row, their columns in the
-    order of arrival, and 1 + polarity of each.  Returns (events read out, lost, events
-    taken): it stops at the first event outside the sensor.
+
+def video_events(const float[:, :, ::1] quad not None,
+                 const float[:, ::1] weights not None,
+                 const double[:, ::1] pixels not None,
+                 const uint64_t[::1] keys not None,
+                 const double[::1] edges not None,
+                 uint64_t first_edge,
+                 const double[::1] settings not None,
+                 const uint16_t[:, ::1] places not None,
+                 double[:, ::1] state not None,
+                 uint64_t[::1] counters not None,
+                 float[::1] light not None,
+                 Py_ssize_t start, Py_ssize_t stop, event_t[::1] out not None):
+    """Events of one interval that ends with a video frame; else as pixel_events.
+
+    quad (4, H, W): the frame; weights (4, H * W): what each pixel sees of each plane.
+    Log light is linear over the interval, which needs a constant cutoff or none.
+    light (H * W) receives the light at the interval's end.
     """
-    cdef Py_ssize_t n = events.shape[0], h = queue.shape[0], w = queue.shape[1]
-    cdef Py_ssize_t i, k, _k, row, x, y, total, done = 0, lost = 0
-    cdef double free, at
-    if (waiting.shape[0] != h or pending.shape[0] != h or pending.shape[1] != w
-            or clock.shape[0] != 3 or h < 1):
-        raise ValueError("read_out: shapes do not fit")
-    row = <Py_ssize_t>clock[1]
-    total = <Py_ssize_t>clock[2]
-    i = y = 0
-    if not (0 <= row < h and 0 <= total <= h * w):
-        raise ValueError("read_out: clock is not one of this bus")
-    if out.shape[0] < n + total:
-        raise ValueError("read_out: out must hold all requests")
-    free = clock[0]
+    cdef Py_ssize_t n = pixels.shape[0], i, j, many, saved, edge
+    cdef config_t cfg
+    cdef cell_t c
+    cdef pixel_t_ p
+    cdef sink_t sink
+    cdef double v1, last, t1, burst_t = NEVER, top, bottom, drift
+    cdef int burst_p = 0, bursts
+    cdef float v[512]
+    if (quad.shape[0] != 4 or quad.shape[1] * quad.shape[2] != n
+            or weights.shape[0] != 4 or weights.shape[1] != n or light.shape[0] != n
+            or pixels.shape[1] != 3 or keys.shape[0] != n or places.shape[0] != n
+            or places.shape[1] != 2 or state.shape[0] != n or state.shape[1] != 6
+            or counters.shape[0] != n or settings.shape[0] != 12
+            or not 0 <= start <= stop <= n):
+        raise ValueError("video_events: shapes do not fit")
+    if not settings[0] > 0 or settings[4] != 0:
+        raise ValueError("video_events: the interval or the cutoff does not fit")
+    read_config(settings, &cfg)
+    t1 = cfg.t0 + cfg.h
+    bursts = edges.shape[0] > 0 and cfg.burst_chance > 0
+    sink.events = &out[0] if out.shape[0] else NULL
+    sink.capacity = out.shape[0]
+    sink.n = 0
+    sink.full = 0
+    j = start
     with nogil:
-        for i in range(n + 1):
-            at = until_us
-            if i < n:
-                at = events[i].t
-                x = events[i].x
-                y = events[i].y
-                if x >= w or y >= h or events[i].p > 1:
+        while j < stop and not sink.full:
+            many = stop - j if stop - j < 512 else 512
+            weigh(&quad[0, 0, 0] + j, n, &weights[0, 0] + j, n, <float>cfg.dark, many,
+                  &light[j], v)
+            for i in range(j, j + many):
+                v1 = v[i - j]
+                if cfg.unfiltered:
+                    last = v1
+                else:
+                    last = cfg.e * state[i, 0] + cfg.w0 * state[i, 5] + (
+                        cfg.w1 * (v1 - state[i, 5]))
+                drift = pixels[i, 2] * cfg.h
+                # The filter stays between its state and the ends of its input.
+                top = state[i, 5] if state[i, 5] > v1 else v1
+                bottom = state[i, 5] if state[i, 5] < v1 else v1
+                top = state[i, 0] if state[i, 0] > top else top
+                bottom = state[i, 0] if state[i, 0] < bottom else bottom
+                if (counters[i] > 0 or cfg.noise == 0) and (
+                        top + drift < state[i, 1] + pixels[i, 0]) and (
+                        bottom > state[i, 1] - pixels[i, 1]) and (
+                        state[i, 3] >= t1 or cfg.noise == 0) and (
+                        state[i, 2] <= cfg.t0) and not bursts:
+                    state[i, 0] = last
+                    state[i, 1] -= drift
+                    state[i, 4] = light[i]
+                    state[i, 5] = v1
+                    continue
+                saved = sink.n
+                p.level = state[i, 0]
+                p.ref = state[i, 1]
+                p.release = state[i, 2]
+                p.noise_t = state[i, 3]
+                p.light = state[i, 4]
+                p.v = state[i, 5]
+                p.counter = counters[i]
+                p.key = keys[i]
+                p.on = pixels[i, 0]
+                p.off = pixels[i, 1]
+                p.leak = pixels[i, 2]
+                sink.x = places[i, 0]
+                sink.y = places[i, 1]
+                if p.counter == 0:
+                    next_noise(&p, &cfg)
+                if bursts:
+                    edge = 0
+                    burst_t = next_burst(&p, &cfg, edges, &edge, first_edge, cfg.t0,
+                                         &burst_p)
+                begin(&c, &cfg, &p, light[i], v1, light[i] - p.light,
+                      light[i] - p.light)
+                c.m0 = v1 - p.v
+                c.b = c.e = 0
+                interval(&p, &cfg, &c, cfg.t0, last, &burst_t, burst_p, &sink)
+                if sink.full:
+                    sink.n = saved
                     break
-            while total > 0 and free < at:
-                for _k in range(h):
-                    row = row + 1 if row + 1 < h else 0
-                    if waiting[row]:
-                        break
-                for k in range(waiting[row]):
-                    x = queue[row, k]
-                    out[done].t = <int64_t>floor(free + 0.5)
-                    out[done].x = <uint16_t>x
-                    out[done].y = <uint16_t>row
-                    out[done].p = pending[row, x] - 1
-                    pending[row, x] = 0
-                    done += 1
-                free += row_us + waiting[row] * event_us
-                total -= waiting[row]
-                waiting[row] = 0
-            if i == n:
-                break
-            x = events[i].x
-            if pending[y, x]:
-                lost += 1
+                state[i, 0] = last
+                state[i, 1] = p.ref - c.drift
+                state[i, 2] = p.release
+                state[i, 3] = p.noise_t
+                state[i, 4] = light[i]
+                state[i, 5] = v1
+                counters[i] = p.counter
+            else:
+                j += many
                 continue
-            if total == 0 and free < at:
-                free = at
-            pending[y, x] = 1 + events[i].p
-            queue[y, waiting[y]] = <uint16_t>x
-            waiting[y] += 1
-            total += 1
-    clock[0] = free
-    clock[1] = row
-    clock[2] = total
-    return done, lost, i
+            j = i
+            break
+    return j, sink.n

@@ -3,13 +3,14 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._kernels import pixel_events, sort_events
+from pdavis_cv._kernels import pixel_events, sort_events, video_events
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
@@ -174,7 +175,9 @@ class PixelArray:
         """Let the pixels of some rows adapt to light, shape (rows, W), DN per ms."""
         part = self._part(rows)
         total = np.maximum(light.ravel() + self.pixel.dark_dn_ms, 1e-9)
-        self._state[part, 0] = self._state[part, 1] = np.log(total)
+        self._state[part, 4] = total
+        for column in (0, 1, 5):
+            self._state[part, column] = np.log(total)
 
     def advance(
         self, start_us: float, step_us: float, light: FloatArray, slope: FloatArray,
@@ -206,20 +209,68 @@ class PixelArray:
             In pixel order; time-ordered within each pixel.
         """
         part = self._part(rows)
-        settings = self._settings.copy()
-        settings[0], settings[1] = step_us, start_us
+        settings = self._at(start_us, step_us)
         edges = np.empty(0) if edges is None else edges
         pixels, keys = self._pixels[part], self._keys[part]
         places, state = self._places[part], self._state[part]
-        counters, parts, done = self._counters[part], [], 0
+        counters = self._counters[part]
+
+        def run(start: int, buffer: NDArray[Any]) -> tuple[int, int]:
+            return pixel_events(
+                light, slope, analyser, pixels, keys, edges, first_edge, settings,
+                places, state, counters, start, len(pixels), buffer)
+
+        return self._collect(run, 0, len(pixels))
+
+    def advance_film(
+        self, start_us: float, step_us: float, quad: NDArray[np.float32],
+        weights: NDArray[np.float32], seen: NDArray[np.float32], *,
+        rows: slice = slice(None), edges: FloatArray | None = None,
+        first_edge: int = 0,
+    ) -> list[NDArray[Any]]:
+        """Return the events of one interval over which log light is linear.
+
+        Parameters
+        ----------
+        start_us, step_us : float
+            Start of the interval and its length.
+        quad : ndarray of float32, shape (4, H, W)
+            Four planes of light at its end, DN per ms.
+        weights : ndarray of float32, shape (4, H * W)
+            Response of each pixel to each plane.
+        seen : ndarray of float32, shape (H * W,)
+            Receives the light on each pixel, dark current included.
+        rows, edges, first_edge
+            As for `advance`.
+        """
+        part = self._part(rows)
+        settings = self._at(start_us, step_us)
+        edges = np.empty(0) if edges is None else edges
+
+        def run(start: int, buffer: NDArray[Any]) -> tuple[int, int]:
+            return video_events(
+                quad, weights, self._pixels, self._keys, edges, first_edge, settings,
+                self._places, self._state, self._counters, seen, start, part.stop,
+                buffer)
+
+        return self._collect(run, part.start, part.stop)
+
+    def _at(self, start_us: float, step_us: float) -> FloatArray:
+        settings = self._settings.copy()
+        settings[0], settings[1] = step_us, start_us
+        return settings
+
+    def _collect(
+        self, run: Callable[[int, NDArray[Any]], tuple[int, int]], done: int, stop: int
+    ) -> list[NDArray[Any]]:
+        """Run a kernel until it has done all pixels; make room where it needs some."""
+        parts = []
         buffer = getattr(self._local, "buffer", None)
         if buffer is None:
             buffer = np.empty(65_536, EVENT_DTYPE)
-        while done < len(pixels):
+        while done < stop:
             before = done
-            done, n = pixel_events(
-                light, slope, analyser, pixels, keys, edges, first_edge, settings,
-                places, state, counters, done, len(pixels), buffer)
+            done, n = run(done, buffer)
             parts.append(buffer[:n].copy())
             if done == before:
                 buffer = np.empty(2 * len(buffer), EVENT_DTYPE)

@@ -326,8 +326,10 @@ class VideoScene(Scene):
     """A scene from a video of the intensities behind four ideal analysers.
 
     Intensity is linear in time between frames: where the light is smooth, the error
-    is at most interval^2 / 8 times its largest second derivative.  Before the first
-    and after the last frame it is constant.
+    is at most interval^2 / 8 times its largest second derivative.  Event pixels with
+    a constant cutoff take its log as linear instead, which differs by at most
+    (ln ratio)^2 / 8 where intensity changes by a ratio from frame to frame.  Before
+    the first and after the last frame the light is constant.
 
     Parameters
     ----------
@@ -361,21 +363,27 @@ class VideoScene(Scene):
         last = min(math.ceil(stop_us * self.fps / 1e6) - 1, len(self.quad) - 1)
         return np.arange(first, last + 1, dtype=np.float64) * (1e6 / self.fps)
 
+    def check_covers(self, origin: tuple[int, int], size: tuple[int, int]) -> None:
+        """Raise ValueError unless the video has these pixels of the sensor."""
+        height, width = self.quad.shape[2:]
+        row, column = origin[0] - self.origin[0], origin[1] - self.origin[1]
+        if not (0 <= row <= height - size[0] and 0 <= column <= width - size[1]):
+            raise ValueError(
+                f"the video's {width}x{height} pixels from row {self.origin[0]}, "
+                f"column {self.origin[1]} on must cover the camera's, got "
+                f"{size[1]}x{size[0]} from row {origin[0]}, column {origin[1]} on")
+
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms; places are rounded to pixels of the video."""
         at = np.clip(np.asarray(t_us, np.float64) * (self.fps / 1e6), 0,
                      len(self.quad) - 1)
         k = np.minimum(at.astype(np.intp), max(len(self.quad) - 2, 0))
         after = np.minimum(k + 1, len(self.quad) - 1)
-        rows = np.rint(y).astype(np.intp) - self.origin[0]
-        columns = np.rint(x).astype(np.intp) - self.origin[1]
-        height, width = self.quad.shape[2:]
-        if (np.any((rows < 0) | (rows >= height))
-                or np.any((columns < 0) | (columns >= width))):
-            raise ValueError(
-                f"the video's {width}x{height} pixels must cover the camera's, got "
-                f"columns {np.min(columns)}..{np.max(columns)}, rows "
-                f"{np.min(rows)}..{np.max(rows)}")
+        rows, columns = (np.rint(a).astype(np.intp) for a in (y, x))
+        first = int(np.min(rows)), int(np.min(columns))
+        self.check_covers(first, (int(np.max(rows)) - first[0] + 1,
+                                  int(np.max(columns)) - first[1] + 1))
+        rows, columns = rows - self.origin[0], columns - self.origin[1]
         part = at - k
         i0, i45, i90, i135 = (
             self.quad[k, c, rows, columns] * (1 - part)

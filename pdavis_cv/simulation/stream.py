@@ -1,6 +1,7 @@
 """A simulation as a recording: made while it is read, in flat memory."""
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -22,6 +23,8 @@ from pdavis_cv.recording.base import (
 from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
 from pdavis_cv.simulation.bus import BusState
 from pdavis_cv.simulation.dvs import PixelArray, in_time_order
+from pdavis_cv.simulation.film import Film
+from pdavis_cv.simulation.patterns import VideoScene
 from pdavis_cv.simulation.scenes import FloatArray, Scene
 from pdavis_cv.simulation.truth import Truth
 
@@ -141,12 +144,16 @@ class SimulatedRecording(Recording):
         if camera.dvs is not None:
             pixels = PixelArray(camera.dvs, camera.maps, camera.noise_seed(self.run),
                                 camera.origin)
+        film = None
+        if isinstance(self.scene, VideoScene) and not (
+                camera.dvs is not None and camera.dvs.cutoff_hz_per_dn_ms):
+            film = Film(self.scene, camera.maps["analyser"], camera.origin)
         sums: dict[int, FloatArray] = {}
         log: list[tuple[int, float, int]] = []
         with ThreadPoolExecutor(self.threads) as pool:
             for start in range(0, self.stop_us, PIECE_US):
                 stop = start + PIECE_US
-                parts = self._simulate(start, pixels, clock, sums, pool)
+                parts = self._simulate(start, pixels, clock, sums, pool, film)
                 events = in_time_order(parts, start, stop)
                 piece = Piece(stop, events)
                 if bus is not None:
@@ -166,12 +173,15 @@ class SimulatedRecording(Recording):
 
     def _simulate(
         self, start: int, pixels: PixelArray | None, clock: FrameClock | None,
-        sums: dict[int, FloatArray], pool: ThreadPoolExecutor,
+        sums: dict[int, FloatArray], pool: ThreadPoolExecutor, film: Film | None,
     ) -> list[NDArray[Any]]:
         """Feed 10 ms of light to the pixels and to the frames; return the events."""
         height, width = self.camera.size
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
-        if self.threads == 1 and (self.scene.uniform or self.scene.linear):
+        if film is not None:
+            step = -(-height // self.threads)
+            rows = [slice(r, min(r + step, height)) for r in range(0, height, step)]
+        elif self.threads == 1 and (self.scene.uniform or self.scene.linear):
             rows = [slice(0, height)]
         blocks = self._blocks(start)
         weights = {} if clock is None else {
@@ -203,8 +213,42 @@ class SimulatedRecording(Recording):
                             weight, light, analyser, (part.stop - part.start, width))
             return events
 
+        if film is not None:
+            return self._show(film, blocks, rows, pixels, weights, sums, pool, {
+                "edges": edges, "first_edge": first_edge})
         found = pool.map(band, rows) if self.threads > 1 else map(band, rows)
         return [events for part in found for events in part]
+
+    def _show(
+        self, film: Film, blocks: list[tuple[float, float, int]], rows: list[slice],
+        pixels: PixelArray | None,
+        weights: dict[tuple[int, tuple[float, float, int]], FloatArray],
+        sums: dict[int, FloatArray], pool: ThreadPoolExecutor, bursts: dict[str, Any],
+    ) -> list[NDArray[Any]]:
+        """Do for a video what `_simulate` does, a video frame at a time."""
+        events: list[NDArray[Any]] = []
+        dark = 0.0 if pixels is None else pixels.pixel.dark_dn_ms
+        for block in blocks:
+            at, step, _ = block
+            if at == 0:
+                film.seen = film.light(film.quad(0)) + np.float32(dark)
+                if pixels is not None:
+                    pixels.settle(film.seen.astype(np.float64) - dark)
+            before, film.seen = film.seen, np.empty_like(film.seen)
+            quad = film.quad(at + step)
+            if pixels is None:
+                film.seen = film.light(quad)
+            else:
+                found = map if len(rows) == 1 else pool.map
+                for part in found(functools.partial(
+                        _film_band, pixels, film, quad, at, step, bursts), rows):
+                    events += part
+            for (frame, other), weight in weights.items():
+                if other == block and np.any(weight):
+                    size = sums[frame].shape
+                    sums[frame] += weight[0] * (before.reshape(size) - dark)
+                    sums[frame] += weight[1] * (film.seen.reshape(size) - dark)
+        return events
 
     def _blocks(self, start: int) -> list[tuple[float, float, int]]:
         """Return (start, step, intervals) of the blocks of nodes that make 10 ms."""
@@ -258,6 +302,14 @@ class SimulatedRecording(Recording):
                 camera.origin)
             frames.append(make_frame(clock, number, digitised))
         return frames
+
+
+def _film_band(
+    pixels: PixelArray, film: Film, quad: NDArray[np.float32], at: float, step: float,
+    bursts: dict[str, Any], rows: slice,
+) -> list[NDArray[Any]]:
+    return pixels.advance_film(
+        at, step, quad, film.weights, film.seen, rows=rows, **bursts)
 
 
 def _integral(

@@ -1,0 +1,62 @@
+"""A video before a camera: its light on each pixel, frame after frame."""
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.simulation.patterns import VideoScene
+from pdavis_cv.simulation.scenes import FloatArray
+
+__all__ = ["Film"]
+
+
+class Film:
+    """The part of a video that a camera sees, and how its pixels see it.
+
+    Parameters
+    ----------
+    scene : VideoScene
+        The video.
+    analyser : ndarray of float64, shape (H, W, 3)
+        Response of each pixel to S0, S1, S2.
+    origin : (int, int)
+        (row, column) of the camera's first pixel on the sensor.
+
+    Attributes
+    ----------
+    weights : ndarray of float32, shape (4, H * W)
+        Response of each pixel to I0, I45, I90, I135 of the video.
+    seen : ndarray of float32, shape (H * W,)
+        Light on each pixel at the last node, DN per ms, dark current included.
+    """
+
+    def __init__(
+        self, scene: VideoScene, analyser: FloatArray, origin: tuple[int, int]
+    ) -> None:
+        self.scene = scene
+        height, width = analyser.shape[:2]
+        scene.check_covers(origin, (height, width))
+        row, column = origin[0] - scene.origin[0], origin[1] - scene.origin[1]
+        self._part = (slice(None), slice(row, row + height),
+                      slice(column, column + width))
+        half, along, across = np.moveaxis(analyser.reshape(-1, 3), -1, 0)
+        self.weights = np.ascontiguousarray(np.stack((
+            half / 2 + along, half / 2 + across, half / 2 - along, half / 2 - across)),
+            np.float32)
+        self.seen: NDArray[np.float32] = np.empty(height * width, np.float32)
+
+    def quad(self, t_us: float) -> NDArray[np.float32]:
+        """Return the video's four planes at a time, float32 (4, H, W)."""
+        quad, last = self.scene.quad, len(self.scene.quad) - 1
+        at = min(max(t_us * self.scene.fps / 1e6, 0.0), float(last))
+        k = round(at)
+        if abs(at - k) < 1e-6:
+            return np.ascontiguousarray(quad[k][self._part], np.float32)
+        k, part = int(at), at - int(at)
+        return np.ascontiguousarray(
+            quad[k][self._part] * (1 - part) + quad[k + 1][self._part] * part,
+            np.float32)
+
+    def light(self, quad: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the light of four planes on each pixel, float32 (H * W,)."""
+        return np.asarray(np.einsum("cn,cn->n", self.weights, quad.reshape(4, -1)))
