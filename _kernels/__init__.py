@@ -9,6 +9,7 @@ from ._aedat4 import (
 from ._aedat_write import pack_aedat2_events, pack_aedat4_events
 from ._aps import cds, correct
 from ._build import DEBUG
+from ._bus import read_out, sort_events
 from ._demosaic import bilinear, superpixel
 from ._elementwise import exp, reconcile
 from ._events import count, surface, voxel
@@ -26,7 +27,7 @@ from ._leaky import (
 from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
-from ._simulate import pixel_events, read_out, sort_events
+from ._simulate import pixel_events, video_events
 from ._store import track_commit, track_drop, track_push
 
 __all__ = [
@@ -72,5 +73,6 @@ __all__ = [
     "unpack_10p",
     "unpack_12p",
     "unpack_packed",
+    "video_events",
     "voxel",
 ]

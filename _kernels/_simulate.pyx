@@ -6,6 +6,7 @@ from _kernels._double cimport exp64, log64
 from _kernels._pixel cimport (
     FAINT,
     NEVER,
+    SERIES,
     begin,
     cell_t,
     config_t,
@@ -230,8 +231,8 @@ def video_events(const float[:, :, ::1] quad not None,
     cdef cell_t c
     cdef pixel_t_ p
     cdef sink_t sink
-    cdef double v1, last, t1, burst_t = NEVER, top, bottom, drift
-    cdef int burst_p = 0, bursts
+    cdef double v1, last, t1, burst_t = NEVER, top, bottom, drift, phi, a, b
+    cdef int burst_p = 0, bursts, still
     cdef float v[512]
     if (quad.shape[0] != 4 or quad.shape[1] * quad.shape[2] != n
             or weights.shape[0] != 4 or weights.shape[1] != n or light.shape[0] != n
@@ -244,6 +245,11 @@ def video_events(const float[:, :, ::1] quad not None,
         raise ValueError("video_events: the interval or the cutoff does not fit")
     read_config(settings, &cfg)
     t1 = cfg.t0 + cfg.h
+    phi = cfg.cutoff * cfg.h
+    c.i2 = c.i3 = c.b = c.e = c.slope = 0
+    c.unfiltered = cfg.unfiltered
+    c.phi = c.cutoff = phi
+    c.series = phi < SERIES
     bursts = edges.shape[0] > 0 and cfg.burst_chance > 0
     sink.events = &out[0] if out.shape[0] else NULL
     sink.capacity = out.shape[0]
@@ -263,16 +269,25 @@ def video_events(const float[:, :, ::1] quad not None,
                     last = cfg.e * state[i, 0] + cfg.w0 * state[i, 5] + (
                         cfg.w1 * (v1 - state[i, 5]))
                 drift = pixels[i, 2] * cfg.h
-                # The filter stays between its state and the ends of its input.
-                top = state[i, 5] if state[i, 5] > v1 else v1
-                bottom = state[i, 5] if state[i, 5] < v1 else v1
-                top = state[i, 0] if state[i, 0] > top else top
-                bottom = state[i, 0] if state[i, 0] < bottom else bottom
-                if (counters[i] > 0 or cfg.noise == 0) and (
-                        top + drift < state[i, 1] + pixels[i, 0]) and (
-                        bottom > state[i, 1] - pixels[i, 1]) and (
+                top = state[i, 1] + pixels[i, 0]
+                bottom = state[i, 1] - pixels[i, 1]
+                # Nothing happens if the end is between the thresholds and the level
+                # goes one way, or turns by less than the way to either.
+                if bottom < last + drift < top and not bursts and (
                         state[i, 3] >= t1 or cfg.noise == 0) and (
-                        state[i, 2] <= cfg.t0) and not bursts:
+                        state[i, 2] <= cfg.t0):
+                    a = phi * (state[i, 5] - state[i, 0]) + drift
+                    b = phi * (v1 - last) + drift
+                    still = cfg.unfiltered or a * b >= 0
+                    if not still:
+                        a = a if a > 0 else -a
+                        b = b if b > 0 else -b
+                        a = a if a < b else b
+                        still = (bottom + a < last < top - a - drift) and (
+                            bottom + a < state[i, 0] < top - a - drift)
+                else:
+                    still = 0
+                if still:
                     state[i, 0] = last
                     state[i, 1] -= drift
                     state[i, 4] = light[i]
@@ -298,10 +313,13 @@ def video_events(const float[:, :, ::1] quad not None,
                     edge = 0
                     burst_t = next_burst(&p, &cfg, edges, &edge, first_edge, cfg.t0,
                                          &burst_p)
-                begin(&c, &cfg, &p, light[i], v1, light[i] - p.light,
-                      light[i] - p.light)
+                c.i0 = p.light
+                c.i1 = light[i] - p.light
+                c.v0 = p.v
                 c.m0 = v1 - p.v
-                c.b = c.e = 0
+                c.level = p.level
+                c.drift = drift
+                c.ready = 0
                 interval(&p, &cfg, &c, cfg.t0, last, &burst_t, burst_p, &sink)
                 if sink.full:
                     sink.n = saved

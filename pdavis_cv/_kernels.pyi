@@ -53,6 +53,7 @@ __all__ = [
     "unpack_10p",
     "unpack_12p",
     "unpack_packed",
+    "video_events",
     "voxel",
 ]
 
@@ -168,3 +169,10 @@ def unpack_12p(data: _U8, out: NDArray[np.uint16]) -> None: ...
 def unpack_packed(data: _U8, bits: int, out: NDArray[np.uint16]) -> None: ...
 def surface(events: NDArray[Any], t: int, rate: float, out: _F32) -> None: ...
 def voxel(events: NDArray[Any], start: int, stop: int, out: _F32) -> int: ...
+def video_events(
+    quad: _F32, weights: _F32, pixels: NDArray[np.float64], keys: NDArray[np.uint64],
+    edges: NDArray[np.float64], first_edge: int, settings: NDArray[np.float64],
+    places: NDArray[np.uint16], state: NDArray[np.float64],
+    counters: NDArray[np.uint64], light: _F32, start: int, stop: int,
+    out: NDArray[Any]
+) -> tuple[int, int]: ...
