@@ -9,6 +9,7 @@ import pdavis_cv as p
 from pdavis_cv import Layout, VideoCapture
 from pdavis_cv.capture import seeking
 from pdavis_cv.capture.seeking import Cursor
+from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.simulation.ideal import rotating_polarizer
 
@@ -66,6 +67,18 @@ def test_random_seeks_in_a_real_recording(data_dir, method, causal):
         cap._session.cursor.spacing_us = 200_000  # 2 s would give one snapshot
         check_random_seeks(cap, 100)
         assert len(cap._session.cursor.kept) >= 9
+
+
+@pytest.mark.parametrize("suffix", [".aedat", ".aedat2"])
+def test_random_seeks_in_an_aedat2_file(tmp_path, suffix):
+    path = tmp_path / f"run{suffix}"
+    with p.open_recording(example_recording()) as recording:
+        p.write_aedat2(path, recording)
+    with VideoCapture(path, fps=500, layout=Layout.PDAVIS,
+                      roi=(90, 70, 60, 48)) as cap:
+        cap._session.cursor.spacing_us = 20_000
+        check_random_seeks(cap, 40)
+        assert len(cap._session.cursor.kept) >= 6
 
 
 def test_seeks_with_given_times_equal_sequential_reading(ideal):
