@@ -224,12 +224,14 @@ def test_demo_reports_a_small_error_for_cf_and_a_large_one_for_frames(
     assert run("demo", "-o", tmp_path) == 0
     text = capsys.readouterr()
     assert text.err == ""
-    errors = {line.split(", ")[1].split(":")[0]: float(line.split()[-2])
-              for line in text.out.splitlines() if line.startswith("ideal")}
-    assert errors["cf"] < 10
-    assert errors["frames"] > 25
+    for camera in ("ideal", "nominal"):
+        errors = {line.split(", ")[1].split(":")[0]: float(line.split()[-2])
+                  for line in text.out.splitlines() if line.startswith(camera)}
+        assert errors["cf"] < 10
+        assert errors["frames"] > 25
     assert only_files(tmp_path) == [
-        "davis346_short.mp4", "davis346_short.png", "polarizer_200rpm.mp4",
+        "davis346_short.mp4", "davis346_short.png", "polarizer_1000rpm.mp4",
+        "polarizer_1000rpm.png", "polarizer_200rpm.mp4",
         "polarizer_200rpm.png"]
     assert str(tmp_path) in text.out.splitlines()[-1]
     assert len(frames_of(tmp_path / "polarizer_200rpm.mp4")[0]) == 250

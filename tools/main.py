@@ -15,6 +15,7 @@ COMMANDS = {
     "info": "say what a recording holds",
     "export": "fuse a recording into a video, pictures or arrays",
     "calibrate": "measure a camera into its calibration file",
+    "simulate": "make a recording whose truth is known",
     "bench": "time the library against fixed floors",
     "demo": "make pictures from the sample recording and an ideal camera",
 }

@@ -1,0 +1,95 @@
+"""pdavis simulate: a recording and its truth in files."""
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.tools.main import main
+from pdavis_cv.tools.simulate import SCENES
+
+
+def drain(recording):
+    packets = list(recording.packets())
+    frames = [frame for packet in packets for frame in packet.frames]
+    return np.concatenate([packet.events for packet in packets]), frames
+
+
+def test_files_hold_what_the_camera_records_and_the_truth(tmp_path, capsys):
+    path = tmp_path / "polarizer.aedat4"
+    assert main(["simulate", "polarizer", "--camera", "nominal", "--rpm", "1000",
+                 "--seconds", "0.3", "--seed", "1", "--start-deg", "20",
+                 "-o", str(path)]) == 0
+    assert "polarizer.aedat4.truth.npz" in capsys.readouterr().out
+    scene = RotatingPolarizer(rpm=1000.0, start_angle=np.deg2rad(20))
+    want, frames = drain(Camera.preset("nominal", seed=1).record(scene, 0.3)[0])
+    with pdavis_cv.open_recording(path) as recording:
+        assert recording.info.layout == pdavis_cv.Layout.PDAVIS
+        got, read = drain(recording)
+    np.testing.assert_array_equal(got, want)
+    assert len(read) == len(frames) == 6
+    np.testing.assert_array_equal(read[2].dn, np.maximum(frames[2].dn, 0))
+    assert read[2].mid_us == frames[2].mid_us
+    with np.load(f"{path}.truth.npz") as truth:
+        t = truth["t_us"]
+        turned = np.deg2rad(20) + 2 * np.pi * 1000 / 60e6 * t
+        assert np.max(np.abs(np.sin(truth["aop"] - turned))) < 1e-9
+        np.testing.assert_allclose(truth["dolp"], 1)
+        np.testing.assert_allclose(truth["s0"], 30.75)
+        np.testing.assert_array_equal(truth["roi"], (0, 0, 12, 12))
+        assert truth["lit"].all()
+        assert len(truth["bus_load"]) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "polarizer.aedat4", "polarizer.aedat4.truth.npz"]
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES))
+def test_every_scene_is_simulated_with_its_bus(scene, tmp_path):
+    path = tmp_path / f"{scene}.aedat4"
+    assert main(["simulate", scene, "--camera", "realistic", "--seconds", "0.05",
+                 "--size", "8x6", "-o", str(path)]) == 0
+    with pdavis_cv.open_recording(path, layout=pdavis_cv.Layout.PDAVIS) as recording:
+        assert recording.info.sensor_size == (6, 8)
+        assert recording.scan().frame_count == 1
+    with np.load(f"{path}.truth.npz") as truth:
+        assert truth["lit"].shape == (6, 8)
+        np.testing.assert_array_equal(truth["bus_t_us"], np.arange(1, 6) * 10_000)
+        assert np.all(truth["bus_load"] >= 0)
+
+
+def test_aedat2_holds_the_events(tmp_path):
+    path = tmp_path / "polarizer.aedat"
+    assert main(["simulate", "polarizer", "--camera", "ideal", "--seconds", "0.1",
+                 "--size", "346x260", "--rpm", "20", "-o", str(path)]) == 0
+    want, _ = drain(Camera.preset("ideal", size=(260, 346)).record(
+        RotatingPolarizer(rpm=20.0), 0.1)[0])
+    with pdavis_cv.open_recording(path) as recording:
+        got, _ = drain(recording)
+    assert len(got) == len(want) > 1000
+
+
+def test_background_and_flicker_reach_the_recording(tmp_path):
+    counts = []
+    for extra in ([], ["--background", "30"], ["--flicker", "50"]):
+        path = tmp_path / "scene.aedat4"
+        assert main(["simulate", "polarizer", "--camera", "ideal", "--rpm", "100",
+                     "--seconds", "0.2", "-o", str(path), *extra]) == 0
+        with pdavis_cv.open_recording(path) as recording:
+            counts.append(recording.scan().event_count)
+    assert counts[1] < counts[0] < counts[2]
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["polarizer", "-o", "x.bin"], "the name must end in .aedat4 or .aedat"),
+    (["polarizer", "-o", "x.aedat4", "--size", "400x300"], "--size must lie within"),
+    (["dr", "-o", "x.aedat4", "--light", "3"], "sets its own light"),
+    (["polarizer", "-o", "x.aedat4", "--background", "-1"], "must not be negative"),
+    (["flat", "-o", "x.aedat", "--camera", "sony"], "AEDAT-2.0 is for event cameras"),
+    (["polarizer", "-o", "x.aedat4", "--seed", "-1"], "seed must be an integer")])
+def test_mistakes_are_one_line_and_leave_no_file(arguments, said, tmp_path,
+                                                 monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", *arguments, "--seconds", "0.02"]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
