@@ -1,8 +1,10 @@
 """Fuse a recording into a video, pictures or arrays.
 
 The suffix of OUT says what is written: .mp4, .mkv, .avi a colour video; .png
-pictures; .npy float arrays (AoP in radians).  With --lossless, .mkv or .avi hold one
-quantity in 16 bits (FFV1).  Times, units and scales stand in a .json beside it.
+pictures; .npy float arrays (AoP in radians); .ome.tif, .h5 and .npz stacks with names,
+units, times and provenance inside, which --resume can continue.  With --lossless,
+.mkv or .avi hold one quantity in 16 bits (FFV1).  Times, units and scales of these and
+of .npy stand in a .json beside it.
 """
 from __future__ import annotations
 
@@ -37,6 +39,8 @@ QUANTITIES = {
 }
 _TITLES = {"s0": "intensity S0", "aop": "angle of polarization",
            "dolp": "degree of linear polarization"}
+_STACKS: dict[str, type[export.StackFile]] = {
+    ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
 _COLOUR, _PLANE = (".mp4", ".m4v", ".mkv", ".avi"), (".mkv", ".avi")
 
 
@@ -45,14 +49,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis export``."""
     args = _parser().parse_args(argv)
     suffix = args.out.suffix.lower()
-    if suffix not in (*_COLOUR, ".png", ".npy"):
+    if suffix not in (*_COLOUR, ".png", ".npy", *_STACKS):
         raise UsageError(
-            f"-o must end in {', '.join(_COLOUR)}, .png or .npy, got {args.out}")
+            f"-o must end in {', '.join(_COLOUR)}, .png, .npy, {', '.join(_STACKS)}, "
+            f"got {args.out}")
+    if args.resume and suffix not in _STACKS:
+        raise UsageError(f"--resume continues {', '.join(_STACKS)}, got {args.out}")
     if args.lossless and (suffix not in _PLANE or len(args.quantities) != 1):
         raise UsageError(
             "--lossless writes one quantity to .mkv or .avi, got "
             f"{','.join(args.quantities)} and {args.out}")
-    if suffix != ".npy":
+    if suffix not in (".npy", *_STACKS):
         render.opencv()  # say what is missing before the work, not after
     with open_recording(args.file) as recording:
         options = fuse_options(args, recording)
@@ -71,6 +78,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         frames = iter(progress(itertools.chain(first, images), total, "images"))
         if suffix == ".npy":
             lines = _write_arrays(args, frames)
+        elif suffix in _STACKS:
+            lines = _write_stack(args, frames, recording, first[0])
         elif suffix == ".png":
             lines = _write_pictures(args, frames, Sheet(args, recording, first[0]))
         elif args.lossless:
@@ -100,6 +109,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--range", type=lambda text: tuple(numbers(text, 2)), metavar="LOW,HIGH",
         help="values of the ends of the 16-bit scale; default: all that can occur")
+    parser.add_argument(
+        "--pixel-um", type=positive, metavar="UM",
+        help="size of a pixel in the object, written into stacks")
+    parser.add_argument(
+        "--resume", action="store_true",
+        help="keep what an interruption leaves of a stack, and continue it")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",
@@ -254,7 +269,8 @@ class _Log:
 def _write_video(
     args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float, sheet: Sheet
 ) -> list[str]:
-    with export.VideoFile(args.out, rate) as video:
+    facts = export.provenance(sheet.provenance, sheet.path)
+    with export.VideoFile(args.out, rate, facts) as video:
         for frame in frames:
             picture = sheet.picture(frame)
             video.add(picture)
@@ -267,11 +283,12 @@ def _write_pictures(
     args: argparse.Namespace, frames: Iterator[PolarFrame], sheet: Sheet
 ) -> list[str]:
     written = []
+    facts = export.provenance(sheet.provenance, sheet.path)
     for i, frame in enumerate(frames):
         path = args.out
         if args.at is None:
             path = path.with_stem(f"{path.stem}-{i:05d}")
-        export.write_png(path, sheet.picture(frame))
+        export.write_png(path, sheet.picture(frame), facts)
         written.append(path)
     last = f" .. {written[-1].name}" if len(written) > 1 else ""
     return [f"wrote {written[0]}{last}; white is {sheet.white:g} DN/ms"]
@@ -284,7 +301,9 @@ def _write_plane(
     name = args.quantities[0]
     low, high = args.range or _natural_range(name, recording)
     log = _Log(frames)
-    with export.PlaneVideo(args.out, rate, low, high) as video:
+    facts = export.provenance(
+        first.provenance, recording.path, quantity=name, unit=QUANTITIES[name])
+    with export.PlaneVideo(args.out, rate, low, high, facts) as video:
         for frame in log:
             video.add_plane(quantity(frame, name), frame.valid)
     beside = log.write(
@@ -308,6 +327,23 @@ def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
         raise UsageError(f"--range is needed: no frame says how large {name} can be")
     return {"s0": (0.0, 2 * top), "s1": (-top, top), "s2": (-top, top)}.get(
         name, (0.0, top))
+
+
+def _write_stack(
+    args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording,
+    first: PolarFrame,
+) -> list[str]:
+    facts = export.provenance(first.provenance, recording.path)
+    kind = _STACKS[args.out.suffix.lower()]
+    with kind(args.out, args.quantities, facts, pixel_um=args.pixel_um,
+              resume=args.resume) as file:
+        done = file.count
+        for frame in itertools.islice(frames, done, None):
+            file.add(frame)
+    height, width = first.shape
+    continued = f", {done} of them from before" if done else ""
+    return [f"wrote {args.out}: float32, {file.count} x {len(file.quantities)} x "
+            f"{height} x {width} ({', '.join(file.quantities)}){continued}"]
 
 
 def _write_arrays(args: argparse.Namespace, frames: Iterator[PolarFrame]) -> list[str]:

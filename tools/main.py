@@ -17,6 +17,8 @@ COMMANDS = {
     "calibrate": "measure a camera into its calibration file",
     "simulate": "make a recording whose truth is known",
     "bench": "time the library against fixed floors",
+    "fan": "make the video of a turning fan of polarizers, with each sector's angle",
+    "tendon": "measure a loaded sample: traces, spectra, lock-in maps, a report",
     "demo": "make pictures from the sample recording and an ideal camera",
 }
 

@@ -242,6 +242,11 @@ class TraceRecorder:
             left = slice(int(columns[0]), int(columns[-1]) + 1)
             self._places.append((top, left, mask[top, left]))
 
+    @property
+    def count(self) -> int:
+        """Images so far."""
+        return len(self._rows)
+
     def traces(self, recording: Recording | None = None) -> Traces:
         """Return the traces so far.
 

@@ -117,20 +117,32 @@ def fan_sheet(
     ndarray of uint8, shape (H', W', 3)
         BGR of even size.
     """
-    pictures = []
+    sheets = []
     height = rows[0][1].shape[0]
     for i, (name, frame, grey) in enumerate(rows):
         good = reliable(frame, least_dolp=least_dolp)
         colour = aop_bgr(frame.aop, good)
         last = i == len(rows) - 1
-        pictures += [
+        sheets.append(tile([
             panel(_to_height(picture, height, scale), f"{name}: {what}",
                   legend=legend if last else None)
             for picture, what, legend in (
-                (grey(frame.quad[0], frame.valid), "I0", None),
+                (grey(frame.quad[0], None), "I0", None),
                 (colour if marks is None or i else marks(colour), "AoP", "aop"),
-                (dolp_bgr(frame.dolp, frame.valid), "DoLP", "dolp"))]
-    return tile(pictures, columns=3, title=title)
+                (dolp_bgr(frame.dolp, frame.valid), "DoLP", "dolp"))],
+            columns=3, title="" if i else title))
+    return _below(*sheets)
+
+
+def _below(*sheets: Picture) -> Picture:
+    """Put sheets below each other, on black, with even sides."""
+    sheet = np.zeros((sum(part.shape[0] for part in sheets),
+                      max(part.shape[1] for part in sheets), 3), np.uint8)
+    top = 0
+    for part in sheets:
+        sheet[top:top + part.shape[0], :part.shape[1]] = part
+        top += part.shape[0]
+    return np.asarray(even(sheet), np.uint8)
 
 
 def tendon_sheet(
@@ -174,11 +186,7 @@ def tendon_sheet(
         panel(events, "events: ON white, OFF black", scale=scale),
         panel(colour if marks is None else marks(colour), f"{name}: DoLP",
               legend="dolp", end=f"{top:.3g}")], columns=3, title=title)
-    sheet = np.zeros((upper.shape[0] + below.shape[0],
-                      max(upper.shape[1], below.shape[1]), 3), np.uint8)
-    sheet[:upper.shape[0], :upper.shape[1]] = upper
-    sheet[upper.shape[0]:, :below.shape[1]] = below
-    return np.asarray(even(sheet), np.uint8)
+    return _below(upper, below)
 
 
 def _to_height(picture: Picture, height: int, scale: int) -> Picture:

@@ -1,0 +1,229 @@
+"""pdavis fan and pdavis tendon, on simulated recordings with known truth."""
+import json
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+from pdavis_cv import Layout, PolarFrame, fuse, open_recording
+from pdavis_cv.data import example_recording
+from pdavis_cv.export import read_embedded
+from pdavis_cv.simulation import Camera, Fan, Tendon
+from pdavis_cv.tools import export, fan, tendon
+
+cv2 = pytest.importorskip("cv2")
+
+
+@pytest.fixture(scope="module")
+def wheel():
+    scene = Fan(rpm=200.0, bright=4.0, s0=9.0, radius=28, hub=8,
+                centre=(172.37, 129.61))
+    camera = Camera.preset("ideal", size=(64, 72))
+    # The wheel's axis is given on the sensor; the camera sees a part of it.
+    recording, _ = camera.record(scene, 0.25)
+    y0, x0 = camera.origin
+    return recording, (172.37 - x0, 129.61 - y0)
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    scene = Tendon(hz=5.0)
+    recording, truth = Camera.preset("ideal", size=(24, 32)).record(scene, 2.0)
+    return recording, truth, scene
+
+
+def opener(recordings):
+    return lambda path, **options: recordings[str(path)]
+
+
+def test_fan_measures_what_the_images_say_and_writes_the_video(
+        tmp_path, wheel, monkeypatch, capsys):
+    recording, (x, y) = wheel
+    monkeypatch.setattr(fan, "open_recording", opener({"a": recording}))
+    out = tmp_path / "fan.mp4"
+    assert fan.main(["a", "-o", str(out), "--fps", "100", "--slow", "5", "--centre",
+                     f"{x},{y}", "--radius", "24", "--hub", "12", "--rpm", "200",
+                     "--method", "cf", "--still", str(tmp_path / "s.png")]) == 0
+    text = capsys.readouterr().out
+    reader = cv2.VideoCapture(str(out))
+    count, rate = reader.get(cv2.CAP_PROP_FRAME_COUNT), reader.get(cv2.CAP_PROP_FPS)
+    size = int(reader.get(3)), int(reader.get(4))
+    reader.release()
+    assert f"{count:.0f} pictures of {size[0]}x{size[1]}, 20 per second" in text
+    assert rate == 20
+    assert size[0] % 2 == size[1] % 2 == 0
+    facts = read_embedded(out)
+    assert (facts["method"], facts["slow"]) == ("cf", 5)
+    assert read_embedded(tmp_path / "s.png") == facts
+    images = list(fuse(recording, method="cf", fps=100))
+    assert count == len(images)
+    rows = [line.split(",") for line in (tmp_path / "fan.csv").read_text().splitlines()
+            if line.startswith("fused,")]
+    assert len(rows) == 6 * len(images)
+    # Against the images themselves, with a mask written down here.
+    yy, xx = np.mgrid[:64, :72]
+    r = np.hypot(xx - x, yy - y)
+    for i, image in enumerate(images):
+        turned = 2 * np.pi * 200 / 60e6 * (image.t_us - recording.info.start_us)
+        place = np.angle(np.exp(1j * (np.arctan2(y - yy, xx - x) - turned)))
+        for k in range(6):
+            away = np.abs(np.angle(np.exp(1j * (place - k * np.pi / 3))))
+            mask = ((away <= np.pi / 3 * 0.35) & (r >= 12) & (r <= 24) & image.valid)
+            s1, s2 = (float(p[mask].mean(dtype=float)) for p in (image.s1, image.s2))
+            want = np.rad2deg(np.arctan2(s2, s1) / 2)
+            got = float(rows[6 * i + k][4])
+            assert abs((got - want + 90) % 180 - 90) < 0.1
+
+
+def test_fan_takes_a_second_camera(tmp_path, wheel, monkeypatch, capsys):
+    recording, _ = wheel
+    monkeypatch.setattr(fan, "open_recording", opener({"a": recording, "b": recording}))
+    heights = []
+    for extra in ([], ["--beside", "b"]):
+        out = tmp_path / f"{len(extra)}.mp4"
+        assert fan.main(["a", "-o", str(out), "--fps", "40", *extra]) == 0
+        reader = cv2.VideoCapture(str(out))
+        heights.append(reader.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        reader.release()
+    assert heights[1] > heights[0] + 60
+
+
+def load_csv(path, scene, offset=0.2, skew=50e-6):
+    own = np.arange(0, 1.7, 0.001)
+    strain = scene.strain(1e6 * (offset + (1 + skew) * own))
+    path.write_text("time (s),force (N)\n" + "\n".join(
+        f"{t:.3f},{1000 * s:.6f}" for t, s in zip(own, strain, strict=True)))
+
+
+def test_tendon_finds_the_load_and_writes_everything(
+        tmp_path, pulled, monkeypatch, capsys):
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("matplotlib")
+    recording, _, scene = pulled
+    load_csv(tmp_path / "load.csv", scene)
+    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording}))
+    out = tmp_path / "out"
+    assert tendon.main([
+        "a", "-o", str(out), "--region", "fibre=8,6,16,12", "--fps", "100",
+        "--load", str(tmp_path / "load.csv"), "--offset", "0.2", "--within", "0.08",
+        "--thickness-um", "300", "--wavelength-nm", "530"]) == 0
+    text = capsys.readouterr().out
+    hz = float(re.search(r"fibre: ([\d.]+) ", text).group(1))
+    assert hz == pytest.approx(5.0, rel=0.005)
+    table = pandas.read_csv(out / "traces.csv", comment="#")
+    images = list(fuse(recording, fps=100))
+    mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
+            for f in images if f.valid[6:18, 8:24].all()]
+    s0, s1, s2 = np.array(mean).T
+    np.testing.assert_allclose(
+        table["dolp"][-len(s0):], np.hypot(s1, s2) / s0, rtol=1e-5)
+    delta = np.arcsin(table["dolp"])
+    np.testing.assert_allclose(table["retardance_deg"], np.rad2deg(delta), rtol=1e-9)
+    np.testing.assert_allclose(
+        table["birefringence"], delta * 0.530 / (2 * np.pi * 300), rtol=1e-9)
+    assert table["force_n"].between(19, 31).sum() > 100
+    with np.load(out / "lockin.npz") as maps:
+        assert maps["amplitude"].shape == (24, 32)
+        assert json.loads(str(maps["provenance"]))["hz"] == pytest.approx(hz, abs=1e-4)
+    report = (out / "report.html").read_text()
+    assert not re.search(r"(src|href)=\"?(http|/|\.)", report)  # holds all it shows
+    assert report.count("data:image/png;base64,") == 5
+    names = {path.name for path in out.iterdir()}
+    assert names == {"traces.csv", "traces-jaer.csv", "frames.csv", "cycle.csv",
+                     "loop.csv", "lockin.npz", "tendon.mp4", "report.html"}
+
+
+def test_tendon_warns_where_frames_alias_and_not_where_they_do_not(
+        tmp_path, pulled, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    recording, _, _ = pulled
+    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording}))
+    for load_hz, warned in ((10.0, True), (1.0, False)):
+        assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "50",
+                            "--load-hz", str(load_hz)]) == 0
+        said = capsys.readouterr().err
+        assert ("aliases at 20 samples per second" in said) == warned
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--region", "340,0,20,20"], "roi '340,0,20,20' must lie inside the image"),
+    (["--region", "1,1,4,4", "--demosaic", "superpixel"], "even x, y, width"),
+    (["--region", "3,3,0,5"], "must not be empty"),
+    (["--region", "no.zip"], "no.zip: No such file"),
+    (["--load", "gone.csv"], "gone.csv: No such file"),
+    (["--load", "wrong.csv"], "the unit must be one of N, mN, kN, gf, lbf"),
+    (["--load", "late.csv", "--align", "offset", "--offset", "0"],
+     "no sample falls on the recording; its clock may be another"),
+    (["--align", "offset", "--load", "late.csv"], "--align offset needs --offset"),
+    (["--thickness-um", "300"], "belong together"),
+])
+def test_mistakes_give_one_line_and_2_and_no_report(
+        tmp_path, pulled, monkeypatch, capsys, arguments, message):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "wrong.csv").write_text("time (s),force (furlong)\n0,1\n1,2\n")
+    (tmp_path / "late.csv").write_text("time (s),force (N)\n900,1\n901,2\n902,1\n")
+    monkeypatch.setattr(tendon, "open_recording", opener({"a": pulled[0]}))
+    assert tendon.main(["a", "-o", "out", "--fps", "50", *arguments]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines()
+             if not line.startswith("pdavis: warning")]
+    assert len(lines) == 1
+    assert message in lines[0]
+    left = tmp_path / "out"
+    assert not left.exists() or list(left.iterdir()) == []
+
+
+def test_an_unwritable_folder_gives_one_line(tmp_path, pulled, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(tendon, "open_recording", opener({"a": pulled[0]}))
+    assert tendon.main(["a", "-o", str(tmp_path / "file" / "out")]) in (1, 2)
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    monkeypatch.setattr(fan, "open_recording", opener({"a": pulled[0]}))
+    assert fan.main(["a", "-o", str(tmp_path / "none" / "fan.mp4")]) in (1, 2)
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
+    def stop(frame):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fan, "open_recording", opener({"a": wheel[0]}))
+    monkeypatch.setattr(PolarFrame, "dolp", property(stop))
+    assert fan.main(["a", "-o", str(tmp_path / "fan.mp4"), "--fps", "40"]) == 130
+    assert list(tmp_path.iterdir()) == []
+    assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["a.ome.tif", "a.h5", "a.npz"])
+def test_export_writes_stacks(tmp_path, name, capsys):
+    sample = str(example_recording())
+    assert export.main([sample, "-o", str(tmp_path / name), "--fps", "50", "--layout",
+                        "pdavis", "--pixel-um", "0.5", "--quantities", "i45,dolp"]) == 0
+    assert "float32, 9 x 2 x 260 x 346 (I45, DoLP)" in capsys.readouterr().out
+    with open_recording(sample, layout=Layout.PDAVIS) as recording:
+        want = [f.quad[1] for f in fuse(recording, fps=50)]
+        seen = [f.valid for f in fuse(recording, fps=50)]
+    want = np.where(seen, want, np.nan)
+    if name.endswith("tif"):
+        got = pytest.importorskip("tifffile").imread(tmp_path / name)[:, 0]
+    elif name.endswith("h5"):
+        with pytest.importorskip("h5py").File(tmp_path / name) as file:
+            got = file["I45"][:]
+    else:
+        with np.load(tmp_path / name) as file:
+            got = file["I45"]
+    np.testing.assert_array_equal(got, want)
+
+
+def test_export_refuses_to_resume_a_video(tmp_path, capsys):
+    assert export.main([str(example_recording()), "-o", str(tmp_path / "a.mp4"),
+                        "--resume"]) == 2
+    assert "--resume continues .tif, .h5, .npz" in capsys.readouterr().err
+
+
+def test_the_scenes_of_these_tests_give_no_warning(pulled):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        next(fuse(pulled[0], fps=10))

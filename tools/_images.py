@@ -1,0 +1,93 @@
+"""What the tools that make videos share: times, tone curves, provenance."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import PolarFrame, Recording, export, fuse, render
+from pdavis_cv._feed import first_time
+from pdavis_cv.tools._common import UsageError
+
+__all__ = ["facts_of", "grid_times", "held_at", "of_frames", "tone_of"]
+
+
+def grid_times(
+    recording: Recording, fps: float, start_us: int | None, stop_us: int | None
+) -> NDArray[np.int64]:
+    """Return the times of fuse()'s grid, so that their number is known before.
+
+    Parameters
+    ----------
+    recording : Recording
+        Read once to its end unless ``stop_us`` is given.
+    fps : float
+        Images per second of recording time.
+    start_us, stop_us : int or None
+        Half-open interval; default from the first frame's mid-exposure to the end.
+
+    Returns
+    -------
+    ndarray of int64, shape (T,)
+
+    Raises
+    ------
+    UsageError
+        If there is no image in the interval.
+    """
+    start = first_time(recording) if start_us is None else start_us
+    end = recording.scan().stop_us if stop_us is None else stop_us
+    if start is None or end is None or start >= end:
+        raise UsageError(
+            f"{recording.path or 'the recording'}: no image in the interval asked for")
+    count = int(np.ceil(float(Fraction(end - start) * Fraction(fps) / 1_000_000))) + 1
+    times = start + np.array([round(Fraction(k * 1_000_000) / Fraction(fps))
+                              for k in range(count)], np.int64)
+    return times[times < end]
+
+
+def of_frames(options: dict[str, Any], settings: list[tuple[str, Any]]
+              ) -> dict[str, Any]:
+    """Return fuse()'s options for ``frames``: without those of another method."""
+    others = {"thresholds", *(name for name, _ in settings)}
+    kept = {name: value for name, value in options.items() if name not in others}
+    return {**kept, "method": "frames"}
+
+
+def tone_of(
+    recording: Recording, options: dict[str, Any], quantity: str, count: int = 6
+) -> render.ToneCurve:
+    """Fit a tone curve to some images spread over the times of an export."""
+    times = options["times_us"]
+    # The first image may lie before the first frame has been read out.
+    chosen = times[np.linspace(len(times) // 4, len(times) - 1, count).astype(int)]
+    images = list(fuse(recording, **{**options, "times_us": np.unique(chosen)}))
+    usable = [image for image in images if image.valid.any()]
+    if not usable:
+        raise UsageError("no image has a valid pixel: is there a frame before its end?")
+    return render.ToneCurve.of(
+        [export.plane(image, quantity) for image in usable],
+        [image.valid for image in usable])
+
+
+def facts_of(
+    recording: Recording, options: dict[str, Any], **facts: Any
+) -> dict[str, Any]:
+    """Return the provenance of images that these options make."""
+    first = next(fuse(recording, **{**options, "times_us": options["times_us"][:1]}))
+    return export.provenance(first.provenance, recording.path, **facts)
+
+
+def held_at(frames: Iterator[PolarFrame], times: Iterator[int]) -> Iterator[PolarFrame]:
+    """Yield for each time the last of the frames that is not after it."""
+    last = next(frames, None)
+    following = next(frames, None)
+    if last is None:
+        raise UsageError("the second recording has no image")
+    for t in times:
+        while following is not None and (following.t_us or 0) <= t:
+            last, following = following, next(frames, None)
+        yield last

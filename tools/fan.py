@@ -1,0 +1,224 @@
+"""Make the video of a turning fan of polarizers: frames above, fused below.
+
+Each row shows I0, AoP and DoLP; a second recording (of another camera) adds a row.
+With --centre and --radius the angle of each sector is measured, and written to
+OUT.csv (one row per image and sector) and to the terminal (one line per sector).
+"""
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv import Recording, export, fuse, open_recording, render
+from pdavis_cv.analysis import SectorSummary, Wheel, summarise_sectors
+from pdavis_cv.tools._common import (
+    Parser,
+    UsageError,
+    add_fuse_options,
+    command,
+    fuse_options,
+    layout_option,
+    numbers,
+    progress,
+    start_of,
+)
+from pdavis_cv.tools._images import facts_of, grid_times, held_at, of_frames, tone_of
+
+__all__ = ["main", "make_fan"]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis fan``."""
+    args = _parser().parse_args(argv)
+    if args.out.suffix.lower() not in (".mp4", ".mkv", ".avi"):
+        raise UsageError(f"-o must end in .mp4, .mkv or .avi, got {args.out}")
+    if (args.centre is None) != (args.radius is None):
+        raise UsageError("--centre and --radius belong together")
+    if not args.slow > 0:
+        raise UsageError(f"--slow must be positive, got {args.slow:g}")
+    render.opencv()
+    with open_recording(args.file) as recording:
+        if args.beside is None:
+            lines = make_fan(args, recording, None)
+        else:
+            with open_recording(args.beside, layout=args.beside_layout,
+                                fps=args.beside_fps) as second:
+                lines = make_fan(args, recording, second)
+    print("\n".join(lines))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "fan", __doc__ or "",
+        "pdavis fan wheel.aedat4 -o fan.mp4 --fps 1000 --slow 40 "
+        "--centre 172,129 --radius 120 --hub 25 --rpm 200")
+    parser.add_argument("file", help="a recording with frames and events")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="OUT",
+        help="video to write: .mp4, .mkv or .avi")
+    parser.add_argument(
+        "--beside", metavar="FILE", help="a second recording, shown in a row below")
+    parser.add_argument(
+        "--beside-layout", type=layout_option, metavar="LAYOUT", help="its polarizers")
+    parser.add_argument(
+        "--beside-fps", type=float, metavar="RATE",
+        help="its images per second, if the file does not say")
+    parser.add_argument(
+        "--beside-offset", type=float, default=0.0, metavar="S",
+        help="its time at the first image shown, seconds after its own first image")
+    look = parser.add_argument_group("pictures")
+    look.add_argument("--slow", type=float, default=20.0, metavar="FACTOR",
+                      help="play so many times slower; default 20")
+    look.add_argument("--scale", type=int, default=1, metavar="N",
+                      help="enlarge each pixel; default 1")
+    look.add_argument("--mask-dolp", type=float, default=0.3, metavar="DOLP",
+                      help="grey out AoP of weaker polarization; default 0.3")
+    look.add_argument("--still", type=Path, metavar="PNG",
+                      help="also write the picture in the middle of the video")
+    wheel = parser.add_argument_group("sectors")
+    wheel.add_argument("--centre", type=lambda text: numbers(text, 2),
+                       metavar="X,Y", help="axis, in sensor pixels")
+    wheel.add_argument("--radius", type=float, metavar="PX", help="outer radius")
+    wheel.add_argument("--hub", type=float, default=0.0, metavar="PX",
+                       help="inner radius; default 0")
+    wheel.add_argument("--sectors", type=int, default=6, metavar="N",
+                       help="how many; default 6")
+    wheel.add_argument("--rpm", type=float, default=0.0, metavar="RPM",
+                       help="turns per minute, positive counter-clockwise; default 0")
+    wheel.add_argument("--sector0", type=float, default=0.0, metavar="DEG",
+                       help="angle of sector 0's middle at the recording's start")
+    wheel.add_argument("--spacing", type=float, metavar="DEG",
+                       help="from a sector's polarizer to the next; default 180/N")
+    add_fuse_options(parser)
+    parser.set_defaults(fps=1000.0)
+    return parser
+
+
+def make_fan(
+    args: argparse.Namespace, recording: Recording, second: Recording | None
+) -> list[str]:
+    """Write the video and what goes with it.
+
+    Parameters
+    ----------
+    args : Namespace
+        Options of the command line.
+    recording : Recording
+        The fan.
+    second : Recording, optional
+        Of another camera.
+
+    Returns
+    -------
+    list of str
+        What to tell the user.
+    """
+    options = fuse_options(args, recording)
+    origin = start_of(recording)
+    times = grid_times(recording, args.fps, options["start_us"], options["stop_us"])
+    options |= {"fps": None, "start_us": None, "stop_us": None, "times_us": times}
+    held_options = of_frames(options, args.settings)
+    tones = [tone_of(recording, each, "I0") for each in (held_options, options)]
+    facts = facts_of(recording, options, slow=args.slow, images_per_second=args.fps)
+    wheel = None if args.centre is None else Wheel(
+        centre=tuple(args.centre), radius=args.radius, hub=args.hub,
+        sectors=args.sectors, rpm=args.rpm, start_angle=math.radians(args.sector0),
+        origin_us=origin)
+    beside = _beside(args, second, times)
+    measured: dict[str, list[Any]] = {"frames": [], "fused": []}
+    still = None
+    pairs = zip(fuse(recording, **held_options), fuse(recording, **options),
+                times.tolist(), strict=True)
+    with export.VideoFile(args.out, args.fps / args.slow, facts) as video:
+        for held, fused, t in progress(pairs, len(times), "images"):
+            rows = [("frames", held, tones[0].bgr),
+                    (str(fused.provenance["method"]), fused, tones[1].bgr),
+                    *(next(beside) if beside is not None else ())]
+            picture = render.fan_sheet(
+                rows, scale=args.scale, least_dolp=args.mask_dolp,
+                title=_title(args, recording, t - origin))
+            if video.count == len(times) // 2:
+                still = picture
+            video.add(picture)
+            if wheel is not None:
+                measured["frames"].append(wheel.measure(held))
+                measured["fused"].append(wheel.measure(fused))
+    height, width = picture.shape[:2]
+    lines = [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
+             f"{video.fps:g} per second, {args.slow:g} times slower"]
+    if args.still is not None:
+        export.write_png(args.still, still, facts)
+        lines.append(f"wrote {args.still}")
+    if wheel is not None:
+        lines += _write_sectors(args, wheel, measured, facts, origin)
+    return lines
+
+
+def _title(args: argparse.Namespace, recording: Recording, t_us: int) -> str:
+    name = recording.path.name if recording.path else recording.info.format
+    return (f"{name}   t = {t_us / 1e6:.4f} s   {args.slow:g} x slower   "
+            f"{args.fps:g} images/s")
+
+
+def _beside(
+    args: argparse.Namespace, second: Recording | None, times: Any
+) -> Iterator[list[Any]] | None:
+    """Row of the second camera at each time; its own frames, held."""
+    if second is None:
+        return None
+    first = next(fuse(second, method="frames", hold="mid"), None)
+    if first is None or first.t_us is None:
+        raise UsageError(f"{args.beside}: no image with a time")
+    tone = render.ToneCurve.of([first.quad[0]], [first.valid])
+    shifted = times - times[0] + first.t_us + round(args.beside_offset * 1e6)
+    frames = fuse(second, method="frames", hold="mid")
+    return ([("second camera", frame, tone.bgr)]
+            for frame in held_at(frames, iter(shifted.tolist())))
+
+
+_SECTOR_COLUMNS = ("source", "t_s", "sector", "pixels", "aop_deg", "aop_se_deg",
+                   "aop_sd_deg", "aop_on_wheel_deg", "dolp", "dolp_se")
+
+
+def _write_sectors(
+    args: argparse.Namespace, wheel: Wheel, measured: dict[str, list[Any]],
+    facts: dict[str, Any], origin: int,
+) -> list[str]:
+    """Write the table beside the video, and return a line per sector."""
+    def rows() -> Iterator[Sequence[Any]]:
+        for source, images in measured.items():
+            for image in images:
+                for k, row in enumerate(image):
+                    t = int(row["t_us"])
+                    on_wheel = np.mod(row["aop"] - wheel.turned(t), np.pi)
+                    yield (source, (t - origin) / 1e6, k, int(row["pixels"]),
+                           *np.rad2deg([row["aop"], row["aop_se"], row["aop_sd"],
+                                        on_wheel]), row["dolp"], row["dolp_se"])
+
+    path = args.out.with_suffix(".csv")
+    export.write_csv(path, _SECTOR_COLUMNS, rows(), facts)
+    spacing = None if args.spacing is None else math.radians(args.spacing)
+    lines = [f"wrote {path}: {len(measured['fused'])} images x {wheel.sectors} sectors",
+             "source  sector   AoP on wheel   spread   error from spacing   DoLP"]
+    for source, images in measured.items():
+        lines += [_line(source, s) for s in summarise_sectors(
+            wheel, images, spacing=spacing)]
+    return lines
+
+
+def _line(source: str, summary: SectorSummary) -> str:
+    aop, se, sd, error = (math.degrees(value) for value in (
+        summary.aop, summary.aop_se, summary.aop_sd, summary.error))
+    return (f"{source:<7} {summary.sector:>4}   {aop:8.2f} +- {se:.2f}   {sd:6.2f}   "
+            f"{error:+18.2f}   {summary.dolp:.3f}")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,494 @@
+"""Measure a loaded sample: traces of regions, the load's frequency, maps, a report.
+
+The frames alone and the fused images are measured side by side.  The folder OUT gets
+traces.csv and frames.csv (one row per region and time, jAER's dialect beside),
+lockin.npz, cycle.csv, loop.csv with a load file, tendon.mp4 and report.html, which
+holds all figures and needs nothing else.
+"""
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import (
+    EVENT_DTYPE,
+    AnalysisWarning,
+    PolarFrame,
+    Recording,
+    analysis,
+    export,
+    fuse,
+    open_recording,
+    render,
+)
+from pdavis_cv.tools._common import (
+    Parser,
+    UsageError,
+    add_fuse_options,
+    command,
+    fuse_options,
+    progress,
+    start_of,
+)
+from pdavis_cv.tools._images import facts_of, grid_times, held_at, of_frames, tone_of
+
+__all__ = ["Findings", "main", "measure"]
+
+
+@dataclass(eq=False)
+class Findings:
+    """Everything that was measured; what the report shows.
+
+    Parameters
+    ----------
+    origin_us : int
+        Time that seconds count from.
+    fused, frames : Traces
+        Of the fused images, and of the frames alone (None without frames).
+    tones : list of Tone
+        DoLP's dominant periodic component, one per region.
+    load_hz : float
+        Frequency of the load.
+    frame_hz : float
+        Frames per second of the recording.
+    """
+
+    origin_us: int
+    facts: dict[str, Any]
+    fused: analysis.Traces
+    frames: analysis.Traces | None
+    tones: list[analysis.Tone]
+    load_hz: float
+    frame_hz: float
+    cycles: list[analysis.Cycle] = field(default_factory=list)
+    drifts: list[analysis.Drift] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
+    maps: analysis.LockInMaps | None = None
+    clock: analysis.Clock | None = None
+    load: analysis.LoadTrace | None = None
+    loops: list[analysis.Loop] = field(default_factory=list)
+    still: render.Picture | None = None
+    extra: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def seconds(self, t_us: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Seconds since the recording's start."""
+        return np.asarray((t_us - self.origin_us) / 1e6)
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis tendon``."""
+    args = _parser().parse_args(argv)
+    if (args.thickness_um is None) != (args.wavelength_nm is None):
+        raise UsageError("--thickness-um and --wavelength-nm belong together")
+    from pdavis_cv.tools import tendon_report
+    tendon_report.matplotlib()  # say what is missing before the work, not after
+    load = None if args.load is None else analysis.read_load(args.load)
+    args.out.mkdir(parents=True, exist_ok=True)
+    with open_recording(args.file) as recording:
+        findings = measure(args, recording, load)
+    lines = _write(args, findings)
+    tendon_report.write_report(args.out / "report.html", findings)
+    print("\n".join([*lines, f"wrote {args.out / 'report.html'}"]))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "tendon", __doc__ or "",
+        "pdavis tendon tendon.aedat4 -o tendon --roi fibre=120,80,40,24 --fps 100")
+    parser.add_argument("file", help="a recording with frames and events")
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="OUT",
+                        help="folder to write to")
+    parser.add_argument(
+        "--region", action="append", default=[], type=_regions, metavar="ROI",
+        help="[name=]x,y,w,h or [name=]x1,y1;x2,y2;... or a Fiji .roi or .zip; "
+             "repeatable; default the whole image")
+    parser.add_argument(
+        "--estimate", choices=("stokes", "pixels"), default="stokes",
+        help="DoLP and AoP of the mean Stokes vector, or the mean of the pixels'")
+    parser.add_argument("--load-hz", type=float, metavar="HZ",
+                        help="frequency of the load; default: the strongest in DoLP")
+    parser.add_argument("--background", metavar="FILE",
+                        help="a recording without the sample, to be subtracted")
+    parser.add_argument("--thickness-um", type=float, metavar="UM",
+                        help="thickness of the sample, for the birefringence")
+    parser.add_argument("--wavelength-nm", type=float, metavar="NM",
+                        help="wavelength of the light, for the birefringence")
+    load = parser.add_argument_group("load file")
+    load.add_argument("--load", metavar="CSV", help="force or displacement over time")
+    load.add_argument(
+        "--align", choices=("correlation", "trigger", "offset"), default="correlation",
+        help="how its clock is found; default correlation with DoLP")
+    load.add_argument("--offset", type=float, metavar="S",
+                      help="recording's time at the file's zero; with correlation, "
+                           "where to look")
+    load.add_argument("--within", type=float, default=0.5, metavar="S",
+                      help="how far from --offset correlation looks; default 0.5")
+    load.add_argument("--skew-ppm", type=float, default=0.0, metavar="PPM",
+                      help="with --align offset: how much slower its clock runs")
+    look = parser.add_argument_group("video")
+    look.add_argument("--no-video", action="store_true", help="write no video")
+    look.add_argument("--slow", type=float, default=4.0, metavar="FACTOR",
+                      help="play so many times slower; default 4")
+    look.add_argument("--scale", type=int, default=1, metavar="N",
+                      help="enlarge each pixel; default 1")
+    look.add_argument("--pixel-um", type=float, metavar="UM",
+                      help="size of a pixel in the object, for a scale bar")
+    add_fuse_options(parser)
+    return parser
+
+
+def _regions(text: str) -> list[analysis.Roi]:
+    try:
+        return analysis.parse_roi(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def measure(
+    args: argparse.Namespace, recording: Recording, load: analysis.LoadTrace | None
+) -> Findings:
+    """Measure a recording; write the video on the way.
+
+    Parameters
+    ----------
+    args : Namespace
+        Options of the command line.
+    recording : Recording
+        With events, frames or both.
+    load : LoadTrace, optional
+        Force or displacement.
+
+    Returns
+    -------
+    Findings
+    """
+    options = fuse_options(args, recording)
+    fps = float(args.fps or 100.0)
+    times = grid_times(recording, fps, options["start_us"], options["stop_us"])
+    options |= {"fps": None, "start_us": None, "stop_us": None, "times_us": times}
+    held = {**of_frames(options, args.settings), "hold": "mid", "times_us": None,
+            "start_us": int(times[0]), "stop_us": int(times[-1]) + 1}
+    background = _background(args, options)
+    regions = [roi for group in args.region for roi in group]
+    regions = regions or [_whole(recording, args)]
+    facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
+    recorder = analysis.TraceRecorder(
+        regions, estimate=args.estimate, background=background)
+    for image in progress(fuse(recording, **options), len(times), "images"):
+        recorder.add(image)
+    fused, frames = recorder.traces(recording), None
+    if recording.info.frame_count != 0:
+        recorder = analysis.TraceRecorder(
+            regions, estimate=args.estimate, background=background)
+        for image in fuse(recording, **held):
+            recorder.add(image)
+        frames = recorder.traces(recording) if recorder.count else None
+    found = _evaluate(args, recording, fused, frames, facts, fps)
+    if load is not None:
+        _align(args, recording, found, load)
+    _maps_and_video(args, recording, options, held, found)
+    return found
+
+
+def _whole(recording: Recording, args: argparse.Namespace) -> analysis.Roi:
+    height, width = recording.info.sensor_size
+    x, y, w, h = args.roi or (0, 0, width // 2 * 2, height // 2 * 2)
+    return analysis.Roi.from_rectangle(x, y, w, h, "all")
+
+
+def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
+    """Mean Stokes planes of the recording without the sample."""
+    if args.background is None:
+        return None
+    kept = {name: options[name] for name in ("roi", "layout", "demosaic")}
+    with open_recording(args.background) as empty:
+        planes: Any = 0.0
+        n = 0
+        for image in fuse(empty, method="frames", hold="mid", **kept):
+            planes = planes + np.stack((image.s0, image.s1, image.s2)).astype(float)
+            n += 1
+    if not n:
+        raise UsageError(f"{args.background}: no frame to use as background")
+    return planes / n
+
+
+def _evaluate(
+    args: argparse.Namespace, recording: Recording, fused: analysis.Traces,
+    frames: analysis.Traces | None, facts: dict[str, Any], fps: float,
+) -> Findings:
+    t = fused.t_us
+    tones = []
+    for row in fused.table:
+        if args.load_hz is not None:
+            tones.append(analysis.fit_tone(t, row["dolp"], args.load_hz))
+        else:
+            tones.append(analysis.dominant_tone(t, row["dolp"]))
+    best = min(tones, key=lambda tone: tone.hz_se / tone.hz)
+    load_hz = args.load_hz or best.hz
+    frame_hz = np.nan
+    if frames is not None and len(frames.t_us) > 1:
+        frame_hz = float(1e6 / np.median(np.diff(frames.t_us)))
+    found = Findings(start_of(recording), facts, fused, frames, tones, float(load_hz),
+                     frame_hz)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", AnalysisWarning)
+        only_frames = facts.get("method") == "frames"
+        analysis.alias_warning(
+            load_hz, frame_hz if only_frames else fps, f"images ({facts['method']})")
+        if np.isfinite(frame_hz):
+            analysis.alias_warning(load_hz, frame_hz, "frames alone")
+        if args.thickness_um is not None:
+            delta, se = analysis.retardance(
+                fused.table["dolp"], fused.table["dolp_se"])
+            found.extra["retardance_deg"] = np.rad2deg(delta)
+            found.extra["retardance_se_deg"] = np.rad2deg(se if se is not None else 0)
+            found.extra["birefringence"] = analysis.birefringence(
+                delta, thickness_um=args.thickness_um,
+                wavelength_nm=args.wavelength_nm)
+    found.messages += [str(warning.message) for warning in caught]
+    for tone, roi in zip(tones, fused.rois, strict=True):
+        if tone.false_alarm > 0.01:
+            found.messages.append(
+                f"{roi.name}: no periodic signal stands out of the noise "
+                f"(probability of chance {tone.false_alarm:.2g})")
+    for message in found.messages:
+        warnings.warn(message, AnalysisWarning, stacklevel=2)
+    for row in fused.table:
+        found.cycles.append(analysis.cycle_average(t, row["dolp"], load_hz))
+        found.drifts.append(analysis.cycle_drift(t, row["dolp"], load_hz))
+    return found
+
+
+def _align(
+    args: argparse.Namespace, recording: Recording, found: Findings,
+    load: analysis.LoadTrace,
+) -> None:
+    t, origin = found.fused.t_us, found.origin_us
+    if args.align == "offset":
+        if args.offset is None:
+            raise UsageError("--align offset needs --offset")
+        clock = analysis.align_by_offset(origin, args.offset, skew_ppm=args.skew_ppm)
+    elif args.align == "trigger":
+        pulses = np.concatenate([packet.triggers for packet in recording.packets()])
+        rising = np.isin(pulses["type"], (1, 3))
+        if not rising.any():
+            raise UsageError("--align trigger: the recording holds no external trigger")
+        clock = analysis.align_by_triggers(pulses["t"][rising], load.trigger_times())
+    else:
+        # Each region in turn would do; the one with the clearest cycle is best.
+        best = int(np.argmin([tone.hz_se / tone.hz for tone in found.tones]))
+        shift = (int(t[0]) - origin) / 1e6
+        clock = analysis.align_by_correlation(
+            t, found.fused.table["dolp"][best], load,
+            expected_s=None if args.offset is None else args.offset - shift,
+            within_s=None if args.offset is None else args.within)
+    found.clock, found.load = clock, load
+    seconds = clock.to_seconds(t)
+    gone = load.inside_gap(seconds)
+    if gone.all():
+        raise UsageError(
+            f"{args.load}: no sample falls on the recording; its clock may be another, "
+            f"or its time in another unit (it spans {load.t_s[0]:g} .. "
+            f"{load.t_s[-1]:g} s)")
+    for name, values in (("force_n", load.force_n),
+                         ("displacement_mm", load.displacement_mm)):
+        if values is not None:
+            found.extra[name] = np.where(
+                gone, np.nan, np.interp(seconds, load.t_s, values))
+    if gone.any():
+        found.messages.append(
+            f"load file: {np.count_nonzero(gone)} of {len(t)} images lie in its gaps "
+            "or outside it")
+    primary = found.extra["force_n" if load.force_n is not None else "displacement_mm"]
+    try:
+        found.loops = [analysis.hysteresis(t, primary, row["dolp"], found.load_hz)
+                       for row in found.fused.table]
+    except ValueError as error:
+        found.messages.append(f"no loop: {error}")
+
+
+def _maps_and_video(
+    args: argparse.Namespace, recording: Recording, options: dict[str, Any],
+    held: dict[str, Any], found: Findings,
+) -> None:
+    """Go through the images a second time, now that the frequency is known."""
+    times = options["times_us"]
+    lock: analysis.LockIn | None = None
+    video: export.VideoFile | None = None
+    if args.no_video:
+        for image in progress(fuse(recording, **options), len(times), "maps"):
+            lock = lock or analysis.LockIn(image.shape, found.load_hz, int(times[0]))
+            lock.add(int(image.t_us or 0), image.dolp, image.valid)
+    else:
+        sheet = _Sheet(args, recording, found, {**options, "times_us": times})
+        step = float(np.median(np.diff(times))) if len(times) > 1 else 1e4
+        # Of frames there may be none; then the fused images stand in.
+        frames: Iterator[PolarFrame] = held_at(
+            fuse(recording, **(held if found.frames is not None else options)),
+            iter(times.tolist()))
+        with export.VideoFile(
+                args.out / "tendon.mp4", 1e6 / step / args.slow, found.facts) as video:
+            for image, frame in progress(
+                    zip(fuse(recording, **options), frames, strict=True), len(times),
+                    "pictures"):
+                lock = lock or analysis.LockIn(
+                    image.shape, found.load_hz, int(times[0]))
+                lock.add(int(image.t_us or 0), image.dolp, image.valid)
+                picture = sheet.picture(frame, image)
+                if video.count == len(times) // 2:
+                    found.still = picture
+                video.add(picture)
+    assert lock is not None
+    found.maps = lock.maps()
+
+
+class _Sheet:
+    """Composes the pictures of the video; what is fixed is fixed here."""
+
+    def __init__(
+        self, args: argparse.Namespace, recording: Recording, found: Findings,
+        options: dict[str, Any],
+    ) -> None:
+        self.args, self.found = args, found
+        self.tone = tone_of(recording, options, "S0")
+        dolp = found.fused.table["dolp"]
+        low, high = float(np.nanmin(dolp)), float(np.nanmax(dolp))
+        margin = 0.1 * (high - low) or 0.01
+        self.limits = (low - margin, high + margin)
+        self.top = float(np.ceil(min(1.0, 1.6 * high) * 20) / 20)
+        self._packets = recording.packets()
+        self._events: deque[Any] = deque()
+        self._source = recording.path.name if recording.path else "recording"
+        times = options["times_us"]
+        self._window = int(np.median(np.diff(times))) if len(times) > 1 else 10_000
+        self._fps = 1e6 / self._window
+
+    def _events_until(self, t_us: int) -> Any:
+        while not self._events or self._events[-1]["t"][-1] < t_us:
+            packet = next(self._packets, None)
+            if packet is None:
+                break
+            if len(packet.events):
+                self._events.append(packet.events)
+        while self._events and self._events[0]["t"][-1] < t_us - self._window:
+            self._events.popleft()
+        if not self._events:
+            return np.empty(0, EVENT_DTYPE)
+        events = np.concatenate(self._events)
+        return events[(events["t"] >= t_us - self._window) & (events["t"] < t_us)]
+
+    def picture(self, frame: PolarFrame, image: PolarFrame) -> render.Picture:
+        """Compose one picture."""
+        found, t = self.found, int(image.t_us or 0)
+        scale = 2 if image.provenance.get("demosaic") == "superpixel" else 1
+        left, top = (int(v) for v in image.provenance.get("roi", (0, 0))[:2])
+        shape = (image.shape[0] * scale, image.shape[1] * scale)
+        events = render.events_on(shape, self._events_until(t), origin=(left, top))
+        events = events[::scale, ::scale]
+        now = (t - found.origin_us) / 1e6
+        second = found.seconds(found.fused.t_us)
+        span = max(2.5 / found.load_hz, 1.0)
+        begin = min(max(second[0], now - 0.7 * span), max(second[0], second[-1] - span))
+        lines = []
+        for i, table in enumerate(found.fused.table):
+            colour = _COLOURS[i % len(_COLOURS)]
+            lines.append(render.Line(
+                second, table["dolp"], colour, found.fused.rois[i].name,
+                table["dolp_se"]))
+            if found.frames is not None:
+                lines.append(render.Line(
+                    found.seconds(found.frames.t_us), found.frames.table["dolp"][i],
+                    (150, 150, 150), "frames" if i == 0 else "", dots=True))
+        wide = 3 * (image.shape[1] * self.args.scale + 8) + 8
+        below = render.chart(
+            lines, (160, max(wide, 480)), span_s=(begin, begin + span),
+            limits=self.limits, now_s=now, title="DoLP")
+        title = (f"{self._source}   t = {now:.3f} s   load {found.load_hz:.3g} Hz   "
+                 f"{self.args.slow:g} x slower   {self._fps:g} images/s")
+        return render.tendon_sheet(
+            frame, events, image, below, grey=self.tone.bgr, top=self.top,
+            scale=self.args.scale, title=title, marks=self._mark(left, top, scale))
+
+    def _mark(self, left: int, top: int, scale: int) -> Any:
+        def mark(picture: render.Picture) -> render.Picture:
+            cv2 = render.opencv()
+            size = self.args.scale / scale
+            picture = np.ascontiguousarray(picture)
+            for i, roi in enumerate(self.found.fused.rois):
+                rings = [np.rint((ring - (left, top)) * size).astype(np.int32)
+                         for ring in roi.rings]
+                cv2.polylines(picture, rings, True, _COLOURS[i % len(_COLOURS)], 1)
+            if self.args.pixel_um is not None:
+                picture = render.scale_bar(picture, self.args.pixel_um * scale,
+                                           scale=self.args.scale)
+            return picture
+        return mark
+
+
+_COLOURS = ((80, 220, 255), (255, 180, 80), (120, 255, 120), (255, 120, 220))
+
+
+def _write(args: argparse.Namespace, found: Findings) -> list[str]:
+    out, origin, facts = args.out, found.origin_us, found.facts
+    written = [out / "traces.csv"]
+    export.write_traces(written[0], found.fused, origin_us=origin, facts=facts,
+                        extra=found.extra)
+    written += export.write_jaer_csv(
+        out / "traces-jaer.csv", found.fused, origin_us=origin, facts=facts)
+    if found.frames is not None:
+        written.append(out / "frames.csv")
+        export.write_traces(written[-1], found.frames, origin_us=origin,
+                            facts={**facts, "method": "frames"})
+    written.append(out / "cycle.csv")
+    export.write_csv(
+        written[-1], ("roi", "phase_cycles", "dolp", "dolp_sd", "dolp_se", "samples"),
+        ((roi.name, *row) for roi, cycle in zip(
+            found.fused.rois, found.cycles, strict=True)
+         for row in zip(cycle.phase, cycle.mean, cycle.sd, cycle.se,
+                        cycle.count.tolist(), strict=True)),
+        {**facts, "hz": found.load_hz})
+    if found.loops:
+        written.append(out / "loop.csv")
+        name = "force_n" if "force_n" in found.extra else "displacement_mm"
+        export.write_csv(
+            written[-1], ("roi", name, "dolp"),
+            ((roi.name, x, y) for roi, loop in zip(
+                found.fused.rois, found.loops, strict=True)
+             for x, y in zip(loop.x, loop.y, strict=True)), facts)
+    if found.maps is not None:
+        written.append(out / "lockin.npz")
+        maps = found.maps
+        export.write_npz(written[-1], {
+            "amplitude": maps.amplitude, "amplitude_se": maps.amplitude_se,
+            "phase_rad": maps.phase, "mean": maps.mean, "count": maps.count}, {
+                **facts, "hz": maps.hz, "reference_us": maps.reference_us})
+    if not args.no_video:
+        written.append(out / "tendon.mp4")
+    lines = [f"wrote {path}" for path in written]
+    for roi, tone in zip(found.fused.rois, found.tones, strict=True):
+        lines.append(
+            f"{roi.name}: {tone.hz:.4f} +- {tone.hz_se:.4f} Hz, "
+            f"DoLP {tone.offset:.4f}, amplitude {tone.amplitude[0]:.4f} "
+            f"+- {tone.amplitude_se[0]:.4f}, "
+            f"distortion {100 * tone.distortion:.1f} %")
+    if found.clock is not None:
+        clock = found.clock
+        lines.append(
+            f"load file: its zero lies at {clock.offset_s:.4f} s "
+            f"(+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
+            f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow")
+    return lines
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,218 @@
+"""The report of ``pdavis tendon``: one HTML file that holds its figures."""
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import os
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pdavis_cv import render
+from pdavis_cv.export import beside
+
+if TYPE_CHECKING:
+    from pdavis_cv.tools.tendon import Findings
+
+__all__ = ["matplotlib", "write_report"]
+
+_COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:pink")
+_STYLE = """
+body{font:15px/1.45 system-ui,sans-serif;max-width:62em;margin:2em auto;padding:0 1em;
+color:#222}h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}
+table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .8em;text-align:right;
+border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}
+.warn{background:#fff3cd;border-left:4px solid #e0a800;padding:.5em 1em}
+pre{background:#f6f6f6;padding:1em;overflow:auto;font-size:12px}
+"""
+
+
+def matplotlib() -> Any:
+    """Return matplotlib's Figure, or say how to get it."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError(
+            "the report needs matplotlib: pip install 'pdavis-cv[plot]'") from None
+    return Figure
+
+
+def write_report(path: str | os.PathLike[str], found: Findings) -> None:
+    """Write the report.
+
+    Parameters
+    ----------
+    path : path
+        File to write; appears when it is whole.
+    found : Findings
+        What was measured.
+    """
+    parts = [
+        "<!doctype html><html lang=en><meta charset=utf-8>",
+        f"<title>Tendon report</title><style>{_STYLE}</style>",
+        f"<h1>Loaded sample: {html.escape(_name(found))}</h1>",
+        *(f"<p class=warn>{html.escape(message)}</p>" for message in found.messages),
+        "<h2>Load</h2>", _load_table(found),
+    ]
+    if found.still is not None:
+        parts += ["<h2>One moment</h2>", _picture(found.still)]
+    parts += [
+        "<h2>Traces</h2>", "<p>Lines: fused images, with one standard error. Dots: "
+        "frames alone.</p>", _figure(_traces, found, 3.0 * 3),
+        "<h2>Average cycle</h2>", "<p>Mean, its standard error (dark) and the spread "
+        "over cycles (light).</p>", _figure(_cycle, found, 3.2),
+        "<h2>Drift</h2>", _drift_table(found)]
+    if found.loops:
+        parts += ["<h2>Loop</h2>", _figure(_loop, found, 3.6), _loop_table(found)]
+    if found.maps is not None:
+        parts += ["<h2>Lock-in maps of DoLP</h2>",
+                  f"<p>At {found.maps.hz:.4f} Hz; phase where the amplitude exceeds "
+                  "three standard errors.</p>", _figure(_maps, found, 3.4)]
+    facts = json.dumps(found.facts, indent=1, default=str)
+    parts += ["<h2>Origin</h2>", f"<pre>{html.escape(facts)}</pre></html>"]
+    with beside(path) as part:
+        part.write_text("\n".join(parts), encoding="utf-8")
+
+
+def _name(found: Findings) -> str:
+    source = found.facts.get("input", {})
+    return str(source.get("name", "recording"))
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    def cells(kind: str, row: Sequence[Any]) -> str:
+        return "".join(f"<{kind}>{html.escape(str(v))}</{kind}>" for v in row)
+    return ("<table><tr>" + cells("th", header) + "</tr>"
+            + "".join(f"<tr>{cells('td', row)}</tr>" for row in rows) + "</table>")
+
+
+def _load_table(found: Findings) -> str:
+    header = ["region", "frequency / Hz", "mean DoLP", "amplitude", "distortion",
+              "chance", "mean AoP / deg"]
+    rows = []
+    for roi, tone, table in zip(
+            found.fused.rois, found.tones, found.fused.table, strict=True):
+        s1, s2 = np.nanmean(table["s1"]), np.nanmean(table["s2"])
+        aop = np.rad2deg(np.mod(np.arctan2(s2, s1) / 2, np.pi))
+        rows.append((
+            roi.name, f"{tone.hz:.4f} \u00b1 {tone.hz_se:.4f}", f"{tone.offset:.4f}",
+            f"{tone.amplitude[0]:.4f} \u00b1 {tone.amplitude_se[0]:.4f}",
+            f"{100 * tone.distortion:.1f} %", f"{tone.false_alarm:.1g}", f"{aop:.1f}"))
+    text = _table(header, rows)
+    if found.clock is not None:
+        clock = found.clock
+        text += (
+            f"<p>Load file, aligned by {clock.how}: its zero lies at "
+            f"{clock.offset_s:.4f} s of the recording (\u00b1 "
+            f"{1e3 * clock.offset_se_s:.2g} ms), its clock is {clock.skew_ppm:.0f} "
+            f"\u00b1 {clock.skew_se_ppm:.0f} ppm slow.</p>")
+    return text
+
+
+def _drift_table(found: Findings) -> str:
+    return _table(
+        ("region", "cycles", "mean per cycle", "amplitude per cycle"),
+        ((roi.name, len(drift.cycle),
+          f"{drift.mean_per_cycle:+.2e} \u00b1 {drift.mean_per_cycle_se:.1e}",
+          f"{drift.amplitude_per_cycle:+.2e} \u00b1 {drift.amplitude_per_cycle_se:.1e}")
+         for roi, drift in zip(found.fused.rois, found.drifts, strict=True)))
+
+
+def _loop_table(found: Findings) -> str:
+    return _table(
+        ("region", "cycles", "area per cycle"),
+        ((roi.name, loop.cycles, f"{loop.area:.4g} \u00b1 {loop.area_se:.2g}")
+         for roi, loop in zip(found.fused.rois, found.loops, strict=True)))
+
+
+def _picture(picture: render.Picture) -> str:
+    done, data = render.opencv().imencode(".png", picture)
+    if not done:
+        raise OSError("a picture of the report cannot be encoded")
+    return _image(data.tobytes())
+
+
+def _image(data: bytes) -> str:
+    return f'<img src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+
+
+def _figure(draw: Any, found: Findings, height: float) -> str:
+    figure = matplotlib()(figsize=(9, height), layout="constrained")
+    draw(figure, found)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return _image(buffer.getvalue())
+
+
+def _traces(figure: Any, found: Findings) -> None:
+    dolp, aop, rate = figure.subplots(3, 1, sharex=True)
+    t = found.seconds(found.fused.t_us)
+    for i, (roi, table) in enumerate(zip(
+            found.fused.rois, found.fused.table, strict=True)):
+        colour = _COLOURS[i % len(_COLOURS)]
+        for axes, name, turn in ((dolp, "dolp", False), (aop, "aop", True)):
+            values, se = table[name], table[name + "_se"]
+            if turn:  # degrees, unwrapped about the mean so that 0 does not tear it
+                values, se = _degrees(values), np.rad2deg(se)
+            axes.fill_between(
+                t, values - se, values + se, color=colour, alpha=0.3, lw=0)
+            axes.plot(t, values, color=colour, lw=1, label=roi.name)
+        rate.plot(t, table["event_rate"] / 1e3, color=colour, lw=0.8)
+        if found.frames is not None:
+            part = found.frames.table[i]
+            when = found.seconds(found.frames.t_us)
+            dolp.errorbar(when, part["dolp"], part["dolp_se"], fmt="o", ms=3, lw=0.8,
+                          color="0.4", label="frames" if i == 0 else None)
+            aop.plot(when, _degrees(part["aop"]), "o", ms=3, color="0.4")
+    dolp.set_ylabel("DoLP")
+    dolp.legend(loc="upper right", fontsize=8)
+    aop.set_ylabel("AoP / deg")
+    rate.set_ylabel("events / 1000 s$^{-1}$")
+    rate.set_xlabel("time / s")
+
+
+def _degrees(aop: Any) -> Any:
+    unit = np.exp(2j * aop)
+    middle = np.angle(np.nanmean(unit))
+    return np.rad2deg((np.angle(unit * np.exp(-1j * middle)) + middle) / 2)
+
+
+def _cycle(figure: Any, found: Findings) -> None:
+    axes = figure.subplots()
+    for i, (roi, cycle) in enumerate(zip(found.fused.rois, found.cycles, strict=True)):
+        colour = _COLOURS[i % len(_COLOURS)]
+        for width, alpha in ((cycle.sd, 0.15), (cycle.se, 0.4)):
+            axes.fill_between(cycle.phase, cycle.mean - width, cycle.mean + width,
+                              color=colour, alpha=alpha, lw=0)
+        axes.plot(cycle.phase, cycle.mean, color=colour, label=roi.name)
+    axes.set_xlabel(f"phase / cycles of {found.load_hz:.4f} Hz")
+    axes.set_ylabel("DoLP")
+    axes.legend(fontsize=8)
+
+
+def _loop(figure: Any, found: Findings) -> None:
+    axes = figure.subplots()
+    for i, (roi, loop) in enumerate(zip(found.fused.rois, found.loops, strict=True)):
+        axes.plot(np.append(loop.x, loop.x[:1]), np.append(loop.y, loop.y[:1]),
+                  color=_COLOURS[i % len(_COLOURS)], label=roi.name)
+    axes.set_xlabel("force / N" if "force_n" in found.extra else "displacement / mm")
+    axes.set_ylabel("DoLP")
+    axes.legend(fontsize=8)
+
+
+def _maps(figure: Any, found: Findings) -> None:
+    maps = found.maps
+    assert maps is not None
+    left, right = figure.subplots(1, 2)
+    top = float(np.nanquantile(maps.amplitude, 0.99)) or 1.0
+    shown = left.imshow(maps.amplitude, vmin=0, vmax=top, cmap="viridis")
+    figure.colorbar(shown, ax=left, label="amplitude of DoLP", shrink=0.8)
+    phase = np.where(maps.significant, np.rad2deg(maps.phase), np.nan)
+    shown = right.imshow(phase, vmin=-180, vmax=180, cmap="twilight")
+    figure.colorbar(shown, ax=right, label="phase / deg", shrink=0.8)
+    for axes in (left, right):
+        axes.set_xticks([])
+        axes.set_yticks([])
