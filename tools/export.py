@@ -166,6 +166,7 @@ class Sheet:
         self.args = args
         self.origin_us = start_of(recording)
         self.source = recording.path.name if recording.path else recording.info.format
+        self.provenance, self.path = first.provenance, recording.path
         self.white = float(args.white or _white(first, recording))
         # small images are shown large enough to see and to carry a caption
         self.scale = 1 if args.bare else max(1, -(-240 // first.shape[1]))
