@@ -104,6 +104,9 @@ def test_triggers_that_do_not_match_are_refused():
 
 def test_a_stated_offset_is_taken_as_it_is():
     clock = align_by_offset(EPOCH, OFFSET, skew_ppm=50)
+    moved = clock.counted_from(EPOCH - 3_000_000)
+    assert moved.offset_s == pytest.approx(OFFSET + 3)
+    np.testing.assert_allclose(moved.to_us([0, 9.5]), clock.to_us([0, 9.5]), rtol=1e-15)
     assert np.max(np.abs(errors_ms(clock))) < 1e-3
     with pytest.raises(ValueError, match="offset_s must be finite"):
         align_by_offset(EPOCH, np.nan)

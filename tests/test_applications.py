@@ -110,6 +110,8 @@ def test_tendon_finds_the_load_and_writes_everything(
         "--thickness-um", "300", "--wavelength-nm", "530"]) == 0
     text = capsys.readouterr().out
     hz = float(re.search(r"fibre: ([\d.]+) ", text).group(1))
+    zero = float(re.search(r"its zero lies at ([\d.]+) s", text).group(1))
+    assert zero == pytest.approx(0.2, abs=0.002)
     assert hz == pytest.approx(5.0, rel=0.005)
     table = pandas.read_csv(out / "traces.csv", comment="#")
     images = list(fuse(recording, fps=100))

@@ -285,13 +285,18 @@ def _align(
             raise UsageError("--align trigger: the recording holds no external trigger")
         clock = analysis.align_by_triggers(pulses["t"][rising], load.trigger_times())
     else:
-        # Each region in turn would do; the one with the clearest cycle is best.
+        # Frames lag behind nothing, so they are the better clock while they do not
+        # alias.  Each region would do; the one with the clearest cycle is best.
         best = int(np.argmin([tone.hz_se / tone.hz for tone in found.tones]))
-        shift = (int(t[0]) - origin) / 1e6
+        traces = found.fused
+        if found.frames is not None and found.frame_hz >= 2.5 * found.load_hz:
+            traces = found.frames
+        shift = (int(traces.t_us[0]) - origin) / 1e6
         clock = analysis.align_by_correlation(
-            t, found.fused.table["dolp"][best], load,
+            traces.t_us, traces.table["dolp"][best], load,
             expected_s=None if args.offset is None else args.offset - shift,
             within_s=None if args.offset is None else args.within)
+        clock = clock.counted_from(origin)
     found.clock, found.load = clock, load
     seconds = clock.to_seconds(t)
     gone = load.inside_gap(seconds)

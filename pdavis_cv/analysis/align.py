@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,11 @@ class Clock:
     skew_se_ppm: float = np.nan
     how: str = "offset"
     correlation: float = np.nan
+
+    def counted_from(self, origin_us: int) -> Clock:
+        """Return the same clock with its offset counted from another time."""
+        moved = (self.origin_us - int(origin_us)) / 1e6
+        return replace(self, origin_us=int(origin_us), offset_s=self.offset_s + moved)
 
     def to_us(self, t_s: ArrayLike) -> FloatArray:
         """Return the recording's time in microseconds of times of the other clock."""
