@@ -28,7 +28,7 @@ from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._simulate import pixel_events, video_events
-from ._store import track_commit, track_drop, track_push
+from ._store import store_commit, store_link, store_pass, store_push
 
 __all__ = [
     "DEBUG",
@@ -64,12 +64,13 @@ __all__ = [
     "reconcile",
     "sort_events",
     "stokes",
+    "store_commit",
+    "store_link",
+    "store_pass",
+    "store_push",
     "superpixel",
     "surface",
     "tone_bgr",
-    "track_commit",
-    "track_drop",
-    "track_push",
     "unpack_10p",
     "unpack_12p",
     "unpack_packed",

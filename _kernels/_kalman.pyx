@@ -37,52 +37,67 @@ cdef inline void step(walk_t* walk, const event_t* store,
     walk.next = link[walk.next]
 
 
+cdef inline void start(walk_t* walk, int64_t stamp, int32_t first) noexcept nogil:
+    walk.t = stamp >> 1
+    walk.p = stamp & 1
+    walk.next = first
+    walk.n_on = 0
+    walk.n_off = 0
+
+
+cdef inline double at(const walk_t* walk, const event_t* store, int64_t known,
+                      double t, double on, double off, double level, double hz,
+                      double hz_per_level, double* n_on,
+                      double* n_off) noexcept nogil:
+    """Log intensity less level at t, between walk and its next event; the counts."""
+    cdef double y, theta
+    cdef part_t part
+    if walk.next >= 0 and store[walk.next].t <= known:
+        part = between(walk.t, walk.p, store[walk.next].t, store[walk.next].p, t)
+    else:
+        part = quiet(walk.t, walk.p, <double>known, t)
+    n_on[0] = walk.n_on
+    n_off[0] = walk.n_off
+    if part.p:
+        n_on[0] += part.fraction
+        theta = on
+    else:
+        n_off[0] += part.fraction
+        theta = -off
+    y = on * n_on[0] - off * n_off[0]
+    return y + lead(theta * part.rate, level + y, hz, hz_per_level)
+
+
 cdef inline void add_segment(sum_t* total, const walk_t* walk, const event_t* store,
                              int64_t known, double begin, double end, double on,
                              double off, double level, double hz,
                              double hz_per_level) noexcept nogil:
     """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
     cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
-    cdef double t, y, n_on, n_off, theta, e
-    cdef part_t part
+    cdef double node = half * 0.5773502691896258, y, n_on, n_off
     cdef int k
     for k in range(2):
-        t = middle + half * (0.5773502691896258 if k else -0.5773502691896258)
-        if walk.next >= 0 and store[walk.next].t <= known:
-            part = between(walk.t, walk.p, store[walk.next].t, store[walk.next].p, t)
-        else:
-            part = quiet(walk.t, walk.p, <double>known, t)
-        n_on = walk.n_on
-        n_off = walk.n_off
-        if part.p:
-            n_on += part.fraction
-            theta = on
-        else:
-            n_off += part.fraction
-            theta = -off
-        y = on * n_on - off * n_off
-        y += lead(theta * part.rate, exp_f(<float>(level + y)), hz, hz_per_level)
-        e = half * exp_f(<float>y)
-        total.whole += e
-        total.on += e * n_on
-        total.off += e * n_off
+        y = at(walk, store, known, middle + node if k else middle - node, on, off,
+               level, hz, hz_per_level, &n_on, &n_off)
+        y = half * exp_f(<float>y)
+        total.whole += y
+        total.on += y * n_on
+        total.off += y * n_off
 
 
 cdef void integrate(sum_t* total, walk_t* walk, const event_t* store,
                     const int32_t* link, int64_t begin, int64_t end, int64_t known,
                     double on, double off, double level, double hz,
                     double hz_per_level) noexcept nogil:
-    cdef double at = <double>begin, until
-    while walk.next >= 0 and store[walk.next].t <= begin:
-        step(walk, store, link)
+    cdef double now = <double>begin, until
     while True:
         until = <double>end
         if walk.next >= 0 and store[walk.next].t < end:
             until = <double>store[walk.next].t
-        if until > at:
-            add_segment(total, walk, store, known, at, until, on, off, level, hz,
+        if until > now:
+            add_segment(total, walk, store, known, now, until, on, off, level, hz,
                         hz_per_level)
-            at = until
+            now = until
         if walk.next < 0 or store[walk.next].t >= end:
             break
         step(walk, store, link)
@@ -148,25 +163,29 @@ def kalman_frame(const float[:, ::1] sample not None,
                  const float[:, ::1] noise not None,
                  const int64_t[:, ::1] times not None, int64_t known,
                  const event_t[::1] store not None, const int32_t[::1] link not None,
+                 const int32_t[:, ::1] first not None,
+                 const int64_t[:, ::1] old not None, Py_ssize_t committed,
                  const double[:, :, ::1] prior not None,
                  const double[::1] tuning not None, track_t[:, ::1] tracks not None,
                  int64_t[:, ::1] reference not None, double[:, :, ::1] state not None,
                  double[::1] chi not None):
     """Use a frame: de-blur it by the stored events up to `known`, update state.
 
-    sample is ln intensity, noise its variance, 0 or less where there is no usable
-    sample; times holds start, middle and end of exposure by column.  prior is
-    (row, column, (on, off)).  tuning: variance per second and per event in units of
-    theta^2, hz, hz per unit of intensity.  chi collects e^2/v (16 at most), ln v and
-    their number.
+    first and link chain the events since the exposure began, old holds the stamps of
+    the last ones before; those below index `committed` are counted in tracks.  sample
+    is ln intensity, noise its variance, 0 or less where there is no usable sample;
+    times holds start, middle and end of exposure by column.  prior is (row, column,
+    (on, off)).  tuning: variance per second and per event in units of theta^2, hz, hz
+    per unit of intensity.  chi collects e^2/v (16 at most), ln v and their number.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
     if (sample.shape[0] != h or sample.shape[1] != w or noise.shape[0] != h
             or noise.shape[1] != w or reference.shape[0] != h
             or reference.shape[1] != w or state.shape[0] != h or state.shape[1] != w
-            or prior.shape[0] != h or prior.shape[1] != w or times.shape[0] != 3
-            or times.shape[1] != w):
+            or prior.shape[0] != h or prior.shape[1] != w or first.shape[0] != h
+            or first.shape[1] != w or old.shape[0] != h or old.shape[1] != w
+            or times.shape[0] != 3 or times.shape[1] != w):
         raise ValueError("kalman_frame: all images must have one shape")
     if state.shape[2] != 9 or prior.shape[2] != 2 or tuning.shape[0] != 4:
         raise ValueError("kalman_frame: state, prior or tuning has a wrong length")
@@ -177,14 +196,16 @@ def kalman_frame(const float[:, ::1] sample not None,
             for x in range(w):
                 if noise[y, x] > 0:
                     use_sample(sample[y, x], noise[y, x], times[0, x], times[1, x],
-                               times[2, x], known, &store[0], &link[0], &prior[y, x, 0],
+                               times[2, x], known, &store[0], &link[0], first[y, x],
+                               old[y, x], <int32_t>committed, &prior[y, x, 0],
                                &tuning[0], &tracks[y, x], &reference[y, x],
                                &state[y, x, 0], &chi[0])
 
 
 cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
                      int64_t end, int64_t known, const event_t* store,
-                     const int32_t* link, const double* prior, const double* tuning,
+                     const int32_t* link, int32_t first, int64_t old,
+                     int32_t committed, const double* prior, const double* tuning,
                      track_t* track, int64_t* reference, double* s,
                      double* chi) noexcept nogil:
     cdef walk_t walk
@@ -192,19 +213,13 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
     cdef int at_on = 0, at_off = 0, all_on, all_off
     cdef double n_on, n_off, h_on, h_off, theta2, blur, level
     cdef bint fresh = s[3] < 0
-    # Counts from the oldest stored event to the middle and to the last committed.
-    walk.t = track.t_old
-    walk.p = track.p_old
-    walk.next = track.first
-    walk.n_on = 0
-    walk.n_off = 0
+    # Counts from the start of exposure to the middle and to the last committed.
+    start(&walk, old, first)
     while walk.next >= 0 and store[walk.next].t <= mid:
         step(&walk, store, link)
     at_on = walk.n_on
     at_off = walk.n_off
-    if track.next >= 0 and store[track.next].t <= mid:
-        return                      # not all events up to the middle are committed
-    while walk.next >= 0 and walk.next != track.next:
+    while walk.next >= 0 and walk.next < committed:
         step(&walk, store, link)
     all_on = walk.n_on
     all_off = walk.n_off
@@ -221,21 +236,27 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
         s[3] += theta2 * drift(mid - reference[0], n_on + n_off, tuning)
         level = s[0]
     # The double integral, relative to the level at the last event before mid.
-    walk.t = track.t_old
-    walk.p = track.p_old
-    walk.next = track.first
+    start(&walk, old, first)
     walk.n_on = -at_on
     walk.n_off = -at_off
-    total.whole = 0.0
-    total.on = 0.0
-    total.off = 0.0
     if end <= begin:
         end = begin + 1
-    integrate(&total, &walk, store, link, begin, end, known, s[1], s[2], level,
-              tuning[2], tuning[3])
-    blur = log_f(<float>(total.whole / <double>(end - begin)))
-    h_on = total.on / total.whole
-    h_off = -total.off / total.whole
+    while walk.next >= 0 and store[walk.next].t <= begin:
+        step(&walk, store, link)
+    if walk.next < 0 or store[walk.next].t >= end:
+        # Less than a threshold over the whole exposure: its middle says it all.
+        blur = at(&walk, store, known, 0.5 * (<double>begin + <double>end), s[1], s[2],
+                  level, tuning[2], tuning[3], &h_on, &h_off)
+        h_off = -h_off
+    else:
+        total.whole = 0.0
+        total.on = 0.0
+        total.off = 0.0
+        integrate(&total, &walk, store, link, begin, end, known, s[1], s[2], level,
+                  tuning[2], tuning[3])
+        blur = log_f(<float>(total.whole / <double>(end - begin)))
+        h_on = total.on / total.whole
+        h_off = -total.off / total.whole
     if fresh:
         s[0] = sample - blur
     # One or two events are as likely noise, which would teach that thresholds are 0.
@@ -248,12 +269,16 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
 
 
 def kalman_read(int64_t t, int64_t known, const event_t[::1] store not None,
-                const int32_t[::1] link not None, const double[::1] tuning not None,
+                const int32_t[::1] link not None,
+                const int32_t[:, ::1] first not None,
+                const double[::1] tuning not None,
                 const track_t[:, ::1] tracks not None,
                 const int64_t[:, ::1] reference not None,
                 const double[:, :, ::1] state not None, float[:, ::1] out not None,
                 float[:, ::1] variance not None):
     """Log intensity and its variance at t from the events up to known >= t.
+
+    first and link chain the events that are not counted in tracks yet.
 
     variance is -1 where no frame was used yet; out then counts from 0.
     """
@@ -261,30 +286,29 @@ def kalman_read(int64_t t, int64_t known, const event_t[::1] store not None,
     cdef Py_ssize_t y, x
     if (reference.shape[0] != h or reference.shape[1] != w or state.shape[0] != h
             or state.shape[1] != w or out.shape[0] != h or out.shape[1] != w
-            or variance.shape[0] != h or variance.shape[1] != w):
+            or variance.shape[0] != h or variance.shape[1] != w
+            or first.shape[0] != h or first.shape[1] != w):
         raise ValueError("kalman_read: all images must have one shape")
     if state.shape[2] != 9 or tuning.shape[0] != 4 or link.shape[0] != n or n == 0:
         raise ValueError("kalman_read: state, tuning, store or link has a wrong length")
     with nogil:
         for y in range(h):
             for x in range(w):
-                read_pixel(t, known, &store[0], &link[0], &tuning[0], &tracks[y, x],
-                           reference[y, x], &state[y, x, 0], &out[y, x],
+                read_pixel(t, known, &store[0], &link[0], first[y, x], &tuning[0],
+                           &tracks[y, x], reference[y, x], &state[y, x, 0], &out[y, x],
                            &variance[y, x])
 
 
 cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
-                     const int32_t* link, const double* tuning, const track_t* track,
-                     int64_t reference, const double* s, float* out,
-                     float* variance) noexcept nogil:
+                     const int32_t* link, int32_t first, const double* tuning,
+                     const track_t* track, int64_t reference, const double* s,
+                     float* out, float* variance) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
-    cdef int64_t t_prev = track.t_prev
-    cdef int p_prev = track.p_prev
+    cdef int64_t t_prev = track.prev >> 1
+    cdef int p_prev = track.prev & 1
     cdef double n_on, n_off, theta, theta2, level, v, u
-    walk.t = track.t_last
-    walk.p = track.p_last
-    walk.next = track.next
+    start(&walk, track.last, first)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
     while walk.next >= 0 and store[walk.next].t <= t:
@@ -311,9 +335,7 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         n_off += part.fraction
         theta = -s[2]
     level = s[0] + s[1] * n_on - s[2] * n_off
-    u = 0.0
-    if tuning[2] > 0.0 or tuning[3] > 0.0:
-        u = lead(theta * part.rate, exp_f(<float>level), tuning[2], tuning[3])
+    u = lead(theta * part.rate, level, tuning[2], tuning[3])
     out[0] = <float>(level + u)
     if s[3] < 0:
         variance[0] = -1.0

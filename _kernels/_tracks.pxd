@@ -1,27 +1,16 @@
-"""Tracks: per pixel, its place in a store of recent events.  Inline only.
+"""What a pixel's last events say of its intensity between them.  Inline only.
 
-The store holds events in time order; link[i] is the next event of the same pixel, -1
-if there is none yet.  A track knows the oldest event stored (first), the first one not
-yet committed (next) and the newest (tail), the last two committed and the last
-dropped, and how many were committed since a reference time.
+A stamp is an event's time times two, plus its polarity.
 """
-from libc.stdint cimport int32_t, int64_t, uint8_t
+from libc.stdint cimport int32_t, int64_t
 
 from _kernels._math cimport exp_f
 
 cdef packed struct track_t:
-    int64_t t_old           # last event dropped from the store
-    int64_t t_prev          # last but one committed
-    int64_t t_last          # last committed
+    int64_t prev            # stamp of the last but one committed event
+    int64_t last            # stamp of the last one
     int32_t n_off           # committed since the reference
     int32_t n_on
-    int32_t first
-    int32_t next
-    int32_t tail
-    uint8_t p_old
-    uint8_t p_prev
-    uint8_t p_last
-    uint8_t unused
 
 cdef struct part_t:
     # What has been crossed of a threshold since the last event: fraction * theta[p],
@@ -124,15 +113,15 @@ cdef inline part_t ahead(int64_t t_prev, int p_prev, int64_t t0, int p0,
     return part
 
 
-cdef inline double lead(double slope, double level, double hz,
+cdef inline double lead(double slope, double shown, double hz,
                         double hz_per_level) noexcept nogil:
     """Log intensity minus what a low-pass pixel shows of it.
 
-    slope is the shown log intensity's per second, level its exp.  The pixel follows
+    slope is that of the log intensity shown, per second.  The pixel follows
     y' = 2 pi (hz + hz_per_level I) (ln I - y): solved for ln I - y.  Where I is far
     below what is shown, its size is lost; -0.85 is the limit that can be told.
     """
-    cdef double c, u, e, f, g
+    cdef double c, u, e, f, g, level
     cdef int _
     if hz_per_level <= 0.0:
         if hz <= 0.0:
@@ -140,6 +129,7 @@ cdef inline double lead(double slope, double level, double hz,
         u = slope * 0.15915494309189535 / hz
         return 3.0 if u > 3.0 else -3.0 if u < -3.0 else u
     c = slope * 0.15915494309189535
+    level = exp_f(<float>shown)
     f = hz + hz_per_level * level
     u = c / f
     if u < 0.02 and u > -0.02:

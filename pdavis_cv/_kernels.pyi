@@ -44,12 +44,13 @@ __all__ = [
     "reconcile",
     "sort_events",
     "stokes",
+    "store_commit",
+    "store_link",
+    "store_pass",
+    "store_push",
     "superpixel",
     "surface",
     "tone_bgr",
-    "track_commit",
-    "track_drop",
-    "track_push",
     "unpack_10p",
     "unpack_12p",
     "unpack_packed",
@@ -103,12 +104,14 @@ def count(
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def kalman_frame(
     sample: _F32, noise: _F32, times: NDArray[np.int64], known: int,
-    store: NDArray[Any], link: NDArray[np.int32], prior: _F64, tuning: _F64,
+    store: NDArray[Any], link: NDArray[np.int32], first: NDArray[np.int32],
+    old: NDArray[np.int64], committed: int, prior: _F64, tuning: _F64,
     tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, chi: _F64,
 ) -> None: ...
 def kalman_read(
-    t: int, known: int, store: NDArray[Any], link: NDArray[np.int32], tuning: _F64,
-    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, out: _F32,
+    t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
+    first: NDArray[np.int32], tuning: _F64, tracks: NDArray[Any],
+    reference: NDArray[np.int64], state: _F64, out: _F32,
     variance: _F32,
 ) -> None: ...
 def leak_events(
@@ -135,17 +138,18 @@ def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
 ) -> None: ...
-def track_commit(
-    store: NDArray[Any], link: NDArray[np.int32], at: int, stop: int, until: int,
-    tracks: NDArray[Any],
+def store_commit(
+    store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any]
 ) -> int: ...
-def track_drop(
-    store: NDArray[Any], link: NDArray[np.int32], drop: int, stop: int,
-    tracks: NDArray[Any],
+def store_link(
+    store: NDArray[Any], start: int, stop: int, link: NDArray[np.int32],
+    first: NDArray[np.int32],
 ) -> None: ...
-def track_push(
-    events: NDArray[Any], last: int, at: int, store: NDArray[Any],
-    link: NDArray[np.int32], tracks: NDArray[Any],
+def store_pass(
+    store: NDArray[Any], at: int, stop: int, until: int, stamps: NDArray[np.int64]
+) -> int: ...
+def store_push(
+    events: NDArray[Any], last: int, h: int, w: int, at: int, store: NDArray[Any]
 ) -> int: ...
 def pixel_events(
     light: NDArray[np.float64], slope: NDArray[np.float64],

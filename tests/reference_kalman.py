@@ -110,7 +110,7 @@ class Pixel:
         cuts = [begin, *inner, end]
         whole, weighted = 0.0, np.zeros(2)
         for a, b in itertools.pairwise(cuts):
-            for node in (-1, 1):
+            for node in (-1, 1) if inner else (0, 0):
                 t = (a + b) / 2 + node * (b - a) / np.sqrt(12)
                 n, y, u = self.value(t, known, at, level)
                 whole += (b - a) / 2 * np.exp(y + u)

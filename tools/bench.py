@@ -15,7 +15,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pdavis_cv.tools import bench_simulate  # noqa: F401  # registers its cases
+from pdavis_cv.tools import (  # noqa: F401  # they register their cases
+    bench_kalman,
+    bench_simulate,
+)
 from pdavis_cv.tools._common import Parser, UsageError, command
 from pdavis_cv.tools.bench_cases import CASES, Case, Comparison
 

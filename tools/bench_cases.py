@@ -21,7 +21,7 @@ from pdavis_cv.reconstruct.cf import ComplementaryFilter
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Layout
 
-__all__ = ["CASES", "Case", "Comparison"]
+__all__ = ["CASES", "Case", "Comparison", "case", "event_input"]
 
 SHAPE = (260, 346)
 EVENTS, PACKET = 1_000_000, 10_000
@@ -82,10 +82,11 @@ class Case:
 CASES: dict[str, Case] = {}
 
 
-def _case(
+def case(
     name: str, title: str, goal: float, *, by_time: bool = False
 ) -> Callable[[Callable[[], Iterator[Comparison]]],
               Callable[[], Iterator[Comparison]]]:
+    """Enter the function that follows into `CASES`; parameters are those of `Case`."""
     def register(
         comparisons: Callable[[], Iterator[Comparison]]
     ) -> Callable[[], Iterator[Comparison]]:
@@ -121,7 +122,7 @@ def event_input(kind: str) -> NDArray[Any]:
     return events
 
 
-@_case("cf", "cf.add_events, adaptive gain, against floor_sum", 0.12)
+@case("cf", "cf.add_events, adaptive gain, against floor_sum", 0.12)
 def _cf() -> Iterator[Comparison]:
     theta = 0.2
     step = np.array([-theta, theta], np.float32)
@@ -223,7 +224,7 @@ def mosaic_input(
     return np.asarray(brightness * (1 + dolp * np.cos(2 * (angle - aop))))
 
 
-@_case("polarization", "mosaic to AoP and DoLP, full size, against floor_cv2", 2)
+@case("polarization", "mosaic to AoP and DoLP, full size, against floor_cv2", 2)
 def _polarization() -> Iterator[Comparison]:
     import cv2
 
@@ -276,7 +277,7 @@ def _check_import() -> None:
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
-@_case("import", "import, against import numpy", 1.3, by_time=True)
+@case("import", "import, against import numpy", 1.3, by_time=True)
 def _import() -> Iterator[Comparison]:
     floor = partial(_import_seconds, "import numpy")
     for statement, judged in (("import pdavis_cv", True),

@@ -171,9 +171,11 @@ class KalmanFilter(Reconstructor):
         before = self._state() if due else None
         if due:
             self._settle(t + ahead)
+        recent = self._tracks
+        recent.chain_pending()
         _kernels.kalman_read(
-            t, t + ahead, self._tracks.store, self._tracks.link, self._tuning,
-            self._tracks.tracks, self._reference, self._state9, log, variance)
+            t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
+            recent.tracks, self._reference, self._state9, log, variance)
         if before is not None:
             self._restore(before)
         valid = (variance >= 0) & (variance <= VALID_VARIANCE)
@@ -186,14 +188,16 @@ class KalmanFilter(Reconstructor):
         while self._frames and self._frames[0].known_us <= seen_us:
             frame, *rest = self._frames
             self._frames = tuple(rest)
+            recent = self._tracks
+            recent.chain_since(int(frame.times[0].min()))
             _kernels.kalman_frame(
-                frame.sample, frame.noise, frame.times, frame.known_us,
-                self._tracks.store, self._tracks.link, self._prior, self._tuning,
-                self._tracks.tracks, self._reference, self._state9, self._chi)
+                frame.sample, frame.noise, frame.times, frame.known_us, recent.store,
+                recent.link, recent.first, recent.old, recent.committed, self._prior,
+                self._tuning, recent.tracks, self._reference, self._state9, self._chi)
 
     def _state(self) -> Mapping[str, Any]:
         return {"last_us": self._clock.last_us, "frames": self._frames,
-                "tracks": self._tracks.state(), "keep_us": self._tracks.keep_us,
+                "tracks": self._tracks.state(),
                 "reference": self._reference.copy(), "state": self._state9.copy(),
                 "chi": self._chi.copy()}
 
@@ -201,10 +205,9 @@ class KalmanFilter(Reconstructor):
         self._clock.last_us = state["last_us"]
         self._frames = state["frames"]
         self._tracks.restore(state["tracks"])
-        self._tracks.keep_us = state["keep_us"]
-        self._reference = state["reference"].copy()
-        self._state9 = state["state"].copy()
-        self._chi = state["chi"].copy()
+        self._reference[:] = state["reference"]
+        self._state9[:] = state["state"]
+        self._chi[:] = state["chi"]
 
 
 class _Frame:

@@ -1,4 +1,4 @@
-"""Recent events, linked by pixel, for methods that look a little ahead or back."""
+"""Recent events, for methods that look a little ahead or back."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -10,103 +10,115 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
 
-__all__ = ["LONG_AGO", "TRACK_DTYPE", "Tracks"]
+__all__ = ["TRACK_DTYPE", "Tracks"]
 
-TRACK_DTYPE = np.dtype([
-    ("t_old", "<i8"), ("t_prev", "<i8"), ("t_last", "<i8"), ("n_off", "<i4"),
-    ("n_on", "<i4"), ("first", "<i4"), ("next", "<i4"), ("tail", "<i4"),
-    ("p_old", "u1"), ("p_prev", "u1"), ("p_last", "u1"), ("unused", "u1")])
-"""A pixel's place in the store; fields as in _kernels/_tracks.pxd."""
+TRACK_DTYPE = np.dtype(
+    [("prev", "<i8"), ("last", "<i8"), ("n_off", "<i4"), ("n_on", "<i4")])
+"""Stamps of a pixel's last two events (2 t + p), and counts since a reference."""
 
 LONG_AGO = -(2**62)
 _LEAST = 1 << 14
 
 
 class Tracks:
-    """Store of the events of the last moments, and each pixel's place in it.
+    """Store of the events of the last moments, and each pixel's last ones.
 
-    An event is first pushed, then committed (it belongs to the past of every later
-    read), then, `keep_us` later, dropped.
+    An event is pushed; then committed: it belongs to the past of every later read;
+    then passed: the exposure of every later frame begins after it.
 
     Parameters
     ----------
     shape : (int, int)
         (height, width).
     keep_us : int
-        How long committed events are kept.
+        How long committed events wait for a frame at least.
 
     Attributes
     ----------
     tracks : ndarray of TRACK_DTYPE, shape (H, W)
+        Of the committed events.
+    old : ndarray of int64, shape (H, W)
+        Stamps of the last events passed.
     store : ndarray of EVENT_DTYPE, shape (capacity,)
     link : ndarray of int32, shape (capacity,)
-        Next event of the same pixel, -1 for none.
+    first : ndarray of int32, shape (H, W)
+        Chains by pixel, valid after `chain` until the next change.
     """
 
     def __init__(self, shape: tuple[int, int], keep_us: int) -> None:
         self.tracks = np.zeros(shape, TRACK_DTYPE)
-        for name in ("t_old", "t_prev", "t_last"):
-            self.tracks[name] = LONG_AGO
-        for name in ("first", "next", "tail"):
-            self.tracks[name] = -1
+        self.tracks["prev"] = self.tracks["last"] = 2 * LONG_AGO
+        self.old = np.full(shape, 2 * LONG_AGO, np.int64)
+        self.first = np.full(shape, -1, np.int32)
         self.store = np.zeros(_LEAST, EVENT_DTYPE)
-        self.link = np.full(_LEAST, -1, np.int32)
+        self.link = np.zeros(_LEAST, np.int32)
         self.keep_us = int(keep_us)
-        self._committed = self._stop = 0
+        self.committed = self._passed = self._stop = 0
 
     def push(self, events: NDArray[Any], last_us: int) -> int:
-        """Append events; return how many were taken (see `track_push`)."""
+        """Append events; return how many were taken (see `store_push`)."""
         self._make_room(len(events))
-        taken = _kernels.track_push(
-            events, last_us, self._stop, self.store, self.link, self.tracks)
+        taken = _kernels.store_push(
+            events, last_us, *self.tracks.shape, self._stop, self.store)
         self._stop += taken
         return taken
 
     def commit(self, until_us: int) -> None:
         """Commit all events up to until_us, inclusive."""
-        if self._committed == self._stop:
-            return
-        self._committed = _kernels.track_commit(
-            self.store, self.link, self._committed, self._stop, until_us, self.tracks)
+        if self.committed < self._stop:
+            self.committed = _kernels.store_commit(
+                self.store, self.committed, self._stop, until_us, self.tracks)
+
+    def chain_since(self, t_us: int) -> None:
+        """Pass all committed events up to t_us, and chain those after them."""
+        self._passed = _kernels.store_pass(
+            self.store, self._passed, self.committed, t_us, self.old)
+        self._chain(self._passed)
+
+    def chain_pending(self) -> None:
+        """Chain the events that are not committed yet."""
+        self._chain(self.committed)
+
+    def _chain(self, start: int) -> None:
+        _kernels.store_link(self.store, start, self._stop, self.link, self.first)
 
     def _make_room(self, n: int) -> None:
         if self._stop + n <= len(self.store):
             return
-        if self._committed:
-            recent = int(self.store["t"][self._committed - 1]) - self.keep_us
-            drop = int(np.searchsorted(
-                self.store["t"][:self._committed], recent))
-            if drop:
-                self._drop(drop)
+        if self.committed:
+            recent = int(self.store["t"][self.committed - 1]) - self.keep_us
+            self._passed = _kernels.store_pass(
+                self.store, self._passed, self.committed, recent, self.old)
+        drop, self._passed = self._passed, 0
         # Half of the room is left for what comes, so that moving stays rare.
-        wanted = 2 * (self._stop + n)
-        if wanted > len(self.store):
-            for name in ("store", "link"):
-                old = getattr(self, name)
-                new = np.zeros(wanted, old.dtype)
-                new[:self._stop] = old[:self._stop]
-                setattr(self, name, new)
-
-    def _drop(self, drop: int) -> None:
-        stop = self._stop
-        _kernels.track_drop(self.store, self.link, drop, stop, self.tracks)
-        for array in (self.store, self.link):
-            array[:stop - drop] = array[drop:stop].copy()
+        room = max(len(self.store), 2 * (self._stop - drop + n))
+        old = _bytes(self.store[drop:self._stop])
+        if room > len(self.store):
+            self.store = np.empty(room, EVENT_DTYPE)
+            self.link = np.zeros(room, np.int32)
+        _bytes(self.store)[:old.size] = old
         self._stop -= drop
-        self._committed -= drop
+        self.committed -= drop
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
-        return {"tracks": self.tracks.copy(), "store": self.store[:self._stop].copy(),
-                "link": self.link[:self._stop].copy(), "committed": self._committed}
+        return {"tracks": self.tracks.copy(), "old": self.old.copy(),
+                "store": _bytes(self.store[self._passed:self._stop]).copy(),
+                "committed": self.committed - self._passed, "keep_us": self.keep_us}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `state` returned."""
-        stop = len(state["store"])
-        self.tracks = state["tracks"].copy()
-        self._committed, self._stop = state["committed"], stop
-        if stop > len(self.store):
-            self.store = np.zeros(2 * stop, EVENT_DTYPE)
-            self.link = np.full(2 * stop, -1, np.int32)
-        self.store[:stop] = state["store"]
-        self.link[:stop] = state["link"]
+        self.tracks[:], self.old[:] = state["tracks"], state["old"]
+        self._passed, self.committed, self._stop = 0, state["committed"], 0
+        self.keep_us = state["keep_us"]
+        n = state["store"].size // EVENT_DTYPE.itemsize
+        if n > len(self.store):
+            self.store = np.empty(2 * n, EVENT_DTYPE)
+            self.link = np.zeros(2 * n, np.int32)
+        _bytes(self.store)[:state["store"].size] = state["store"]
+        self._stop = n
+
+
+def _bytes(events: NDArray[Any]) -> NDArray[np.uint8]:
+    # Unaligned records are copied field by field, which takes ten times as long.
+    return events.view(np.uint8)
