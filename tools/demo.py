@@ -81,9 +81,11 @@ def _polarizer(
     for method in METHODS:
         images[method] = list(fuse(
             recording, method=method, times_us=times, thresholds=thresholds))
-        seen = np.array([frame.valid.all() for frame in images[method]])
-        strips[method] = np.where(
-            seen, [mean_aop(frame) for frame in images[method]], np.nan)
+        # A pixel that has drifted below the floor is not usable; its neighbours are.
+        seen = np.array([2 * frame.valid.mean() > 1 for frame in images[method]])
+        strips[method] = np.array([
+            mean_aop(frame) if usable else np.nan
+            for frame, usable in zip(images[method], seen, strict=True)])
         error = np.rad2deg(np.mean(
             axial_difference(strips[method], strips["truth"])[seen]))
         titles[method] = f"{method}: mean error {error:.1f} degrees"
@@ -137,8 +139,8 @@ def _dial(angle: float, side: int = 240) -> render.Picture:
 
 
 def mean_aop(frame: PolarFrame) -> float:
-    """Return the angle of the mean S1, S2 of an image, radians."""
-    return float(aop(frame.s1.mean(), frame.s2.mean()))
+    """Return the angle of the mean S1, S2 of an image's usable pixels, radians."""
+    return float(aop(frame.s1[frame.valid].mean(), frame.s2[frame.valid].mean()))
 
 
 def axial_difference(
