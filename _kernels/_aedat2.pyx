@@ -129,7 +129,8 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
             or signal.shape[1] != width or height > 512 or width > 1024
             or height < 1 or width < 1):
         raise ValueError("aedat2_words: an array has the wrong shape")
-    if (begin < 0 or begin > n or n > words.shape[0] or state[EVENTS] < 0 or state[SAMPLES] < 0
+    if (begin < 0 or begin > n or n > words.shape[0]
+            or state[EVENTS] < 0 or state[SAMPLES] < 0
             or state[TRIGGERS] < 0 or events.shape[0] - state[EVENTS] < n - begin
             or trigger_t.shape[0] - state[TRIGGERS] < n - begin
             or trigger.shape[0] < trigger_t.shape[0]

@@ -46,3 +46,10 @@ def test_no_source_file_is_longer_than_600_lines(tracked, root):
             if path.suffix in (".py", ".pyx", ".pxd", ".h", ".pyi")
             and (lines := len(text_of(path).splitlines())) > LINES_PER_FILE}
     assert not long.keys() - TO_SPLIT
+
+
+def test_no_kernel_line_is_longer_than_88_characters(tracked, root):
+    long = [f"{path.relative_to(root)}:{i}" for path in tracked
+            if path.suffix in (".pyx", ".pxd", ".pyi")
+            for i, line in enumerate(text_of(path).splitlines(), 1) if len(line) > 88]
+    assert not long
