@@ -274,7 +274,7 @@ cdef inline int noise_polarity(pixel_t_ *p, config_t *cfg, cell_t *c,
 
 
 cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, double last,
-                            double *burst_t, int burst_p, sink_t *out) noexcept nogil:
+                          double *burst_t, int burst_p, sink_t *out) noexcept nogil:
     """Events of one pixel in [t0, t0 + h); `last` is the filtered log at its end."""
     cdef double s = 0, stop, ga = c.level, gb = 0, slope_a, slope_b, at, up, down
     cdef double extreme = 2
