@@ -93,3 +93,8 @@ def test_every_shipped_datum_is_named_and_its_notice_ships(root):
             assert notice in shipped
             assert notice in carried
         assert notices or "made by this project" in row, f"{name}: no notice"
+
+
+def test_every_public_name_has_a_home_and_type_checkers_see_it():
+    assert set(pdavis_cv.__all__) == {
+        "__version__", *pdavis_cv._HOME, *pdavis_cv._ROOMS}
