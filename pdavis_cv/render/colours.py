@@ -6,6 +6,7 @@ text is drawn by OpenCV.
 """
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -55,6 +56,7 @@ def _hue_table() -> Picture:
 
 
 _HUE_TABLE = _hue_table()
+_GREY_TABLE = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
 _DOLP_TABLE = np.stack([
     np.rint(np.interp(np.linspace(0, 16, 256), np.arange(17), _VIRIDIS[:, c]))
     for c in (2, 1, 0)], axis=1).astype(np.uint8)
@@ -78,8 +80,8 @@ def aop_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
     """
     turn = np.asarray(aop, np.float64) * (_HUES / np.pi)
     with np.errstate(invalid="ignore"):
-        index = np.rint(turn).astype(np.int64) % _HUES
-    return _masked(_HUE_TABLE[index], valid, turn)
+        index = np.rint(turn).astype(np.int32)
+    return _masked(_HUE_TABLE.take(index, axis=0, mode="wrap"), valid, turn)
 
 
 def dolp_bgr(
@@ -102,7 +104,7 @@ def dolp_bgr(
         BGR.
     """
     value = np.asarray(dolp, np.float64)
-    return _masked(_DOLP_TABLE[_bytes(value, top)], valid, value)
+    return _masked(_DOLP_TABLE.take(_bytes(value, top), axis=0), valid, value)
 
 
 def grey_bgr(
@@ -133,7 +135,7 @@ def grey_bgr(
         raise ValueError(f"white must be positive, got {white}")
     value = np.asarray(intensity, np.float64)
     grey = _bytes(value, white)
-    return _masked(np.repeat(grey[..., None], 3, axis=-1), valid, value)
+    return _masked(_GREY_TABLE.take(grey, axis=0), valid, value)
 
 
 def aop_legend(
@@ -216,7 +218,8 @@ def panel(
     ndarray of uint8, shape (H', W', 3)
         BGR; W' = scale * W, at least the width that title and legend need.
     """
-    picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
+    if scale != 1:
+        picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
     parts = [_line(title), picture]
     if legend == "aop":
         parts.append(_aop_strip())
@@ -346,10 +349,11 @@ def _bytes(value: NDArray[np.float64], top: float) -> NDArray[np.uint8]:
 def _masked(
     picture: Picture, valid: NDArray[np.bool_] | None, value: NDArray[np.float64]
 ) -> Picture:
-    bad = ~np.isfinite(value)
+    good = np.isfinite(value)
     if valid is not None:
-        bad |= ~valid
-    picture[bad] = INVALID
+        good &= valid
+    if not good.all():
+        picture[~good] = INVALID
     return picture
 
 
@@ -362,6 +366,7 @@ def _line(text: str) -> Picture:
     return strip
 
 
+@functools.lru_cache
 def _aop_strip(radius: int = 30) -> Picture:
     margin = 40
     strip = np.zeros((radius + 20, 2 * (radius + margin), 3), np.uint8)
@@ -373,6 +378,7 @@ def _aop_strip(radius: int = 30) -> Picture:
     return strip
 
 
+@functools.lru_cache
 def _bar_strip(kind: str, start: str, end: str, width: int = 120) -> Picture:
     left = 10 + _text_width(start)
     strip = np.zeros((50, left + width + 12 + _text_width(end), 3), np.uint8)

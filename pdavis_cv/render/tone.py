@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.render.colours import Picture, _masked
+from pdavis_cv.render.colours import _GREY_TABLE, Picture, _masked
 
 __all__ = ["ToneCurve"]
 
@@ -114,4 +114,4 @@ class ToneCurve:
             BGR.
         """
         value = np.asarray(intensity, np.float64)
-        return _masked(np.repeat(self.grey(value)[..., None], 3, axis=-1), valid, value)
+        return _masked(_GREY_TABLE.take(self.grey(value), axis=0), valid, value)
