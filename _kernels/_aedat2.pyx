@@ -145,31 +145,26 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
         while i < n:
             address = big_endian(&words[i, 0])
             t = <int32_t>big_endian(&words[i, 4]) + s[BASE]
-            if t < s[LAST] or t - s[LAST] > SEGMENT_US:
-                following = t
-                if i + 1 < words.shape[0]:
-                    following = <int32_t>big_endian(&words[i + 1, 4]) + s[BASE]
+            following = t
+            if i + 1 < words.shape[0]:
+                following = <int32_t>big_endian(&words[i + 1, 4]) + s[BASE]
+            if t < s[LAST]:
                 if s[LAST] - t > (<int64_t>1 << 31) and following < s[LAST]:
                     # The counter's 32 bits ran over.
                     s[BASE] += <int64_t>1 << 32
                     continue
-                if t < s[LAST]:
-                    if s[LAST] - t > SEGMENT_US and (
-                            i + 1 == words.shape[0] or following < s[LAST]):
-                        why = JUMP
-                        break
-                    s[BACKWARD] += 1
-                    if s[FIRST_BAD] < 0:
-                        s[FIRST_BAD] = i
-                    i += 1
-                    continue
-                if following >= s[LAST] and t - following > SEGMENT_US:
-                    # One word far ahead of both its neighbours is damage.
-                    s[BACKWARD] += 1
-                    if s[FIRST_BAD] < 0:
-                        s[FIRST_BAD] = i
-                    i += 1
-                    continue
+                if s[LAST] - t > SEGMENT_US and (
+                        i + 1 == words.shape[0] or following < s[LAST]):
+                    why = JUMP
+                    break
+            if t < s[LAST] or (following < t and following >= s[LAST]):
+                # One word ahead of both its neighbours is damage, and must not make
+                # all that follow look late.
+                s[BACKWARD] += 1
+                if s[FIRST_BAD] < 0:
+                    s[FIRST_BAD] = i
+                i += 1
+                continue
             x = address >> 12 & 0x3FF
             y = height - 1 - <Py_ssize_t>(address >> 22 & 0x1FF)
             if not address & 0x80000000u:

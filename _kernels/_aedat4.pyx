@@ -2,7 +2,7 @@
 from libc.stdint cimport int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t
 from libc.string cimport memcpy
 
-from _kernels._check cimport FILLED, FIRST_BAD, JUMP, OFFSET, STATE, take
+from _kernels._check cimport BACKWARD, FILLED, FIRST_BAD, JUMP, OFFSET, STATE, take
 from _kernels._types cimport event_t
 
 cdef enum:
@@ -11,11 +11,13 @@ cdef enum:
 
 def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t begin,
                   Py_ssize_t n, Py_ssize_t height, Py_ssize_t width, bint flip,
-                  int64_t[::1] state not None, event_t[::1] out not None):
+                  int64_t first, int64_t last, int64_t[::1] state not None,
+                  event_t[::1] out not None):
     """Decode events begin .. n of the vector at byte at into out; return how far.
 
     Returns n, or the index of an event before which time jumped back by more than
-    a second.  state is as in _check.pxd.  flip turns rows upside down.
+    a second.  state is as in _check.pxd.  flip turns rows upside down.  Events
+    whose time in the file is not in first .. last are dropped.
     """
     cdef Py_ssize_t i = begin
     cdef int64_t t, following
@@ -39,6 +41,12 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t be
             memcpy(&t, source + i * STRIDE, 8)
             memcpy(&x, source + i * STRIDE + 8, 2)
             memcpy(&y, source + i * STRIDE + 10, 2)
+            if t < first or t > last:
+                s[BACKWARD] += 1
+                if s[FIRST_BAD] < 0:
+                    s[FIRST_BAD] = i
+                i += 1
+                continue
             following = t
             if i + 1 < n:
                 memcpy(&following, source + (i + 1) * STRIDE, 8)

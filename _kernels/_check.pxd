@@ -31,7 +31,7 @@ cdef inline int take(event_t* out, Py_ssize_t i, int64_t t, int64_t following,
                      int64_t* state) noexcept nogil:
     """Append one event, drop it, or report that time jumped back before it.
 
-    following is the time of the next event: one event far ahead of both its
+    following is the time of the next event: one that is ahead of both its
     neighbours is damage, and must not make all that follow look late.
     """
     cdef int64_t last = state[LAST]
@@ -47,8 +47,7 @@ cdef inline int take(event_t* out, Py_ssize_t i, int64_t t, int64_t following,
         if state[FIRST_BAD] < 0:
             state[FIRST_BAD] = i
         return DROPPED
-    if t - last > SEGMENT_US and not far(following) and (
-            following >= last and t - following > SEGMENT_US):
+    if t > following and following >= last:
         state[BACKWARD] += 1
         if state[FIRST_BAD] < 0:
             state[FIRST_BAD] = i

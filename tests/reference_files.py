@@ -7,15 +7,21 @@ AEDAT4 = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("", "
 
 
 def aedat4_events(data, at, n, height, width, *, flip=False):
-    """Decode n event structs; drop what lies outside, or before what was taken."""
+    """Decode n event structs.
+
+    Drops what lies outside, before what was taken, or ahead of both neighbours.
+    """
     raw = np.frombuffer(bytes(data), AEDAT4, n, at)
     y = height - 1 - raw["y"].astype(int) if flip else raw["y"].astype(int)
-    inside = ((raw["x"] >= 0) & (raw["x"] < width) & (y >= 0) & (y < height)
-              & (raw["p"] <= 1))
-    out = np.empty(n, EVENT_DTYPE)
-    out["t"], out["x"], out["y"], out["p"] = raw["t"], raw["x"], y, raw["p"]
-    out = out[inside]
-    return out[out["t"] >= np.maximum.accumulate(out["t"])] if len(out) else out
+    out, last = [], -(1 << 61)
+    for i in range(n):
+        t, x, p = (int(raw[name][i]) for name in "txp")
+        following = int(raw["t"][i + 1]) if i + 1 < n else t
+        inside = 0 <= x < width and 0 <= y[i] < height and p <= 1
+        if inside and t >= last and not last <= following < t:
+            out.append((t, x, y[i], p))
+            last = t
+    return np.array(out, EVENT_DTYPE)
 
 
 def pack_aedat4_events(events):

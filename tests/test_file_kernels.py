@@ -17,7 +17,8 @@ def state4():
 
 def decode4(data, at, n, *, flip=False):
     out, state = np.empty(n, EVENT_DTYPE), state4()
-    assert _kernels.aedat4_events(data, at, 0, n, *SIZE, flip, state, out) == n
+    assert _kernels.aedat4_events(data, at, 0, n, *SIZE, flip, -1, 1 << 61, state,
+                                  out) == n
     return out[:state[0]], state
 
 
@@ -74,9 +75,9 @@ def test_places_outside_the_data_are_refused():
     data, out = np.zeros(40, np.uint8), np.empty(9, EVENT_DTYPE)
     for at, begin, n in ((-1, 0, 1), (41, 0, 0), (9, 0, 2), (0, 0, 3), (0, 2, 1)):
         with pytest.raises(ValueError, match="lie outside data"):
-            _kernels.aedat4_events(data, at, begin, n, *SIZE, False, state4(), out)
+            _kernels.aedat4_events(data, at, begin, n, *SIZE, False, 0, 9, state4(), out)
     with pytest.raises(ValueError, match="out is too small"):
-        _kernels.aedat4_events(data, 0, 0, 2, *SIZE, False, state4(), out[:1])
+        _kernels.aedat4_events(data, 0, 0, 2, *SIZE, False, 0, 9, state4(), out[:1])
     with pytest.raises(ValueError, match="out is too small"):
         _kernels.pack_aedat4_events(out, 0, np.zeros(100, np.uint8))
     with pytest.raises(ValueError, match=r"must be \(n, 8\)"):

@@ -71,10 +71,10 @@ class Cursor:
         out = np.empty(count, EVENT_DTYPE)
         raw, state = np.frombuffer(data, np.uint8), self.clock.state
         state[0] = state[3] = state[4] = 0
-        done = 0
+        done, bounds = 0, self._bounds()
         while True:
             done = _kernels.aedat4_events(
-                raw, at, done, count, *self._size, self._jaer, state, out)
+                raw, at, done, count, *self._size, self._jaer, *bounds, state, out)
             if self._strict and state[5] >= 0:
                 self._refuse(entry, data, at, int(state[5]))
             if done == count:
@@ -86,6 +86,22 @@ class Cursor:
         self._count(entry, "backward time", int(state[4]),
                     "events were dropped because time ran backward")
         return out[:int(state[0])]
+
+    def _bounds(self) -> tuple[int, int]:
+        """Return the times that the events of this packet can have.
+
+        The index gives each packet's; to mislead, two of its entries must be wrong.
+        """
+        if not self._file.indexed:
+            return NEVER, -NEVER
+        i, entries = self._next - 1, self._entries
+        before, here, after = (
+            entries[k] if 0 <= k < len(entries) else None for k in (i - 1, i, i + 1))
+        first = [t for t in (here and here.start_us, before and before.stop_us)
+                 if t is not None]
+        last = [t for t in (here and here.stop_us, after and after.start_us)
+                if t is not None]
+        return min(first, default=NEVER), max(last, default=-NEVER)
 
     def _frames(self, entry: Entry) -> list[ApsFrame]:
         data, table = self._file.table(entry, "FRME")
