@@ -10,13 +10,18 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
 	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
 
-.PHONY: demo test asan clean
+.PHONY: demo test asan fuzz clean
 
 demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo
 
 test: $(VENV)/.with-test
 	$(VENV)/bin/pytest -q
+
+# make fuzz SECONDS=3600: read damaged recordings for that long
+SECONDS := 60
+fuzz: $(VENV)/.with-test
+	$(VENV)/bin/python -P tests/fuzz/fuzz.py --seconds $(SECONDS)
 
 asan: $(SOURCES)
 	.ci/asan

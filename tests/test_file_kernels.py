@@ -75,7 +75,8 @@ def test_places_outside_the_data_are_refused():
     data, out = np.zeros(40, np.uint8), np.empty(9, EVENT_DTYPE)
     for at, begin, n in ((-1, 0, 1), (41, 0, 0), (9, 0, 2), (0, 0, 3), (0, 2, 1)):
         with pytest.raises(ValueError, match="lie outside data"):
-            _kernels.aedat4_events(data, at, begin, n, *SIZE, False, 0, 9, state4(), out)
+            _kernels.aedat4_events(
+                data, at, begin, n, *SIZE, False, 0, 9, state4(), out)
     with pytest.raises(ValueError, match="out is too small"):
         _kernels.aedat4_events(data, 0, 0, 2, *SIZE, False, 0, 9, state4(), out[:1])
     with pytest.raises(ValueError, match="out is too small"):

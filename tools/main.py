@@ -14,6 +14,7 @@ __all__ = ["COMMANDS", "main"]
 COMMANDS = {
     "info": "say what a recording holds",
     "export": "fuse a recording into a video, pictures or arrays",
+    "convert": "write a recording in another format",
     "calibrate": "measure a camera into its calibration file",
     "simulate": "make a recording whose truth is known",
     "bench": "time the library against fixed floors",

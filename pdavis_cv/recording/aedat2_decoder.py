@@ -21,6 +21,8 @@ __all__ = ["CHUNK_WORDS", "Decoder", "ImuScale", "Mark"]
 CHUNK_WORDS = 1 << 16
 STALE_BYTES = 8 << 20
 """Old files may end with this much of what they held before."""
+MOST_LOOKS = 8
+"""A damaged file may jump at each word; the search for stale ones is not cheap."""
 
 # Places in the kernel's state.
 BASE, LAST, BACKWARD, OUTSIDE, UNKNOWN, EVENTS, SAMPLES, TRIGGERS = range(8)
@@ -89,6 +91,7 @@ class Decoder:
             (n // 7 + 2, 7), np.int16)
         self._trigger_t, self._trigger = np.empty(n, np.int64), np.empty(n, np.uint8)
         self._last_mid = NEVER
+        self._looks = 0
         self._clear()
 
     @property
@@ -158,7 +161,8 @@ class Decoder:
     def _rest_is_stale(self, offset: int) -> bool:
         """Tell if what follows was written before: a flush that old writers did."""
         left = self._reader.size - offset
-        if left > STALE_BYTES:
+        self._looks += 1
+        if left > STALE_BYTES or self._looks > MOST_LOOKS:
             return False
         rest = self._reader.read(offset, left // 8 * 8)
         before = max(self._start, offset - 2 * STALE_BYTES)

@@ -95,13 +95,14 @@ class Cursor:
         if not self._file.indexed:
             return NEVER, -NEVER
         i, entries = self._next - 1, self._entries
-        before, here, after = (
-            entries[k] if 0 <= k < len(entries) else None for k in (i - 1, i, i + 1))
-        first = [t for t in (here and here.start_us, before and before.stop_us)
-                 if t is not None]
-        last = [t for t in (here and here.stop_us, after and after.start_us)
-                if t is not None]
-        return min(first, default=NEVER), max(last, default=-NEVER)
+        here = entries[i]
+        first, last = [here.start_us], [here.stop_us]
+        if i > 0:
+            first.append(entries[i - 1].stop_us)
+        if i + 1 < len(entries):
+            last.append(entries[i + 1].start_us)
+        return (min((t for t in first if t is not None), default=NEVER),
+                max((t for t in last if t is not None), default=-NEVER))
 
     def _frames(self, entry: Entry) -> list[ApsFrame]:
         data, table = self._file.table(entry, "FRME")

@@ -71,6 +71,14 @@ def open_recording(
         from pdavis_cv.recording.aedat4 import Aedat4Recording
 
         return Aedat4Recording(path, **options)
+    if start.startswith(b"\x89HDF\r\n\x1a\n"):
+        from pdavis_cv.recording.hdf5 import Hdf5Recording
+
+        return Hdf5Recording(path, **options)
+    if start.startswith(b"#!AER-DAT3.1"):
+        from pdavis_cv.recording.aedat3 import Aedat3Recording
+
+        return Aedat3Recording(path, **options)
     if start.startswith(b"#!AER-DAT2"):
         from pdavis_cv.recording.aedat2 import Aedat2Recording
 

@@ -1,0 +1,311 @@
+"""AEDAT-3.1, as cAER wrote it: import, the right way up."""
+from __future__ import annotations
+
+import os
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.aedat2_header import CHIP_SIZES
+from pdavis_cv.recording.base import (
+    IMU_DTYPE,
+    TRIGGER_DTYPE,
+    ApsFrame,
+    Packet,
+    Problem,
+    Recording,
+    RecordingInfo,
+)
+from pdavis_cv.recording.files import FileReader, ProblemLog
+from pdavis_cv.recording.packetise import Batch, packetise
+from pdavis_cv.recording.timeline import Clock, Timeline
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["MAGIC", "Aedat3Recording"]
+
+MAGIC = b"#!AER-DAT3.1"
+MAX_PACKET = 64 << 20
+_END = b"#!END-HEADER\r\n"
+_HEAD = struct.Struct("<hhiiiiii")
+_SIZES = {0: 8, 1: 8, 3: 36}
+SPECIAL, POLARITY, FRAME, IMU6 = range(4)
+_FRAME = struct.Struct("<i4i4i")
+_IMU = np.dtype([("info", "<i4"), ("t", "<i4"), ("accel", "<f4", 3),
+                 ("gyro", "<f4", 3), ("temperature", "<f4")])
+# libcaer's special events: external input rising, falling, pulse.
+_TRIGGERS = {2: 1, 3: 2, 4: 3}
+HORIZON_US = 500_000
+"""How far the packets of different kinds may interleave imperfectly in time."""
+
+
+class Aedat3Recording(Recording):
+    """A recording in AEDAT-3.1; see `open_recording`.
+
+    Read from its beginning each time: the format has no index.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Must be part of the source's name if given.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
+                 bad_events: str = "drop", camera: str | None = None) -> None:
+        self._arguments = (os.fspath(path), layout, bad_events, camera)
+        self._strict = bad_events == "raise"
+        self._reader = FileReader(path)
+        self._log = ProblemLog(str(path))
+        try:
+            self._info = self._read_header(layout, camera)
+        except BaseException:
+            self._reader.close()
+            raise
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopen, self._arguments
+
+    @property
+    def path(self) -> Path:
+        """The file that is read."""
+        return self._reader.path
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """What was found wrong so far."""
+        return self._log.problems
+
+    def close(self) -> None:
+        """Release the file."""
+        self._reader.close()
+
+    def _read_header(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        head = self._reader.read(0, 1 << 20)
+        end = head.find(_END)
+        if end < 0:
+            raise RecordingError(
+                f"{self.path}: byte 0: no {_END.strip().decode()} within 1 MiB")
+        self._start = end + len(_END)
+        lines = head[:end].decode("latin-1").splitlines()
+        facts = dict(line[1:].split(":", 1) for line in lines if ":" in line)
+        source = next((value.strip() for name, value in facts.items()
+                       if name.startswith("Source")), "")
+        if camera is not None and camera.lower() not in source.lower():
+            raise RecordingError(
+                f"{self.path}: no camera named {camera!r}: it is {source}")
+        name = source.lower()
+        size = next((s for chip, s in CHIP_SIZES.items() if name.startswith(chip)),
+                    None)
+        if size is None:
+            size = self._frame_size()
+        if size is None:
+            self._log.add("unknown chip", None, f"the header names {source or 'none'}: "
+                          "taken for a DAVIS346")
+            size = Sensor.PDAVIS.size
+        return RecordingInfo(
+            format="AEDAT-3.1", sensor_size=size, writer="cAER", camera=source or None,
+            sensor=Sensor.PDAVIS if size == Sensor.PDAVIS.size else None,
+            layout=layout, header={
+                "first_row": "top", "imu_axes": "iniVation",
+                **{name.strip(): value.strip() for name, value in facts.items()}})
+
+    def _frame_size(self) -> tuple[int, int] | None:
+        """Return the size of the first frame near the start of the file."""
+        for _, kind, _, _, data in self._raw(quiet=True):
+            if kind == FRAME and len(data) >= 36:
+                width, height = struct.unpack_from("<ii", data, 20)
+                if 0 < width <= 4096 and 0 < height <= 4096:
+                    return height, width
+        return None
+
+    def _raw(
+        self, *, quiet: bool = False
+    ) -> Iterator[tuple[int, int, int, int, bytes]]:
+        """Give (byte, kind, event size, overflow, events) of each packet."""
+        at = self._start
+        while at < self._reader.size:
+            head = self._reader.read(at, _HEAD.size)
+            found = self._plausible(head, at)
+            if found is None:
+                after = self._resync(at + 1)
+                if not quiet:
+                    self._log.damage(
+                        at, f"byte {at}: no whole packet is here, reading goes on at "
+                        f"byte {self._reader.size if after is None else after}",
+                        offset=at)
+                if after is None:
+                    return
+                at = after
+                continue
+            kind, size, overflow, count = found
+            yield at, kind, size, overflow, self._reader.read(
+                at + _HEAD.size, size * count)
+            at += _HEAD.size + size * count
+
+    def _plausible(self, head: bytes, at: int) -> tuple[int, int, int, int] | None:
+        if len(head) < _HEAD.size:
+            return None
+        kind, source, size, offset, overflow, capacity, number, valid = (
+            _HEAD.unpack(head))
+        if (not 0 <= kind < 32 or source < 0 or size <= 0 or overflow < 0
+                or not 0 < offset < size or not 0 <= valid <= number <= capacity
+                or _SIZES.get(kind, size) != size or number == 0
+                or number * size > MAX_PACKET
+                or at + _HEAD.size + number * size > self._reader.size):
+            return None
+        return kind, size, overflow, number
+
+    def _resync(self, at: int) -> int | None:
+        step = 1 << 20
+        pattern = re.compile(rb"[\x00-\x03]\x00..(?=[\x08\x24]\x00\x00\x00[\x04\x08])",
+                             re.DOTALL)
+        while at < self._reader.size:
+            block = self._reader.read(at, step + 64)
+            for found in pattern.finditer(block):
+                head = block[found.start():found.start() + _HEAD.size]
+                if self._plausible(head, at + found.start()) is not None:
+                    return at + found.start()
+            at += step
+        return None
+
+    # Reading -------------------------------------------------------------------
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        return packetise(self._batches(), start_us, stop_us)
+
+    def _batches(self) -> Iterator[Batch]:
+        timeline = Timeline()
+        clocks = [Clock(timeline) for _ in range(4)]
+        last_mid = promised = -(1 << 61)
+        for at, kind, size, overflow, data in self._raw():
+            batch = Batch()
+            if kind == FRAME:
+                for i in range(0, len(data), size):
+                    frame = self._frame(data[i:i + size], overflow, at)
+                    if frame is None:
+                        continue
+                    t = np.array([frame.available_us], np.int64)
+                    keep, segments = clocks[FRAME].order(t)
+                    if segments or not keep[0] or frame.mid_us <= last_mid or (
+                            frame.available_us < promised):
+                        self._count(at, "backward time", 1, "frames were dropped "
+                                    "because time ran backward")
+                        continue
+                    last_mid = frame.mid_us
+                    batch.frames.append(frame)
+            elif kind in (SPECIAL, POLARITY, IMU6):
+                samples = _READ[kind](data, overflow << 31)
+                if kind == POLARITY:
+                    samples = self._inside(samples, at)
+                times = samples["t"].astype(np.int64)
+                keep, segments = clocks[kind].order(times)
+                samples["t"] = times
+                keep &= times >= promised
+                if segments:
+                    self._log.add("segment", at, "time jumped back by more than a "
+                                  "second: a new segment follows", offset=at)
+                if not keep.all():
+                    self._count(at, "backward time", int((~keep).sum()),
+                                "samples were dropped because time ran backward")
+                    samples = samples[keep]
+                setattr(batch, _FIELDS[kind], samples)
+            # Packets of different kinds are not in order of time among each other.
+            newest = max(clock.last for clock in clocks)
+            promised = batch.complete_us = max(promised, newest - HORIZON_US)
+            yield batch
+
+    def _inside(self, events: NDArray[Any], at: int) -> NDArray[Any]:
+        height, width = self._info.sensor_size
+        inside = (events["x"] < width) & (events["y"] < height)
+        if inside.all():
+            return events
+        self._count(at, "outside sensor", int((~inside).sum()),
+                    "events outside the sensor were dropped")
+        return events[inside]
+
+    def _frame(self, data: bytes, overflow: int, at: int) -> ApsFrame | None:
+        height, width = self._info.sensor_size
+        if len(data) < _FRAME.size:
+            return None
+        info, sof, eof, soe, eoe, w, h, x, y = _FRAME.unpack_from(data)
+        channels = info >> 1 & 7 or 1
+        if (w <= 0 or h <= 0 or x < 0 or y < 0 or x + w > width or y + h > height
+                or channels != 1 or len(data) < _FRAME.size + 2 * w * h):
+            self._count(at, "wrong size", 1, "frames do not fit on the sensor, or have "
+                        "colours; they were dropped")
+            return None
+        base = overflow << 31
+        raw = np.frombuffer(data, "<u2", w * h, _FRAME.size).reshape(h, w)
+        dn, valid = np.zeros((height, width), np.float32), np.zeros(
+            (height, width), np.bool_)
+        # Left-justified to 16 bits; white was repaired from saturation.
+        dn[y:y + h, x:x + w] = (raw >> 6).astype(np.float32)
+        valid[y:y + h, x:x + w] = raw >> 6 < 1023
+        start, end = base + soe, base + eoe
+        if not 0 <= end - start <= 60_000_000:
+            start = end = base + sof
+        ready = base + eof
+        return ApsFrame(dn, start, end, valid=None if valid.all() else valid,
+                        available_us=ready if 0 <= ready - end <= 60_000_000 else end)
+
+    def _count(self, at: int, kind: str, count: int, message: str) -> None:
+        if self._strict:
+            raise RecordingError(f"{self.path}: byte {at}: {count} {message}")
+        self._log.add(kind, at, message, count=count, offset=at)
+
+
+def _polarity(data: bytes, base: int) -> NDArray[Any]:
+    raw = np.frombuffer(data, "<u4").reshape(-1, 2)
+    raw = raw[(raw[:, 0] & 1).astype(bool)]
+    events = np.empty(len(raw), EVENT_DTYPE)
+    word = raw[:, 0]
+    events["t"] = raw[:, 1].astype(np.int64) + base
+    events["x"], events["y"] = word >> 17 & 0x7FFF, word >> 2 & 0x7FFF
+    events["p"] = word >> 1 & 1
+    return events
+
+
+def _imu(data: bytes, base: int) -> NDArray[Any]:
+    raw = np.frombuffer(data, _IMU)
+    raw = raw[(raw["info"] & 1).astype(bool)]
+    samples = np.empty(len(raw), IMU_DTYPE)
+    samples["t"] = raw["t"].astype(np.int64) + base
+    for name in ("accel", "gyro", "temperature"):
+        samples[name] = raw[name]
+    return samples
+
+
+def _special(data: bytes, base: int) -> NDArray[Any]:
+    raw = np.frombuffer(data, "<u4").reshape(-1, 2)
+    kinds = raw[:, 0] >> 1 & 0x7F
+    keep = (raw[:, 0] & 1).astype(bool) & np.isin(kinds, list(_TRIGGERS))
+    samples = np.empty(int(keep.sum()), TRIGGER_DTYPE)
+    samples["t"] = raw[keep, 1].astype(np.int64) + base
+    samples["type"] = [_TRIGGERS[kind] for kind in kinds[keep].tolist()]
+    return samples
+
+
+_READ = {SPECIAL: _special, POLARITY: _polarity, IMU6: _imu}
+_FIELDS = {SPECIAL: "triggers", POLARITY: "events", IMU6: "imu"}
+
+
+def _reopen(path: str, layout: Layout | None, bad_events: str,
+            camera: str | None) -> Aedat3Recording:
+    return Aedat3Recording(path, layout=layout, bad_events=bad_events, camera=camera)
