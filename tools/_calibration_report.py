@@ -58,8 +58,9 @@ def write_report(path: Path, page: Page) -> bool:
         return False
     figure = Figure(figsize=(8.3, 11.7), layout="constrained")
     FigureCanvasAgg(figure)
-    text, *rest = figure.subfigures(
+    parts: Any = figure.subfigures(
         3, 1, height_ratios=[0.25 + 0.16 * len(page.lines), 3.2, 3.2])
+    text, *rest = parts
     text.suptitle(page.title, fontsize=16)
     text.text(0.05, 0.8, "\n".join(page.lines), va="top", fontsize=10,
               family="monospace", wrap=True)

@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv.errors import PdavisError, PdavisWarning
 from pdavis_cv.recording.base import Recording
@@ -28,7 +28,13 @@ __all__ = [
     "start_of",
 ]
 
-Main = Callable[[Sequence[str] | None], int]
+
+class Main(Protocol):
+    """A command: takes the arguments, by default those of the process."""
+
+    def __call__(self, argv: Sequence[str] | None = None) -> int:
+        """Run it and return the exit code."""
+        ...
 
 
 class UsageError(Exception):
@@ -167,7 +173,9 @@ def start_of(recording: Recording) -> int:
 def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterable[Any]:
     """Show progress on a terminal; be silent anywhere else."""
     from tqdm import tqdm
-    return tqdm(items, total=total, unit=f" {unit}", leave=False, disable=None)
+    shown: Iterable[Any] = tqdm(
+        items, total=total, unit=f" {unit}", leave=False, disable=None)
+    return shown
 
 
 def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:

@@ -332,7 +332,7 @@ def _parser() -> argparse.ArgumentParser:
         "pdavis calibrate dark covered.aedat4 -o camera.npz\n"
         "  pdavis calibrate sweep turned.aedat4 -o camera.npz --step-deg 5 --hold-s 2")
     parts = parser.add_subparsers(
-        dest="part", metavar="PART", required=True, parser_class=_part_parser)
+        dest="part", metavar="PART", required=True, parser_class=_PartParser)
     texts = {
         "dark": "offset, noise and hot pixels, from covered frames (the paper: 100)",
         "flat": "gain and dead pixels, from uniform unpolarized light",
@@ -354,8 +354,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _part_parser(*, prog: str, description: str, epilog: str) -> Parser:
-    return Parser(prog.removeprefix("pdavis "), description, epilog)
+class _PartParser(Parser):
+    def __init__(self, *, prog: str, description: str, epilog: str) -> None:
+        super().__init__(prog.removeprefix("pdavis "), description, epilog)
 
 
 _EXAMPLES = {

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pdavis_cv import PolarFrame, aop, export, fuse, render
 from pdavis_cv.data import example_recording
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.render.colours import Picture
 from pdavis_cv.simulation import (
     Camera,
     RotatingPolarizer,
@@ -108,7 +109,7 @@ def _polarizer(
 
 
 def _strips(strips: dict[str, NDArray[np.float64]], titles: dict[str, str]
-            ) -> render.Picture:
+            ) -> Picture:
     rows = [render.panel(
         render.aop_bgr(np.broadcast_to(strip, (56, len(strip)))), titles[name],
         legend="aop" if name == METHODS[-1] else None)
@@ -117,7 +118,7 @@ def _strips(strips: dict[str, NDArray[np.float64]], titles: dict[str, str]
 
 
 def _dials(i: int, times: NDArray[np.int64], strips: dict[str, NDArray[np.float64]],
-           title: str) -> render.Picture:
+           title: str) -> Picture:
     panels = [render.panel(_dial(strip[i]), name, legend="aop")
               for name, strip in strips.items()]
     return render.tile(
@@ -125,7 +126,7 @@ def _dials(i: int, times: NDArray[np.int64], strips: dict[str, NDArray[np.float6
         title=f"{title}   t = {times[i] / 1e6:.3f} s")
 
 
-def _dial(angle: float, side: int = 240) -> render.Picture:
+def _dial(angle: float, side: int = 240) -> Picture:
     """Fill a square with an angle's colour and draw the angle as a line."""
     picture = render.aop_bgr(np.full((side, side), angle))
     if np.isfinite(angle):

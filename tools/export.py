@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, open_recording, render
+from pdavis_cv.render.colours import Picture
 from pdavis_cv.tools._common import (
     Parser,
     UsageError,
@@ -171,7 +172,7 @@ class Sheet:
         # small images are shown large enough to see and to carry a caption
         self.scale = 1 if args.bare else max(1, -(-240 // first.shape[1]))
 
-    def picture(self, frame: PolarFrame) -> render.Picture:
+    def picture(self, frame: PolarFrame) -> Picture:
         """Compose the picture of one image."""
         names = self.args.quantities
         columns = self.args.columns or len(names)
@@ -184,7 +185,7 @@ class Sheet:
         line = f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
         return render.tile(panels, columns=columns, title=line.rstrip())
 
-    def _colour(self, frame: PolarFrame, name: str) -> render.Picture:
+    def _colour(self, frame: PolarFrame, name: str) -> Picture:
         plane = quantity(frame, name)
         if name == "aop":
             return render.aop_bgr(plane, frame.valid)
@@ -196,7 +197,7 @@ class Sheet:
             return render.grey_bgr(plane + self.white, 2 * self.white)
         return render.grey_bgr(plane, self.white)
 
-    def _panel(self, frame: PolarFrame, name: str) -> render.Picture:
+    def _panel(self, frame: PolarFrame, name: str) -> Picture:
         legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"
         if name in ("aop", "dolp"):
             legend, end = name, "1"
@@ -237,7 +238,8 @@ def _expected(
     recording: Recording, options: dict[str, Any], first: Sequence[PolarFrame]
 ) -> int | None:
     """Return how many images there will be, where that is known before."""
-    stop, fps = options["stop_us"] or recording.info.stop_us, options["fps"]
+    stop: int | None = options["stop_us"] or recording.info.stop_us
+    fps: float | None = options["fps"]
     if fps is None or stop is None or first[0].t_us is None:
         return recording.info.frame_count if options.get("times_us") is None else 1
     return math.ceil((stop - first[0].t_us) * fps / 1e6)
