@@ -153,7 +153,7 @@ def make_fan(
     height, width = picture.shape[:2]
     lines = [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
              f"{video.fps:g} per second, {args.slow:g} times slower"]
-    if args.still is not None:
+    if args.still is not None and still is not None:
         export.write_png(args.still, still, facts)
         lines.append(f"wrote {args.still}")
     if wheel is not None:

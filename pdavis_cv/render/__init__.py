@@ -3,6 +3,7 @@ from pdavis_cv._opencv import opencv
 from pdavis_cv.render.chart import Line, chart
 from pdavis_cv.render.colours import (
     INVALID,
+    Picture,
     aop_bgr,
     aop_legend,
     bar_legend,
@@ -26,6 +27,7 @@ from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
     "INVALID",
+    "Picture",
     "Line",
     "ToneCurve",
     "aop_bgr",
