@@ -27,8 +27,8 @@ from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
     "INVALID",
-    "Picture",
     "Line",
+    "Picture",
     "ToneCurve",
     "aop_bgr",
     "aop_legend",
