@@ -197,6 +197,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, kind, name, count)
         capture_output=True, text=True, check=True)
     left = [p.name for p in tmp_path.iterdir()]
     assert "refused:" in done.stdout, left
+    assert str(tmp_path / name) in done.stdout
     assert left == []
     assert done.stderr == ""
 

@@ -1,10 +1,11 @@
 """Stacks of planes that grow image by image and can be continued after a stop."""
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -197,13 +198,24 @@ class StackFile(ABC):
             raise ValueError(
                 f"frame must be later than {self.times_us[-1]} us, got {frame.t_us}")
         bad = None if frame.valid.all() else ~frame.valid
-        for name in self.quantities:
-            values = plane(frame, name)
-            if bad is not None:
-                values = np.where(bad, np.float32(np.nan), values)
-            self._data.write(np.ascontiguousarray(values, "<f4").data)
-        self._log.write(frame.t_us.to_bytes(8, "little", signed=True))
+        with self._named():
+            for name in self.quantities:
+                values = plane(frame, name)
+                if bad is not None:
+                    values = np.where(bad, np.float32(np.nan), values)
+                self._data.write(np.ascontiguousarray(values, "<f4").data)
+            self._log.write(frame.t_us.to_bytes(8, "little", signed=True))
         self.times_us.append(frame.t_us)
+
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[None]:
+        """Let an error of the system name the file; writing to an open one does not."""
+        try:
+            yield
+        except OSError as error:
+            if error.filename is None and error.strerror:
+                raise OSError(error.errno, error.strerror, str(self.path)) from None
+            raise
 
     @abstractmethod
     def _finish(self) -> Path:
@@ -223,8 +235,9 @@ class StackFile(ABC):
             return
         if not self.times_us:
             raise ValueError(f"{self.path}: no image to write")
-        self._data.flush()
-        self._finish().replace(self.path)
+        with self._named():
+            self._data.flush()
+            self._finish().replace(self.path)
         self.discard()
 
     def discard(self) -> None:

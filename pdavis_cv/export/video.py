@@ -105,16 +105,26 @@ class VideoFile:
                 f"{self.path}: OpenCV cannot write {self._fourcc} of "
                 f"{shape[1]}x{shape[0]} here")
 
+    def _readable(self) -> int:
+        """Count what can be read back; OpenCV's own line about a failure is ours."""
+        logging = self._cv2.utils.logging
+        level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+        try:
+            reader = self._cv2.VideoCapture(str(self._part), self._cv2.CAP_FFMPEG)
+            count = 0
+            while reader.grab():
+                count += 1
+            reader.release()
+        finally:
+            logging.setLogLevel(level)
+        return count
+
     def _finish(self) -> None:
         """Check that what was written can be read to its end."""
         if self._writer is None:
             raise ValueError(f"{self.path}: no picture to write")
         self._writer.release()
-        reader = self._cv2.VideoCapture(str(self._part), self._cv2.CAP_FFMPEG)
-        count = 0
-        while reader.grab():
-            count += 1
-        reader.release()
+        count = self._readable()
         if count != self.count:  # VideoWriter reports no error, e.g. of a full disk
             raise OSError(
                 f"{self.path}: only {count} of {self.count} pictures were written: "
