@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -88,7 +88,8 @@ class VideoFile:
             raise ValueError(
                 f"picture must have the first one's shape {self._shape}, got "
                 f"{picture.shape}")
-        self._writer.write(np.ascontiguousarray(even(picture)))
+        with _silent(self._cv2):
+            self._writer.write(np.ascontiguousarray(even(picture)))
         self.count += 1
 
     def _open(self, shape: tuple[int, ...]) -> None:
@@ -106,17 +107,15 @@ class VideoFile:
                 f"{shape[1]}x{shape[0]} here")
 
     def _readable(self) -> int:
-        """Count what can be read back; OpenCV's own line about a failure is ours."""
-        logging = self._cv2.utils.logging
-        level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-        try:
+        """Count what can be read back."""
+        if self.path.suffix.lower() in (".mp4", ".m4v") and not _has_index(self._part):
+            return 0  # FFmpeg would say so in a line of its own
+        with _silent(self._cv2):
             reader = self._cv2.VideoCapture(str(self._part), self._cv2.CAP_FFMPEG)
             count = 0
             while reader.grab():
                 count += 1
             reader.release()
-        finally:
-            logging.setLogLevel(level)
         return count
 
     def _finish(self) -> None:
@@ -148,6 +147,34 @@ class VideoFile:
         elif self._writer is not None:
             self._writer.release()
         self._stack.__exit__(kind, error, traceback)
+
+
+@contextlib.contextmanager
+def _silent(cv2: Any) -> Iterator[None]:
+    """Keep OpenCV from a line of its own for each failure; one of ours says it."""
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)
+
+
+def _has_index(path: Path) -> bool:
+    """Return whether an MP4 file has the box that its end brings."""
+    with path.open("rb") as file:
+        at = 0
+        while len(head := file.read(16)) >= 8:
+            if head[4:8] == b"moov":
+                return True
+            size = int.from_bytes(head[:4], "big")
+            if size == 1:
+                size = int.from_bytes(head[8:], "big")
+            if size < 8:
+                return False
+            at += size
+            file.seek(at)
+    return False
 
 
 class PlaneVideo(VideoFile):
