@@ -37,6 +37,8 @@ class Feed:
         Leave out the frames whose mid-exposure is not after this.
     by_arrival : bool
         Frames by ``available_us`` rather than by ``mid_us``.
+    reached_us : int, optional
+        A sample at or after this time is known to exist: `reached_us` of another Feed.
     """
 
     def __init__(
@@ -46,12 +48,14 @@ class Feed:
         frames_after_us: int | None = None,
         *,
         by_arrival: bool,
+        reached_us: int | None = None,
     ) -> None:
         self._frames_after, self._by_arrival = frames_after_us, by_arrival
         self.has_frames = recording.info.frame_count != 0
         self._packets = recording.packets(None if after_us is None else after_us + 1)
         self._events: deque[NDArray[Any]] = deque()
         self._frames: deque[ApsFrame] = deque()
+        self._reached_us = _NEVER if reached_us is None else reached_us
         self._last_us = _NEVER          # everything before it has been read
         self._last_mid_us = _NEVER      # of the latest frame read
         self._given_us = _NEVER if after_us is None else after_us  # handed out
@@ -86,11 +90,16 @@ class Feed:
             if not self._read():
                 return None
 
+    @property
+    def reached_us(self) -> int:
+        """Time of the last sample known to exist."""
+        return max(self._reached_us, self._last_us)
+
     def reaches(self, t_us: int) -> bool:
         """Tell whether the recording has a sample at or after t_us."""
         if self._stop_us is not None:
             return t_us < self._stop_us
-        while self._last_us < t_us:
+        while self.reached_us < t_us:
             if not self._read():
                 return False
         return True

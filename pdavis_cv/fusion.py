@@ -41,7 +41,7 @@ from pdavis_cv.sensor import Layout
 
 __all__ = ["DEFAULT_METHOD", "Fusion", "FusionSnapshot", "fuse"]
 
-DEFAULT_METHOD = "cf"
+DEFAULT_METHOD = "kalman"
 """What ``fuse(method=None)`` takes for a recording with both events and frames."""
 
 # With causal: how long after its mid-exposure a frame may arrive and still act.
@@ -154,6 +154,8 @@ class FusionSnapshot:
         Of the Reconstructor; with ``causal`` as of the last frame's mid-exposure.
     frames : tuple of (int, int)
         Mid-exposure and arrival of the latest frames fed.
+    reached_us : int
+        Time of the last sample read, which may lie before `fed_us`.
     """
 
     index: int
@@ -161,6 +163,7 @@ class FusionSnapshot:
     t_us: int | None
     state: Snapshot
     frames: tuple[tuple[int, int], ...]
+    reached_us: int
 
 
 class Fusion:
@@ -329,7 +332,8 @@ class Fusion:
         """Return the state between two images."""
         state = (self._lagged or self._current).snapshot()
         return FusionSnapshot(
-            self._index, self._fed_us, self._t, state, tuple(self._frames))
+            self._index, self._fed_us, self._t, state, tuple(self._frames),
+            self._feed.reached_us)
 
     def restore(self, snapshot: FusionSnapshot) -> None:
         """Go back to a snapshot of an equal Fusion.
@@ -348,7 +352,7 @@ class Fusion:
         self._feed = Feed(
             self.recording, snapshot.fed_us,
             max((mid for mid, _ in snapshot.frames), default=None),
-            by_arrival=self._causal)
+            by_arrival=self._causal, reached_us=snapshot.reached_us)
         self._t = snapshot.t_us
         if snapshot.t_us is not None:
             self._advance_to(snapshot.t_us)

@@ -145,8 +145,9 @@ def test_causal_equals_acausal_between_arrival_and_the_next_exposure(polarizer):
     # Frames: exposed [0, 20) ms, read out by 32 ms, every 50 ms.
     times = [k * 50_000 + 40_000 for k in range(1, 19)]
     for one, other in zip(
-            fuse(recording, times_us=times, causal=True, thresholds=THETA),
-            fuse(recording, times_us=times, thresholds=THETA), strict=True):
+            fuse(recording, method="cf", times_us=times, causal=True, thresholds=THETA),
+            fuse(recording, method="cf", times_us=times, thresholds=THETA),
+            strict=True):
         assert_same(one, other)
 
 
@@ -239,7 +240,8 @@ def test_thresholds_from_biases_are_those_of_the_shipped_davis346_settings():
 
 @pytest.mark.parametrize(("arguments", "error", "message"), [
     ({"method": "magic"}, ValueError, "method must be one of frames, "),
-    ({"cutof_hz": 1.0}, TypeError, "no parameter 'cutof_hz'; it takes cutoff_hz"),
+    ({"method": "cf", "cutof_hz": 1.0}, TypeError,
+     "no parameter 'cutof_hz'; it takes cutoff_hz"),
     ({"fps": 0}, ValueError, "fps must lie in"),
     ({"fps": float("nan")}, ValueError, "fps must lie in"),
     ({"fps": "fast"}, ValueError, "fps must lie in"),
