@@ -192,6 +192,8 @@ def test_video_events_refuse_what_does_not_fit():
         **{k: base[k] for k in ("pixels", "keys", "edges", "first_edge", "settings",
                                 "places", "state", "counters")},
         "light": np.empty(n, "f4"), "start": 0, "stop": n, "out": base["out"]}
+    # What the light was before: relative slopes divide by it.
+    arguments["state"][:, 4:6] = 30.0, np.log(30.0)
     assert _kernels.video_events(*arguments.values())[0] == n
     for name, value in (("quad", np.ones((3, *size), "f4")), ("stop", 7),
                         ("light", np.empty(5, "f4"))):
