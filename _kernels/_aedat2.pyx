@@ -119,8 +119,11 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
     cdef Py_ssize_t height = seen.shape[0], width = seen.shape[1]
     cdef Py_ssize_t i, x, y
     cdef int64_t t, following
+    cdef int64_t last, taken
     cdef uint32_t address
     cdef int code, why = END
+    cdef const uint8_t* source
+    cdef event_t* out
     cdef int64_t* s
     if (words.shape[1] != 8 or state.shape[0] != STATE or frame.shape[0] != FRAME_STATE
             or times.shape[0] != 2 or times.shape[1] != width or sample.shape[0] != 7
@@ -138,26 +141,33 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
             or imu.shape[0] < imu_t.shape[0]
             or state[CODE] < 0 or state[CODE] > 6):
         raise ValueError("aedat2_words: an output is too small")
+    if begin == n:
+        return n, END
     s = &state[0]
     s[FIRST_BAD] = -1
     i = begin
+    source = &words[0, 0]
+    out = &events[0]
+    # What each event changes stays in registers; the compiler cannot see that the
+    # outputs do not overlap the state.
+    last, taken = s[LAST], s[EVENTS]
     with nogil:
         while i < n:
-            address = big_endian(&words[i, 0])
-            t = <int32_t>big_endian(&words[i, 4]) + s[BASE]
+            address = big_endian(source + 8 * i)
+            t = <int32_t>big_endian(source + 8 * i + 4) + s[BASE]
             following = t
             if i + 1 < words.shape[0]:
-                following = <int32_t>big_endian(&words[i + 1, 4]) + s[BASE]
-            if t < s[LAST]:
-                if s[LAST] - t > (<int64_t>1 << 31) and following < s[LAST]:
+                following = <int32_t>big_endian(source + 8 * i + 12) + s[BASE]
+            if t < last:
+                if last - t > (<int64_t>1 << 31) and following < last:
                     # The counter's 32 bits ran over.
                     s[BASE] += <int64_t>1 << 32
                     continue
-                if s[LAST] - t > SEGMENT_US and (
-                        i + 1 == words.shape[0] or following < s[LAST]):
+                if last - t > SEGMENT_US and (
+                        i + 1 == words.shape[0] or following < last):
                     why = JUMP
                     break
-            if t < s[LAST] or (following < t and following >= s[LAST]):
+            if t < last or (following < t and following >= last):
                 # One word ahead of both its neighbours is damage, and must not make
                 # all that follow look late.
                 s[BACKWARD] += 1
@@ -181,12 +191,13 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
                     if s[FIRST_BAD] < 0:
                         s[FIRST_BAD] = i
                 else:
-                    s[LABELLED] += address >> 10 & 1
-                    events[s[EVENTS]].t = t
-                    events[s[EVENTS]].x = <uint16_t>(width - 1 - x)
-                    events[s[EVENTS]].y = <uint16_t>y
-                    events[s[EVENTS]].p = address >> 11 & 1
-                    s[EVENTS] += 1
+                    if address & 0x400:
+                        s[LABELLED] += 1
+                    out[taken].t = t
+                    out[taken].x = <uint16_t>(width - 1 - x)
+                    out[taken].y = <uint16_t>y
+                    out[taken].p = address >> 11 & 1
+                    taken += 1
             elif address & 0xC00 == 0xC00:
                 code = address >> 28 & 7
                 if code == 0 or code == s[CODE]:
@@ -212,8 +223,9 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
                 why = aps(x, y, address, t, &frame[0], reset, signal, seen, times)
                 if why == NEXT:
                     break
-            s[LAST] = t
+            last = t
             i += 1
             if why == WHOLE:
                 break
+        s[LAST], s[EVENTS] = last, taken
     return i, why

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import Layout, Sensor, open_recording
+from pdavis_cv.recording.advice import advise
 from pdavis_cv.recording.base import RecordingInfo, Report
 from pdavis_cv.tools._common import Parser, command
 
@@ -24,12 +25,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     with open_recording(args.file) as recording:
         report = recording.scan() if args.scan else None
+        advice = advise(recording) if args.scan else []
         problems = recording.problems
         if args.json:
             facts = {"file": args.file, "info": _plain(recording.info),
                      "problems": _plain(list(problems))}
             if report is not None:
                 facts["scan"] = _plain(report)
+                facts["advice"] = _plain(advice)
             json.dump(facts, sys.stdout, indent=2)
             print()
             return 0
@@ -38,6 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"  {name:<10} {text}")
         for problem in problems:
             print(f"  problem    {problem.message}")
+        for one in advice:
+            print(f"  {one.topic}: {one.finding}; {one.action}")
     return 0
 
 

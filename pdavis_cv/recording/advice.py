@@ -1,0 +1,181 @@
+"""What a user should know about a recording before trusting what comes out of it."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.base import Recording
+
+__all__ = ["Advice", "advise"]
+
+BUS_EVENTS_PER_S = 10e6
+"""What the camera's read-out carries (paper, sensor section)."""
+RATE_WINDOW_US = 1000
+HOT_TIMES_MEDIAN = 50
+LEAST_HOT_EVENTS = 100
+FLICKER_HZ = (100, 120)
+FLICKER_BIN_US = 1000
+DARK_DN = 20.0
+F_THRESHOLD = 0.7 / (0.7**2 * 20)
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """One finding and what to do about it.
+
+    Parameters
+    ----------
+    topic : str
+        ``"layout"``, ``"clipped frames"``, ``"event rate"``, ...
+    finding : str
+        What was seen, with its figure.
+    action : str
+        What to do.
+    """
+
+    topic: str
+    finding: str
+    action: str
+
+
+def advise(recording: Recording) -> list[Advice]:
+    """Read a recording once and return what its user should know.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    list of Advice
+        Empty if nothing was found.
+    """
+    facts = _Facts(recording.info.sensor_size)
+    for packet in recording.packets():
+        facts.add_events(packet.events)
+        for frame in packet.frames:
+            facts.add_frame(frame.dn, frame.valid)
+    found = [*_about_header(recording), *facts.about_frames(), *facts.about_events()]
+    for problem in recording.problems:
+        if problem.kind in ("backward time", "segment", "stale words", "damage"):
+            found.append(Advice(
+                "time" if problem.kind != "damage" else "damage",
+                f"{problem.count:,} x {problem.kind}: {problem.message}",
+                "treat intervals across it with care; record again if it matters"))
+    return found
+
+
+class _Facts:
+    """What one pass over the samples collects."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._counts = np.zeros(size, np.int64)
+        self._bins: dict[int, int] = {}
+        self._clipped: list[float] = []
+        self._levels: list[float] = []
+
+    def add_events(self, events: NDArray[np.void]) -> None:
+        if not len(events):
+            return
+        width = self._counts.shape[1]
+        places = events["y"].astype(np.int64) * width + events["x"]
+        self._counts += np.bincount(
+            places, minlength=self._counts.size).reshape(self._counts.shape)
+        bins, counts = np.unique(events["t"] // FLICKER_BIN_US, return_counts=True)
+        for i, n in zip(bins.tolist(), counts.tolist(), strict=True):
+            self._bins[i] = self._bins.get(i, 0) + n
+
+    def add_frame(self, dn: NDArray[np.float32], valid: NDArray[np.bool_] | None
+                  ) -> None:
+        self._clipped.append(0.0 if valid is None else float(np.mean(~valid)))
+        self._levels.append(float(np.median(dn)))
+
+    def about_frames(self) -> list[Advice]:
+        found: list[Advice] = []
+        if not self._levels:
+            return found
+        clipped = float(np.mean(self._clipped))
+        if clipped > 0.01:
+            found.append(Advice(
+                "clipped frames", f"{clipped:.1%} of the pixels are saturated",
+                "shorten the exposure: a clipped channel makes AoP and DoLP wrong"))
+        level = float(np.median(self._levels))
+        if level < DARK_DN:
+            found.append(Advice(
+                "dark frames", f"the median pixel has {level:.0f} DN",
+                "lengthen the exposure or add light; subtract a dark frame"))
+        return found
+
+    def about_events(self) -> list[Advice]:
+        found: list[Advice] = []
+        if not self._bins:
+            return found
+        peak = max(self._bins.values()) * 1e6 / FLICKER_BIN_US
+        if peak > 0.5 * BUS_EVENTS_PER_S:
+            found.append(Advice(
+                "event rate", f"up to {peak / 1e6:.1f} M events per second in 1 ms; "
+                "the bus carries 10 M",
+                "raise the thresholds or lower the light: events are late or lost"))
+        busy = self._counts[self._counts > 0]
+        limit = max(LEAST_HOT_EVENTS, HOT_TIMES_MEDIAN * float(np.median(busy)))
+        hot = int(np.count_nonzero(self._counts > limit))
+        if hot:
+            share = float(self._counts[self._counts > limit].sum() / busy.sum())
+            found.append(Advice(
+                "hot pixels", f"{hot} pixels give {share:.1%} of all events",
+                "mask them before measuring rates or thresholds"))
+        found += self._about_flicker()
+        return found
+
+    def _about_flicker(self) -> list[Advice]:
+        first, last = min(self._bins), max(self._bins)
+        n = min(last - first + 1, 1 << 17)
+        if n < 1000:
+            return []
+        rate = np.zeros(n)
+        for i, count in self._bins.items():
+            if i - first < n:
+                rate[i - first] = count
+        # Whole pieces of a second, averaged: each line is 1 Hz wide.
+        pieces = rate[:n // 1000 * 1000].reshape(-1, 1000)
+        power = np.mean(np.abs(np.fft.rfft(
+            (pieces - pieces.mean(1, keepdims=True)) * np.hanning(1000))) ** 2, axis=0)
+        found = []
+        for hz in FLICKER_HZ:
+            line = float(power[hz - 1:hz + 2].max())
+            around = np.r_[power[hz - 15:hz - 4], power[hz + 5:hz + 16]]
+            if line > 10 * float(np.median(around)) and line > 0:
+                found.append(Advice(
+                    "flicker", f"the event rate swings at {hz} Hz: "
+                    f"{line / float(np.median(around) or 1):.0f} times its "
+                    "surroundings",
+                    "use direct-current light; mains light makes events of its own"))
+        return found
+
+
+def _about_header(recording: Recording) -> list[Advice]:
+    info = recording.info
+    found: list[Advice] = []
+    if info.layout is None:
+        found.append(Advice(
+            "layout", "the file does not give the polarizer layout",
+            "pass layout=; check it with a polarizer at a known angle"))
+    if info.format == "AEDAT-4" and info.writer not in ("jAER", "pdavis_cv", None) and (
+            info.sensor is not None):
+        found.append(Advice(
+            "layout", "a DV recording of a DAVIS346 may come from a camera without "
+            "polarizers", "measure DoLP of polarized light first"))
+    if "aedat4to2" in str(dict(info.header)).lower():
+        found.append(Advice(
+            "orientation", "aedat4to2 writes its files mirrored left to right",
+            "use layout.flip_x(), or convert the original"))
+    biases = info.biases
+    if {"DiffBn", "OnBn", "OffBn"} <= biases.keys() and min(biases.values()) > 0:
+        on = F_THRESHOLD * np.log(biases["OnBn"] / biases["DiffBn"])
+        off = F_THRESHOLD * np.log(biases["DiffBn"] / biases["OffBn"])
+        found.append(Advice(
+            "thresholds", f"the biases should give +{on:.3f} and -{off:.3f} in log "
+            "intensity", "start from these; in-situ estimation refines them"))
+    return found
