@@ -21,7 +21,7 @@ from pdavis_cv.recording.base import (
     Packet,
 )
 
-__all__ = ["END_OF_TIME", "Batch", "cell_start", "packetise"]
+__all__ = ["END_OF_TIME", "Batch", "all_events", "cell_start", "packetise"]
 
 END_OF_TIME = 1 << 62
 
@@ -108,6 +108,20 @@ def packetise(
             return
 
 
+def all_events(packets: Iterable[Packet]) -> NDArray[Any]:
+    """Return the events of packets as one array.
+
+    Parameters
+    ----------
+    packets : iterable of Packet
+
+    Returns
+    -------
+    ndarray of EVENT_DTYPE, shape (N,)
+    """
+    return _joined([np.empty(0, EVENT_DTYPE), *(p.events for p in packets)])
+
+
 def _cut(packet: Packet, first: int, end: int) -> Packet:
     if packet.start_us is None or packet.stop_us is None or (
             packet.start_us >= first and packet.stop_us <= end):
@@ -177,12 +191,12 @@ class _Queue:
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    if len(parts) == 1:
-        return parts[0].copy()
-    # np.concatenate promotes structured dtypes field by field each time.
-    out = np.empty(sum(map(len, parts)), parts[0].dtype)
-    at = 0
+    dtype = parts[0].dtype
+    out = np.empty(sum(map(len, parts)), dtype)
+    # As bytes: NumPy copies packed structures one field of one element at a time.
+    data, at = out.view(np.uint8), 0
     for part in parts:
-        out[at:at + len(part)] = part
-        at += len(part)
+        end = at + part.nbytes
+        data[at:end] = part.view(np.uint8)
+        at = end
     return out
