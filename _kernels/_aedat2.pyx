@@ -158,27 +158,35 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
             following = t
             if i + 1 < words.shape[0]:
                 following = <int32_t>big_endian(source + 8 * i + 12) + s[BASE]
-            if t < last:
-                if last - t > (<int64_t>1 << 31) and following < last:
-                    # The counter's 32 bits ran over.
-                    s[BASE] += <int64_t>1 << 32
+            if t < last or following < t:
+                # Rare: one of the two is wrong, or the counter began anew.
+                if t < last:
+                    if last - t > (<int64_t>1 << 31) and following < last:
+                        # The counter's 32 bits ran over.
+                        s[BASE] += <int64_t>1 << 32
+                        continue
+                    if last - t > SEGMENT_US and (
+                            i + 1 == words.shape[0] or following < last):
+                        why = JUMP
+                        break
+                if t < last or (following < t and following >= last):
+                    # One word ahead of both its neighbours is damage, and must not make
+                    # all that follow look late.
+                    s[BACKWARD] += 1
+                    if s[FIRST_BAD] < 0:
+                        s[FIRST_BAD] = i
+                    i += 1
                     continue
-                if last - t > SEGMENT_US and (
-                        i + 1 == words.shape[0] or following < last):
-                    why = JUMP
-                    break
-            if t < last or (following < t and following >= last):
-                # One word ahead of both its neighbours is damage, and must not make
-                # all that follow look late.
-                s[BACKWARD] += 1
-                if s[FIRST_BAD] < 0:
-                    s[FIRST_BAD] = i
-                i += 1
-                continue
             x = address >> 12 & 0x3FF
             y = height - 1 - <Py_ssize_t>(address >> 22 & 0x1FF)
             if not address & 0x80000000u:
-                if address & 0x400 and x == 0 and y == height - 1 and address & 0x3FF:
+                if (not address & 0x400) and y >= 0 and x < width:
+                    out[taken].t = t
+                    out[taken].x = <uint16_t>(width - 1 - x)
+                    out[taken].y = <uint16_t>y
+                    out[taken].p = address >> 11 & 1
+                    taken += 1
+                elif address & 0x400 and x == 0 and y == height - 1 and address & 0x3FF:
                     code = address & 0x3FF
                     if code < 2 or code > 4:
                         s[UNKNOWN] += 1
@@ -191,8 +199,7 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
                     if s[FIRST_BAD] < 0:
                         s[FIRST_BAD] = i
                 else:
-                    if address & 0x400:
-                        s[LABELLED] += 1
+                    s[LABELLED] += 1
                     out[taken].t = t
                     out[taken].x = <uint16_t>(width - 1 - x)
                     out[taken].y = <uint16_t>y
