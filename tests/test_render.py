@@ -116,3 +116,10 @@ def test_without_opencv_the_error_says_how_to_get_it(monkeypatch):
     assert render.aop_bgr(np.zeros((2, 2))).shape == (2, 2, 3)
     with pytest.raises(ImportError, match=r"pip install 'pdavis-cv\[cv2\]'"):
         render.opencv()
+
+
+def test_pixels_without_an_angle_are_drawn_at_once():
+    """np.take's wrap mode counts its way down from the index of a NaN: never ends."""
+    aop = np.full((260, 346), np.nan)
+    aop[0, 0] = np.inf
+    assert (render.aop_bgr(aop) == render.INVALID).all()

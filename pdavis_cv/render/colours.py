@@ -80,8 +80,10 @@ def aop_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
     """
     turn = np.asarray(aop, np.float64) * (_HUES / np.pi)
     with np.errstate(invalid="ignore"):
-        index = np.rint(turn).astype(np.int32)
-    return _masked(_HUE_TABLE.take(index, axis=0, mode="wrap"), valid, turn)
+        wrapped = np.rint(turn % _HUES)
+    # A NaN has no index; what is drawn for it does not matter, as it is masked.
+    index = np.nan_to_num(wrapped).astype(np.intp) % _HUES
+    return _masked(_HUE_TABLE[index], valid, turn)
 
 
 def dolp_bgr(
