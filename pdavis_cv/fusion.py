@@ -300,8 +300,7 @@ class Fusion:
         if self._t is None:
             raise ValueError("image must follow a successful advance")
         estimate = self._current.read(self._t)
-        intensity = np.empty_like(estimate.log_intensity)
-        _kernels.exp(estimate.log_intensity, intensity)
+        intensity = self._current.intensity(estimate.log_intensity)
         quad = demosaic_mosaic(intensity, self._window_layout, self._demosaic)
         valid = demosaic_valid(estimate.valid, self._window_layout, self._demosaic)
         variance = None if estimate.variance is None else demosaic_mosaic(

@@ -115,21 +115,31 @@ def time_surface(events, shape, tau_us, t_us):
     return np.exp((last - t_us) / tau_us)
 
 
-def event_high_pass(events, shape, theta_on, theta_off, cutoff_hz, radius, t_us):
-    """Every event against every macropixel within the radius, in float64."""
+def event_high_pass(events, shape, theta_on, theta_off, cutoff_hz, radius, t_us, hold):
+    """Each pixel's sum, and means over the macropixels within the radius, in float64.
+
+    With hold a pixel's weights count from its own last event, else from t_us.
+    """
     tau_us = 1e6 / (2 * np.pi * cutoff_hz)
-    total, seen = np.zeros(shape), np.zeros(shape, bool)
+    own, last = np.zeros(shape), np.full(shape, t_us)
     ys, xs = np.mgrid[:shape[0], :shape[1]]
+    on, off = np.broadcast_to(theta_on, shape), np.broadcast_to(theta_off, shape)
+    for e in events:
+        last[e["y"], e["x"]] = e["t"]
+    now = last if hold else np.full(shape, t_us)
+    for e in events:
+        at = int(e["y"]), int(e["x"])
+        step = on[at] if e["p"] else -off[at]
+        own[at] += step * np.exp(-(int(now[at]) - int(e["t"])) / tau_us)
+    seen_here = np.zeros(shape, bool)
+    seen_here[events["y"], events["x"]] = True
 
     def near(y, x):
         apart = ((ys - y) // 2) ** 2 + ((xs - x) // 2) ** 2
         return (apart <= radius**2) & ((ys - y) % 2 == 0) & ((xs - x) % 2 == 0)
 
-    on, off = np.broadcast_to(theta_on, shape), np.broadcast_to(theta_off, shape)
-    for e in events:
-        y, x = int(e["y"]), int(e["x"])
-        step = on[y, x] if e["p"] else -off[y, x]
-        total[near(y, x)] += step * np.exp((int(e["t"]) - t_us) / tau_us)
-        seen |= near(y, x)
-    count = [[near(y, x).sum() for x in range(shape[1])] for y in range(shape[0])]
-    return total / count, seen
+    mean, seen = np.zeros(shape), np.zeros(shape, bool)
+    for y, x in np.ndindex(*shape):
+        mean[y, x] = own[near(y, x)].mean()
+        seen[y, x] = seen_here[near(y, x)].any()
+    return mean, seen

@@ -9,20 +9,27 @@ import numpy as np
 import pytest
 
 from pdavis_cv import fuse
+from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.simulation.ideal import rotating_polarizer
 
 SPEEDS_RPM = (30, 60, 100, 200, 500, 1000)
 # AoP error in degrees, DoLP error: complementary filter, frames at mid-exposure.
 STUDY_CF = (
     (5.1, .017), (6.2, .071), (4.3, .138), (5.7, .146), (8.4, .148), (2.0, .039))
+# The events method on a realistic pixel; AoP error in degrees, nothing removed.
+STUDY_EVENTS = (9.4, 4.0, 2.2, 2.2, 3.6, 5.7)
 
 
 def errors(rpm, **arguments):
     """Mean absolute error of AoP in degrees and of DoLP, channels averaged first."""
     recording, truth = rotating_polarizer(rpm * 1.013, 3.0, theta=(0.15, 0.15))
+    return errors_of(recording, truth, thresholds=(0.15, 0.15), **arguments)
+
+
+def errors_of(recording, truth, **arguments):
     times = np.arange(1_000_000, recording.info.stop_us, 1_000)
     quads = np.array([image.quad.mean(axis=(1, 2), dtype=np.float64) for image in fuse(
-        recording, times_us=times, thresholds=(0.15, 0.15), **arguments)])
+        recording, times_us=times, **arguments)])
     s0 = quads.sum(axis=1) / 2
     s1, s2 = ((quads[:, [0, 1]] - quads[:, [2, 3]]) * 41 / 39).T
     aop = np.arctan2(s2, s1) / 2
@@ -36,6 +43,15 @@ def test_the_complementary_filter_is_as_accurate_as_in_the_study(rpm, aop_deg, d
     got_deg, got_dolp = errors(rpm, method="cf", adaptive_gain=False)
     assert abs(got_deg - aop_deg) < 1.5
     assert abs(got_dolp - dolp) < .03
+
+
+@pytest.mark.parametrize(("rpm", "aop_deg"), [
+    (rpm, figure) for rpm, figure in zip(SPEEDS_RPM, STUDY_EVENTS, strict=True)])
+def test_the_events_method_is_as_accurate_as_in_the_study(rpm, aop_deg):
+    recording, truth = Camera.preset("nominal", seed=1).record(
+        RotatingPolarizer(rpm=rpm * 1.013, start_angle=0.3), 3.0)
+    got_deg, _ = errors_of(recording, truth, method="events", thresholds=(.16, .18))
+    assert abs(got_deg - aop_deg) < 1.5
 
 
 @pytest.mark.parametrize("rpm", SPEEDS_RPM[2:])

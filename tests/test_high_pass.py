@@ -20,22 +20,23 @@ def make(shape=SHAPE, on=0.2, off=0.25, **options):
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 200), st.integers(0, 99), st.integers(0, 5), st.booleans(),
        st.sampled_from([SHAPE, (2, 2), (1, 1), (3, 9)]),
-       st.sampled_from([0, 1_600_000_000_000_000]))
-def test_it_equals_spreading_every_event_in_float64(
-        n, seed, radius, maps, shape, start):
+       st.sampled_from([0, 1_600_000_000_000_000]), st.booleans())
+def test_it_equals_float64_evaluation_of_the_equation(
+        n, seed, radius, maps, shape, start, hold):
     events = random_events(n, shape, seed=seed, start_us=start, stop_us=start + 10**6)
     on, off = MAPS if maps and shape == SHAPE else (0.2, 0.25)
-    method = make(shape, on, off, radius=radius)
+    method = make(shape, on, off, radius=radius, hold=hold)
     method.add_events(events)
     t = start + 1_200_000
-    want, seen = reference.event_high_pass(events, shape, on, off, 0.5, radius, t)
+    want, seen = reference.event_high_pass(
+        events, shape, on, off, 0.5, radius, t, hold)
     estimate = method.read(t)
     np.testing.assert_allclose(estimate.log_intensity, want, atol=1e-5)
     np.testing.assert_array_equal(estimate.valid, seen)
 
 
 def test_a_step_decays_with_the_time_constant():
-    method = make(radius=0)
+    method = make(radius=0, hold=False)
     event = random_events(1, SHAPE, stop_us=1)
     method.add_events(event)
     y, x = int(event["y"][0]), int(event["x"][0])

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["Estimate", "Reconstructor", "Snapshot"]
@@ -110,6 +111,12 @@ class Reconstructor(ABC):
         out : ndarray of float32, shape (H, W), optional
             Receives ``log_intensity``.
         """
+
+    def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the intensity of what `read` returned, as a new array."""
+        out = np.empty_like(log_intensity)
+        _kernels.exp(log_intensity, out)
+        return out
 
     def snapshot(self) -> Snapshot:
         """Return a deep, picklable copy of the state."""

@@ -22,13 +22,13 @@ __all__ = ["EventHighPass"]
 class EventHighPass(Reconstructor):
     """Log intensity relative to its recent mean, from events alone.
 
-    Each event adds ``theta_on`` or subtracts ``theta_off``; between events the value
-    of a pixel decays to 0 with time constant 1 / (2 pi cutoff_hz).  Frames are
-    ignored.  The exponential of the result stands for the intensity divided by its
-    mean over the last moments, so the angle of polarization that is formed of it is
-    right only while the means of the four channels are equal, as before a rotating
-    polarizer; with unequal means (a wave plate, partly polarized light) it is biased
-    by construction.  The degree of polarization is not measured at all.
+    Each event decays the value dL of its pixel with time constant
+    1 / (2 pi cutoff_hz) and adds ``theta_on`` or subtracts ``theta_off``.  Frames are
+    ignored.  As in the paper, 1 + dL stands for the intensity divided by its mean over
+    the last moments, so the angle of polarization that is formed of it is right only
+    while the means of the four channels are equal, as before a rotating polarizer;
+    with unequal means (a wave plate, partly polarized light) it is biased by
+    construction.  The degree of polarization is not measured at all.
 
     Parameters
     ----------
@@ -42,6 +42,9 @@ class EventHighPass(Reconstructor):
         Each event counts in the macropixels within this distance, in macropixels, in
         the pixel of the same polarizer; a pixel shows the mean over them.  0 keeps
         pixels apart.
+    hold : bool
+        Show each pixel as its last event left it, which is the paper's equation;
+        otherwise decayed up to the time of the image, so that still parts fade.
 
     Raises
     ------
@@ -51,17 +54,21 @@ class EventHighPass(Reconstructor):
 
     Notes
     -----
-    Haessig et al., supplement "Reconstructing AoP from PDAVIS events only".  All
-    pixels decay alike, so spreading events and averaging values are the same: it is
-    done when reading.  A pixel is valid once any pixel that counts in it has had an
+    Haessig et al., supplement "Reconstructing AoP from PDAVIS events only".  Averaging
+    is done when reading.  A pixel is valid once any pixel that counts in it has had an
     event.
+
+    The high pass turns the angle ahead of the truth in the sense of its rotation: by
+    ``atan(cutoff_hz / f) / 2`` when decayed up to the image, f being the frequency of
+    the intensity, twice that of the light's rotation: 45 degrees far below the cutoff,
+    13 at 30 RPM, 7 at 60 RPM.  Holding shortens it to 9 and 4 degrees.
     """
 
     method = "events"
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
-        cutoff_hz: float = 0.5, radius: int = 1,
+        cutoff_hz: float = 0.5, radius: int = 1, hold: bool = True,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
@@ -70,6 +77,7 @@ class EventHighPass(Reconstructor):
         if radius != int(radius) or radius < 0:
             raise ValueError(f"radius must be a whole number from 0, got {radius!r}")
         self._radius = int(radius)
+        self._hold = bool(hold)
         self.margin = 2 * self._radius
         self._steps = steps(self._theta_on, self._theta_off)
         self._leak = (
@@ -84,7 +92,8 @@ class EventHighPass(Reconstructor):
     def parameters(self) -> Mapping[str, Any]:
         """Parameters that make an equal EventHighPass."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
-                "cutoff_hz": self._cutoff_hz, "radius": self._radius}
+                "cutoff_hz": self._cutoff_hz, "radius": self._radius,
+                "hold": self._hold}
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Integrate events (see `Reconstructor.add_events`)."""
@@ -100,7 +109,10 @@ class EventHighPass(Reconstructor):
         """Return the high-passed log intensity at t_us (see `Reconstructor.read`)."""
         t = self._clock.check_read(t_us)
         log = output(out, self.shape, np.float32)
-        _kernels.leak_read(self._cells, self._base, t, log)
+        if self._hold:
+            log[...] = self._cells["value"]
+        else:
+            _kernels.leak_read(self._cells, self._base, t, log)
         seen = np.isfinite(self._cells["t"])
         if self._radius:
             own, seen_here = log.copy(), seen.copy()
@@ -111,6 +123,10 @@ class EventHighPass(Reconstructor):
                 seen[to] |= seen_here[of]
             log /= count
         return Estimate(log, None, seen)
+
+    def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return 1 + dL, for a macropixel's relative intensities."""
+        return log_intensity + np.float32(1)
 
     def _neighbours(self) -> Iterator[tuple[tuple[slice, ...], tuple[slice, ...]]]:
         """Yield (pixels, their neighbours) for each offset within the radius."""
