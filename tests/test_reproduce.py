@@ -1,44 +1,85 @@
 import csv
 
+import numpy as np
 import pytest
 
 from pdavis_cv.simulation import Camera, RotatingPolarizer
-from pdavis_cv.tools import reproduce
+from pdavis_cv.tools import _reproduce_run, reproduce
+from pdavis_cv.tools._reproduce_page import pivot
+from pdavis_cv.tools._reproduce_run import METHODS, Row
+
+
+def rows_of(stem):
+    with open(f"{stem}.csv") as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
 
 
 def test_every_method_is_scored_and_written(tmp_path, capsys):
-    stem = tmp_path / "fig2"
+    stem = tmp_path / "fig.2"
     assert reproduce.main(["fig2", "-o", str(stem), "--rpm", "200", "--seconds", "1.6",
                            "--step-us", "9000"]) == 0
-    with open(stem.with_suffix(".csv")) as file:
-        rows = {row["method"]: row for row in csv.DictReader(file)}
-    assert list(rows) == list(reproduce.METHODS)
+    rows = {row["method"]: row for row in rows_of(stem)}
+    assert list(rows) == list(METHODS)
     assert float(rows["kalman"]["aop_error_deg"]) < 1.3
     assert float(rows["kalman"]["dolp_error"]) < 0.03
+    assert 0.5 < float(rows["kalman"]["aop_coverage"]) <= 1
     assert float(rows["frames"]["aop_error_deg"]) > 25
-    page = stem.with_suffix(".md").read_text()
-    assert "The paper states" in page
-    assert page in capsys.readouterr().out
+    assert 15 < float(rows["Sony 50 fps"]["aop_error_deg"]) < 30
+    assert float(rows["Sony 50 fps, own times"]["aop_error_deg"]) < 1
+    assert rows["Sony 50 fps"]["events_per_pixel_s"] == ""
+    page = (tmp_path / "fig.2.md").read_text()
+    assert "Beside the paper" in page
+    assert page.strip() in capsys.readouterr().out
+    with open(f"{stem}-traces.csv") as file:
+        traces = list(csv.DictReader(file))
+    truth = [float(row["aop_deg"]) for row in traces if row["method"] == "truth"]
+    ours = [float(row["aop_deg"]) for row in traces if row["method"] == "kalman"]
+    off = (np.array(ours) - truth + 90) % 180 - 90
+    assert np.abs(off).mean() < 1
 
 
-def test_a_figure_is_drawn(tmp_path):
+def test_pictures_are_drawn_for_both_geometries(tmp_path):
     pytest.importorskip("matplotlib")
     stem = tmp_path / "fig3"
-    assert reproduce.main(["fig3", "-o", str(stem), "--rpm", "100", "--seconds", "1.2",
-                           "--step-us", "20000"]) == 0
-    assert stem.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    assert b"<svg" in stem.with_suffix(".svg").read_bytes()
+    assert reproduce.main([
+        "fig3", "-o", str(stem), "--rpm", "60", "200", "--seconds", "1.2",
+        "--step-us", "20000", "--methods", "frames", "kalman"]) == 0
+    for name in ("rotating-plate", "rotating-polarizer"):
+        assert (tmp_path / f"fig3-{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert b"<svg" in (tmp_path / f"fig3-{name}.svg").read_bytes()
+    rows = rows_of(stem)
+    assert {row["scene"] for row in rows} == {"rotating plate", "rotating polarizer"}
+    rate = {(row["scene"], row["rpm"]): float(row["events_per_pixel_s"])
+            for row in rows}
+    for scene in ("rotating plate", "rotating polarizer"):
+        assert rate[scene, "200.0"] / rate[scene, "60.0"] == pytest.approx(
+            200 / 60, rel=0.1)
 
 
 def test_the_score_of_the_kalman_method_is_below_the_goal_on_nominal_cameras():
     recording, truth = Camera.preset("nominal", seed=5).record(
         RotatingPolarizer(rpm=506.5), 2.0)
-    aop, dolp = reproduce.score(recording, truth, step_us=5000, method="kalman",
-                                thresholds="in-situ", nominal_thresholds=(0.16, 0.18))
-    assert aop < 0.0227     # 1.3 degrees
-    assert dolp < 0.03
+    score = _reproduce_run.score(
+        recording, truth, truth.stop_us, step_us=5000, method="kalman",
+        thresholds="in-situ", nominal_thresholds=(0.16, 0.18))["all"]
+    assert score.aop_error < 0.0227     # 1.3 degrees
+    assert score.dolp_error < 0.03
 
 
-def test_an_unknown_figure_is_one_line(capsys):
-    assert reproduce.main(["fig9", "-o", "x"]) == 2
+def test_a_table_has_a_line_per_method_and_a_mean():
+    blank = dict.fromkeys(Row.columns(), float("nan"))
+    rows = [Row(**{**blank, "method": method, "rpm": rpm, "aop_error_deg": error})
+            for method, rpm, error in (
+                ("frames", 30, 1.0), ("frames", 30, 3.0), ("frames", 60, 5.0),
+                ("kalman", 30, float("nan")))]
+    assert pivot(rows, "rpm", ("aop_error_deg",)) == [
+        "| method | 30 | 60 | mean |", "|---|---|---|---|",
+        "| frames | 2.00 | 5.00 | 3.00 |", ""]
+
+
+@pytest.mark.parametrize("arguments", [
+    ["fig9", "-o", "x"], ["fig2"], ["fig2", "-o", "x", "--seconds", "1"],
+    ["fig2", "-o", "x", "--methods", "magic"], ["fig2", "-o", "x", "--rpm", "0"]])
+def test_a_mistake_is_one_line(arguments, capsys):
+    assert reproduce.main(arguments) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

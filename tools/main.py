@@ -20,7 +20,7 @@ COMMANDS = {
     "bench": "time the library against fixed floors",
     "fan": "make the video of a turning fan of polarizers, with each sector's angle",
     "tendon": "measure a loaded sample: traces, spectra, lock-in maps, a report",
-    "reproduce": "the paper's figures 2 and 3, every method against the truth",
+    "reproduce": "the paper's figures, every method against the truth",
     "demo": "make pictures from the sample recording and an ideal camera",
 }
 

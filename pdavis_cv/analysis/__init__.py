@@ -8,10 +8,12 @@ from pdavis_cv.analysis.align import (
     hysteresis,
 )
 from pdavis_cv.analysis.fan import SectorSummary, Wheel, summarise_sectors
+from pdavis_cv.analysis.intervals import events_by_phase, pixel_intervals
 from pdavis_cv.analysis.load import LoadTrace, read_load
 from pdavis_cv.analysis.lockin import LockIn, LockInMaps
 from pdavis_cv.analysis.optics import birefringence, retardance, subtract_background
 from pdavis_cv.analysis.roi import Roi, parse_roi, read_rois
+from pdavis_cv.analysis.score import KnownLight, Score, Scorer, axial_difference
 from pdavis_cv.analysis.spectrum import (
     Cycle,
     Drift,
@@ -35,11 +37,14 @@ __all__ = [
     "Clock",
     "Cycle",
     "Drift",
+    "KnownLight",
     "LoadTrace",
     "LockIn",
     "LockInMaps",
     "Loop",
     "Roi",
+    "Score",
+    "Scorer",
     "SectorSummary",
     "Tone",
     "TraceRecorder",
@@ -49,14 +54,17 @@ __all__ = [
     "align_by_correlation",
     "align_by_offset",
     "align_by_triggers",
+    "axial_difference",
     "birefringence",
     "cycle_average",
     "cycle_drift",
     "dominant_tone",
     "event_counts",
+    "events_by_phase",
     "fit_tone",
     "hysteresis",
     "parse_roi",
+    "pixel_intervals",
     "read_load",
     "read_rois",
     "region_statistics",

@@ -1,0 +1,65 @@
+"""When the events of a pixel come: the times between them, and in what phase."""
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["events_by_phase", "pixel_intervals"]
+
+
+def pixel_intervals(events: NDArray[Any], width: int) -> NDArray[np.int64]:
+    """Return the times between consecutive events of each pixel.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        Time-ordered.
+    width : int
+        Of the sensor, in pixels.
+
+    Returns
+    -------
+    ndarray of int64
+        Microseconds, one per event but the first of each pixel; by pixel, row
+        after row.
+    """
+    pixel = events["y"].astype(np.int64) * width + events["x"]
+    order = np.argsort(pixel, kind="stable")
+    same = np.diff(pixel[order]) == 0
+    return np.asarray(np.diff(events["t"][order])[same], np.int64)
+
+
+def events_by_phase(
+    events: NDArray[Any], period_us: float, bins: int = 72
+) -> NDArray[np.int64]:
+    """Count events by polarity and by when in a period they came.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        Of pixels that see the same light.
+    period_us : float
+        Microseconds.
+    bins : int
+        Equal parts of the period.
+
+    Returns
+    -------
+    ndarray of int64, shape (2, bins)
+        Row 0 is OFF, row 1 is ON.
+
+    Raises
+    ------
+    ValueError
+        If the period or the number of bins is not positive.
+    """
+    if not (period_us > 0 and bins > 0):
+        raise ValueError(
+            f"period_us and bins must be positive, got {period_us} and {bins}")
+    part = np.floor(events["t"] % period_us * (bins / period_us)).astype(np.int64)
+    part = np.minimum(part, bins - 1)  # a remainder may round up to the period
+    return np.bincount(
+        events["p"].astype(np.int64) * bins + part, minlength=2 * bins)[
+            :2 * bins].reshape(2, bins)

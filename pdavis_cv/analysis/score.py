@@ -1,0 +1,182 @@
+"""How far polarization images are from the truth, and from what they claim."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.polarimetry import PolarFrame
+
+__all__ = ["KnownLight", "Score", "Scorer", "axial_difference"]
+
+FloatArray = NDArray[np.float64]
+
+
+class KnownLight(Protocol):
+    """Light whose polarization is known, such as `simulation.Truth`."""
+
+    def aop(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """AoP in radians at times in us and places in pixels of the recording."""
+        ...
+
+    def dolp(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """Degree of linear polarization at times and places."""
+        ...
+
+
+@dataclass(frozen=True)
+class Score:
+    """Mean absolute errors and what goes with them; angles in radians.
+
+    Parameters
+    ----------
+    images : int
+        Images scored.
+    aop_error, dolp_error : float
+        Of every pixel of the images.
+    roi_aop_error, roi_dolp_error : float
+        Of the region's mean Stokes vector; NaN where the truth differs over it.
+    roi_aop_range : float
+        Largest less smallest AoP of that mean: close to pi for light that turns
+        through, and blind to noise.
+    aop_coverage, dolp_coverage : float
+        Part of the valid pixels whose error is at most the sigma that they claim:
+        0.68 for an honest one.  NaN where none is claimed.
+    valid : float
+        Part of the pixels that were valid.
+    """
+
+    images: int
+    aop_error: float
+    dolp_error: float
+    roi_aop_error: float
+    roi_dolp_error: float
+    roi_aop_range: float
+    aop_coverage: float
+    dolp_coverage: float
+    valid: float
+
+
+class Scorer:
+    """Sums up errors of images against known light.
+
+    Parameters
+    ----------
+    truth : KnownLight
+        The light in front of the camera.
+    shape : (int, int)
+        (height, width) of the images.
+    origin : (int, int)
+        (x, y) of the images' top left corner in pixels of the recording.
+    scale : int
+        Recording pixels per image pixel; 2 for super-pixel images.
+    mask : ndarray of bool, shape (H, W), optional
+        What counts; default everything.
+    least_dolp : float
+        AoP counts where the true DoLP exceeds this.
+    margin : float
+        Pixels: places within this of an edge, where the true AoP jumps by more than
+        2 degrees, are left out.
+    """
+
+    def __init__(
+        self, truth: KnownLight, shape: tuple[int, int], *,
+        origin: tuple[int, int] = (0, 0), scale: int = 2,
+        mask: NDArray[np.bool_] | None = None, least_dolp: float = 0.2,
+        margin: float = 0.0,
+    ) -> None:
+        self._truth, self._least, self._margin = truth, least_dolp, margin
+        self._mask = np.ones(shape, np.bool_) if mask is None else mask
+        if self._mask.shape != shape or not self._mask.any():
+            raise ValueError(
+                f"mask must have shape {shape} and hold a pixel, got "
+                f"{int(self._mask.sum())} in {self._mask.shape}")
+        y, x = np.nonzero(self._mask)
+        self._x = (x + 0.5) * scale - 0.5 + origin[0]
+        self._y = (y + 0.5) * scale - 0.5 + origin[1]
+        # Sums and counts: AoP, DoLP, AoP of the region, DoLP of it.
+        self._sum, self._count = np.zeros(4), np.zeros(4)
+        self._covered, self._claimed = np.zeros(2), np.zeros(2)
+        self._valid = self._seen = self._images = 0
+        self._span = (np.inf, -np.inf)
+
+    def add(self, image: PolarFrame) -> None:
+        """Score one image.
+
+        Raises
+        ------
+        ValueError
+            If it has no time or another shape.
+        """
+        if image.t_us is None or image.shape != self._mask.shape:
+            raise ValueError(
+                f"image must have a time and shape {self._mask.shape}, got "
+                f"{image.t_us} and {image.shape}")
+        angle = self._truth.aop(image.t_us, self._x, self._y)
+        degree = self._truth.dolp(image.t_us, self._x, self._y)
+        counts = self._away_from_edges(image.t_us, angle)
+        off = np.abs(axial_difference(image.aop[self._mask], angle))
+        miss = np.abs(image.dolp[self._mask] - degree)
+        polarized = counts & (degree > self._least)
+        valid = image.valid[self._mask]
+        self._take(0, off[polarized])
+        self._take(1, miss[counts])
+        self._images += 1
+        self._seen += int(counts.sum())
+        self._valid += int(valid[counts].sum())
+        if image.sigma_aop is not None and image.sigma_dolp is not None:
+            for i, (error, sigma, where) in enumerate((
+                    (off, image.sigma_aop[self._mask], polarized & valid),
+                    (miss, image.sigma_dolp[self._mask], counts & valid))):
+                self._covered[i] += (error[where] <= sigma[where]).sum()
+                self._claimed[i] += where.sum()
+        if np.ptp(degree) < 1e-9 and np.ptp(angle) < 1e-9:
+            self._add_region(image, float(angle[0]), float(degree[0]))
+
+    def _add_region(self, image: PolarFrame, angle: float, degree: float) -> None:
+        s0, s1, s2 = (float(plane[self._mask].mean(dtype=np.float64))
+                      for plane in (image.s0, image.s1, image.s2))
+        aop = np.arctan2(s2, s1) / 2 % np.pi
+        dolp = np.hypot(s1, s2) / s0 if s0 > 0 else 0.0
+        self._take(3, np.array([abs(dolp - degree)]))
+        if degree > self._least:
+            self._take(2, np.abs(axial_difference(np.array([aop]), angle)))
+            self._span = min(self._span[0], aop), max(self._span[1], aop)
+
+    def _take(self, i: int, values: FloatArray) -> None:
+        self._sum[i] += values.sum(dtype=np.float64)
+        self._count[i] += len(values)
+
+    def _away_from_edges(self, t_us: int, angle: FloatArray) -> NDArray[np.bool_]:
+        away = np.ones(angle.shape, np.bool_)
+        if self._margin:
+            for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+                near = self._truth.aop(
+                    t_us, self._x + dx * self._margin, self._y + dy * self._margin)
+                away &= np.abs(axial_difference(near, angle)) < np.deg2rad(2)
+        return away
+
+    @property
+    def score(self) -> Score:
+        """Means over what was added; NaN where nothing counted."""
+        def part(sums: FloatArray, counts: FloatArray) -> list[float]:
+            return [float(s / n) if n else np.nan
+                    for s, n in zip(sums, counts, strict=True)]
+
+        low, high = self._span
+        aop, dolp, roi_aop, roi_dolp = part(self._sum, self._count)
+        aop_coverage, dolp_coverage = part(self._covered, self._claimed)
+        return Score(
+            images=self._images, aop_error=aop, dolp_error=dolp,
+            roi_aop_error=roi_aop, roi_dolp_error=roi_dolp,
+            roi_aop_range=float(high - low) if high >= low else np.nan,
+            aop_coverage=aop_coverage, dolp_coverage=dolp_coverage,
+            valid=self._valid / self._seen if self._seen else np.nan)
+
+
+def axial_difference(a: ArrayLike, b: ArrayLike) -> FloatArray:
+    """Return a - b of two axial angles in radians, in [-pi/2, pi/2)."""
+    difference = np.asarray(a, np.float64) - np.asarray(b, np.float64)
+    return np.asarray((difference + np.pi / 2) % np.pi - np.pi / 2)

@@ -1,0 +1,112 @@
+"""Tables and pages of `pdavis reproduce`: one writer for every experiment."""
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pdavis_cv.export import beside, write_csv
+from pdavis_cv.tools._reproduce_run import METHODS, Row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["beside_stem", "cell", "mean", "pivot", "save_figure", "table", "write_page",
+           "write_rows"]
+
+# Columns of the tables, and how their numbers are written.
+FORMATS = {
+    "aop_error_deg": "{:.2f}", "dolp_error": "{:.3f}", "aop_error_roi_deg": "{:.2f}",
+    "dolp_error_roi": "{:.3f}", "aop_range_deg": "{:.0f}", "aop_coverage": "{:.2f}",
+    "dolp_coverage": "{:.2f}", "valid": "{:.2f}", "events_per_pixel_s": "{:.1f}",
+    "median_interval_us": "{:.0f}",
+}
+
+
+def mean(rows: Iterable[Row], column: str) -> float:
+    """Return the mean of a column, NaN left out; NaN if nothing is left."""
+    values = np.array([getattr(row, column) for row in rows], np.float64)
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def cell(rows: Sequence[Row], columns: Sequence[str]) -> str:
+    """Return the means of some columns as text, ``-`` where there is none."""
+    values = [(mean(rows, column), FORMATS[column]) for column in columns]
+    return " / ".join("-" if np.isnan(v) else text.format(v) for v, text in values)
+
+
+def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
+    """Return a Markdown table as lines, and an empty one after it."""
+    return ["| " + " | ".join(head) + " |", "|" + "---|" * len(head),
+            *("| " + " | ".join(line) + " |" for line in lines), ""]
+
+
+def pivot(
+    rows: Sequence[Row], across: str, columns: Sequence[str], *,
+    label: Callable[[float], str] = "{:g}".format, title: str = "method",
+    average: bool = True,
+) -> list[str]:
+    """Return a table of methods against a setting.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Averaged where several share method and setting.
+    across : str
+        Column that gives the table's columns.
+    columns : sequence of str
+        What each cell shows, with slashes between; methods without any are left out.
+    label : callable
+        Names a setting.
+    title : str
+        Head of the first column.
+    average : bool
+        Add the mean over the settings.
+
+    Returns
+    -------
+    list of str
+    """
+    settings = sorted({getattr(row, across) for row in rows})
+    lines = []
+    for name in METHODS:
+        mine = [row for row in rows if row.method == name]
+        if all(np.isnan(mean(mine, column)) for column in columns):
+            continue
+        cells = [cell([row for row in mine if getattr(row, across) == value], columns)
+                 for value in settings]
+        lines.append([name, *cells, *([cell(mine, columns)] if average else [])])
+    head = [title, *map(label, settings), *(["mean"] if average else [])]
+    return table(head, lines)
+
+
+def beside_stem(stem: Path, ending: str) -> Path:
+    """Return the path STEM + ending, dots in the stem kept."""
+    return stem.with_name(stem.name + ending)
+
+
+def write_rows(stem: Path, rows: Iterable[Row], facts: dict[str, Any]) -> None:
+    """Write STEM.csv, one line per method, region and recording."""
+    write_csv(beside_stem(stem, ".csv"), Row.columns(),
+              (row.values() for row in rows), facts)
+
+
+def write_page(stem: Path, lines: Sequence[str]) -> str:
+    """Write STEM.md and return its text."""
+    text = "\n".join(lines).rstrip() + "\n"
+    with beside(beside_stem(stem, ".md")) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+    return text
+
+
+def save_figure(stem: Path, figure: Figure) -> None:
+    """Write STEM.png and STEM.svg."""
+    for suffix in ("png", "svg"):
+        picture = io.BytesIO()
+        figure.savefig(picture, format=suffix, dpi=110)
+        with beside(beside_stem(stem, f".{suffix}")) as unfinished:
+            unfinished.write_bytes(picture.getvalue())
