@@ -25,7 +25,7 @@ from ._leaky import (
     log_frame,
 )
 from ._packed import unpack_10p, unpack_12p, unpack_packed
-from ._picture import tone_bgr
+from ._picture import hue_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._simulate import pixel_events, video_events
 from ._store import store_commit, store_link, store_pass, store_push
@@ -49,6 +49,7 @@ __all__ = [
     "dolp",
     "exp",
     "floor_sum",
+    "hue_bgr",
     "kalman_frame",
     "kalman_read",
     "leak_events",
@@ -60,6 +61,7 @@ __all__ = [
     "pack_aedat4_events",
     "pixel_events",
     "polarize",
+    "ramp_bgr",
     "read_out",
     "reconcile",
     "sort_events",

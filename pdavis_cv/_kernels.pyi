@@ -29,6 +29,7 @@ __all__ = [
     "dolp",
     "exp",
     "floor_sum",
+    "hue_bgr",
     "kalman_frame",
     "kalman_read",
     "leak_events",
@@ -40,6 +41,7 @@ __all__ = [
     "pack_aedat4_events",
     "pixel_events",
     "polarize",
+    "ramp_bgr",
     "read_out",
     "reconcile",
     "sort_events",
@@ -167,7 +169,15 @@ def read_out(
 def sort_events(
     events: NDArray[Any], start: int, counts: NDArray[np.int32], out: NDArray[Any]
 ) -> int: ...
-def tone_bgr(plane: _F32, scale: float, table: _U8, out: _U8) -> None: ...
+def hue_bgr(
+    plane: NDArray[Any], valid: _U8, scale: float, table: _U8, invalid: _U8, out: _U8
+) -> None: ...
+def ramp_bgr(
+    plane: NDArray[Any], valid: _U8, scale: float, table: _U8, invalid: _U8, out: _U8
+) -> None: ...
+def tone_bgr(
+    plane: NDArray[Any], valid: _U8, scale: float, table: _U8, invalid: _U8, out: _U8
+) -> None: ...
 def unpack_10p(data: _U8, out: NDArray[np.uint16]) -> None: ...
 def unpack_12p(data: _U8, out: NDArray[np.uint16]) -> None: ...
 def unpack_packed(data: _U8, bits: int, out: NDArray[np.uint16]) -> None: ...

@@ -83,10 +83,21 @@ def unpack_in_pairs(data, bits, n):
     return np.array(out, int)
 
 
-def tone_bgr(plane, scale, table):
-    scaled = np.nan_to_num(plane * np.float32(scale), nan=0, posinf=65535, neginf=0)
-    index = (np.clip(scaled, 0, 65535) + np.float32(0.5)).astype(int)
-    return np.repeat(table[index][..., None], 3, axis=-1)
+def hue_bgr(plane, valid, scale, table, invalid):
+    value = np.where(np.isfinite(plane), plane, 0).astype(float) * scale
+    index = np.floor((value + 0.5) % len(table)).astype(int)
+    return np.where((valid & np.isfinite(plane))[..., None], table[index], invalid)
+
+
+def ramp_bgr(plane, valid, scale, table, invalid):
+    value = np.where(np.isnan(plane), 0, plane).astype(float) * scale
+    index = (np.clip(value, 0, len(table) - 1) + 0.5).astype(int)
+    return np.where((valid & ~np.isnan(plane))[..., None], table[index], invalid)
+
+
+def tone_bgr(plane, valid, scale, table, invalid):
+    return ramp_bgr(np.where(np.isnan(plane), plane, np.sqrt(np.maximum(
+        np.asarray(plane, float) * scale, 0))), valid, 1.0, table, invalid)
 
 
 def count(events, shape, start_us, stop_us):

@@ -63,6 +63,14 @@ def test_a_tone_curve_shows_both_halves_of_a_2000_to_1_scene():
     assert np.ptp(linear) == 0
 
 
+@pytest.mark.parametrize("knee", [1e-5, 0.01, 1.0, 50.0])
+def test_a_tone_curve_is_the_formula_over_six_decades(knee):
+    value = np.geomspace(1e-6, 2.0, 4000)
+    want = 255 * np.arcsinh(np.minimum(value, 1) / knee) / np.arcsinh(1 / knee)
+    got = render.ToneCurve(1.0, knee).grey(value[None])[0]
+    assert np.max(np.abs(got - want)) < 0.6
+
+
 def test_a_tone_curve_cannot_flicker():
     curve = render.ToneCurve(100.0, 1.0)
     still = np.linspace(0, 100, 50)
@@ -74,6 +82,8 @@ def test_a_tone_curve_cannot_flicker():
     assert (values[0], values[-1]) == (0, 255)
     with pytest.raises(ValueError, match="knee must be positive"):
         render.ToneCurve(1.0, 0.0)
+    with pytest.raises(ValueError, match="log excludes a knee"):
+        render.ToneCurve(1.0, 0.5, log=True)
     with pytest.raises(ValueError, match="images must hold a positive pixel"):
         render.ToneCurve.of([np.zeros((2, 2))])
 

@@ -4,10 +4,11 @@ import sys
 
 import numpy as np
 import pytest
+import reference
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pdavis_cv import render
+from pdavis_cv import _kernels, render
 
 
 @given(st.floats(0, np.pi, exclude_max=True))
@@ -71,15 +72,66 @@ def test_grey_refuses_a_scale_without_extent():
 @pytest.mark.parametrize("colour", [
     render.aop_bgr, render.dolp_bgr, lambda a, v=None: render.grey_bgr(a, 1.0, v)])
 def test_unusable_pixels_are_grey(colour):
-    image = np.array([[0.5, np.nan, np.inf, 0.5]])
+    image = np.array([[0.5, np.nan, 0.5, 0.5]])
     valid = np.array([[True, True, True, False]])
     before = image.copy()
     picture = colour(image, valid)
     assert picture.dtype == np.uint8
     assert (picture == render.INVALID).all(axis=-1).tolist() == [
-        [False, True, True, True]]
+        [False, True, False, True]]
     np.testing.assert_array_equal(image, before)
     assert colour(image)[0, 0].tolist() == picture[0, 0].tolist()
+    with pytest.raises(ValueError, match=r"valid must have shape \(1, 4\)"):
+        colour(image, valid[:, :2])
+
+
+def test_an_infinite_angle_is_none_and_an_infinite_intensity_is_white():
+    infinite = np.array([[np.inf, -np.inf]])
+    assert (render.aop_bgr(infinite) == render.INVALID).all()
+    assert render.grey_bgr(infinite, 1.0)[0, :, 0].tolist() == [255, 0]
+    assert render.ToneCurve(1.0).bgr(infinite)[0, :, 0].tolist() == [255, 0]
+
+
+@pytest.mark.parametrize("name", ["hue_bgr", "ramp_bgr", "tone_bgr"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_colour_kernels_match_reference(name, dtype):
+    rng = np.random.default_rng(0)
+    table = rng.integers(0, 256, (1530, 3), np.uint8)
+    invalid = np.array([1, 2, 3], np.uint8)
+    kernel, twin = getattr(_kernels, name), getattr(reference, name)
+    for size in (0, 1, 7, 5000):
+        plane = rng.normal(20, 30, size).astype(dtype)
+        plane[:5] = [np.nan, np.inf, -np.inf, -0.0, 1e30][:size]
+        valid = rng.random(size) < 0.9
+        out = np.empty((size, 3), np.uint8)
+        plane.flags.writeable = valid.flags.writeable = False
+        for mask in (valid, np.ones(size, bool)):
+            given = mask.view(np.uint8) if mask is valid else np.empty(0, np.uint8)
+            kernel(plane, given, 37.5, table, invalid, out)
+            want = twin(plane, mask, 37.5, table, invalid)
+            if name == "hue_bgr":   # 1e30: some colour, and no crash
+                out[4:5] = want[4:5]
+            np.testing.assert_array_equal(out, want)
+
+
+@pytest.mark.parametrize("name", ["hue_bgr", "ramp_bgr", "tone_bgr"])
+@pytest.mark.parametrize(("change", "message"), [
+    ({1: np.zeros(5, np.uint8)}, "valid must be empty or as long"),
+    ({3: np.zeros((0, 3), np.uint8)}, r"table must be \(n, 3\)"),
+    ({3: np.zeros((9, 4), np.uint8)}, r"table must be \(n, 3\)"),
+    ({4: np.zeros(2, np.uint8)}, "invalid must hold 3"),
+    ({5: np.zeros((5, 3), np.uint8)}, "out must be"),
+    ({5: np.zeros((6, 4), np.uint8)}, "out must be"),
+])
+def test_colour_kernels_check_sizes_themselves(name, change, message):
+    arguments = [np.zeros(6, np.float32), np.empty(0, np.uint8), 1.0,
+                 np.zeros((9, 3), np.uint8), np.zeros(3, np.uint8),
+                 np.empty((6, 3), np.uint8)]
+    getattr(_kernels, name)(*arguments)
+    for place, other in change.items():
+        arguments[place] = other
+    with pytest.raises(ValueError, match=message):
+        getattr(_kernels, name)(*arguments)
 
 
 @pytest.mark.parametrize("shape", [(2, 4), (3, 4, 3), (1, 1), (173, 131, 3)])

@@ -7,16 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.capture import constants as c
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.base import ApsFrame, Recording
-from pdavis_cv.render import aop_bgr, dolp_bgr
+from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr
 
-__all__ = ["Tone", "event_counts", "events_bgr", "first_frame", "plane", "white_level"]
-
-LOG_RANGE = 1023.0
-"""White over black of the logarithmic picture: one count of a 10-bit converter."""
+__all__ = ["event_counts", "events_bgr", "first_frame", "plane", "tone", "white_level"]
 
 WHITE_WITHOUT_FRAMES = 2.0
 """Intensity that is white where nothing is known but changes: they start from 1."""
@@ -58,11 +54,8 @@ def white_level(recording: Recording, method: str, frame: ApsFrame | None) -> fl
     return frame.full_scale_dn / (frame.exposure_ms or 1.0)
 
 
-class Tone:
-    """Grey of an intensity: a function of the value and of constants alone.
-
-    ``255 * x ** (1 / gamma)`` with ``x = gain * value / white`` in 0..1, or with
-    `log` ``255 * (1 + ln(x) / ln(1023)) ** (1 / gamma)``, 0 below x = 1 / 1023.
+def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
+    """Return the curve from S0 / 2 to grey.
 
     Parameters
     ----------
@@ -71,47 +64,24 @@ class Tone:
     gain, gamma : float
         Positive.
     log : bool
+        Over three decades, in place of linear.
+
+    Returns
+    -------
+    ToneCurve
 
     Raises
     ------
     TypeError, ValueError
         If `gain` or `gamma` is not a positive number.
     """
-
-    def __init__(
-        self, white: float, gain: float = 1.0, gamma: float = 1.0, log: bool = False
-    ) -> None:
-        for name, value in (("gain", gain), ("gamma", gamma)):
-            if isinstance(value, bool) or not isinstance(
-                    value, (int, float, np.integer, np.floating)):
-                raise TypeError(
-                    f"{name} must be a number, got {type(value).__name__}")
-            if not 0 < value < math.inf:
-                raise ValueError(f"{name} must be positive, got {value}")
-        self.white, self.gain, self.gamma = float(white), float(gain), float(gamma)
-        self.log = bool(log)
-        x = np.arange(65536) / 65535
-        if log:
-            x = np.maximum(1 + np.log(np.maximum(x, 1e-9)) / math.log(LOG_RANGE), 0)
-        self._table = np.rint(255 * x ** (1 / self.gamma)).astype(np.uint8)
-
-    def bgr(self, value: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Return the picture of an intensity.
-
-        Parameters
-        ----------
-        value : ndarray of float32, shape (H, W)
-
-        Returns
-        -------
-        ndarray of uint8, shape (H, W, 3)
-            BGR; NaN is black.
-        """
-        out = np.empty((*value.shape, 3), np.uint8)
-        _kernels.tone_bgr(
-            np.ascontiguousarray(value), 65535 * self.gain / self.white,
-            self._table, out)
-        return out
+    for name, value in (("gain", gain), ("gamma", gamma)):
+        if isinstance(value, bool) or not isinstance(
+                value, (int, float, np.integer, np.floating)):
+            raise TypeError(f"{name} must be a number, got {type(value).__name__}")
+        if not 0 < value < math.inf:
+            raise ValueError(f"{name} must be positive, got {value}")
+    return ToneCurve(white / float(gain), gamma=float(gamma), log=bool(log))
 
 
 def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:

@@ -25,6 +25,7 @@ from pdavis_cv.fusion import Fusion
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.render import ToneCurve
 
 __all__ = ["Session", "View"]
 
@@ -45,7 +46,7 @@ class View:
         False: float planes in place of pictures (``CAP_PROP_CONVERT_RGB`` = 0).
     gain, gamma : float
     log : bool
-        See `Tone`.
+        See `picture.tone`.
     """
 
     output: int = c.CAP_PDAVIS_BGR
@@ -100,10 +101,10 @@ class Session:
     def _fusion(self, parameters: Mapping[str, Any]) -> Fusion:
         return Fusion(self.recording, **fuse_parameters(parameters))
 
-    def _made_tone(self, view: View) -> picture.Tone:
+    def _made_tone(self, view: View) -> ToneCurve:
         white = picture.white_level(
             self.recording, self.cursor.fusion.method, self._first)
-        return picture.Tone(white, view.gain, view.gamma, view.log)
+        return picture.tone(white, view.gain, view.gamma, view.log)
 
     # ---- images ----------------------------------------------------------------
 
@@ -148,7 +149,8 @@ class Session:
         if output in c.PLANES or not self.view.convert:
             return picture.plane(self._frame, output)
         if output == c.CAP_PDAVIS_BGR:
-            return self._tone.bgr(picture.plane(self._frame, output))
+            return self._tone.bgr(
+                picture.plane(self._frame, output), invalid=(0, 0, 0))
         return picture.colour(self._frame, output)
 
     def _event_counts(self) -> NDArray[np.float32]:

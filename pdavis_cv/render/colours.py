@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv._opencv import opencv
 
 __all__ = [
@@ -78,12 +79,7 @@ def aop_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
     ndarray of uint8, shape (H, W, 3)
         BGR at full saturation and value.
     """
-    turn = np.asarray(aop, np.float64) * (_HUES / np.pi)
-    with np.errstate(invalid="ignore"):
-        wrapped = np.rint(turn % _HUES)
-    # A NaN has no index; what is drawn for it does not matter, as it is masked.
-    index = np.nan_to_num(wrapped).astype(np.intp) % _HUES
-    return _masked(_HUE_TABLE[index], valid, turn)
+    return through_table(_kernels.hue_bgr, aop, valid, _HUES / np.pi, _HUE_TABLE)
 
 
 def dolp_bgr(
@@ -105,8 +101,7 @@ def dolp_bgr(
     ndarray of uint8, shape (H, W, 3)
         BGR.
     """
-    value = np.asarray(dolp, np.float64)
-    return _masked(_DOLP_TABLE.take(_bytes(value, top), axis=0), valid, value)
+    return through_table(_kernels.ramp_bgr, dolp, valid, 255 / top, _DOLP_TABLE)
 
 
 def grey_bgr(
@@ -135,9 +130,8 @@ def grey_bgr(
     """
     if not white > 0:
         raise ValueError(f"white must be positive, got {white}")
-    value = np.asarray(intensity, np.float64)
-    grey = _bytes(value, white)
-    return _masked(_GREY_TABLE.take(grey, axis=0), valid, value)
+    return through_table(
+        _kernels.ramp_bgr, intensity, valid, 255 / white, _GREY_TABLE)
 
 
 def aop_legend(
@@ -343,20 +337,51 @@ def _text_width(text: str) -> int:
     return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)[0][0])
 
 
-def _bytes(value: NDArray[np.float64], top: float) -> NDArray[np.uint8]:
-    with np.errstate(invalid="ignore"):
-        return np.rint(np.clip(value * (255 / top), 0, 255)).astype(np.uint8)
-
-
-def _masked(
-    picture: Picture, valid: NDArray[np.bool_] | None, value: NDArray[np.float64]
+def through_table(
+    kernel: Callable[..., None], value: ArrayLike, valid: NDArray[np.bool_] | None,
+    scale: float, table: Picture, invalid: tuple[int, int, int] = INVALID,
 ) -> Picture:
-    good = np.isfinite(value)
+    """Colour values by a table; not a NumPy chain, which takes ten times as long.
+
+    Parameters
+    ----------
+    kernel : callable
+        ``hue_bgr``, ``ramp_bgr`` or ``tone_bgr``.
+    value : array_like of float, shape (H, W)
+        Float32 as it is, anything else as float64.
+    valid : ndarray of bool, shape (H, W), or None
+        True = usable.
+    scale : float
+        What the kernel multiplies values with.
+    table : ndarray of uint8, shape (N, 3)
+        BGR.
+    invalid : (int, int, int)
+        Colour of what is not valid, and of NaN.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR.
+
+    Raises
+    ------
+    ValueError
+        If `valid` has another shape.
+    """
+    plane = np.asarray(value)
+    if plane.dtype != np.float32:
+        plane = plane.astype(np.float64, copy=False)
+    out = np.empty((plane.size, 3), np.uint8)
+    good = np.empty(0, np.uint8)
     if valid is not None:
-        good &= valid
-    if not good.all():
-        picture[~good] = INVALID
-    return picture
+        mask = np.asarray(valid, np.bool_)
+        if mask.shape != plane.shape:
+            raise ValueError(
+                f"valid must have shape {plane.shape}, got {mask.shape}")
+        good = np.ascontiguousarray(mask).reshape(-1).view(np.uint8)
+    kernel(np.ascontiguousarray(plane).reshape(-1), good, float(scale), table,
+           np.array(invalid, np.uint8), out)
+    return out.reshape(*plane.shape, 3)
 
 
 _LINE = 20  # height of a line of text

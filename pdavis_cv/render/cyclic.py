@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.render.colours import Picture, _masked, aop_legend
+from pdavis_cv import _kernels
+from pdavis_cv.render.colours import Picture, aop_legend, through_table
 
 __all__ = ["cyclic_bgr", "cyclic_legend"]
 
@@ -32,7 +33,7 @@ def _table() -> Picture:
     linear = np.clip(blue_green_red @ root**3, 0, 1)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear,
                        1.055 * np.power(linear, 1 / 2.4) - 0.055)
-    table: Picture = np.rint(255 * encoded.T).astype(np.uint8)
+    table: Picture = np.ascontiguousarray(np.rint(255 * encoded.T), np.uint8)
     return table
 
 
@@ -54,10 +55,7 @@ def cyclic_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Pictur
     ndarray of uint8, shape (H, W, 3)
         BGR of constant lightness.
     """
-    turn = np.asarray(aop, np.float64) * (_STEPS / np.pi)
-    with np.errstate(invalid="ignore"):
-        index = np.rint(turn).astype(np.int64) % _STEPS
-    return _masked(_TABLE[index], valid, turn)
+    return through_table(_kernels.hue_bgr, aop, valid, _STEPS / np.pi, _TABLE)
 
 
 def cyclic_legend(radius: int, background: int = 0) -> Picture:

@@ -1,6 +1,8 @@
-"""Tone curves for intensities of high dynamic range."""
+"""The tone curve: grey from intensity, by a fixed function of the value alone."""
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
@@ -8,47 +10,65 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.render.colours import _GREY_TABLE, Picture, _masked
+from pdavis_cv import _kernels
+from pdavis_cv.render.colours import INVALID, Picture, through_table
 
-__all__ = ["ToneCurve"]
+__all__ = ["LOG_RANGE", "ToneCurve"]
+
+LOG_RANGE = 1023.0
+"""White over black of the logarithmic curve: one count of a 10-bit converter."""
+
+_STEPS = 65536
 
 
 @dataclass(frozen=True)
 class ToneCurve:
     """Grey from intensity by one fixed curve, so that a video cannot flicker.
 
-    The curve is linear in the dark and logarithmic above, asinh(I / knee) scaled
-    so that 0 is black and ``white`` white: every octave above the knee gets an
-    equal share of the grey values.  A pixel's grey depends on its own value alone.
+    A pixel's grey depends on its own value alone.  With x = I / `white` in 0..1 it is
+    255 y ** (1 / `gamma`), where y is
+
+    - x, or
+    - with a `knee`, asinh(I / knee) / asinh(white / knee): linear in the dark and
+      logarithmic above, so that every octave above the knee gets an equal share, or
+    - with `log`, 1 + ln(x) / ln(1023), black below x = 1 / 1023.
 
     Parameters
     ----------
     white : float
         Intensity of grey 255, above 0.
-    knee : float
+    knee : float, optional
         Intensity where the curve turns logarithmic, above 0; at or above ``white``
         the curve is nearly linear.
+    gamma : float
+        Above 0; more brightens what is between black and white.
+    log : bool
+        Excludes a `knee`.
 
     Raises
     ------
     ValueError
-        If a number is not positive.
+        If a number is not positive, or both `knee` and `log` are given.
     """
 
     white: float
-    knee: float
+    knee: float | None = None
+    gamma: float = 1.0
+    log: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("white", "knee"):
+        for name in ("white", "knee", "gamma"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
+            if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be positive, got {value!r}")
+        if self.log and self.knee is not None:
+            raise ValueError(f"log excludes a knee, got {self.knee!r}")
 
     @classmethod
     def of(
         cls, images: Iterable[ArrayLike], valid: Iterable[NDArray[np.bool_]] = ()
     ) -> Self:
-        """Fit a curve to some images of a recording, once, before a video is made.
+        """Fit a curve with a knee to some images, once, before a video is made.
 
         Parameters
         ----------
@@ -79,8 +99,20 @@ class ToneCurve:
         low, high = np.quantile(pixels, (0.2, 0.995))
         return cls(1.1 * float(high), float(low))
 
+    @functools.cached_property
+    def _table(self) -> Picture:
+        """Colours over the square root of x: fine steps where the light is dim."""
+        x = (np.arange(_STEPS) / (_STEPS - 1)) ** 2
+        if self.knee is not None:
+            x = np.arcsinh(x * (self.white / self.knee)) / np.arcsinh(
+                self.white / self.knee)
+        elif self.log:
+            x = np.maximum(1 + np.log(np.maximum(x, 1e-9)) / math.log(LOG_RANGE), 0)
+        grey = np.rint(255 * x ** (1 / self.gamma)).astype(np.uint8)
+        return np.repeat(grey[:, None], 3, axis=1)
+
     def grey(self, intensity: ArrayLike) -> NDArray[np.uint8]:
-        """Return grey values.
+        """Return grey values; NaN is black.
 
         Parameters
         ----------
@@ -91,15 +123,13 @@ class ToneCurve:
         -------
         ndarray of uint8, shape (H, W)
         """
-        value = np.maximum(np.nan_to_num(np.asarray(intensity, np.float64)), 0)
-        top = np.arcsinh(self.white / self.knee)
-        share = np.arcsinh(value / self.knee) * (255 / top)
-        return np.asarray(np.rint(np.minimum(share, 255)), np.uint8)
+        return self.bgr(intensity, invalid=(0, 0, 0))[..., 0]
 
     def bgr(
-        self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None
+        self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None, *,
+        invalid: tuple[int, int, int] = INVALID,
     ) -> Picture:
-        """Return a grey picture; pixels that are not valid become `INVALID`.
+        """Return a grey picture.
 
         Parameters
         ----------
@@ -107,11 +137,14 @@ class ToneCurve:
             In the unit of ``white``.
         valid : ndarray of bool, shape (H, W), optional
             True = usable.
+        invalid : (int, int, int)
+            BGR of pixels that are not valid, and of NaN.
 
         Returns
         -------
         ndarray of uint8, shape (H, W, 3)
             BGR.
         """
-        value = np.asarray(intensity, np.float64)
-        return _masked(_GREY_TABLE.take(self.grey(value), axis=0), valid, value)
+        return through_table(
+            _kernels.tone_bgr, intensity, valid, (_STEPS - 1) ** 2 / self.white,
+            self._table, invalid)
