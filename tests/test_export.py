@@ -35,8 +35,10 @@ def test_video_holds_every_picture_whole(tmp_path, suffix, shape):
     path = tmp_path / f"clip{suffix}"
     wanted = pictures(7, shape)
     with export.VideoFile(path, 25) as video:
+        same = np.empty_like(wanted[0])
         for picture in wanted:
-            video.add(picture)
+            same[:] = picture   # the caller may use its memory again at once
+            video.add(same)
     got = read_video(path)
     assert len(got) == 7
     for a, b in zip(got, wanted, strict=True):
@@ -147,7 +149,27 @@ def test_pictures_of_a_video_keep_one_shape(tmp_path):
             video.add(np.zeros((34, 32, 3), np.uint8))
 
 
-def test_a_full_disk_is_noticed(tmp_path):
+@pytest.mark.parametrize("limit", [0, 3_000, 20_000, 60_000])
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+def test_a_full_disk_is_noticed(tmp_path, suffix, limit):
+    resource = pytest.importorskip("resource")
+    import signal
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        with pytest.raises(OSError, match=r"were written|cannot write"):  # noqa: PT012
+            with export.VideoFile(tmp_path / f"x{suffix}", 25) as video:
+                for _ in range(100):
+                    video.add(noise)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, previous)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_is_noticed_by_a_lossless_video(tmp_path):
     resource = pytest.importorskip("resource")
     import signal
     noise = np.random.default_rng(0).random((64, 64))

@@ -4,6 +4,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -58,6 +59,9 @@ class VideoFile:
         self._part.touch()  # fails here, with the system's reason, if it must
         self._writer: Any = None
         self._shape: tuple[int, ...] = ()
+        # OpenCV encodes without the GIL: while the caller makes the next picture.
+        self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
+        self._waiting: Future[None] | None = None
 
     @staticmethod
     def _codec(suffix: str) -> str:
@@ -72,14 +76,14 @@ class VideoFile:
         Parameters
         ----------
         picture : ndarray of uint8, shape (H, W, 3)
-            BGR; the same shape each time.
+            BGR; the same shape each time.  It is copied.
 
         Raises
         ------
         ValueError
             If the shape differs from the first picture's.
         OSError
-            If it cannot be written.
+            If no video of this size can be written.
         """
         if self._writer is None:
             self._shape = picture.shape
@@ -88,9 +92,19 @@ class VideoFile:
             raise ValueError(
                 f"picture must have the first one's shape {self._shape}, got "
                 f"{picture.shape}")
-        with _silent(self._cv2):
-            self._writer.write(np.ascontiguousarray(even(picture)))
+        self._wait()
+        self._waiting = self._encoder.submit(
+            self._write, np.array(even(picture), order="C"))
         self.count += 1
+
+    def _write(self, picture: NDArray[Any]) -> None:
+        with _silent(self._cv2):
+            self._writer.write(picture)
+
+    def _wait(self) -> None:
+        if self._waiting is not None:
+            self._waiting.result()
+            self._waiting = None
 
     def _open(self, shape: tuple[int, ...]) -> None:
         cv2 = self._cv2
@@ -107,14 +121,24 @@ class VideoFile:
                 f"{shape[1]}x{shape[0]} here")
 
     def _readable(self) -> int:
-        """Count what can be read back."""
+        """Count what can be read back.
+
+        FFmpeg writes nothing more after an error, so a file whose index, which comes
+        last, names every picture, and whose last one can be read, is whole.
+        """
         if self.path.suffix.lower() in (".mp4", ".m4v") and not _has_index(self._part):
             return 0  # FFmpeg would say so in a line of its own
-        with _silent(self._cv2):
-            reader = self._cv2.VideoCapture(str(self._part), self._cv2.CAP_FFMPEG)
-            count = 0
-            while reader.grab():
-                count += 1
+        cv2 = self._cv2
+        with _silent(cv2):
+            reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
+            count = round(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+            if (count != self.count or not reader.set(cv2.CAP_PROP_POS_FRAMES, count - 1)
+                    or not reader.grab() or reader.grab()):
+                reader.release()
+                reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
+                count = 0
+                while reader.grab():
+                    count += 1
             reader.release()
         return count
 
@@ -122,6 +146,7 @@ class VideoFile:
         """Check that what was written can be read to its end."""
         if self._writer is None:
             raise ValueError(f"{self.path}: no picture to write")
+        self._wait()
         self._writer.release()
         count = self._readable()
         if count != self.count:  # VideoWriter reports no error, e.g. of a full disk
@@ -145,6 +170,8 @@ class VideoFile:
                 self._stack.__exit__(type(failure), failure, failure.__traceback__)
                 raise
         elif self._writer is not None:
+            with contextlib.suppress(Exception):  # the first error is the one to tell
+                self._wait()
             self._writer.release()
         self._stack.__exit__(kind, error, traceback)
 

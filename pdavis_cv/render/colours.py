@@ -332,6 +332,7 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int
     return _text_width(text)
 
 
+@functools.lru_cache(1024)
 def _text_width(text: str) -> int:
     cv2 = opencv()
     return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)[0][0])
