@@ -161,8 +161,8 @@ def test_a_full_disk_is_noticed(tmp_path, suffix, limit):
     try:
         with pytest.raises(OSError, match=r"were written|cannot write"):  # noqa: PT012
             with export.VideoFile(tmp_path / f"x{suffix}", 25) as video:
-                for _ in range(100):
-                    video.add(noise)
+                for i in range(100):
+                    video.add(np.roll(noise, i, axis=0))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, previous)

@@ -132,8 +132,8 @@ class VideoFile:
         with _silent(cv2):
             reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
             count = round(reader.get(cv2.CAP_PROP_FRAME_COUNT))
-            if (count != self.count or not reader.set(cv2.CAP_PROP_POS_FRAMES, count - 1)
-                    or not reader.grab() or reader.grab()):
+            last = reader.set(cv2.CAP_PROP_POS_FRAMES, count - 1)
+            if count != self.count or not last or not reader.grab() or reader.grab():
                 reader.release()
                 reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
                 count = 0
