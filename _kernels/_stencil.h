@@ -144,7 +144,7 @@ PDAVIS_INLINE float ratio(float s1, float s2, float *large)
 }
 
 /* atan2(y, x) / 2 in [0, pi); neither is -0.  With r = min / max in [0, 1],
-   h = atan(r) / 2 = r / 2 + r^3 p(r^2); p is a minimax fit, error 4e-9 rad.  The
+   h = atan(r) / 2 = r / 2 + r^3 p(r^2); p is a minimax fit, error 2.5e-8 rad.  The
    angle is k pi/4 + h or - h, folded at pi/4, pi/2 and pi by the bits of the signs;
    pi/4 is split so that k times its upper part is exact. */
 PDAVIS_INLINE float half_atan2(float y, float x, float r)
@@ -152,14 +152,13 @@ PDAVIS_INLINE float half_atan2(float y, float x, float r)
     int32_t sx = bits_of(x), sy = bits_of(y);
     int32_t steep = float_of(sy & 0x7fffffff) > float_of(sx & 0x7fffffff) ? -1 : 0;
     float t = r * r, h, k, angle;
-    float p = 1.311122323e-03f;
-    p = p * t - 7.566268556e-03f;
-    p = p * t + 2.056093141e-02f;
-    p = p * t - 3.683353215e-02f;
-    p = p * t + 5.286965892e-02f;
-    p = p * t - 7.092987746e-02f;
-    p = p * t + 9.995198250e-02f;
-    p = p * t - 1.666649282e-01f;
+    float p = -2.177702496e-03f;
+    p = p * t + 1.152006630e-02f;
+    p = p * t - 2.888679318e-02f;
+    p = p * t + 4.897117242e-02f;
+    p = p * t - 6.988290697e-02f;
+    p = p * t + 9.981352091e-02f;
+    p = p * t - 1.666582972e-01f;
     h = 0.5f * r + r * t * p;
     k = float_of(steep & bits_of(1.0f));
     k = float_of((sx >> 31) & bits_of(2.0f))
