@@ -1,5 +1,6 @@
 # make demo: pictures and videos into demo/.   make test: the tests.
 # make asan: the tests under the address and undefined-behaviour sanitizers.
+# make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
 # Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
 
 VENV := .venv
@@ -10,7 +11,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
 	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
 
-.PHONY: demo test asan fuzz clean
+.PHONY: demo test asan bits fuzz clean
 
 demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo
@@ -25,6 +26,9 @@ fuzz: $(VENV)/.with-test
 
 asan: $(SOURCES)
 	.ci/asan
+
+bits: $(VENV)/.with-test
+	.ci/bits
 
 $(VENV)/.with-%: $(SOURCES) .ci/venv
 	.ci/venv $(VENV) $*
