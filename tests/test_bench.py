@@ -1,5 +1,6 @@
 """The benchmark runs, checks before it times, and judges as it says; no times here."""
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -39,6 +40,27 @@ def test_the_polarization_case_agrees_with_malus_and_runs(capsys):
     pytest.importorskip("cv2")
     assert bench.main(["polarization", "--pairs", "2"]) in (0, 1)
     assert "skipped" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("name", "inputs", "goal"), [
+    ("aedat2", ["uniform", "clustered"], 3),
+    ("aedat4", ["uniform", "clustered", "calm, with frames"], 1.2),
+    ("aedat4_write", ["uniform", "clustered"], 0.8),
+])
+def test_the_file_cases_run_or_say_what_is_not_installed(name, inputs, goal, capsys):
+    assert bench.main([name, "--pairs", "2", "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    if report["skipped"]:
+        assert report["skipped"][name].endswith("is not installed")
+        return
+    assert [r["input"] for r in report["results"]] == inputs
+    assert all(r["ratio"] > 0 and r["goal"] == goal for r in report["results"])
+
+
+def test_a_peer_that_is_not_installed_is_named(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "faery", None)
+    assert bench.main(["aedat4_write"]) == 0
+    assert "skipped: faery is not installed" in capsys.readouterr().out
 
 
 def case_of(candidate, *, check=lambda: None, by_time=False, judged=True):

@@ -8,7 +8,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pdavis_cv.errors import RecordingError
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat2_decoder import Decoder, ImuScale, Mark
 from pdavis_cv.recording.aedat2_header import bias_currents, read_header
 from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
@@ -133,6 +137,22 @@ class Aedat2Recording(Recording):
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
         return packetise(self._batches(start_us), start_us, stop_us)
+
+    def events(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> NDArray[Any]:
+        """Return the events of start_us <= time < stop_us as one array."""
+        if start_us is not None or stop_us is not None:
+            return super().events(start_us, stop_us)
+        # As many as words may be needed; what is never written costs no memory.
+        events, used = np.empty(self.word_count, EVENT_DTYPE), 0
+        decoder = self._decoder(self._marks[0])
+        while (now := decoder.append_events(events, used)) is not None:
+            self._remember(decoder.mark)
+            used = now
+        self._complete = True
+        decoder.check_end()
+        return events[:used] if 2 * used > len(events) else events[:used].copy()
 
     def _batches(self, start_us: int | None) -> Iterator[Batch]:
         if start_us is None:

@@ -86,6 +86,7 @@ class Decoder:
         self._seen = np.zeros(size, np.uint8)
         self._times = np.zeros((2, size[1]), np.int64)
         self._sample = np.zeros(7, np.int16)
+        self._block = np.empty(8 * (CHUNK_WORDS + 1), np.uint8)
         n = CHUNK_WORDS
         self._imu_t, self._imu = np.empty(n // 7 + 2, np.int64), np.empty(
             (n // 7 + 2, 7), np.int16)
@@ -106,16 +107,42 @@ class Decoder:
 
     def next(self) -> Batch | None:
         """Return the samples of the next chunk, None at the end of the file."""
-        at = self._start + 8 * CHUNK_WORDS * self.chunk
-        data = self._reader.read(at, 8 * (CHUNK_WORDS + 1))
-        whole = len(data) // 8
-        n = min(whole, CHUNK_WORDS)
-        if not n:
+        words = self._words()
+        if not len(words):
             return self._finish()
-        words = np.frombuffer(data, np.uint8, 8 * whole).reshape(whole, 8)
-        events, frames = np.empty(n, EVENT_DTYPE), []
-        state = self._state
-        state[[BACKWARD, OUTSIDE, UNKNOWN, EVENTS, SAMPLES, TRIGGERS, LABELLED]] = 0
+        events = np.empty(min(len(words), CHUNK_WORDS), EVENT_DTYPE)
+        frames: list[ApsFrame] = []
+        self._state[EVENTS] = 0
+        self._decode(words, events, frames)
+        return Batch(
+            events[:int(self._state[EVENTS])], frames, self._imu_samples(),
+            self._trigger_samples(), int(self._state[LAST]))
+
+    def append_events(self, events: NDArray[Any], used: int) -> int | None:
+        """Put the events of the next chunk behind the first used ones, nothing else.
+
+        Returns how many are used then, None at the end of the file.
+        """
+        words = self._words()
+        if not len(words):
+            return None
+        self._state[EVENTS] = used
+        self._decode(words, events, None)
+        return int(self._state[EVENTS])
+
+    def _words(self) -> NDArray[np.uint8]:
+        """Return the next chunk, shape (N, 8), and the word after it."""
+        whole = self._reader.read_into(self._place, self._block.data) // 8
+        return self._block[:8 * whole].reshape(whole, 8)
+
+    @property
+    def _place(self) -> int:
+        return self._start + 8 * CHUNK_WORDS * self.chunk
+
+    def _decode(self, words: NDArray[np.uint8], events: NDArray[Any],
+                frames: list[ApsFrame] | None) -> None:
+        at, n, state = self._place, min(len(words), CHUNK_WORDS), self._state
+        state[[BACKWARD, OUTSIDE, UNKNOWN, SAMPLES, TRIGGERS, LABELLED]] = 0
         done = 0
         while done < n:
             done, why = _kernels.aedat2_words(
@@ -124,16 +151,15 @@ class Decoder:
                 self._trigger_t, self._trigger)
             if self._strict and state[FIRST_BAD] >= 0:
                 self._refuse(at, words, int(state[FIRST_BAD]))
-            if why in (WHOLE, NEXT):
+            if why in (WHOLE, NEXT) and frames is None:
+                self._clear()
+            elif why in (WHOLE, NEXT) and frames is not None:
                 frames += self._take_frame(at + 8 * done, whole=why == WHOLE)
             elif why == JUMP and self._jump(words, done, at + 8 * done):
                 self._reader_done()
                 break
         self._report(at)
         self.chunk += 1
-        return Batch(
-            events[:int(state[EVENTS])], frames, self._imu_samples(),
-            self._trigger_samples(), int(state[LAST]))
 
     def _reader_done(self) -> None:
         self.chunk = 1 << 60

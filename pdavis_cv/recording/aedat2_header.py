@@ -11,6 +11,7 @@ __all__ = ["CHIP_SIZES", "MAGIC", "Header", "bias_currents", "read_header"]
 
 MAGIC = b"#!AER-DAT2"
 MAX_HEADER = 4 << 20
+USUAL_HEADER = 1 << 16
 CHIP_SIZES = {"davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
               "davis208": (192, 208), "davis128": (128, 128)}
 """(height, width) by the first letters of the chip class."""
@@ -87,19 +88,25 @@ def read_header(reader: FileReader) -> Header:
     RecordingError
         If the header does not end within 4 MiB.
     """
-    data = reader.read(0, MAX_HEADER)
+    at = 0
+    for most in (USUAL_HEADER, MAX_HEADER):
+        data = reader.read(0, most)
+        at, lines = _lines(data)
+        if len(data) < most or at <= most - 4096:
+            return _understand(Header(at, len(lines)), lines)
+    raise RecordingError(
+        f"{reader.path}: byte {at}: the header does not end within {MAX_HEADER} bytes")
+
+
+def _lines(data: bytes) -> tuple[int, list[str]]:
+    """Return where the header's lines end, and the lines."""
     at, lines = 0, []
     while data[at:at + 1] == b"#":
         end = data.find(b"\n", at)
         if end < 0:
-            if len(data) == MAX_HEADER:
-                raise RecordingError(
-                    f"{reader.path}: byte {at}: the header does not end within "
-                    f"{MAX_HEADER} bytes")
             # A header cut short; or a first word that looks like a comment.
-            if _is_binary(data[at:at + 64]):
-                break
-            at = len(data)
+            if not _is_binary(data[at:at + 64]):
+                at = len(data)
             break
         line = data[at + 1:end]
         if _is_binary(line):
@@ -109,11 +116,7 @@ def read_header(reader: FileReader) -> Header:
         lines.append(text)
         if _END.fullmatch(text):
             break
-    if len(data) == MAX_HEADER and at > MAX_HEADER - 4096:
-        raise RecordingError(
-            f"{reader.path}: byte {at}: the header does not end within "
-            f"{MAX_HEADER} bytes")
-    return _understand(Header(at, len(lines)), lines)
+    return at, lines
 
 
 def _is_binary(line: bytes) -> bool:

@@ -6,12 +6,20 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.recording import aedat4_samples as samples
 from pdavis_cv.recording.aedat4_cursor import Cursor
 from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError, Stream
 from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
-from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.packetise import (
+    END_OF_TIME,
+    Batch,
+    between,
+    cell_start,
+    packetise,
+)
 from pdavis_cv.recording.timeline import NEVER, Timeline
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
@@ -218,6 +226,19 @@ class Aedat4Recording(Recording):
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
         return packetise(self._batches(start_us), start_us, stop_us)
+
+    def events(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> NDArray[Any]:
+        """Return the events of start_us <= time < stop_us as one array."""
+        if "EVTS" in self._streams:
+            cursor = self._cursor("EVTS", Timeline(), *self._seek("EVTS", start_us))
+            end = END_OF_TIME if stop_us is None else stop_us
+            events = cursor.all_events(end)
+            if events is not None:
+                first = -END_OF_TIME if start_us is None else start_us
+                return between(events, first, end)
+        return super().events(start_us, stop_us)
 
     def _batches(self, start_us: int | None) -> Iterator[Batch]:
         """Read the stream that is least far in time, until all are at their end."""

@@ -11,7 +11,7 @@ from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording import aedat4_samples as samples
 from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError
-from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
 
 __all__ = ["Cursor"]
@@ -65,12 +65,48 @@ class Cursor:
                 self._file.lost(entry, error)
         return None
 
+    def all_events(self, stop_us: int) -> NDArray[Any] | None:
+        """Return the events up to the packet that reaches stop_us, as one array.
+
+        None if time jumps back: where a new segment goes depends on other streams.
+        """
+        rest = range(self._next, len(self._entries))
+        # A damaged index may promise anything, but no packet unpacks to more.
+        out = np.empty(sum(min(e.count or 0, 16 * e.size) for e in self._entries[
+            self._next:] if (e.start_us or NEVER) < stop_us), EVENT_DTYPE)
+        state = self.clock.state
+        state[0] = 0
+        for number in rest:
+            entry, self._next = self._entries[number], number + 1
+            try:
+                data, table = self._file.table(entry, "EVTS")
+                at, count = samples.event_vector(table)
+            except PayloadError as error:
+                self._file.lost(entry, error)
+                continue
+            used = int(state[0])
+            if used + count > len(out):
+                more = np.empty(max(len(out), count), EVENT_DTYPE)
+                out = joined([out, more])
+            if not self._decode(entry, data, at, count, out, segments=False):
+                return None
+            if self.clock.last >= stop_us:
+                break
+        return out[:int(state[0])]
+
     def _events(self, entry: Entry) -> NDArray[Any]:
         data, table = self._file.table(entry, "EVTS")
         at, count = samples.event_vector(table)
         out = np.empty(count, EVENT_DTYPE)
+        self.clock.state[0] = 0
+        self._decode(entry, data, at, count, out)
+        return out[:int(self.clock.state[0])]
+
+    def _decode(self, entry: Entry, data: bytes, at: int, count: int,
+                out: NDArray[Any], *, segments: bool = True) -> bool:
+        """Append a packet's events to out; False at a new segment, if not wanted."""
         raw, state = np.frombuffer(data, np.uint8), self.clock.state
-        state[0] = state[3] = state[4] = 0
+        state[3] = state[4] = 0
         done, bounds = 0, self._bounds()
         while True:
             done = _kernels.aedat4_events(
@@ -79,13 +115,15 @@ class Cursor:
                 self._refuse(entry, data, at, int(state[5]))
             if done == count:
                 break
+            if not segments:
+                return False
             t = _time(data, at, done) + int(state[2])
             self._segment(entry, (done, t), t)
         self._count(entry, "outside sensor", int(state[3]),
                     "events outside the sensor were dropped")
         self._count(entry, "backward time", int(state[4]),
                     "events were dropped because time ran backward")
-        return out[:int(state[0])]
+        return True
 
     def _bounds(self) -> tuple[int, int]:
         """Return the times that the events of this packet can have.

@@ -27,6 +27,7 @@ __all__ = [
     "Recording",
     "RecordingInfo",
     "Report",
+    "joined",
 ]
 
 MAX_PACKET_EVENTS = 65_536
@@ -214,6 +215,28 @@ def _no_imu() -> NDArray[Any]:
 
 def _no_triggers() -> NDArray[Any]:
     return np.empty(0, TRIGGER_DTYPE)
+
+
+def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays of the same dtype, at least one, as one array.
+
+    Parameters
+    ----------
+    parts : sequence of ndarray, each of shape (N,)
+
+    Returns
+    -------
+    ndarray, shape (M,)
+        A copy.
+    """
+    out = np.empty(sum(map(len, parts)), parts[0].dtype)
+    # As bytes: NumPy copies packed structures one field of one element at a time.
+    data, at = out.view(np.uint8), 0
+    for part in parts:
+        end = at + part.nbytes
+        data[at:end] = part.view(np.uint8)
+        at = end
+    return out
 
 
 @dataclass(slots=True, eq=False)
@@ -411,6 +434,26 @@ class Recording(ABC):
         ------
         Packet
         """
+
+    def events(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> NDArray[Any]:
+        """Return the events of start_us <= time < stop_us as one array.
+
+        Faster than joining those of `packets`: frames are left alone.
+
+        Parameters
+        ----------
+        start_us, stop_us : int, optional
+            Half-open interval; default all.
+
+        Returns
+        -------
+        ndarray of EVENT_DTYPE, shape (N,)
+            Time-ordered; it belongs to the caller.
+        """
+        return joined([_no_events(),
+                       *(p.events for p in self.packets(start_us, stop_us))])
 
     @abstractmethod
     def close(self) -> None:

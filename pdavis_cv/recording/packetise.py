@@ -19,9 +19,10 @@ from pdavis_cv.recording.base import (
     TRIGGER_DTYPE,
     ApsFrame,
     Packet,
+    joined,
 )
 
-__all__ = ["END_OF_TIME", "Batch", "all_events", "cell_start", "packetise"]
+__all__ = ["END_OF_TIME", "Batch", "between", "cell_start", "packetise"]
 
 END_OF_TIME = 1 << 62
 
@@ -108,31 +109,18 @@ def packetise(
             return
 
 
-def all_events(packets: Iterable[Packet]) -> NDArray[Any]:
-    """Return the events of packets as one array.
-
-    Parameters
-    ----------
-    packets : iterable of Packet
-
-    Returns
-    -------
-    ndarray of EVENT_DTYPE, shape (N,)
-    """
-    return _joined([np.empty(0, EVENT_DTYPE), *(p.events for p in packets)])
-
-
 def _cut(packet: Packet, first: int, end: int) -> Packet:
     if packet.start_us is None or packet.stop_us is None or (
             packet.start_us >= first and packet.stop_us <= end):
         return packet
     return Packet(
-        _between(packet.events, first, end),
+        between(packet.events, first, end),
         tuple(f for f in packet.frames if first <= f.available_us < end),
-        _between(packet.imu, first, end), _between(packet.triggers, first, end))
+        between(packet.imu, first, end), between(packet.triggers, first, end))
 
 
-def _between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
+def between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
+    """Return the samples of start <= time < stop, a view; they are in time order."""
     # bisect, not searchsorted: that copies a strided column before it searches.
     times = samples["t"]
     return samples[bisect_left(times, start):bisect_left(times, stop)]
@@ -187,16 +175,4 @@ class _Queue:
             self._used = 0
         self.next_us = (int(self._chunks[0]["t"][self._used])
                         if self._chunks else END_OF_TIME)
-        return _joined(got)
-
-
-def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    dtype = parts[0].dtype
-    out = np.empty(sum(map(len, parts)), dtype)
-    # As bytes: NumPy copies packed structures one field of one element at a time.
-    data, at = out.view(np.uint8), 0
-    for part in parts:
-        end = at + part.nbytes
-        data[at:end] = part.view(np.uint8)
-        at = end
-    return out
+        return joined(got)
