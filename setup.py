@@ -28,6 +28,7 @@ KERNELS = (
     "_picture",
     "_polarization",
     "_simulate",
+    "_smooth",
     "_store",
 )
 SHARED = (

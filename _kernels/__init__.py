@@ -28,6 +28,7 @@ from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import hue_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._simulate import pixel_events, video_events
+from ._smooth import smooth_gap, smooth_past, smooth_read
 from ._store import store_commit, store_link, store_pass, store_push
 
 __all__ = [
@@ -64,6 +65,9 @@ __all__ = [
     "ramp_bgr",
     "read_out",
     "reconcile",
+    "smooth_gap",
+    "smooth_past",
+    "smooth_read",
     "sort_events",
     "stokes",
     "store_commit",

@@ -8,41 +8,15 @@ A frame is de-blurred by the events of its exposure (event-based double integral
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._math cimport exp_f, log_f
-from _kernels._tracks cimport ahead, between, lead, part_t, quiet, track_t
+from _kernels._tracks cimport (
+    ahead, between, drift, lead, node_t, part_t, quiet, start, step, track_t, walk_t)
 from _kernels._types cimport event_t
-
-cdef struct walk_t:
-    # A place in a pixel's events: the last one passed, the next index, counts passed.
-    int64_t t
-    int p
-    int32_t next
-    int n_on
-    int n_off
 
 cdef struct sum_t:
     # Integrals over the exposure of exp(part), and of it times counts.
     double whole
     double on
     double off
-
-
-cdef inline void step(walk_t* walk, const event_t* store,
-                      const int32_t* link) noexcept nogil:
-    walk.t = store[walk.next].t
-    walk.p = store[walk.next].p
-    if walk.p:
-        walk.n_on += 1
-    else:
-        walk.n_off += 1
-    walk.next = link[walk.next]
-
-
-cdef inline void start(walk_t* walk, int64_t stamp, int32_t first) noexcept nogil:
-    walk.t = stamp >> 1
-    walk.p = stamp & 1
-    walk.next = first
-    walk.n_on = 0
-    walk.n_off = 0
 
 
 cdef inline double at(const walk_t* walk, const event_t* store, int64_t known,
@@ -112,29 +86,26 @@ cdef inline void propagate(double* s, double n_on, double n_off) noexcept nogil:
     s[5] += n_on * s[7] - n_off * s[8]
 
 
-cdef inline double drift(int64_t dt, double n, const double* tuning) noexcept nogil:
-    """Variance in theta^2 that dt microseconds and n events add."""
-    return tuning[0] * 1e-6 * <double>dt + tuning[1] * n
-
-
-cdef inline void update(double* s, double h_on, double h_off, double noise,
-                        double error, bint learn, double* chi) noexcept nogil:
+cdef inline double update(double* s, double h_on, double h_off, double noise,
+                          double error, bint learn, double* chi) noexcept nogil:
     """Kalman update with measured = b + h_on on + h_off off, innovation error.
 
-    Without learn, thresholds stay what they are (Schmidt-Kalman update).
+    Without learn, thresholds stay what they are (Schmidt-Kalman update).  Returns the
+    variance that a jump of the base was given.
     """
     cdef double g0 = s[3] + h_on * s[4] + h_off * s[5]
     cdef double g1 = s[4] + h_on * s[6] + h_off * s[7]
     cdef double g2 = s[5] + h_on * s[7] + h_off * s[8]
-    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2
+    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2, jump = 0.0
     chi[1] += log_f(<float>v)
     chi[2] += 1.0
     if error * error > 16.0 * v:
         # Lost events or a wrong sample: the base may have jumped, thresholds not.
         chi[0] += 16.0
-        s[3] += error * error
-        g0 += error * error
-        v += error * error
+        jump = error * error
+        s[3] += jump
+        g0 += jump
+        v += jump
     else:
         chi[0] += error * error / v
     k0 = g0 / v
@@ -145,12 +116,13 @@ cdef inline void update(double* s, double h_on, double h_off, double noise,
     s[4] -= k0 * g1
     s[5] -= k0 * g2
     if not learn:
-        return
+        return jump
     s[1] += k1 * error
     s[2] += k2 * error
     s[6] -= k1 * g1
     s[7] -= k1 * g2
     s[8] -= k2 * g2
+    return jump
 
 
 cdef inline double limited(double theta, double prior) noexcept nogil:
@@ -168,7 +140,8 @@ def kalman_frame(const float[:, ::1] sample not None,
                  const double[:, :, ::1] prior not None,
                  const double[::1] tuning not None, track_t[:, ::1] tracks not None,
                  int64_t[:, ::1] reference not None, double[:, :, ::1] state not None,
-                 double[::1] chi not None):
+                 double[::1] chi not None, int32_t[:, :, ::1] totals not None,
+                 node_t[:, ::1] nodes not None):
     """Use a frame: de-blur it by the stored events up to `known`, update state.
 
     first and link chain the events since the exposure began, old holds the stamps of
@@ -177,9 +150,13 @@ def kalman_frame(const float[:, ::1] sample not None,
     times holds start, middle and end of exposure by column.  prior is (row, column,
     (on, off)).  tuning: variance per second and per event in units of theta^2, hz, hz
     per unit of intensity.  chi collects e^2/v (16 at most), ln v and their number.
+    nodes receives what a smoother needs, totals counts all events up to the last
+    sample; both may be empty.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
+    cdef bint keep = nodes.shape[0] > 0
+    cdef node_t node
     if (sample.shape[0] != h or sample.shape[1] != w or noise.shape[0] != h
             or noise.shape[1] != w or reference.shape[0] != h
             or reference.shape[1] != w or state.shape[0] != h or state.shape[1] != w
@@ -191,15 +168,26 @@ def kalman_frame(const float[:, ::1] sample not None,
         raise ValueError("kalman_frame: state, prior or tuning has a wrong length")
     if chi.shape[0] != 3 or link.shape[0] != n or n == 0:
         raise ValueError("kalman_frame: chi, store or link has a wrong length")
+    if keep and (nodes.shape[0] != h or nodes.shape[1] != w or totals.shape[0] != h
+                 or totals.shape[1] != w or totals.shape[2] != 2):
+        raise ValueError("kalman_frame: nodes must be (h, w), totals (h, w, 2)")
     with nogil:
         for y in range(h):
             for x in range(w):
+                node.noise = 0.0
                 if noise[y, x] > 0:
                     use_sample(sample[y, x], noise[y, x], times[0, x], times[1, x],
                                times[2, x], known, &store[0], &link[0], first[y, x],
                                old[y, x], <int32_t>committed, &prior[y, x, 0],
                                &tuning[0], &tracks[y, x], &reference[y, x],
-                               &state[y, x, 0], &chi[0])
+                               &state[y, x, 0], &chi[0], &node)
+                if keep:
+                    if node.noise > 0:
+                        totals[y, x, 0] += node.n_on
+                        totals[y, x, 1] += node.n_off
+                        node.n_on = totals[y, x, 0]
+                        node.n_off = totals[y, x, 1]
+                    nodes[y, x] = node
 
 
 cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
@@ -207,11 +195,11 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
                      const int32_t* link, int32_t first, int64_t old,
                      int32_t committed, const double* prior, const double* tuning,
                      track_t* track, int64_t* reference, double* s,
-                     double* chi) noexcept nogil:
+                     double* chi, node_t* node) noexcept nogil:
     cdef walk_t walk
     cdef sum_t total
     cdef int at_on = 0, at_off = 0, all_on, all_off
-    cdef double n_on, n_off, h_on, h_off, theta2, blur, level
+    cdef double n_on, n_off, h_on, h_off, theta2, blur, level, added = 0.0
     cdef bint fresh = s[3] < 0
     # Counts from the start of exposure to the middle and to the last committed.
     start(&walk, old, first)
@@ -225,6 +213,8 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
     all_off = walk.n_off
     n_on = track.n_on - (all_on - at_on)
     n_off = track.n_off - (all_off - at_off)
+    node.n_on = <int32_t>n_on
+    node.n_off = <int32_t>n_off
     if fresh:
         n_on = 0
         n_off = 0
@@ -233,7 +223,8 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
     else:
         theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
         propagate(s, n_on, n_off)
-        s[3] += theta2 * drift(mid - reference[0], n_on + n_off, tuning)
+        added = theta2 * drift(mid - reference[0], n_on + n_off, tuning)
+        s[3] += added
         level = s[0]
     # The double integral, relative to the level at the last event before mid.
     start(&walk, old, first)
@@ -259,8 +250,14 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
         h_off = -total.off / total.whole
     if fresh:
         s[0] = sample - blur
+    node.level = <float>(sample - blur + h_on * s[1] + h_off * s[2])
+    node.h_on = <float>h_on
+    node.h_off = <float>h_off
+    node.noise = <float>noise
     # One or two events are as likely noise, which would teach that thresholds are 0.
-    update(s, h_on, h_off, noise, sample - s[0] - blur, n_on + n_off >= 3, chi)
+    added += update(s, h_on, h_off, noise, sample - s[0] - blur, n_on + n_off >= 3,
+                    chi)
+    node.drift = <float>added
     s[1] = limited(s[1], prior[0])
     s[2] = limited(s[2], prior[1])
     track.n_on = all_on - at_on

@@ -5,12 +5,32 @@ A stamp is an event's time times two, plus its polarity.
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._math cimport exp_f
+from _kernels._types cimport event_t
 
 cdef packed struct track_t:
     int64_t prev            # stamp of the last but one committed event
     int64_t last            # stamp of the last one
     int32_t n_off           # committed since the reference
     int32_t n_on
+
+cdef packed struct node_t:
+    # A frame as it measured one pixel: base + h_on theta_on + h_off theta_off at the
+    # last event before its middle, up to noise (a variance; 0 or less: no sample).
+    float level
+    float h_on
+    float h_off
+    float noise
+    float drift             # variance since the sample before
+    int32_t n_on            # all events up to the middle
+    int32_t n_off
+
+cdef struct walk_t:
+    # A place in a pixel's events: the last one passed, the next index, counts passed.
+    int64_t t
+    int p
+    int32_t next
+    int n_on
+    int n_off
 
 cdef struct part_t:
     # What has been crossed of a threshold since the last event: fraction * theta[p],
@@ -23,6 +43,30 @@ cdef struct part_t:
 cdef inline bint never(int64_t t) noexcept nogil:
     """Tell that a time stands for no event; differences stay far from 2**63."""
     return t <= -4611686018427387904LL
+
+
+cdef inline void step(walk_t* walk, const event_t* store,
+                      const int32_t* link) noexcept nogil:
+    walk.t = store[walk.next].t
+    walk.p = store[walk.next].p
+    if walk.p:
+        walk.n_on += 1
+    else:
+        walk.n_off += 1
+    walk.next = link[walk.next]
+
+
+cdef inline void start(walk_t* walk, int64_t stamp, int32_t first) noexcept nogil:
+    walk.t = stamp >> 1
+    walk.p = stamp & 1
+    walk.next = first
+    walk.n_on = 0
+    walk.n_off = 0
+
+
+cdef inline double drift(int64_t dt, double n, const double* tuning) noexcept nogil:
+    """Variance in theta^2 that dt microseconds and n events add."""
+    return tuning[0] * 1e-6 * <double>dt + tuning[1] * n
 
 
 cdef inline part_t between(int64_t t0, int p0, int64_t t1, int p1,

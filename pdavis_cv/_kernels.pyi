@@ -44,6 +44,9 @@ __all__ = [
     "ramp_bgr",
     "read_out",
     "reconcile",
+    "smooth_gap",
+    "smooth_past",
+    "smooth_read",
     "sort_events",
     "stokes",
     "store_commit",
@@ -109,6 +112,7 @@ def kalman_frame(
     store: NDArray[Any], link: NDArray[np.int32], first: NDArray[np.int32],
     old: NDArray[np.int64], committed: int, prior: _F64, tuning: _F64,
     tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, chi: _F64,
+    totals: NDArray[np.int32], nodes: NDArray[Any],
 ) -> None: ...
 def kalman_read(
     t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
@@ -139,6 +143,18 @@ def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
+) -> None: ...
+def smooth_gap(
+    nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],
+    passed: NDArray[np.int32], state: _F64, past: NDArray[Any], out: NDArray[Any],
+) -> None: ...
+def smooth_past(
+    nodes: NDArray[Any], times: NDArray[np.int64], state: _F64, past: NDArray[Any],
+) -> None: ...
+def smooth_read(
+    t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
+    first: NDArray[np.int32], tuning: _F64, tracks: NDArray[Any],
+    gaps: NDArray[Any], state: _F64, out: _F32, variance: _F32,
 ) -> None: ...
 def store_commit(
     store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any]

@@ -1,5 +1,6 @@
 """The Kalman method in plain float64 NumPy, a pixel at a time."""
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,6 +58,18 @@ def lead(slope, level, hz, slope_hz):
     return u
 
 
+@dataclass
+class Node:
+    """A sample: base + h . theta = level, and what lies between it and the last."""
+
+    t: int
+    next: int
+    level: float
+    h: np.ndarray
+    noise: float
+    drift: float
+
+
 class Pixel:
     """One pixel's events (t, p) and the state (base, on, off) with covariance."""
 
@@ -65,6 +78,7 @@ class Pixel:
         self.x = np.array([0.0, on, off])
         self.P = np.diag([100.0, sigma**2, sigma**2])
         self.prior, self.since, self.reference = np.array([on, off]), 0, None
+        self.nodes, self.past = [], None
 
     def part(self, i, t, known):
         """Thresholds crossed since event i - 1 at t, i the next event."""
@@ -96,6 +110,7 @@ class Pixel:
         fresh = self.reference is None
         at = self.next(mid)
         learn = not fresh and at - self.since >= 3
+        added = 0.0
         if not fresh:
             n_on, n_off = n = self.counts(self.since, at)
             F = np.eye(3)
@@ -103,8 +118,8 @@ class Pixel:
             theta2 = self.x[1:].mean() ** 2
             self.x = F @ self.x
             self.P = F @ self.P @ F.T
-            self.P[0, 0] += theta2 * (
-                1.3 * US * (mid - self.reference) + 0.005 * n.sum())
+            added = theta2 * (1.3 * US * (mid - self.reference) + 0.005 * n.sum())
+            self.P[0, 0] += added
         level = sample if fresh else self.x[0]
         inner = sorted({t for t, _ in self.events if begin < t < end})
         cuts = [begin, *inner, end]
@@ -122,6 +137,9 @@ class Pixel:
         error = sample - self.x[0] - blur
         if error**2 > 16 * (H @ self.P @ H + noise):
             self.P[0, 0] += error**2
+            added += error**2
+        self.nodes.append(Node(mid, at, sample - blur + H[1:] @ self.x[1:], H[1:],
+                               noise, added))
         PH = self.P @ H
         v = H @ PH + noise
         K = PH / v
@@ -145,10 +163,98 @@ class Pixel:
         fresh = self.reference is None
         return self.x[0] + y + u, 0.0 if fresh else max(variance, 1e-8), not fresh
 
+    def path(self, start, stop):
+        """Counts (on, -off) from one place among the events to another."""
+        sign = 1 if stop >= start else -1
+        return sign * self.counts(min(start, stop), max(start, stop)) * (1, -1)
+
+    def fold(self, until):
+        """Filter the samples up to a time, as the past of all that is read later."""
+        while self.nodes and self.nodes[0].t <= until:
+            node = self.nodes.pop(0)
+            z = node.level - node.h @ self.x[1:]
+            if self.past is None:
+                base, var = z, node.noise
+            else:
+                _, i, base, var = self.past
+                base += self.path(i, node.next) @ self.x[1:]
+                var += node.drift
+                gain = var / (var + node.noise)
+                base, var = base + gain * (z - base), (1 - gain) * var
+            self.past = node.t, node.next, base, var
+
+    def smooth(self, t, known):
+        """Least squares over the past, all samples, and the value at t."""
+        theta, i = self.x[1:], self.next(t)
+        theta2 = theta.mean() ** 2
+        places = [(node.t, node.next, node.drift) for node in self.nodes]
+        equations = [({k: 1}, node.level - node.h @ theta, node.noise)
+                     for k, node in enumerate(self.nodes)]
+        if self.past is not None:
+            places.insert(0, (*self.past[:2], 0.0))
+            equations = [({k + 1: 1 for k in terms}, *rest)
+                         for terms, *rest in equations]
+            equations.append(({0: 1}, *self.past[2:]))
+        here = len(places)
+        after = sum(place[0] <= t for place in places)
+        sides, link = [], None      # counts from the samples next to t
+
+        def drift(t0, i0, t1, i1):
+            return theta2 * (1.3 * US * (t1 - t0) + 0.005 * (i1 - i0))
+
+        for k in range(here + 1):
+            t0, i0, _ = places[k - 1] if k else (None, None, None)
+            t1, i1, variance = places[k] if k < here else (None, None, None)
+            if k != after:
+                if 0 < k < here:
+                    equations.append(
+                        ({k: 1, k - 1: -1}, self.path(i0, i1) @ theta, variance))
+                continue
+            if k and k < here:
+                share = drift(t0, i0, t, i) / drift(t0, i0, t1, i1)
+                parts = share * variance, (1 - share) * variance
+            else:
+                parts = (drift(t0, i0, t, i) if k else 0,
+                         drift(t, i, t1, i1) if k < here else 0)
+            if k:
+                sides.append(self.path(i0, i))
+                equations.append(
+                    ({here: 1, k - 1: -1}, sides[0] @ theta, parts[0]))
+            if k < here:
+                sides.append(self.path(i1, i))
+                link = len(equations)
+                equations.append(({here: 1, k: -1}, sides[-1] @ theta, parts[1]))
+        p, fraction, rate = self.part(i, t, known)
+        sign = np.array([1, 0]) if p else np.array([0, -1])
+        if here:
+            a, z = np.zeros((len(equations), here + 1)), np.zeros(len(equations))
+            weight = np.array([1 / max(v, 1e-12) for *_, v in equations])
+            for row, (terms, value, _) in enumerate(equations):
+                z[row] = value
+                for k, factor in terms.items():
+                    a[row, k] = factor
+            covariance = np.linalg.inv(a.T @ (weight[:, None] * a))
+            gain = covariance[here] @ (a.T * weight)
+            level, variance = gain @ z, covariance[here, here]
+            m = sides[0] if len(sides) == 1 else (
+                sides[0] + gain[link] * (sides[1] - sides[0]))
+        else:
+            level = self.path(0, i) @ theta
+        level += fraction * (sign @ theta)
+        u = lead(rate * (sign @ theta), np.exp(level), *self.bandwidth)
+        if not here:
+            return level + u, 0.0, False
+        m = m + fraction * sign
+        seen = i < len(self.events) and self.events[i][0] <= known
+        variance += (theta2 * (0.01 if seen else 0.02) + 0.01 * u**2
+                     + m @ self.P[1:, 1:] @ m)
+        return level + u, max(variance, 1e-8), True
+
 
 def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0),
-           lookahead_us=50_000):
+           lookahead_us=50_000, offline=False):
     """Log intensity, variance and validity at t_us, from what acts on it."""
+    wait_us = min(lookahead_us, 50_000)
     on, off = np.broadcast_to(on, shape), np.broadcast_to(off, shape)
     out = np.zeros((2, *shape))
     valid = np.zeros(shape, bool)
@@ -160,13 +266,16 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
                                                         strict=True)]
         for frame, log in zip(frames, log_ms, strict=True):
             mid, end = frame.mid_us, frame.exposure_end_us
-            known = max(end, mid + lookahead_us if lookahead_us
-                        else frame.available_us)
+            known = max(end, mid + wait_us if wait_us else frame.available_us)
             dn = float(frame.dn[at])
             usable = dn >= 1 and (frame.valid is None or frame.valid[at])
             if known <= t_us + lookahead_us and usable:
                 noise = (4 + dn / 10) / dn**2 + 0.05**2
                 pixel.frame(np.log(dn) - log, noise, frame.exposure_start_us, mid,
                             max(end, frame.exposure_start_us + 1), known)
-        out[0][at], out[1][at], valid[at] = pixel.read(t_us, t_us + lookahead_us)
+            if known <= t_us + lookahead_us and offline:
+                pixel.fold(known - lookahead_us)
+        read = pixel.smooth if offline else pixel.read
+        out[0][at], out[1][at], valid[at] = read(
+            t_us, t_us + wait_us)
     return out[0], out[1], valid & (out[1] <= 0.25)

@@ -14,7 +14,11 @@ from pdavis_cv.fusion import Fusion
 from pdavis_cv.simulation.ideal import rotating_polarizer
 
 POS_MSEC, POS_FRAMES, COUNT = 0, 1, 7
-CASES = [(method, causal) for method in p.METHODS for causal in (False, True)]
+CASES = pytest.mark.parametrize("method", [
+    *({"method": method, "causal": causal} for method in p.METHODS
+      for causal in (False, True)),
+    {"method": "kalman", "mode": "offline", "lookahead_us": 120_000}],
+    ids=lambda case: "-".join(str(value) for value in case.values()))
 
 
 @pytest.fixture(scope="module")
@@ -52,17 +56,17 @@ def check_random_seeks(cap, n, seed=0):
     return sequential
 
 
-@pytest.mark.parametrize(("method", "causal"), CASES)
+@CASES
 @pytest.mark.parametrize(("grid", "n"), [({}, 20), ({"fps": 37.5}, 100)],
                          ids=["per frame", "37.5 fps"])
-def test_random_seeks_equal_sequential_reading(ideal, method, causal, grid, n):
-    with VideoCapture(ideal, method=method, causal=causal, **grid) as cap:
+def test_random_seeks_equal_sequential_reading(ideal, method, grid, n):
+    with VideoCapture(ideal, **method, **grid) as cap:
         check_random_seeks(cap, n)
 
 
-@pytest.mark.parametrize(("method", "causal"), CASES)
-def test_random_seeks_in_a_real_recording(data_dir, method, causal):
-    with VideoCapture(data_dir / "davis346.aedat4", method=method, causal=causal,
+@CASES
+def test_random_seeks_in_a_real_recording(data_dir, method):
+    with VideoCapture(data_dir / "davis346.aedat4", **method,
                       fps=60, layout=Layout.PDAVIS, roi=(90, 70, 120, 96)) as cap:
         cap._session.cursor.spacing_us = 200_000  # 2 s would give one snapshot
         check_random_seeks(cap, 100)
@@ -87,9 +91,9 @@ def test_seeks_with_given_times_equal_sequential_reading(ideal):
         check_random_seeks(cap, 40)
 
 
-@pytest.mark.parametrize(("method", "causal"), CASES)
-def test_a_pickled_copy_goes_on_with_the_same_images(ideal, method, causal):
-    with VideoCapture(ideal, method=method, causal=causal, fps=40) as cap:
+@CASES
+def test_a_pickled_copy_goes_on_with_the_same_images(ideal, method):
+    with VideoCapture(ideal, **method, fps=40) as cap:
         for _ in range(130):
             cap.grab()
         copy = pickle.loads(pickle.dumps(cap))
@@ -142,12 +146,12 @@ class _Counted:
         return self.bytes
 
 
-@pytest.mark.parametrize(("method", "causal"), CASES)
+@CASES
 def test_a_backward_seek_reads_at_most_two_snapshot_spacings(
-        data_dir, monkeypatch, method, causal):
+        data_dir, monkeypatch, method):
     path = data_dir / "davis346.aedat4"
     counted = _Counted(monkeypatch)
-    with VideoCapture(path, method=method, causal=causal, fps=100,
+    with VideoCapture(path, **method, fps=100,
                       layout=Layout.PDAVIS, roi=(100, 100, 16, 16)) as cap:
         cursor = cap._session.cursor
         cursor.spacing_us = 400_000

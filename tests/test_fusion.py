@@ -162,18 +162,18 @@ def test_a_frame_that_arrives_too_late_is_left_out_with_a_warning():
 # ---- regions and copies ---------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["frames", "cf"])
+@pytest.mark.parametrize("options", [
+    {"method": "frames"}, {"method": "cf"}, {"method": "kalman"},
+    {"method": "kalman", "mode": "offline"}])
 @pytest.mark.parametrize("roi", [
     (0, 0, 14, 12), (0, 0, 1, 1), (13, 11, 1, 1), (3, 5, 4, 2), (5, 0, 6, 7),
     (1, 1, 12, 10)])
-def test_a_region_equals_the_crop_of_the_whole(polarizer, roi, method):
+def test_a_region_equals_the_crop_of_the_whole(polarizer, roi, options):
     recording, _ = polarizer
     x, y, w, h = roi
-    times = [200_000, 433_333]
-    for whole, part in zip(
-            fuse(recording, times_us=times, method=method, thresholds=THETA),
-            fuse(recording, times_us=times, method=method, thresholds=THETA, roi=roi),
-            strict=True):
+    options = {"times_us": [200_000, 433_333], "thresholds": THETA, **options}
+    for whole, part in zip(fuse(recording, **options),
+                           fuse(recording, roi=roi, **options), strict=True):
         for name in ("quad", "s0", "s1", "s2", "aop", "dolp", "valid"):
             np.testing.assert_array_equal(
                 getattr(part, name), getattr(whole, name)[..., y:y + h, x:x + w])
@@ -196,10 +196,16 @@ def test_images_are_different_and_read_only(polarizer):
 
 
 @pytest.mark.parametrize("causal", [False, True])
-@pytest.mark.parametrize("method", ["frames", "cf"])
-def test_a_snapshot_continues_with_the_same_images(polarizer, method, causal):
+@pytest.mark.parametrize("options", [
+    {"method": "frames"}, {"method": "cf"}, {"method": "kalman"},
+    {"method": "kalman", "mode": "offline"}])
+def test_a_snapshot_continues_with_the_same_images(polarizer, options, causal):
     recording, _ = polarizer
-    arguments = {"method": method, "fps": 97, "causal": causal, "thresholds": THETA}
+    arguments = {"fps": 97, "causal": causal, "thresholds": THETA, **options}
+    if causal and options.get("mode") == "offline":
+        with pytest.raises(ValueError, match="kalman needs 500000 us"):
+            fuse(recording, **arguments)
+        return
     images = list(fuse(recording, **arguments))
     for stop in (1, 20, 44, len(images)):
         fusion = Fusion(recording, **arguments)

@@ -7,8 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from streams import feed, random_events, random_frame
 
-from pdavis_cv import EVENT_DTYPE, ApsFrame, KalmanFilter
-from pdavis_cv.simulation import ideal
+from pdavis_cv import (
+    EVENT_DTYPE,
+    ApsFrame,
+    Calibration,
+    KalmanFilter,
+    _kernels,
+    fuse,
+)
+from pdavis_cv.reconstruct.smooth import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
+from pdavis_cv.reconstruct.tracks import TRACK_DTYPE
+from pdavis_cv.simulation import Camera, RotatingPolarizer, ideal
 
 SHAPE = (3, 4)
 MAPS = np.random.default_rng(9).uniform(0.1, 0.3, (2, *SHAPE))
@@ -19,6 +28,12 @@ def make(shape=SHAPE, on=0.2, off=0.25, **options):
     return KalmanFilter(shape, theta_on=on, theta_off=off, **options)
 
 
+@pytest.fixture(scope="module")
+def nominal_recording():
+    camera = Camera.preset("nominal", seed=2, size=(8, 8))
+    return camera, *camera.record(RotatingPolarizer(rpm=101.3, start_angle=0.5), 1.8)
+
+
 @st.composite
 def recordings(draw):
     origin = draw(st.sampled_from([0, 1_600_000_000_000_000]))
@@ -27,25 +42,28 @@ def recordings(draw):
     seed = draw(st.integers(0, 99))
     events = random_events(draw(st.integers(0, 300)), SHAPE, start_us=origin,
                            stop_us=stop, seed=seed)
-    mids = sorted(draw(st.sets(st.integers(origin, stop - 1), max_size=5)))
+    mids = sorted(draw(st.sets(st.integers(origin, stop - 1), max_size=12)))
     return events, [random_frame(SHAPE, t, seed=i) for i, t in enumerate(mids)], stop
 
 
-@settings(max_examples=60, deadline=None)
-@given(recordings(), st.sampled_from(["buffered", "causal"]), st.booleans(),
+@settings(max_examples=90, deadline=None)
+@given(recordings(), st.sampled_from(["buffered", "causal", "offline"]), st.booleans(),
        st.sampled_from(BANDWIDTHS), st.sampled_from([0.0, 0.035]),
-       st.sampled_from([0, 7, 30_000, 49_000, 400_000]))
+       st.sampled_from([0, 7, 30_000, 49_000, 400_000]),
+       st.sampled_from([30_000, 120_000, 500_000]))
 def test_it_equals_float64_evaluation_of_the_equations(
-        stream, mode, maps, bandwidth, sigma, later):
+        stream, mode, maps, bandwidth, sigma, later, ahead):
     events, frames, stop = stream
     on, off = MAPS if maps else (0.2, 0.25)
-    mine = make(on=on, off=off, mode=mode, threshold_sigma=sigma, bandwidth=bandwidth)
+    offline = {"lookahead_us": ahead} if mode == "offline" else {}
+    mine = make(on=on, off=off, mode=mode, threshold_sigma=sigma, bandwidth=bandwidth,
+                **offline)
     feed(mine, events, frames)
     t = stop + later - mine.lookahead_us
     estimate = mine.read(t)
     log, variance, valid = reference_kalman.kalman(
         events, frames, SHAPE, on, off, t, sigma=sigma, bandwidth=bandwidth or (0, 0),
-        lookahead_us=mine.lookahead_us)
+        lookahead_us=mine.lookahead_us, offline=mode == "offline")
     np.testing.assert_allclose(estimate.log_intensity, log, atol=2e-3, rtol=1e-4)
     np.testing.assert_allclose(estimate.variance, variance, atol=1e-5, rtol=5e-3)
     np.testing.assert_array_equal(estimate.valid, valid)
@@ -62,7 +80,7 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 
-@pytest.mark.parametrize("mode", ["buffered", "causal"])
+@pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])
 def test_packets_reads_and_snapshots_do_not_change_the_result(mode):
     events, frames = long_stream()
     shape = (4, 6)
@@ -163,3 +181,62 @@ def test_empty_and_read_only_input():
     method.add_events(np.empty(0, EVENT_DTYPE))
     assert not method.read(0).valid[0, 0]
     method.add_events(random_events(3, (1, 1), read_only=True))
+
+
+def test_frames_after_a_time_make_offline_images_better(nominal_recording):
+    camera, recording, truth = nominal_recording
+    known = Calibration(**camera.exact_calibration(), bandwidth_hz=250.0)
+    times = np.arange(300_000, 1_500_000, 7_000)
+    error = {}
+    for mode in ("buffered", "offline"):
+        images = fuse(recording, calibration=known, mode=mode, times_us=times,
+                      method="kalman", demosaic="superpixel")
+        error[mode] = np.mean([np.abs(
+            (image.aop - truth.aop(image.t_us) + np.pi / 2) % np.pi - np.pi / 2)
+            for image in images])
+    assert error["offline"] < 0.85 * error["buffered"]
+    assert np.degrees(error["offline"]) < 0.35
+
+
+def test_a_pixel_without_a_sample_before_t_is_known_from_the_one_after():
+    method = make((1, 2), mode="offline", lookahead_us=200_000)
+    events = np.zeros(1, EVENT_DTYPE)
+    events["t"], events["p"] = 50_000, 1
+    method.add_events(events)
+    method.add_frame(ApsFrame(np.array([[100.0, 200.0]]), 95_000, 105_000))
+    log, variance, valid = method.read(20_000)
+    assert valid.all()
+    # Before the only event the light was a threshold lower.
+    np.testing.assert_allclose(log[0], np.log([10, 20]) - [0.2, 0], atol=0.13)
+    assert variance[0, 0] > method.read(100_000).variance[0, 0]
+
+
+@pytest.mark.parametrize(("kernel", "changes", "message"), [
+    (_kernels.smooth_past, {"times": np.zeros(3, np.int64)}, "smooth_past: all"),
+    (_kernels.smooth_past, {"state": np.zeros((2, 2, 8))}, "smooth_past: all"),
+    (_kernels.smooth_gap, {"order": np.array([7], np.int32)}, "order must hold"),
+    (_kernels.smooth_gap, {"passed": np.array([0, 2], np.int32)}, "passed must lie"),
+    (_kernels.smooth_gap, {"times": np.zeros((2, 2), np.int64)}, "smooth_gap: all"),
+    (_kernels.smooth_read, {"tuning": np.zeros(3)}, "smooth_read: state, tuning"),
+    (_kernels.smooth_read, {"out": np.zeros((2, 3), np.float32)}, "smooth_read: all"),
+])
+def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
+    nodes, times = np.zeros((1, 2, 2), NODE_DTYPE), np.zeros((1, 2), np.int64)
+    past, gaps = np.zeros((2, 2), PAST_DTYPE), np.zeros((2, 2), GAP_DTYPE)
+    state, order, passed = np.zeros((2, 2, 9)), np.zeros(1, np.int32), np.zeros(
+        2, np.int32)
+    arguments = {
+        _kernels.smooth_past: dict(
+            nodes=nodes[0], times=times[0], state=state, past=past),
+        _kernels.smooth_gap: dict(
+            nodes=nodes, times=times, order=order, passed=passed, state=state,
+            past=past, out=gaps),
+        _kernels.smooth_read: dict(
+            t=0, known=1, store=np.zeros(1, EVENT_DTYPE), link=np.zeros(1, np.int32),
+            first=np.full((2, 2), -1, np.int32), tuning=np.zeros(4),
+            tracks=np.zeros((2, 2), TRACK_DTYPE), gaps=gaps, state=state,
+            out=np.zeros((2, 2), np.float32), variance=np.zeros((2, 2), np.float32)),
+    }[kernel]
+    kernel(*arguments.values())
+    with pytest.raises(ValueError, match=message):
+        kernel(*{**arguments, **changes}.values())

@@ -141,7 +141,8 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
         help="calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     group.add_argument(
         "--set", action="append", default=[], type=_setting, metavar="NAME=VALUE",
-        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6")
+        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6 "
+                              "or mode=offline")
 
 
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:

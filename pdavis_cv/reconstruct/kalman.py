@@ -13,13 +13,17 @@ from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.clock import Clock, checked_threshold
 from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv.reconstruct.smooth import NODE_DTYPE, Smoother
 from pdavis_cv.reconstruct.tracks import Tracks
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["KalmanFilter"]
 
 LOOKAHEAD_US = 50_000
-"""How long the buffered mode waits for a pixel's next event."""
+"""How long a pixel's next event is waited for when buffered or offline."""
+
+SMOOTHING_US = 500_000
+"""How far ahead of an image the offline mode takes frames into account."""
 
 NOISE = (0.05, 1.3, 0.005)
 """What de-blurring leaves in a frame (standard deviation of log intensity); variance
@@ -29,6 +33,8 @@ of the sum of events per second (leak, noise events) and per event, in threshold
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
 # Committed events are kept this long, and at least twice the longest exposure.
 KEEP_US = 100_000
+_LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
+_NO_NODES, _NO_TOTALS = np.zeros((0, 0), NODE_DTYPE), np.zeros((0, 0, 2), np.int32)
 # An estimate is valid up to this variance of log intensity.
 VALID_VARIANCE = 0.25
 
@@ -47,11 +53,13 @@ class KalmanFilter(Reconstructor):
         (height, width).
     theta_on, theta_off : float, or array_like of shape (H, W)
         Contrast thresholds to start from, positive, in natural-log units.
-    mode : {"buffered", "causal"}
+    mode : {"buffered", "causal", "offline"}
         "buffered" waits up to `lookahead_us` for each pixel's next event and
-        interpolates; "causal" extrapolates from the last two.
+        interpolates; "causal" extrapolates from the last two; "offline" also lets the
+        frames up to `lookahead_us` later correct what the frames before say.
     lookahead_us : int, optional
-        Default 50,000 when buffered, 0 when causal (no other value is possible).
+        Default 50,000 when buffered, 500,000 offline, 0 when causal (no other value
+        is possible).
     threshold_sigma : float or array_like of shape (2, H, W)
         Standard deviation of the thresholds given (ON, OFF), natural-log units;
         0 keeps them as they are.
@@ -73,9 +81,17 @@ class KalmanFilter(Reconstructor):
     A sample that is not valid is not used.  A pixel is valid from its first usable
     sample on while the variance is below 0.25.  Results do not depend on how the
     stream is cut into packets.
+
+    Offline, a smoother with a fixed lag takes the place of one over the whole
+    recording: a frame says nothing of the time a few frames away, since leak and noise
+    move the events' sum by as much as a frame errs by.  So memory does not grow with
+    the recording: 28 bytes per pixel and frame within the look-ahead, and its events
+    (17 bytes each).  Where frames are dim and noisy, a longer look-ahead averages
+    over more of them.
     """
 
     method = "kalman"
+    lookahead_us: int
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
@@ -85,15 +101,19 @@ class KalmanFilter(Reconstructor):
         noise: tuple[float, float, float] = NOISE,
     ) -> None:
         self.shape = sensor_shape(shape)
-        if mode not in ("buffered", "causal"):
-            raise ValueError(f"mode must be 'buffered' or 'causal', got {mode!r}")
-        if lookahead_us is None:
-            lookahead_us = LOOKAHEAD_US if mode == "buffered" else 0
-        if (lookahead_us > 0) != (mode == "buffered"):
+        if mode not in _LOOKAHEADS:
             raise ValueError(
-                "lookahead_us must be positive in mode 'buffered' and 0 in mode "
-                f"'causal', got {lookahead_us} in {mode!r}")
+                f"mode must be 'buffered', 'causal' or 'offline', got {mode!r}")
+        if lookahead_us is None:
+            lookahead_us = _LOOKAHEADS[mode]
+        if (lookahead_us > 0) != (mode != "causal"):
+            raise ValueError(
+                "lookahead_us must be positive in modes 'buffered' and 'offline' and 0 "
+                f"in mode 'causal', got {lookahead_us} in {mode!r}")
         self._mode, self.lookahead_us = mode, int(lookahead_us)
+        # The filter goes ahead of the smoother: it waits for next events only.
+        self._wait_us = (min(self.lookahead_us, LOOKAHEAD_US) if mode == "offline"
+                         else self.lookahead_us)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
         self._sigma = _checked_sigma(threshold_sigma, self.shape)
@@ -108,7 +128,9 @@ class KalmanFilter(Reconstructor):
         self._state9[..., 6] = self._sigma[0] ** 2
         self._state9[..., 8] = self._sigma[1] ** 2
         self._reference = np.zeros(self.shape, np.int64)
-        self._tracks = Tracks(self.shape, KEEP_US + self.lookahead_us)
+        offline = mode == "offline"
+        self._tracks = Tracks(self.shape, KEEP_US + self._wait_us, late=offline)
+        self._smoother = Smoother(self.shape) if offline else None
         self._clock = Clock(self.shape)
         self._frames: tuple[_Frame, ...] = ()
         self._chi = np.zeros(3)
@@ -153,7 +175,7 @@ class KalmanFilter(Reconstructor):
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame; it acts when the events that it needs are there."""
         self._clock.check_frame(frame)
-        waiting = _Frame(frame, self.lookahead_us or 0, self._noise[0])
+        waiting = _Frame(frame, self._wait_us, self._noise[0])
         self._frames = (*self._frames, waiting)
         longest = int(np.max(np.subtract(frame.exposure_end_us,
                                          frame.exposure_start_us)))
@@ -163,19 +185,24 @@ class KalmanFilter(Reconstructor):
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
-        t, ahead = int(t_us), self.lookahead_us or 0
+        t, ahead = int(t_us), self.lookahead_us
         self._clock.check_read(t + ahead)
         log = output(out, self.shape, np.float32)
         variance = np.empty(self.shape, np.float32)
         due = any(frame.known_us <= t + ahead for frame in self._frames)
-        before = self._state() if due else None
+        before = self._kept(whole=False) if due else None
         if due:
             self._settle(t + ahead)
         recent = self._tracks
-        recent.chain_pending()
-        _kernels.kalman_read(
-            t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
-            recent.tracks, self._reference, self._state9, log, variance)
+        if self._smoother is not None:
+            self._smoother.read(
+                t, t + self._wait_us, recent, self._tuning,
+                self._state9, log, variance)
+        else:
+            recent.chain_pending()
+            _kernels.kalman_read(
+                t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
+                recent.tracks, self._reference, self._state9, log, variance)
         if before is not None:
             self._restore(before)
         valid = (variance >= 0) & (variance <= VALID_VARIANCE)
@@ -184,22 +211,38 @@ class KalmanFilter(Reconstructor):
 
     def _settle(self, seen_us: int) -> None:
         """Commit what lies in the past of every later read, and use due frames."""
-        self._tracks.commit(seen_us - (self.lookahead_us or 0))
+        recent, smoother = self._tracks, self._smoother
+        recent.commit(seen_us - self._wait_us)
+        if smoother is not None:
+            recent.commit_late(seen_us - self.lookahead_us)
         while self._frames and self._frames[0].known_us <= seen_us:
             frame, *rest = self._frames
             self._frames = tuple(rest)
-            recent = self._tracks
+            nodes, totals = _NO_NODES, _NO_TOTALS
+            if smoother is not None:
+                nodes, totals = smoother.slot(frame.times[1]), smoother.totals
             recent.chain_since(int(frame.times[0].min()))
             _kernels.kalman_frame(
                 frame.sample, frame.noise, frame.times, frame.known_us, recent.store,
                 recent.link, recent.first, recent.old, recent.committed, self._prior,
-                self._tuning, recent.tracks, self._reference, self._state9, self._chi)
+                self._tuning, recent.tracks, self._reference, self._state9, self._chi,
+                totals, nodes)
+            if smoother is not None:
+                smoother.pass_until(
+                    frame.known_us - self.lookahead_us, self._state9)
 
     def _state(self) -> Mapping[str, Any]:
+        return self._kept(whole=True)
+
+    def _kept(self, whole: bool) -> Mapping[str, Any]:
+        """Return the state; only what using a frame changes unless whole."""
+        tracks, smoother = self._tracks, self._smoother
         return {"last_us": self._clock.last_us, "frames": self._frames,
-                "tracks": self._tracks.state(),
+                "tracks": tracks.state() if whole else tracks.mark(),
                 "reference": self._reference.copy(), "state": self._state9.copy(),
-                "chi": self._chi.copy()}
+                "chi": self._chi.copy(), "smoother": (
+                    None if smoother is None else
+                    smoother.state() if whole else smoother.mark())}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us = state["last_us"]
@@ -208,6 +251,8 @@ class KalmanFilter(Reconstructor):
         self._reference[:] = state["reference"]
         self._state9[:] = state["state"]
         self._chi[:] = state["chi"]
+        if self._smoother is not None:
+            self._smoother.restore(state["smoother"])
 
 
 class _Frame:

@@ -1,6 +1,7 @@
 """Recent events, for methods that look a little ahead or back."""
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
 
-__all__ = ["TRACK_DTYPE", "Tracks"]
+__all__ = ["TRACK_DTYPE", "Tracks", "as_bytes"]
 
 TRACK_DTYPE = np.dtype(
     [("prev", "<i8"), ("last", "<i8"), ("n_off", "<i4"), ("n_on", "<i4")])
@@ -32,11 +33,15 @@ class Tracks:
         (height, width).
     keep_us : int
         How long committed events wait for a frame at least.
+    late : bool
+        Keep a second account of events, that of a reader who comes later.
 
     Attributes
     ----------
     tracks : ndarray of TRACK_DTYPE, shape (H, W)
         Of the committed events.
+    late : ndarray of TRACK_DTYPE, shape (H, W), or (0, 0)
+        Of the events that `commit_late` has committed; counts are never reset.
     old : ndarray of int64, shape (H, W)
         Stamps of the last events passed.
     store : ndarray of EVENT_DTYPE, shape (capacity,)
@@ -45,15 +50,19 @@ class Tracks:
         Chains by pixel, valid after `chain` until the next change.
     """
 
-    def __init__(self, shape: tuple[int, int], keep_us: int) -> None:
+    def __init__(
+        self, shape: tuple[int, int], keep_us: int, *, late: bool = False
+    ) -> None:
         self.tracks = np.zeros(shape, TRACK_DTYPE)
-        self.tracks["prev"] = self.tracks["last"] = 2 * LONG_AGO
+        self.late = np.zeros(shape if late else (0, 0), TRACK_DTYPE)
+        for tracks in (self.tracks, self.late):
+            tracks["prev"] = tracks["last"] = 2 * LONG_AGO
         self.old = np.full(shape, 2 * LONG_AGO, np.int64)
         self.first = np.full(shape, -1, np.int32)
         self.store = np.zeros(_LEAST, EVENT_DTYPE)
         self.link = np.zeros(_LEAST, np.int32)
         self.keep_us = int(keep_us)
-        self.committed = self._passed = self._stop = 0
+        self.committed = self._passed = self._late = self._stop = 0
 
     def push(self, events: NDArray[Any], last_us: int) -> int:
         """Append events; return how many were taken (see `store_push`)."""
@@ -69,6 +78,12 @@ class Tracks:
             self.committed = _kernels.store_commit(
                 self.store, self.committed, self._stop, until_us, self.tracks)
 
+    def commit_late(self, until_us: int) -> None:
+        """Commit all events up to until_us, inclusive, for the later reader."""
+        if self._late < self._stop:
+            self._late = _kernels.store_commit(
+                self.store, self._late, self._stop, until_us, self.late)
+
     def chain_since(self, t_us: int) -> None:
         """Pass all committed events up to t_us, and chain those after them."""
         self._passed = _kernels.store_pass(
@@ -78,6 +93,11 @@ class Tracks:
     def chain_pending(self) -> None:
         """Chain the events that are not committed yet."""
         self._chain(self.committed)
+
+    def chain_late(self, until_us: int) -> None:
+        """Chain the events not committed late yet, up to until_us and no further."""
+        stop = bisect_right(self.store["t"], until_us, self._late, self._stop)
+        _kernels.store_link(self.store, self._late, stop, self.link, self.first)
 
     def _chain(self, start: int) -> None:
         _kernels.store_link(self.store, start, self._stop, self.link, self.first)
@@ -89,36 +109,61 @@ class Tracks:
             recent = int(self.store["t"][self.committed - 1]) - self.keep_us
             self._passed = _kernels.store_pass(
                 self.store, self._passed, self.committed, recent, self.old)
-        drop, self._passed = self._passed, 0
+        drop = self._begin
         # Half of the room is left for what comes, so that moving stays rare.
         room = max(len(self.store), 2 * (self._stop - drop + n))
-        old = _bytes(self.store[drop:self._stop])
+        old = as_bytes(self.store[drop:self._stop])
         if room > len(self.store):
             self.store = np.empty(room, EVENT_DTYPE)
             self.link = np.zeros(room, np.int32)
-        _bytes(self.store)[:old.size] = old
+        as_bytes(self.store)[:old.size] = old
         self._stop -= drop
-        self.committed -= drop
+        self._shift(-drop)
+
+    @property
+    def _begin(self) -> int:
+        """Index of the first event that is still of use."""
+        return min(self._passed, self._late) if self.late.size else self._passed
+
+    @property
+    def _places(self) -> tuple[int, int, int]:
+        return self._passed, self.committed, self._late
+
+    def _shift(self, by: int) -> None:
+        self._passed += by
+        self.committed += by
+        self._late += by
+
+    def mark(self) -> Mapping[str, Any]:
+        """Return copies of what committing and passing change."""
+        return {"tracks": self.tracks.copy(), "late": self.late.copy(),
+                "old": self.old.copy(), "keep_us": self.keep_us,
+                "places": self._places}
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
-        return {"tracks": self.tracks.copy(), "old": self.old.copy(),
-                "store": _bytes(self.store[self._passed:self._stop]).copy(),
-                "committed": self.committed - self._passed, "keep_us": self.keep_us}
+        begin = self._begin
+        places = tuple(place - begin for place in self._places)
+        return {**self.mark(), "places": places,
+                "store": as_bytes(self.store[begin:self._stop]).copy()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `state` returned."""
-        self.tracks[:], self.old[:] = state["tracks"], state["old"]
-        self._passed, self.committed, self._stop = 0, state["committed"], 0
+        """Take over copies of what `state`, or `mark` just before, returned."""
+        self.tracks[:], self.late[:] = state["tracks"], state["late"]
+        self.old[:] = state["old"]
+        self._passed, self.committed, self._late = state["places"]
         self.keep_us = state["keep_us"]
+        if "store" not in state:
+            return
         n = state["store"].size // EVENT_DTYPE.itemsize
         if n > len(self.store):
             self.store = np.empty(2 * n, EVENT_DTYPE)
             self.link = np.zeros(2 * n, np.int32)
-        _bytes(self.store)[:state["store"].size] = state["store"]
+        as_bytes(self.store)[:state["store"].size] = state["store"]
         self._stop = n
 
 
-def _bytes(events: NDArray[Any]) -> NDArray[np.uint8]:
+def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return a view of records as bytes."""
     # Unaligned records are copied field by field, which takes ten times as long.
     return events.view(np.uint8)
