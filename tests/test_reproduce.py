@@ -77,6 +77,54 @@ def test_a_table_has_a_line_per_method_and_a_mean():
         "| frames | 2.00 | 5.00 | 3.00 |", ""]
 
 
+def test_the_bright_half_of_the_fan_saturates_frames_only(tmp_path):
+    stem = tmp_path / "fan"
+    assert reproduce.main([
+        "fig4a", "-o", str(stem), "--quick", "--rpm", "200", "--seconds", "1.3",
+        "--methods", "frames, own times", "events", "kalman"]) == 0
+    rows = {(row["method"], row["region"]): row for row in rows_of(stem)}
+    dark, bright = ({method: float(rows[method, half]["aop_error_deg"])
+                     for method in ("frames, own times", "events", "kalman")}
+                    for half in ("dark half", "bright half"))
+    assert dark["kalman"] < 1.5
+    assert dark["frames, own times"] < 1.5
+    assert bright["frames, own times"] > 30
+    assert float(rows["frames, own times", "bright half"]["valid"]) == 0
+    assert max(dark["events"], bright["events"]) < 6
+
+
+def test_frames_saturate_above_one_microwatt_and_events_do_not(tmp_path):
+    stem = tmp_path / "dr"
+    assert reproduce.main([
+        "dr", "-o", str(stem), "--quick", "--seconds", "1.6", "--step-us", "20000",
+        "--methods", "Sony 50 fps, own times", "frames, own times", "events"]) == 0
+    rows = rows_of(stem)
+    levels = sorted({float(row["irradiance_uw_cm2"]) for row in rows})
+    assert levels[0] == pytest.approx(0.04)
+    assert levels[-1] == pytest.approx(42_000)
+    errors = {method: [float(row["aop_error_roi_deg"]) for row in rows
+                       if row["method"] == method and row["scene"] == "polarizer"]
+              for method in ("Sony 50 fps, own times", "frames, own times", "events")}
+    assert [error < 5 for error in errors["frames, own times"]] == [
+        True, True, False, False, False]
+    assert [error < 5 for error in errors["Sony 50 fps, own times"]] == [
+        False, True, True, False, False]
+    assert max(errors["events"]) - min(errors["events"]) < 1
+
+
+def test_flicker_leaves_the_frames_alone(tmp_path):
+    stem = tmp_path / "flicker"
+    assert reproduce.main([
+        "flicker", "-o", str(stem), "--quick", "--rpm", "60", "--methods",
+        "frames, own times", "kalman"]) == 0
+    rows = {(row["method"], "flicker" in row["scene"]): float(row["aop_error_deg"])
+            for row in rows_of(stem)}
+    assert rows["frames, own times", True] == pytest.approx(
+        rows["frames, own times", False], rel=0.1)
+    assert rows["kalman", True] < 1.6 * rows["kalman", False]
+    assert "over error without" in stem.with_suffix(".md").read_text()
+
+
 @pytest.mark.parametrize("arguments", [
     ["fig9", "-o", "x"], ["fig2"], ["fig2", "-o", "x", "--seconds", "1"],
     ["fig2", "-o", "x", "--methods", "magic"], ["fig2", "-o", "x", "--rpm", "0"]])

@@ -79,6 +79,20 @@ def test_honest_sigmas_cover_two_thirds():
     assert 0.66 < scorer.score.dolp_coverage < 0.71
 
 
+def test_a_value_that_is_not_finite_counts_as_a_guess():
+    scorer = Scorer(truth(), (3, 4))
+    frame = image(truth().aop(0), 1)
+    quad = frame.quad.copy()
+    quad[:, :, 0] = np.inf
+    with np.errstate(invalid="ignore"):
+        scorer.add(PolarFrame.adopt(
+            quad, valid=np.ones((3, 4), np.bool_), t_us=0, frame_us=None,
+            extinction_ratio=None, analyser=None, variance=None, provenance={}))
+    assert scorer.score.aop_error == pytest.approx(np.pi / 16, abs=1e-5)
+    assert scorer.score.dolp_error == pytest.approx(0.25, abs=1e-5)
+    assert scorer.score.roi_aop_error == pytest.approx(np.pi / 4)
+
+
 def test_masked_pixels_and_edges_do_not_count():
     mask = np.zeros((3, 4), np.bool_)
     mask[1, 2] = True

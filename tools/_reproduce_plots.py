@@ -18,7 +18,7 @@ from pdavis_cv.tools._reproduce_run import METHODS, Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["errors", "rotation_figure", "style"]
+__all__ = ["errors", "range_figure", "rotation_figure", "style"]
 
 _COLOURS = {
     "truth": "black", "Sony 50 fps": "tab:olive", "Sony 75 fps": "tab:brown",
@@ -51,6 +51,8 @@ def errors(
     growth : bool
         Draw 100 times the difference from the lowest setting, on a linear axis.
     """
+    from matplotlib.ticker import FuncFormatter
+
     for name in METHODS:
         mine = [row for row in rows if row.method == name]
         settings = sorted({getattr(row, across) for row in mine})
@@ -64,8 +66,19 @@ def errors(
     axes.set_xscale("log")
     if not growth:
         axes.set_yscale("log")
+        plain = FuncFormatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_major_formatter(plain)
+        low, high = axes.get_ylim()
+        if high < 30 * low:  # else there are too many
+            axes.yaxis.set_minor_formatter(plain)
     axes.set_ylabel(label)
     axes.grid(alpha=0.3)
+
+
+def _legend(drawing: Figure, axes: Any) -> None:
+    drawing.legend(*axes.get_legend_handles_labels(), fontsize=9,
+                   ncols=int(drawing.get_size_inches()[0] / 1.8),
+                   loc="outside lower center")
 
 
 def _traces(axes: Any, traces: Sequence[Trace], quantity: str) -> None:
@@ -102,8 +115,7 @@ def rotation_figure(figure: str, result: Comparison) -> Figure:
            "DoLP error of super-pixels", growth=growth)
     for each in axes[0, :2]:
         each.set_xlabel("turns per minute")
-    drawing.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=9, ncols=10,
-                   loc="outside lower center")
+    _legend(drawing, axes[0, 0])
     _rates(axes[0, 2], result)
     speeds = sorted({trace.rpm for trace in result.traces})
     for column, rpm in zip((0, 1), (speeds[0], speeds[-1]), strict=True):
@@ -156,3 +168,34 @@ def _raster(axes: Any, result: Comparison) -> None:
         ticks.append(f"{spectrum.rpm:g} RPM")
     axes.set_yticks(range(len(ticks)), ticks)
     axes.set_xlabel("turns; events of one I0 pixel, ON green, OFF red")
+
+
+def range_figure(figure: str, rows: Sequence[Row]) -> Figure:
+    """Draw errors against speed or irradiance: a line of panels per event camera."""
+    from matplotlib.figure import Figure
+
+    across = "irradiance_uw_cm2" if figure == "dr" else "rpm"
+    cameras = sorted({row.camera for row in rows if "Sony" not in row.method})
+    groups = list(dict.fromkeys((row.scene, row.region) for row in rows))
+    panels = [(group, "aop_error_deg", "AoP error of super-pixels (degrees)")
+              for group in groups]
+    if figure == "dr":
+        panels.append((groups[0], "aop_range_deg", "range of AoP (degrees)"))
+    drawing = Figure(figsize=(5 * len(panels), 1 + 4 * len(cameras)),
+                     layout="constrained")
+    grid = drawing.subplots(len(cameras), len(panels), squeeze=False)
+    for line, camera in zip(grid, cameras, strict=True):
+        for axes, (group, column, label) in zip(line, panels, strict=True):
+            mine = [row for row in rows if (row.scene, row.region) == group
+                    and (row.camera == camera or "Sony" in row.method)]
+            errors(axes, mine, across, column, label=label)
+            if column == "aop_range_deg":
+                axes.set_yscale("linear")
+                axes.set_ylim(0, 190)
+            region = "" if group[1] == "all" else f", {group[1]}"
+            axes.set_title(f"{group[0]}{region}; {camera}", fontsize=10)
+            axes.set_xlabel("irradiance (uW/cm2)" if figure == "dr" else
+                            "turns per minute")
+    _legend(drawing, grid[0, 0])
+    drawing.suptitle(figure)
+    return drawing

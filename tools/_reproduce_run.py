@@ -106,7 +106,7 @@ class Case:
     irradiance_uw_cm2 : float
         Where the light is given as such, else NaN.
     size, origin : (int, int)
-        Region of the event camera that is simulated; (row, column).
+        Region of the sensors that is simulated; (row, column).
     regions : callable
         Camera -> {name: mask of super-pixels, or None for all}.
     margin : float
@@ -135,7 +135,8 @@ class Case:
             return Camera.preset(
                 self.camera, seed=self.seed, size=self.size, origin=self.origin)
         return Camera.preset(
-            method.preset, seed=self.seed, size=self.size, **method.changes)
+            method.preset, seed=self.seed, size=self.size, origin=self.origin,
+            **method.changes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,7 +290,7 @@ def run(case: Case, settings: Settings) -> Iterator[Row]:
         if key not in made:
             made[key] = record(case, method)
         recording, truth, stop_us = made[key]
-        regions = (case.regions(case.specimen(method)) if of_events else {"all": None})
+        regions = case.regions(case.specimen(method))
         if of_events and not counted:
             counted = _event_statistics(recording, regions, stop_us)
         found = score(

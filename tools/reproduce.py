@@ -15,6 +15,7 @@ import numpy as np
 from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
+from pdavis_cv.tools import _reproduce_range as light
 from pdavis_cv.tools import _reproduce_rotation as rotation
 from pdavis_cv.tools._common import Parser, UsageError, command, positive, progress
 from pdavis_cv.tools._reproduce_page import (
@@ -23,7 +24,7 @@ from pdavis_cv.tools._reproduce_page import (
     write_page,
     write_rows,
 )
-from pdavis_cv.tools._reproduce_run import METHODS, Settings
+from pdavis_cv.tools._reproduce_run import METHODS, Case, Row, Settings, run
 
 __all__ = ["EXPERIMENTS", "main"]
 
@@ -64,10 +65,33 @@ def _rotation(figure: str, stem: Path, settings: Settings) -> str:
     return write_page(stem, rotation.page(figure, results, settings))
 
 
+def _range(figure: str, stem: Path, settings: Settings) -> str:
+    """Figure 4a, the dynamic range, flicker: cases, a page and a picture."""
+    make, describe = _RANGES[figure]
+    made = make(settings)
+    rows = [row for case in progress(made, len(made), "cases")
+            for row in run(case, settings)]
+    write_rows(stem, rows, _facts(figure, settings))
+    plots = _plots()
+    if plots is not None:
+        save_figure(stem, plots.range_figure(figure, rows))
+    return write_page(stem, describe(rows, settings))
+
+
+_RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
+                         Callable[[Sequence[Row], Settings], list[str]]]] = {
+    "fig4a": (light.fan_cases, light.fan_page),
+    "dr": (light.dynamic_range_cases, light.dynamic_range_page),
+    "flicker": (light.flicker_cases, light.flicker_page),
+}
+
 Experiment = Callable[[str, Path, Settings], str]
 EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "fig2": ("error against speed, rotating polarizer", _rotation),
     "fig3": ("error against speed, plate and polarizer, both ways round", _rotation),
+    "fig4a": ("a fan of polarizers, one half lit 2000 times more", _range),
+    "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
+    "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
 }
 """Name -> what it is, and (name, stem, settings) -> the page that was written."""
 

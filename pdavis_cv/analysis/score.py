@@ -35,7 +35,8 @@ class Score:
     images : int
         Images scored.
     aop_error, dolp_error : float
-        Of every pixel of the images.
+        Of every pixel of the images, valid or not; one that is not finite counts as
+        45 degrees (what guessing gives) and as 1.
     roi_aop_error, roi_dolp_error : float
         Of the region's mean Stokes vector; NaN where the truth differs over it.
     roi_aop_range : float
@@ -118,7 +119,9 @@ class Scorer:
         degree = self._truth.dolp(image.t_us, self._x, self._y)
         counts = self._away_from_edges(image.t_us, angle)
         off = np.abs(axial_difference(image.aop[self._mask], angle))
+        off[~np.isfinite(off)] = np.pi / 4
         miss = np.abs(image.dolp[self._mask] - degree)
+        miss[~np.isfinite(miss)] = 1
         polarized = counts & (degree > self._least)
         valid = image.valid[self._mask]
         self._take(0, off[polarized])
@@ -139,6 +142,11 @@ class Scorer:
         s0, s1, s2 = (float(plane[self._mask].mean(dtype=np.float64))
                       for plane in (image.s0, image.s1, image.s2))
         aop = np.arctan2(s2, s1) / 2 % np.pi
+        if not np.isfinite([s0, s1, s2]).all():
+            self._take(3, np.ones(1))
+            if degree > self._least:
+                self._take(2, np.full(1, np.pi / 4))
+            return
         dolp = np.hypot(s1, s2) / s0 if s0 > 0 else 0.0
         self._take(3, np.array([abs(dolp - degree)]))
         if degree > self._least:
