@@ -27,6 +27,7 @@ KERNELS = (
     "_packed",
     "_picture",
     "_polarization",
+    "_redundancy",
     "_simulate",
     "_smooth",
     "_store",

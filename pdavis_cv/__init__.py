@@ -55,6 +55,7 @@ _HOME = {
     "ComplementaryFilter": "reconstruct.cf",
     "KalmanFilter": "reconstruct.kalman",
     "EventHighPass": "reconstruct.events",
+    "EventRedundancy": "reconstruct.redundancy",
     "FrameHold": "reconstruct.frames",
     "Estimate": "reconstruct.base",
     "Reconstructor": "reconstruct.base",
@@ -155,6 +156,7 @@ __all__ = [
     "DamagedFileWarning",
     "Estimate",
     "EventHighPass",
+    "EventRedundancy",
     "EventSlice",
     "ExposureWarning",
     "FrameHold",
@@ -271,6 +273,7 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.frames import FrameHold
     from pdavis_cv.reconstruct.kalman import KalmanFilter
     from pdavis_cv.reconstruct.methods import METHODS
+    from pdavis_cv.reconstruct.redundancy import EventRedundancy
     from pdavis_cv.recording.aedat2_writer import Aedat2Writer, write_aedat2
     from pdavis_cv.recording.aedat4_writer import Aedat4Writer, write_aedat4
     from pdavis_cv.recording.base import (

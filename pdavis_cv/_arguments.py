@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording
@@ -118,6 +119,31 @@ def part_of(
     """Return the part of thresholds that belongs to a window."""
     return theta if isinstance(theta, float) else np.ascontiguousarray(
         theta[rows, columns])
+
+
+def response_of(
+    layout: Layout, calibration: Calibration | None, rows: slice, columns: slice
+) -> NDArray[np.float64]:
+    """Return how the pixels of a window respond to S0, S1, S2.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the window.
+    calibration : Calibration or None
+        Its analyser matrix is used, where it has one.
+    rows, columns : slice
+        The window.
+
+    Returns
+    -------
+    ndarray of float64, shape (H, W, 3) or, of ideal polarizers, (2, 2, 3)
+    """
+    if calibration is not None and calibration.analyser is not None:
+        return np.ascontiguousarray(calibration.analyser[rows, columns], np.float64)
+    cell = np.empty((4, 3))
+    cell[list(layout.places)] = Analyser.ideal().response
+    return cell.reshape(2, 2, 3)
 
 
 def checked_grid(

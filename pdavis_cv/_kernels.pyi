@@ -44,6 +44,8 @@ __all__ = [
     "ramp_bgr",
     "read_out",
     "reconcile",
+    "redundancy_sample",
+    "redundancy_solve",
     "smooth_gap",
     "smooth_past",
     "smooth_read",
@@ -182,6 +184,13 @@ def read_out(
     clock: NDArray[np.float64], waiting: NDArray[np.int32], queue: NDArray[np.uint16],
     pending: NDArray[np.uint8], out: NDArray[Any]
 ) -> tuple[int, int, int]: ...
+def redundancy_sample(
+    log: _F32, null: _F32, prior: _F64, tuning: _F64, tracks: NDArray[Any],
+    state: _F64, balance: _F64, moments: _F64,
+) -> None: ...
+def redundancy_solve(
+    pull: float, least: float, moments: _F64, state: _F64, quality: _F32
+) -> None: ...
 def sort_events(
     events: NDArray[Any], start: int, counts: NDArray[np.int32], out: NDArray[Any]
 ) -> int: ...

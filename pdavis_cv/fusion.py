@@ -23,6 +23,7 @@ from pdavis_cv._arguments import (
     chosen_layout,
     part_of,
     resolved_extinction_ratio,
+    response_of,
     window_of,
 )
 from pdavis_cv._feed import Feed, first_time
@@ -224,8 +225,12 @@ class Fusion:
         self._roi = checked_roi(roi, info.sensor_size, demosaic)
         if causal and self.method == "kalman":
             method_parameters.setdefault("mode", "causal")
+        elif causal and method_parameters.get("offsets") == "redundancy":
+            method_parameters.setdefault("lookahead_us", 0)
+        everything = (slice(0, info.sensor_size[0]), slice(0, info.sensor_size[1]))
         whole = make_reconstructor(
-            self.method, info.sensor_size, on, off, method_parameters)
+            self.method, info.sensor_size, on, off, method_parameters,
+            response_of(self.layout, self._calibration, *everything))
         if causal and whole.lookahead_us != 0:
             raise ValueError(
                 f"causal=True needs a method that does not look ahead, but "
@@ -236,6 +241,8 @@ class Fusion:
         self._thresholds = (part_of(on, rows, columns), part_of(off, rows, columns))
         self._method_parameters = method_parameters
         self._window_layout = self.layout.crop(columns.start, rows.start)
+        self._response = response_of(
+            self._window_layout, self._calibration, rows, columns)
         self._crop = self._crop_of_window()
         self._analyser = self._window_analyser()
         null = (self._analyser or Analyser.ideal()).null()
@@ -305,12 +312,16 @@ class Fusion:
         valid = demosaic_valid(estimate.valid, self._window_layout, self._demosaic)
         variance = None if estimate.variance is None else demosaic_mosaic(
             estimate.variance, self._window_layout, self._demosaic)
+        quality = self._current.quality
+        if quality is not None and self._demosaic == "superpixel":
+            quality = quality[::2, ::2].copy()
         if self._crop is not None:
             rows, columns = self._crop
             quad = np.ascontiguousarray(quad[:, rows, columns])
             valid = np.ascontiguousarray(valid[rows, columns])
             variance = None if variance is None else np.ascontiguousarray(
                 variance[:, rows, columns])
+            quality = None if quality is None else quality[rows, columns].copy()
         if variance is not None:
             # The four channels measure three numbers: weighted least squares.
             _kernels.reconcile(quad, variance, self._null)
@@ -319,7 +330,8 @@ class Fusion:
             quad, valid=valid, t_us=self._t, frame_us=self._frame_us(self._t),
             extinction_ratio=(
                 self.extinction_ratio if self._analyser is None else None),
-            analyser=self._analyser, variance=variance, provenance=self.provenance)
+            analyser=self._analyser, variance=variance, provenance=self.provenance,
+            quality=quality)
 
     # ---- repositioning -------------------------------------------------------
 
@@ -423,7 +435,8 @@ class Fusion:
         rows, columns = self._window
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         return make_reconstructor(
-            self.method, shape, *self._thresholds, self._method_parameters)
+            self.method, shape, *self._thresholds, self._method_parameters,
+            self._response)
 
     def _advance_to(self, t: int) -> None:
         ahead = self._lookahead_us

@@ -169,6 +169,8 @@ class PolarFrame:
         Variance of the natural log of each of the four intensities.
     provenance : mapping of str to object, optional
         How the image came about.
+    quality : array_like of shape (H, W), optional
+        How well the method's assumptions hold, 0 (well) to 1.
 
     Raises
     ------
@@ -186,14 +188,15 @@ class PolarFrame:
     """
 
     __slots__ = (
-        "_analyser", "_aop_dolp", "_mosaic", "_provenance", "_quad", "_sigmas",
-        "_stokes", "_usable", "_valid", "_variance", "extinction_ratio", "frame_us",
-        "t_us")
+        "_analyser", "_aop_dolp", "_mosaic", "_provenance", "_quad", "_quality",
+        "_sigmas", "_stokes", "_usable", "_valid", "_variance", "extinction_ratio",
+        "frame_us", "t_us")
 
     t_us: int | None
     frame_us: int | None
     extinction_ratio: float | None
     _quad: NDArray[np.float32] | None
+    _quality: NDArray[np.float32] | None
     _mosaic: tuple[NDArray[Any], Layout] | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: tuple[NDArray[np.float32], NDArray[np.float32]] | None
@@ -214,13 +217,14 @@ class PolarFrame:
         analyser: ArrayLike | Analyser | None = None,
         variance: ArrayLike | None = None,
         provenance: Mapping[str, Any] | None = None,
+        quality: ArrayLike | None = None,
     ) -> None:
-        copies = {"quad": np.array(_real("quad", quad), order="C")}
-        if variance is not None:
-            copies["variance"] = np.array(_real("variance", variance), order="C")
+        copies = {name: np.array(_real(name, value), order="C") for name, value in (
+            ("quad", quad), ("variance", variance), ("quality", quality))
+            if value is not None}
         self._set(copies["quad"], None if valid is None else np.array(valid), t_us,
                   frame_us, extinction_ratio, analyser, copies.get("variance"),
-                  provenance)
+                  provenance, quality=copies.get("quality"))
 
     @classmethod
     def adopt(
@@ -234,16 +238,18 @@ class PolarFrame:
         analyser: ArrayLike | Analyser | None = None,
         variance: NDArray[np.float32] | None = None,
         provenance: Mapping[str, Any] | None = None,
+        quality: NDArray[np.float32] | None = None,
     ) -> Self:
         """Make a PolarFrame that takes the arrays over instead of copying them.
 
-        Parameters are those of the class.  ``quad`` and ``variance`` must be
-        C-contiguous float32, ``valid`` C-contiguous bool; they become read-only,
+        Parameters are those of the class.  ``quad``, ``variance`` and ``quality`` must
+        be C-contiguous float32, ``valid`` C-contiguous bool; they become read-only,
         and nobody else may hold on to their memory.
         """
         for name, array, dtype in (("quad", quad, np.float32),
                                    ("valid", valid, np.bool_),
-                                   ("variance", variance, np.float32)):
+                                   ("variance", variance, np.float32),
+                                   ("quality", quality, np.float32)):
             if array is not None and (array.dtype != dtype
                                       or not array.flags.c_contiguous):
                 raise TypeError(
@@ -251,7 +257,7 @@ class PolarFrame:
                     f"got {array.dtype} with strides {array.strides}")
         frame = cls.__new__(cls)
         frame._set(quad, valid, t_us, frame_us, extinction_ratio, analyser, variance,
-                   provenance)
+                   provenance, quality=quality)
         return frame
 
     def _set(
@@ -265,6 +271,7 @@ class PolarFrame:
         variance: NDArray[np.float32] | None,
         provenance: Mapping[str, Any] | None,
         mosaic: tuple[NDArray[Any], Layout] | None = None,
+        quality: NDArray[np.float32] | None = None,
     ) -> None:
         self._quad, self._mosaic = quad, mosaic
         self._aop_dolp = self._sigmas = self._stokes = self._usable = None
@@ -274,7 +281,8 @@ class PolarFrame:
             raise TypeError(f"valid must be bool, got {valid.dtype}")
         size = self.shape
         for name, array, shape in (("valid", valid, size),
-                                   ("variance", variance, (4, *size))):
+                                   ("variance", variance, (4, *size)),
+                                   ("quality", quality, size)):
             if array is not None and array.shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
         _solution(analyser, extinction_ratio, size)
@@ -285,9 +293,9 @@ class PolarFrame:
         self.extinction_ratio = extinction_ratio
         self.t_us = None if t_us is None else int(t_us)
         self.frame_us = None if frame_us is None else int(frame_us)
-        self._valid, self._variance = valid, variance
+        self._valid, self._variance, self._quality = valid, variance, quality
         self._provenance = dict(provenance or {})
-        for array in (quad, valid, variance):
+        for array in (quad, valid, variance, quality):
             if array is not None:
                 array.flags.writeable = False
 
@@ -321,6 +329,15 @@ class PolarFrame:
     def variance(self) -> NDArray[np.float32] | None:
         """Variance of the log of each intensity, shape (4, H, W), where it is known."""
         return self._variance
+
+    @property
+    def quality(self) -> NDArray[np.float32] | None:
+        """How well the method's assumptions hold, 0 (well) to 1, shape (H, W).
+
+        With ``events`` and ``offsets="redundancy"``: the ratio of the two smallest
+        eigenvalues, 1 where nothing is known.  None for methods that cannot tell.
+        """
+        return self._quality
 
     @property
     def s0(self) -> NDArray[np.float32]:
@@ -422,7 +439,8 @@ class PolarFrame:
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored_frame, (
             self._quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
-            self._analyser, self._variance, self._provenance, self._mosaic)
+            self._analyser, self._variance, self._provenance, self._mosaic,
+            self._quality)
 
     def __repr__(self) -> str:
         height, width = self.shape

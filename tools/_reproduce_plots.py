@@ -23,7 +23,8 @@ __all__ = ["errors", "range_figure", "rotation_figure", "style"]
 _COLOURS = {
     "truth": "black", "Sony 50 fps": "tab:olive", "Sony 75 fps": "tab:brown",
     "Sony 50 fps, own times": "tab:pink", "frames": "tab:gray",
-    "frames, own times": "silver", "events": "tab:purple", "cf": "tab:orange",
+    "frames, own times": "silver", "events": "tab:purple",
+    "events, redundancy": "tab:red", "cf": "tab:orange",
     "kalman causal": "tab:cyan", "kalman": "tab:blue"}
 
 

@@ -74,6 +74,8 @@ METHODS: dict[str, Method] = {
     "frames, own times": Method(
         parameters={"method": "frames", "hold": "mid"}, own_times=True),
     "events": Method(parameters={"method": "events"}),
+    "events, redundancy": Method(
+        parameters={"method": "events", "offsets": "redundancy"}),
     "cf": Method(parameters={"method": "cf"}),
     "kalman causal": Method(parameters={"method": "kalman", "causal": True}),
     "kalman": Method(parameters={"method": "kalman", "thresholds": "in-situ"}),

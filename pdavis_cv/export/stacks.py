@@ -21,7 +21,7 @@ __all__ = ["QUANTITIES", "StackFile", "plane"]
 QUANTITIES = {
     "I0": "DN/ms", "I45": "DN/ms", "I90": "DN/ms", "I135": "DN/ms", "S0": "DN/ms",
     "S1": "DN/ms", "S2": "DN/ms", "AoP": "rad", "DoLP": "1", "sigma_AoP": "rad",
-    "sigma_DoLP": "1",
+    "sigma_DoLP": "1", "quality": "1",
 }
 """Quantities of a PolarFrame that can be written, with their units."""
 
@@ -47,7 +47,7 @@ def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
     Raises
     ------
     ValueError
-        If there is no such quantity, or the method gives no sigma.
+        If there is no such quantity, or the method does not give it.
     """
     key = name.lower()
     if key not in _BY_NAME:
@@ -59,8 +59,9 @@ def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
         return channel
     values: NDArray[np.float32] | None = getattr(frame, key)
     if values is None:
-        raise ValueError(
-            f"{name} needs a method that knows its variance, such as kalman")
+        needs = ("events with offsets='redundancy'" if key == "quality"
+                 else "a method that knows its variance, such as kalman")
+        raise ValueError(f"{name} needs {needs}")
     return values
 
 

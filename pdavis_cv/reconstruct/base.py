@@ -112,6 +112,14 @@ class Reconstructor(ABC):
             Receives ``log_intensity``.
         """
 
+    @property
+    def quality(self) -> NDArray[np.float32] | None:
+        """How well the method's assumptions hold, 0 (well) to 1; None: cannot tell.
+
+        Of what was fed so far; float32, shape (H, W).
+        """
+        return None
+
     def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the intensity of what `read` returned, as a new array."""
         out = np.empty_like(log_intensity)

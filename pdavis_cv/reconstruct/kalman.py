@@ -17,7 +17,7 @@ from pdavis_cv.reconstruct.smooth import NODE_DTYPE, Smoother
 from pdavis_cv.reconstruct.tracks import Tracks
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["KalmanFilter"]
+__all__ = ["LOOKAHEAD_US", "KalmanFilter", "checked_bandwidth"]
 
 LOOKAHEAD_US = 50_000
 """How long a pixel's next event is waited for when buffered or offline."""
@@ -117,7 +117,7 @@ class KalmanFilter(Reconstructor):
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
         self._sigma = _checked_sigma(threshold_sigma, self.shape)
-        self._bandwidth = _checked_bandwidth(bandwidth)
+        self._bandwidth = checked_bandwidth(bandwidth)
         self._noise = _checked_noise(noise)
         self._tuning = np.array([*self._noise[1:], *self._bandwidth])
         self._prior = np.empty((*self.shape, 2))
@@ -292,7 +292,8 @@ def _checked_sigma(
     return sigma.copy()
 
 
-def _checked_bandwidth(value: tuple[float, float] | None) -> tuple[float, float]:
+def checked_bandwidth(value: tuple[float, float] | None) -> tuple[float, float]:
+    """Return (hz, hz_per_intensity), zeros for None; raise ValueError if impossible."""
     if value is None:
         return 0.0, 0.0
     if isinstance(value, str):

@@ -13,10 +13,10 @@ from pdavis_cv.reconstruct.base import Reconstructor
 
 __all__ = ["METHODS", "make_reconstructor", "method_parameters"]
 
-# Method -> (module, class, whether it takes thresholds).
+# Method -> (module, what makes it, whether it takes thresholds).
 _CLASSES = {
     "frames": ("frames", "FrameHold", False),
-    "events": ("events", "EventHighPass", True),
+    "events": ("from_events", "from_events", True),
     "cf": ("cf", "ComplementaryFilter", True),
     "kalman": ("kalman", "KalmanFilter", True),
 }
@@ -30,6 +30,7 @@ def make_reconstructor(
     theta_on: NDArray[np.float32] | float,
     theta_off: NDArray[np.float32] | float,
     parameters: Mapping[str, Any],
+    response: NDArray[np.float64] | None = None,
 ) -> Reconstructor:
     """Make the Reconstructor of a method.
 
@@ -43,28 +44,34 @@ def make_reconstructor(
         Contrast thresholds in natural-log units.
     parameters : mapping of str to object
         Further parameters of the method.
+    response : ndarray of float64, shape (2, 2, 3) or (H, W, 3), optional
+        Response of the pixels (of the cell) to S0, S1, S2, for methods that ask.
 
     Raises
     ------
     TypeError
         If the method has no such parameter; the message lists those it has.
     """
-    given = ({"theta_on": theta_on, "theta_off": theta_off}
-             if _CLASSES[method][2] else {})
+    given: dict[str, Any] = {}
+    if _CLASSES[method][2]:
+        given = {"theta_on": theta_on, "theta_off": theta_off}
     known = method_parameters(method)
     for key in parameters:
         if key not in known:
             raise TypeError(
                 f"method {method!r} has no parameter {key!r}; it takes "
                 f"{', '.join(known) or 'none'}")
-    made: Reconstructor = _class_of(method)(shape, **given, **parameters)
+    maker = _class_of(method)
+    if response is not None and "response" in inspect.signature(maker).parameters:
+        given["response"] = response
+    made: Reconstructor = maker(shape, **given, **parameters)
     return made
 
 
 def method_parameters(method: str) -> tuple[str, ...]:
     """Return the names of a method's further parameters."""
     return tuple(key for key in inspect.signature(_class_of(method)).parameters
-                 if key not in ("shape", "theta_on", "theta_off"))
+                 if key not in ("shape", "theta_on", "theta_off", "response"))
 
 
 def _class_of(method: str) -> Any:

@@ -72,6 +72,12 @@ class Tracks:
         self._stop += taken
         return taken
 
+    @property
+    def waiting_us(self) -> int | None:
+        """Time of the first event that is not committed, None if there is none."""
+        return (int(self.store["t"][self.committed])
+                if self.committed < self._stop else None)
+
     def commit(self, until_us: int) -> None:
         """Commit all events up to until_us, inclusive."""
         if self.committed < self._stop:

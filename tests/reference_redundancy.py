@@ -1,0 +1,66 @@
+"""Plain NumPy versions of the redundancy kernels, written to be read."""
+import numpy as np
+
+
+class Macropixel:
+    """Four pixels in float64: moments of n exp(log), balances, gains."""
+
+    def __init__(self, null, prior, keep, sigma, per_event, loss):
+        self.null, self.prior = null, prior
+        self.keep, self.sigma, self.per_event, self.loss = keep, sigma, per_event, loss
+        self.base = np.zeros(4)
+        self.theta = prior.copy()
+        self.curves = [[] for _ in range(4)]    # (weight, all events, ON events)
+        self.counts = np.zeros((4, 2))
+        self.M, self.n = np.zeros((4, 4)), 0.0
+        self.ratio = self.least = 1.0
+
+    def sample(self, log, on, off):
+        if not (on + off).any():
+            return
+        level = log.mean()
+        v = self.null * np.exp(log - level)
+        self.M = self.M * self.keep + np.outer(v, v) / (v @ v)
+        self.n = self.n * self.keep + 1
+        self.base += self.theta[:, 0] * on - self.theta[:, 1] * off - level * self.loss
+        for i in np.flatnonzero(on + off):
+            n = on[i] + off[i]
+            self.counts[i] += n, on[i]
+            self.curves[i] = [(w * np.exp(-n * self.per_event), *point)
+                              for w, *point in self.curves[i]]
+            self.curves[i].append((n, *self.counts[i]))
+            self.rebalance(i)
+
+    def rebalance(self, i):
+        """Fit a line to ON events against all events."""
+        w, every, on = np.array(self.curves[i]).T
+        total = self.prior[i].sum()
+        travel = total * w.sum() / 4
+        centred = every - np.average(every, weights=w)
+        spread = w @ centred**2
+        if spread <= 1e-9 or travel < 1:
+            return
+        part = np.clip(w @ (centred * on) / spread, 0.05, 0.95)
+        before = np.log(self.prior[i, 0] / self.prior[i, 1])
+        shift = np.log((1 - part) / part) - before
+        shift *= self.sigma**2 / (self.sigma**2 + (3 / travel**2) ** 2)
+        ratio = np.exp(before + np.clip(shift, -4 * self.sigma, 4 * self.sigma))
+        self.theta[i] = total * ratio / (1 + ratio), total / (1 + ratio)
+
+    def solve(self, pull, least):
+        if self.n < least:
+            return
+        scale = np.sqrt(np.diag(self.M))
+        R = self.M / np.outer(scale, scale) + pull * (np.eye(4) - 0.25)
+        values, vectors = np.linalg.eigh(R)
+        gain = vectors[:, 0] * np.sign(vectors[:, 0].sum())
+        if gain.min() < 0.02:
+            self.ratio = self.least = 1.0
+            return
+        self.least = max(values[0], 1e-6)
+        second = values[1] - pull
+        self.ratio = self.least / second if second > self.least else 1.0
+        shift = np.log(gain / scale)
+        shift -= shift.mean()
+        self.base += shift
+        self.M *= np.exp(np.add.outer(shift, shift))

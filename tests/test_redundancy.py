@@ -1,0 +1,184 @@
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference_redundancy import Macropixel
+from streams import random_events
+
+from pdavis_cv import Analyser, Layout, _kernels, fuse
+from pdavis_cv.reconstruct.redundancy import EventRedundancy, null_of
+from pdavis_cv.reconstruct.tracks import TRACK_DTYPE
+from pdavis_cv.simulation import Camera, FlatLight, RotatingPlate
+
+KEEP, SIGMA, PER_EVENT, LOSS = 0.98, 0.06, 1 / 300, 0.006
+TUNING = np.array([KEEP, SIGMA, PER_EVENT, LOSS])
+PULL, LEAST = 1e-3, 8
+
+
+def make(shape=(6, 8), on=0.16, off=0.18, **options):
+    return EventRedundancy(shape, theta_on=on, theta_off=off, **options)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([(2, 2), (5, 4), (4, 7)]),
+       st.integers(0, 120), st.sampled_from([0.0, 0.02, 0.5]))
+def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
+    rng = np.random.default_rng(seed)
+    rows, columns = shape[0] // 2, shape[1] // 2
+    null = null_of(None, shape) * rng.uniform(0.9, 1, shape).astype(np.float32)
+    prior = rng.uniform(0.1, 0.3, (*shape, 2))
+    state = np.zeros((*shape, 9))
+    state[..., 1:3] = prior
+    balance, moments = np.zeros((*shape, 5)), np.zeros((rows, columns, 12))
+    quality = np.ones((rows, columns, 2), np.float32)
+    tracks = np.zeros(shape, TRACK_DTYPE)
+
+    def of(array, r, c):
+        return array[2 * r:2 * r + 2, 2 * c:2 * c + 2].reshape(4, *array.shape[2:])
+
+    twins = {(r, c): Macropixel(of(null, r, c), of(prior, r, c), *TUNING)
+             for r in range(rows) for c in range(columns)}
+    phase = np.array([[0, 1], [3, 2]]) * np.pi / 2
+    phase = np.tile(phase, (rows + 1, columns + 1))[:shape[0], :shape[1]]
+    gains = rng.normal(0, 0.5, shape)
+    for k in range(samples):
+        log = np.log(1 + 0.8 * np.cos(0.3 * k + phase)) - gains + state[..., 0]
+        log = (log + rng.normal(0, noise, shape)).astype(np.float32)
+        tracks["n_on"], tracks["n_off"] = rng.poisson(0.6, (2, *shape))
+        counts = tracks["n_on"].copy(), tracks["n_off"].copy()
+        _kernels.redundancy_sample(
+            log, null, prior, TUNING, tracks, state, balance, moments)
+        for at, twin in twins.items():
+            twin.sample(of(log, *at).astype(float), *(of(n, *at) for n in counts))
+        if k % 5 == 4:
+            _kernels.redundancy_solve(PULL, LEAST, moments, state, quality)
+            for twin in twins.values():
+                twin.solve(PULL, LEAST)
+    for at, twin in twins.items():
+        mine = of(state, *at)
+        np.testing.assert_allclose(mine[:, 0], twin.base, atol=3e-4)
+        np.testing.assert_allclose(mine[:, 1:3], twin.theta, rtol=1e-5)
+        np.testing.assert_allclose(
+            quality[at], (twin.ratio, twin.least), rtol=1e-3, atol=1e-5)
+
+
+def test_kernels_refuse_arrays_that_do_not_fit():
+    shape = (4, 4)
+    images = [np.zeros(shape, np.float32), np.zeros(shape, np.float32),
+              np.zeros((*shape, 2)), TUNING, np.zeros(shape, TRACK_DTYPE),
+              np.zeros((*shape, 9)), np.zeros((*shape, 5)), np.zeros((2, 2, 12))]
+    _kernels.redundancy_sample(*images)
+    for i, image in enumerate(images):
+        wrong = [*images]
+        wrong[i] = np.zeros((*image.shape[:-1], image.shape[-1] + 1), image.dtype)
+        with pytest.raises(ValueError, match="redundancy_sample: "):
+            _kernels.redundancy_sample(*wrong)
+    solved = images[7], images[5], np.zeros((2, 2, 2), np.float32)
+    for i, image in enumerate(solved):
+        wrong = [*solved]
+        wrong[i] = np.zeros((*image.shape[:-1], image.shape[-1] + 1), image.dtype)
+        with pytest.raises(ValueError, match="redundancy_solve: "):
+            _kernels.redundancy_solve(PULL, LEAST, *wrong)
+
+
+@pytest.mark.parametrize(("rpm", "aop_deg", "dolp"), [
+    (60, 3, .06), (200, 4, .06), (1000, 5, .1)])
+def test_aop_and_dolp_of_a_rotating_plate_follow_from_events_alone(rpm, aop_deg, dolp):
+    recording, truth = Camera.preset("nominal", seed=2, aps=None).record(
+        RotatingPlate(rpm=rpm * 1.013), 1.6)
+    times = np.arange(1_000_000, 1_540_000, 3_000)
+    off, degree = [], []
+    for image in fuse(recording, times_us=times, demosaic="superpixel",
+                      offsets="redundancy", nominal_thresholds=(0.16, 0.18)):
+        true = truth.dolp(image.t_us)
+        degree.append(np.abs(image.dolp - true).mean())
+        if true > 0.2:
+            turn = image.aop - truth.aop(image.t_us) + np.pi / 2
+            off.append(np.abs(turn % np.pi - np.pi / 2).mean())
+        assert image.quality.shape == image.shape
+        assert image.valid.mean() > 0.9
+    assert np.degrees(np.mean(off)) < aop_deg
+    assert np.mean(degree) < dolp
+
+
+def test_light_that_only_flickers_tells_nothing_about_the_gains():
+    light = FlatLight(dolp=0.3, aop=0.4).flicker(mains_hz=5, depth=0.9)
+    recording, _ = Camera.preset("nominal", seed=2, aps=None).record(light, 1.0)
+    for image in fuse(recording, times_us=[900_000], offsets="redundancy",
+                      nominal_thresholds=(0.16, 0.18)):
+        assert image.quality.min() > 0.3
+        assert not image.valid.any()
+
+
+@pytest.mark.parametrize("ahead", [0, 50_000])
+def test_packets_reads_and_snapshots_do_not_change_the_result(ahead):
+    shape = (6, 8)
+    events = random_events(30_000, shape, stop_us=1_500_000)
+    # A gap, in which nothing is compared.
+    late = events["t"] > 700_000
+    events = events.copy()
+    events["t"][late] += 20_000_000
+    whole, cut = (make(shape, lookahead_us=ahead) for _ in range(2))
+    whole.add_events(events)
+    rng = np.random.default_rng(1)
+    while len(events):
+        n = rng.integers(1, 900)
+        cut.add_events(events[:n])
+        if rng.random() < 0.2:
+            cut.read(cut._clock.last_us + 7_000)
+            other = make(shape, lookahead_us=ahead)
+            other.restore(pickle.loads(pickle.dumps(cut.snapshot())))
+            cut = other
+        events = events[n:]
+    mine, other = whole.read(21_500_000), cut.read(21_500_000)
+    for a, b in zip(mine, other, strict=True):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(whole.quality, cut.quality)
+
+
+def test_a_null_vector_sums_to_zero_for_all_light():
+    rng = np.random.default_rng(4)
+    shape = (4, 6)
+    angle = np.deg2rad(np.tile(Layout.PDAVIS.angles_deg, (2, 3)))
+    response = np.stack([np.ones(shape), np.cos(2 * angle), np.sin(2 * angle)], -1) / 2
+    response *= rng.uniform(0.8, 1.2, (*shape, 1))
+    response[..., 1:] += rng.normal(0, 0.05, (*shape, 2))
+    null = null_of(response, shape)
+    light = response @ np.array([3.0, 0.7, -1.1])
+    seen = (null * light).reshape(2, 2, 3, 2).sum((1, 3))
+    np.testing.assert_allclose(seen, 0, atol=1e-6)
+    np.testing.assert_allclose(
+        np.abs(null).reshape(2, 2, 3, 2).max((1, 3)), 1, rtol=1e-6)
+
+
+def test_ideal_polarizers_of_any_layout_share_the_diagonals():
+    cell = np.empty((4, 3))
+    cell[list(Layout.SONY.places)] = Analyser.ideal().response
+    np.testing.assert_allclose(
+        np.abs(null_of(cell.reshape(2, 2, 3), (5, 4))),
+        np.abs(null_of(None, (5, 4))), atol=1e-6)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"lookahead_us": -1}, "lookahead_us must be a whole number from 0, got -1"),
+    ({"bandwidth": (-1, 0)}, "bandwidth must be two"),
+    ({"cutoff_hz": 0}, "cutoff_hz must be positive"),
+    ({"response": np.ones((3, 3))}, r"response must have shape \(2, 2, 3\) or"),
+    ({"response": np.ones((2, 2, 3))}, "response must tell the four channels apart"),
+])
+def test_impossible_parameters_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        make(**options)
+
+
+def test_parameters_of_the_other_kind_are_refused():
+    recording, _ = Camera.preset("ideal", size=(4, 4), aps=None).record(
+        RotatingPlate(rpm=60), 0.1)
+    with pytest.raises(TypeError, match="radius has no meaning with offsets='redund"):
+        fuse(recording, offsets="redundancy", radius=2)
+    with pytest.raises(TypeError, match="bandwidth has no meaning with offsets='mean'"):
+        fuse(recording, bandwidth=(250, 0))
+    with pytest.raises(ValueError, match="offsets must be 'mean' or 'redundancy'"):
+        fuse(recording, offsets="zero")
