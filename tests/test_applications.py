@@ -1,6 +1,11 @@
 """pdavis fan and pdavis tendon, on simulated recordings with known truth."""
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
+import time
 import warnings
 
 import numpy as np
@@ -193,9 +198,37 @@ def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
 
     monkeypatch.setattr(fan, "open_recording", opener({"a": wheel[0]}))
     monkeypatch.setattr(PolarFrame, "dolp", property(stop))
-    assert fan.main(["a", "-o", str(tmp_path / "fan.mp4"), "--fps", "40"]) == 130
+    assert fan.main(["a", "-o", str(tmp_path / "fan.mp4"), "--fps", "40"]) == 1
     assert list(tmp_path.iterdir()) == []
     assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
+@pytest.mark.parametrize("command", [
+    ["export", "-o", "x.mp4"], ["export", "-o", "x.ome.tif"], ["fan", "-o", "x.mp4"],
+    ["tendon", "-o", "."]])
+def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, command):
+    if "tendon" in command:
+        pytest.importorskip("matplotlib")
+    tool, *options = command
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "pdavis_cv.tools.main", tool,
+         str(example_recording()), *options, "--fps", "30000", "--layout", "pdavis"],
+        cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    # The unfinished file shows that the work has begun; tendon first measures.
+    deadline = time.monotonic() + 60
+    while not any(tmp_path.iterdir()) and "tendon" not in command:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    if "tendon" in command:
+        time.sleep(2)
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert error == "pdavis: interrupted; nothing unfinished was left\n"
+    assert out == ""
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["a.ome.tif", "a.h5", "a.npz"])

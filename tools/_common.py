@@ -69,7 +69,7 @@ def command(main: Main) -> Main:
     """Give a tool's main the manners of a command.
 
     A mistake of the user or a file that cannot be read gives one line and 2, an
-    output that cannot be written one line and 1, an interrupt 130; warnings are
+    output that cannot be written, or an interrupt, one line and 1; warnings are
     one line each.
     """
 
@@ -92,7 +92,7 @@ def command(main: Main) -> Main:
             except OSError as error:
                 return _complain(error, 1)
             except KeyboardInterrupt:
-                return _complain("interrupted; nothing unfinished was left", 130)
+                return _complain("interrupted; nothing unfinished was left", 1)
 
     return run
 

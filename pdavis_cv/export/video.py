@@ -131,7 +131,7 @@ class VideoFile:
         cv2 = self._cv2
         with _silent(cv2):
             reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
-            count = round(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+            count: int = round(reader.get(cv2.CAP_PROP_FRAME_COUNT))
             last = reader.set(cv2.CAP_PROP_POS_FRAMES, count - 1)
             if count != self.count or not last or not reader.grab() or reader.grab():
                 reader.release()
