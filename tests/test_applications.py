@@ -188,8 +188,12 @@ def test_an_unwritable_folder_gives_one_line(tmp_path, pulled, monkeypatch, caps
     assert tendon.main(["a", "-o", str(tmp_path / "file" / "out")]) in (1, 2)
     assert len(capsys.readouterr().err.splitlines()) == 1
     monkeypatch.setattr(fan, "open_recording", opener({"a": pulled[0]}))
-    assert fan.main(["a", "-o", str(tmp_path / "none" / "fan.mp4")]) in (1, 2)
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    for folder in ("none", "file"):
+        out = tmp_path / folder / "fan.mp4"
+        assert fan.main(["a", "-o", str(out)]) in (1, 2)
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 1
+        assert said[0].startswith(f"pdavis: {out}: ")
 
 
 def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
@@ -201,6 +205,34 @@ def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
     assert fan.main(["a", "-o", str(tmp_path / "fan.mp4"), "--fps", "40"]) == 1
     assert list(tmp_path.iterdir()) == []
     assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [
+    ["export", "-o", "x.mp4"], ["export", "-o", "x.avi"], ["export", "-o", "x.png"],
+    ["export", "-o", "x.npy"], ["export", "-o", "x.npz"], ["export", "-o", "x.h5"],
+    ["export", "-o", "x.mkv", "--lossless", "--quantities", "dolp"],
+    ["fan", "-o", "x.mkv"], ["tendon", "-o", ".", "--no-video"]])
+def test_a_full_disk_gives_one_line_that_names_the_file(
+        tmp_path, monkeypatch, capfd, command):
+    monkeypatch.chdir(tmp_path)
+    resource = pytest.importorskip("resource")
+    pytest.importorskip("matplotlib")
+    tool, *options = command
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
+    try:
+        code = {"export": export, "fan": fan, "tendon": tendon}[tool].main(
+            [str(example_recording()), *options, "--fps", "100", "--layout", "pdavis"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, previous)
+    lines = [line for line in capfd.readouterr().err.splitlines()
+             if not line.startswith("pdavis: warning")]
+    assert code == 1
+    assert len(lines) == 1
+    assert re.match(r"pdavis: (x|traces)[-\w]*\.\w+: ", lines[0])
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")

@@ -27,14 +27,28 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     Path
         Name to write to: same folder, same suffix.  When the block raises, the
         file is removed and `path` is as before.
+
+    Raises
+    ------
+    OSError
+        What the system says in the block, with the final name where it named none.
     """
     final = Path(path)
     part = final.with_name(f".{final.stem}.part{os.getpid()}{final.suffix}")
     try:
         yield part
         part.replace(final)
+    except OSError as error:
+        named = error.filename not in (None, str(part), part)
+        if named or (error.errno is None and type(error) is not OSError):
+            raise  # of another file, e.g. the one that is read
+        if error.errno is not None:
+            raise OSError(error.errno, error.strerror, str(final)) from error
+        said = str(error)  # NumPy's own words, or ours
+        raise OSError(said if str(path) in said else f"{final}: {said}") from error
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
 
 
 def write_json(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:

@@ -56,7 +56,11 @@ class VideoFile:
         self._cv2 = opencv()
         self._stack = contextlib.ExitStack()
         self._part = self._stack.enter_context(beside(self.path))
-        self._part.touch()  # fails here, with the system's reason, if it must
+        try:
+            self._part.touch()  # fails here, with the system's reason, if it must
+        except OSError as error:
+            self._stack.__exit__(type(error), error, error.__traceback__)
+            raise
         self._writer: Any = None
         self._shape: tuple[int, ...] = ()
         # OpenCV encodes without the GIL: while the caller makes the next picture.
@@ -120,27 +124,23 @@ class VideoFile:
                 f"{self.path}: OpenCV cannot write {self._fourcc} of "
                 f"{shape[1]}x{shape[0]} here")
 
-    def _readable(self) -> int:
-        """Count what can be read back.
+    def _readable(self) -> bool:
+        """Return whether all pictures can be read back.
 
         FFmpeg writes nothing more after an error, so a file whose index, which comes
         last, names every picture, and whose last one can be read, is whole.
         """
-        if self.path.suffix.lower() in (".mp4", ".m4v") and not _has_index(self._part):
-            return 0  # FFmpeg would say so in a line of its own
+        if not _ended(self._part):
+            return False  # FFmpeg would say so in a line of its own
         cv2 = self._cv2
         with _silent(cv2):
             reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
-            count: int = round(reader.get(cv2.CAP_PROP_FRAME_COUNT))
-            last = reader.set(cv2.CAP_PROP_POS_FRAMES, count - 1)
-            if count != self.count or not last or not reader.grab() or reader.grab():
-                reader.release()
-                reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
-                count = 0
-                while reader.grab():
-                    count += 1
+            whole: bool = (
+                round(reader.get(cv2.CAP_PROP_FRAME_COUNT)) == self.count
+                and reader.set(cv2.CAP_PROP_POS_FRAMES, self.count - 1)
+                and reader.grab() and not reader.grab())
             reader.release()
-        return count
+        return whole
 
     def _finish(self) -> None:
         """Check that what was written can be read to its end."""
@@ -148,11 +148,10 @@ class VideoFile:
             raise ValueError(f"{self.path}: no picture to write")
         self._wait()
         self._writer.release()
-        count = self._readable()
-        if count != self.count:  # VideoWriter reports no error, e.g. of a full disk
+        if not self._readable():  # VideoWriter reports no error of its own
             raise OSError(
-                f"{self.path}: only {count} of {self.count} pictures were written: "
-                "is the disk full?")
+                f"{self.path}: the {self.count} pictures could not all be written: is "
+                "the disk full?")
         if self.facts is not None:
             embed(self._part, self.facts)
 
@@ -187,19 +186,29 @@ def _silent(cv2: Any) -> Iterator[None]:
         logging.setLogLevel(level)
 
 
-def _has_index(path: Path) -> bool:
-    """Return whether an MP4 file has the box that its end brings."""
+def _ended(path: Path) -> bool:
+    """Return whether a video has what is written last: an index, or its length."""
+    size = path.stat().st_size
     with path.open("rb") as file:
+        head = file.read(4096)
+        if head[:4] == b"RIFF":
+            length = int.from_bytes(head[4:8], "little")
+            return 0 < length <= size - 8
+        if head[:4] == b"\x1aE\xdf\xa3":  # Matroska: EBML, then one Segment
+            at = head.find(b"\x18\x53\x80\x67") + 4
+            length = int.from_bytes(head[at + 1:at + 8], "big")
+            return at > 3 and head[at] == 1 and at + 8 + length == size
         at = 0
+        file.seek(0)
         while len(head := file.read(16)) >= 8:
             if head[4:8] == b"moov":
                 return True
-            size = int.from_bytes(head[:4], "big")
-            if size == 1:
-                size = int.from_bytes(head[8:], "big")
-            if size < 8:
+            length = int.from_bytes(head[:4], "big")
+            if length == 1:
+                length = int.from_bytes(head[8:], "big")
+            if length < 8:
                 return False
-            at += size
+            at += length
             file.seek(at)
     return False
 
