@@ -37,10 +37,11 @@ _HOME = {
     "demosaic": "mosaic",
     "unpack": "packed",
     "PolarFrame": "polarimetry",
-    "aop": "polarimetry",
-    "dolp": "polarimetry",
+    "aop": "stokes_vector",
+    "debias_dolp": "stokes_vector",
+    "dolp": "stokes_vector",
     "polarization": "polarimetry",
-    "stokes": "polarimetry",
+    "stokes": "stokes_vector",
     "IMU_DTYPE": "recording.base",
     "TRIGGER_DTYPE": "recording.base",
     "ApsFrame": "recording.base",
@@ -181,6 +182,7 @@ __all__ = [
     "as_events",
     "calibration",
     "cds",
+    "debias_dolp",
     "demosaic",
     "dolp",
     "export",
@@ -266,7 +268,7 @@ if TYPE_CHECKING:
     from pdavis_cv.fusion import DEFAULT_METHOD, fuse
     from pdavis_cv.mosaic import demosaic
     from pdavis_cv.packed import unpack
-    from pdavis_cv.polarimetry import PolarFrame, aop, dolp, polarization, stokes
+    from pdavis_cv.polarimetry import PolarFrame, polarization
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
     from pdavis_cv.reconstruct.events import EventHighPass
@@ -286,6 +288,7 @@ if TYPE_CHECKING:
     from pdavis_cv.recording.memory import recording_from_arrays
     from pdavis_cv.recording.open import open_recording
     from pdavis_cv.sensor import CHANNELS, Layout, Sensor
+    from pdavis_cv.stokes_vector import aop, debias_dolp, dolp, stokes
 
 
 def __getattr__(name: str) -> Any:

@@ -1,146 +1,32 @@
-"""Stokes parameters, angle and degree of linear polarization; PolarFrame."""
+"""PolarFrame: an image of polarization, and a mosaic turned into one."""
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, outputs
+from pdavis_cv._checks import outputs
 from pdavis_cv.analyser import Analyser, stokes_gain
 from pdavis_cv.mosaic import check_method, checked_mosaic, places_of, scratch_rows
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.sensor import Layout
+from pdavis_cv.stokes_vector import (
+    aop,
+    debias_dolp,
+    dolp,
+    flat,
+    frozen,
+    propagated,
+    real,
+    solution_of,
+    stokes,
+)
 
-__all__ = ["PolarFrame", "aop", "dolp", "polarization", "stokes"]
-
-_Array = TypeVar("_Array", bound=NDArray[Any])
-
-UNIFORM_SIGMA_RAD = math.pi / math.sqrt(12)
-"""Standard deviation of an angle about which nothing is known."""
-
-
-def stokes(
-    quad: ArrayLike,
-    analyser: ArrayLike | Analyser | None = None,
-    out: NDArray[np.float32] | None = None,
-    *,
-    extinction_ratio: float | None = None,
-) -> NDArray[np.float32]:
-    """Return S0, S1 and S2 of four intensities.
-
-    Parameters
-    ----------
-    quad : array_like, shape (4, ...)
-        I0, I45, I90, I135, linear intensity; converted to float32.
-    analyser : Analyser, or array_like of shape (4, 3) or (4, 3, H, W), optional
-        Responses of the channels to S0, S1, S2, solved by least squares.  Default:
-        S0 = (I0 + I45 + I90 + I135) / 2, S1 = I0 - I90, S2 = I45 - I135.
-    out : ndarray of float32, shape (3, ...), optional
-        Overwritten and returned.
-    extinction_ratio : float, optional
-        S1 and S2 are multiplied by (ER + 1) / (ER - 1); not together with
-        ``analyser``, which says it more exactly.
-
-    Returns
-    -------
-    ndarray of float32, shape (3, ...)
-        In the unit of ``quad``; S0 is the light in front of the polarizers.
-
-    Raises
-    ------
-    TypeError
-        If ``quad`` does not hold real numbers.
-    ValueError
-        If shapes do not fit, ``extinction_ratio`` is not greater than 1 or is given
-        together with ``analyser``.
-    """
-    planes = _real("quad", quad)
-    if planes.ndim < 1 or planes.shape[0] != 4:
-        raise ValueError(f"quad must have shape (4, ...), got {planes.shape}")
-    solution = _solution(analyser, extinction_ratio, planes.shape[1:])
-    gain = stokes_gain(extinction_ratio)
-    out = output(out, (3, *planes.shape[1:]), np.float32, planes, solution)
-    if solution is None:
-        _kernels.stokes(_flat(planes), gain, _flat(out))
-    else:
-        _kernels.mix(_flat(planes), solution.reshape(12, -1), _flat(out))
-    return out
-
-
-def aop(
-    s1: ArrayLike, s2: ArrayLike, out: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
-    """Return the angle of polarization, atan2(S2, S1) / 2 in [0, pi).
-
-    Parameters
-    ----------
-    s1, s2 : array_like, equal shapes
-        Converted to float32.
-    out : ndarray of float32, the same shape, optional
-        Overwritten and returned.
-
-    Returns
-    -------
-    ndarray of float32
-        Radians, counter-clockwise as displayed with row 0 at the top, 0 along a row;
-        within 2.1e-7 of the exact value.  A value that rounds to float32 pi is 0, and
-        so is the angle of S1 = S2 = 0.  NaN gives NaN.
-
-    Raises
-    ------
-    TypeError
-        If an input does not hold real numbers.
-    ValueError
-        If shapes differ or ``out`` does not fit.
-
-    Examples
-    --------
-    >>> float(aop(0, 1)), float(aop(1, 0))
-    (0.7853981852531433, 0.0)
-    """
-    first, second = _alike(s1=s1, s2=s2)
-    out = output(out, first.shape, np.float32, first, second)
-    _kernels.aop(first.reshape(-1), second.reshape(-1), out.reshape(-1))
-    return out
-
-
-def dolp(
-    s0: ArrayLike,
-    s1: ArrayLike,
-    s2: ArrayLike,
-    out: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
-    """Return the degree of linear polarization, sqrt(S1^2 + S2^2) / S0.
-
-    Parameters
-    ----------
-    s0, s1, s2 : array_like, equal shapes
-        Converted to float32.
-    out : ndarray of float32, the same shape, optional
-        Overwritten and returned.
-
-    Returns
-    -------
-    ndarray of float32
-        Not clipped: noise can carry it over 1.  0 where S0 is not positive.
-
-    Raises
-    ------
-    TypeError
-        If an input does not hold real numbers.
-    ValueError
-        If shapes differ or ``out`` does not fit.
-    """
-    total, first, second = _alike(s0=s0, s1=s1, s2=s2)
-    out = output(out, total.shape, np.float32, total, first, second)
-    _kernels.dolp(total.reshape(-1), first.reshape(-1), second.reshape(-1),
-                  out.reshape(-1))
-    return out
+__all__ = ["PolarFrame", "polarization"]
 
 
 class PolarFrame:
@@ -199,7 +85,8 @@ class PolarFrame:
     _quality: NDArray[np.float32] | None
     _mosaic: tuple[NDArray[Any], Layout] | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
-    _sigmas: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    _sigmas: tuple[
+        NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
     _stokes: tuple[
         NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
     _usable: NDArray[np.bool_] | None
@@ -219,7 +106,7 @@ class PolarFrame:
         provenance: Mapping[str, Any] | None = None,
         quality: ArrayLike | None = None,
     ) -> None:
-        copies = {name: np.array(_real(name, value), order="C") for name, value in (
+        copies = {name: np.array(real(name, value), order="C") for name, value in (
             ("quad", quad), ("variance", variance), ("quality", quality))
             if value is not None}
         self._set(copies["quad"], None if valid is None else np.array(valid), t_us,
@@ -285,7 +172,7 @@ class PolarFrame:
                                    ("quality", quality, size)):
             if array is not None and array.shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-        _solution(analyser, extinction_ratio, size)
+        solution_of(analyser, extinction_ratio, size)
         stokes_gain(extinction_ratio)
         if analyser is not None and not isinstance(analyser, Analyser):
             analyser = Analyser(analyser)
@@ -312,7 +199,7 @@ class PolarFrame:
         """I0, I45, I90, I135; float32, shape (4, H, W)."""
         if self._quad is None:
             assert self._mosaic is not None
-            self._quad = _frozen(demosaic_mosaic(*self._mosaic))
+            self._quad = frozen(demosaic_mosaic(*self._mosaic))
         return self._quad
 
     @property
@@ -370,7 +257,7 @@ class PolarFrame:
         if self._usable is None:
             positive = self.s0 > 0
             usable = positive if self._valid is None else positive & self._valid
-            self._usable = _frozen(usable)
+            self._usable = frozen(usable)
         return self._usable
 
     @property
@@ -388,16 +275,28 @@ class PolarFrame:
         """Standard deviation of DoLP, shape (H, W); None without variance.
 
         First-order propagation of four independent errors; infinite where S0 is not
-        positive.  A DoLP near 0 is biased upwards by about as much.
+        positive.  A DoLP near 0 is biased upwards by about as much:
+        `dolp_debiased` is not.
         """
         sigmas = self._propagated()
         return None if sigmas is None else sigmas[1]
+
+    @property
+    def dolp_debiased(self) -> NDArray[np.float32] | None:
+        """DoLP without the noise's share, shape (H, W); None without variance.
+
+        See `debias_dolp`.  Half of DoLP where nothing but noise can be told.
+        """
+        sigmas = self._propagated()
+        if sigmas is None:
+            return None
+        return frozen(debias_dolp(self.dolp, sigmas[2]))
 
     def _planes(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         if self._stokes is None:
-            s0, s1, s2 = _frozen(stokes(
+            s0, s1, s2 = frozen(stokes(
                 self.quad, self._analyser, extinction_ratio=self.extinction_ratio))
             self._stokes = s0, s1, s2
         return self._stokes
@@ -423,16 +322,18 @@ class PolarFrame:
                     mosaic, places_of(layout), gain, scratch, angle, degree)
         else:
             _kernels.aop_dolp(
-                _flat(self.quad), gain, angle.reshape(-1), degree.reshape(-1))
-        self._aop_dolp = _frozen(angle.view()), _frozen(degree.view())
+                flat(self.quad), gain, angle.reshape(-1), degree.reshape(-1))
+        self._aop_dolp = frozen(angle.view()), frozen(degree.view())
         return self._aop_dolp
 
-    def _propagated(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    def _propagated(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None:
         if self._variance is None:
             return None
         if self._sigmas is None:
             analyser = self._analyser or Analyser.ideal(self.extinction_ratio)
-            self._sigmas = _sigmas(
+            self._sigmas = propagated(
                 self._planes(), analyser.solution, self._variance * self.quad**2)
         return self._sigmas
 
@@ -507,75 +408,3 @@ def polarization(
     if out is not None:
         frame._angle_and_degree(out)
     return frame
-
-
-def _sigmas(
-    planes: tuple[NDArray[np.float32], ...],
-    solution: NDArray[np.float32],
-    variance: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Propagate the variance of the intensities, (4, H, W), to AoP and DoLP."""
-    s0, s1, s2 = (plane.astype(np.float64) for plane in planes)
-    square = s1**2 + s2**2
-    size = np.sqrt(square)
-    var_aop, var_dolp, var_dark = (np.zeros_like(s0) for _ in range(3))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for k in range(4):
-            m0, m1, m2 = solution[0, k], solution[1, k], solution[2, k]
-            var_aop += ((s1 * m2 - s2 * m1) / (2 * square))**2 * variance[k]
-            slope = (s1 * m1 + s2 * m2) / (size * s0) - size * m0 / s0**2
-            var_dolp += slope**2 * variance[k]
-            # Without polarization the slope depends on the direction: its mean square.
-            var_dark += (m1**2 + m2**2) / 2 / s0**2 * variance[k]
-        sigma_aop = np.fmin(np.sqrt(var_aop), UNIFORM_SIGMA_RAD)
-        sigma_dolp = np.sqrt(np.where(square > 0, var_dolp, var_dark))
-    sigma_dolp[~(s0 > 0)] = np.inf
-    return (_frozen(sigma_aop.astype(np.float32)),
-            _frozen(sigma_dolp.astype(np.float32)))
-
-
-def _solution(
-    analyser: ArrayLike | Analyser | None,
-    extinction_ratio: float | None,
-    shape: tuple[int, ...],
-) -> NDArray[np.float32] | None:
-    if analyser is None:
-        return None
-    if extinction_ratio is not None:
-        raise ValueError(
-            "extinction_ratio must be None when analyser is given, got "
-            f"{extinction_ratio}")
-    if not isinstance(analyser, Analyser):
-        analyser = Analyser(analyser)
-    solution = analyser.solution
-    if solution.ndim == 4 and solution.shape[2:] != shape:
-        raise ValueError(
-            f"analyser must have shape (4, 3) or {(4, 3, *shape)}, got "
-            f"{analyser.response.shape}")
-    return solution
-
-
-def _real(name: str, value: ArrayLike) -> NDArray[np.float32]:
-    """Return value as C-contiguous float32, a view where possible."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name} must hold real numbers, got {array.dtype}")
-    return np.asarray(array, np.float32, order="C")
-
-
-def _alike(**values: ArrayLike) -> list[NDArray[np.float32]]:
-    arrays = {name: _real(name, value) for name, value in values.items()}
-    if len({array.shape for array in arrays.values()}) != 1:
-        shapes = ", ".join(f"{name} {a.shape}" for name, a in arrays.items())
-        raise ValueError(f"{' and '.join(arrays)} must have one shape, got {shapes}")
-    return list(arrays.values())
-
-
-def _flat(planes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (C, ...) as (C, n) without copying."""
-    return planes.reshape(len(planes), math.prod(planes.shape[1:]))
-
-
-def _frozen(array: _Array) -> _Array:
-    array.flags.writeable = False
-    return array

@@ -19,7 +19,7 @@ LINES = (
     ("reconstruct",),
     ("_feed",),
     ("recording",),
-    ("polarimetry", "analyser", "mosaic", "aps", "packed", "events"),
+    ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events"),
     ("sensor", "errors", "_checks", "_opencv", "data"),
     ("_kernels",),
 )

@@ -7,7 +7,7 @@ import reference_image as reference
 from images import DTYPES, LAYOUTS, apart, malus, random_mosaic, sample, scene
 
 import pdavis_cv
-from pdavis_cv import CHANNELS, Analyser, Layout, PolarFrame
+from pdavis_cv import CHANNELS, Analyser, Layout, PolarFrame, debias_dolp
 
 POLARIZERS = np.deg2rad(np.array(CHANNELS, float)).reshape(4, 1, 1)
 
@@ -289,6 +289,10 @@ def test_sigmas_agree_with_the_scatter_of_noisy_images():
         np.testing.assert_allclose(frame.sigma_aop, scatter, rtol=0.05)
         scatter = np.std([f.dolp for f in frames], 0)
         np.testing.assert_allclose(frame.sigma_dolp, scatter, rtol=0.05)
+        # sigma across the polarization, relative to S0, is 2 DoLP times that of AoP
+        np.testing.assert_allclose(
+            frame.dolp_debiased, debias_dolp(
+                frame.dolp, 2 * frame.dolp * frame.sigma_aop), rtol=1e-6)
 
 
 def test_sigmas_where_nothing_is_polarized_or_lit():
@@ -298,6 +302,7 @@ def test_sigmas_where_nothing_is_polarized_or_lit():
     # S1 and S2 scatter by sqrt(2) * 0.1 of S0 = 2
     assert lit.sigma_dolp[0, 0] == pytest.approx(np.sqrt(2) * 0.1 / 2)
     assert dark.sigma_dolp[0, 0] == np.inf
+    assert dark.dolp_debiased[0, 0] == 0
     assert PolarFrame(quad[0]).sigma_aop is None
     assert PolarFrame(quad[0]).sigma_dolp is None
 
@@ -458,3 +463,22 @@ def test_a_real_sony_mosaic_agrees_with_polanalysers_formulas(data_dir):
     certain = degree > 1e-6
     assert apart(frame.aop[inside][lit], angle)[certain].max() < 1e-6
     assert 0.05 < frame.dolp[frame.valid].mean() < 0.5
+
+
+@pytest.mark.parametrize("true", [0.0, 0.05, 0.2, 0.5, 0.9])
+def test_debiased_dolp_has_a_smaller_bias_than_what_is_read(true):
+    # S1 / S0 and S2 / S0 scatter by sigma: the raw reading is Rice-distributed
+    sigma, rng = 0.05, np.random.default_rng(4)
+    s1, s2 = rng.normal([[true], [0.0]], sigma, (2, 400_000))
+    read = np.hypot(s1, s2)
+    left = debias_dolp(read, sigma)
+    assert left.min() >= 0
+    assert abs(left.mean() - true) < 0.8 * abs(read.mean() - true)
+    if true >= 4 * sigma:  # 0.2 % of sigma is the scatter of the mean
+        assert abs(left.mean() - true) < 0.02 * sigma
+
+
+def test_debiasing_leaves_alone_what_has_no_noise_and_ends_at_nothing():
+    read = np.array([0.0, 0.3, 1.0], np.float32)
+    np.testing.assert_array_equal(debias_dolp(read, 0), read)
+    assert debias_dolp(read, np.inf)[1] == pytest.approx(0.15)

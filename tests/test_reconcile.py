@@ -3,7 +3,7 @@ import pytest
 
 from pdavis_cv import _kernels
 from pdavis_cv.analyser import Analyser
-from pdavis_cv.polarimetry import stokes
+from pdavis_cv.stokes_vector import stokes
 
 IDEAL = np.array([1, -1, 1, -1], np.float32).reshape(4, 1, 1)
 

@@ -33,13 +33,15 @@ from pdavis_cv.tools._common import (
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
 
-# Quantity -> unit of its numbers.
-QUANTITIES = {
-    "s0": "DN/ms", "aop": "rad", "dolp": "1", "i0": "DN/ms", "i45": "DN/ms",
-    "i90": "DN/ms", "i135": "DN/ms", "s1": "DN/ms", "s2": "DN/ms",
-}
+QUANTITIES = {name.lower(): unit for name, unit in export.QUANTITIES.items()}
+"""Quantities as the command line spells them, with the units of their numbers."""
+
 _TITLES = {"s0": "intensity S0", "aop": "angle of polarization",
-           "dolp": "degree of linear polarization"}
+           "dolp": "degree of linear polarization",
+           "dolp_debiased": "DoLP without the noise's share",
+           "sigma_aop": "standard deviation of AoP",
+           "sigma_dolp": "standard deviation of DoLP"}
+_UNIFORM = math.pi / math.sqrt(12)  # sigma of an angle of which nothing is known
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
 _COLOUR, _PLANE = (".mp4", ".m4v", ".mkv", ".avi"), (".mkv", ".avi")
@@ -141,13 +143,6 @@ def _quantities(text: str) -> list[str]:
     return names
 
 
-def quantity(frame: PolarFrame, name: str) -> Any:
-    """Return one quantity of a PolarFrame as a float32 plane."""
-    if name.startswith("i"):
-        return frame.quad[("i0", "i45", "i90", "i135").index(name)]
-    return getattr(frame, name)
-
-
 class Sheet:
     """How each image of an export looks: fixed when it starts.
 
@@ -186,11 +181,13 @@ class Sheet:
         return render.tile(panels, columns=columns, title=line.rstrip())
 
     def _colour(self, frame: PolarFrame, name: str) -> Picture:
-        plane = quantity(frame, name)
+        plane = export.plane(frame, name)
         if name == "aop":
             return render.aop_bgr(plane, frame.valid)
-        if name == "dolp":
+        if name.startswith("dolp"):
             return render.dolp_bgr(plane, frame.valid)
+        if name == "quality" or name.startswith("sigma"):
+            return render.grey_bgr(plane, _UNIFORM if name == "sigma_aop" else 1.0)
         # An intensity that is not valid is too dark or too bright to measure, and
         # may still be seen.
         if name in ("s1", "s2"):  # mid-grey is 0
@@ -199,8 +196,10 @@ class Sheet:
 
     def _panel(self, frame: PolarFrame, name: str) -> Picture:
         legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"
-        if name in ("aop", "dolp"):
-            legend, end = name, "1"
+        if name == "aop" or name.startswith("dolp"):
+            legend, end = name.removesuffix("_debiased"), "1"
+        elif name == "quality" or name.startswith("sigma"):
+            end = "52 deg" if name == "sigma_aop" else "1"
         elif name in ("s1", "s2"):
             start = f"-{self.white:.4g}"
         return render.panel(
@@ -308,7 +307,7 @@ def _write_plane(
         first.provenance, recording.path, quantity=name, unit=QUANTITIES[name])
     with export.PlaneVideo(args.out, rate, low, high, facts) as video:
         for frame in log:
-            video.add_plane(quantity(frame, name), frame.valid)
+            video.add_plane(export.plane(frame, name), frame.valid)
     beside = log.write(
         args.out, quantity=name, unit=QUANTITIES[name], **video.scale,
         clipped=video.clipped, height=first.shape[0], width=first.shape[1],
@@ -322,7 +321,9 @@ def _write_plane(
 
 def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
     """Return the range that the camera's converter leaves a quantity."""
-    fixed = {"aop": (0.0, math.pi), "dolp": (0.0, 1.0)}
+    fixed = {"aop": (0.0, math.pi), "dolp": (0.0, 1.0), "dolp_debiased": (0.0, 1.0),
+             "sigma_aop": (0.0, _UNIFORM), "sigma_dolp": (0.0, 1.0),
+             "quality": (0.0, 1.0)}
     if name in fixed:
         return fixed[name]
     top = _full_scale(recording)
@@ -353,7 +354,7 @@ def _write_arrays(args: argparse.Namespace, frames: Iterator[PolarFrame]) -> lis
     log, names = _Log(frames), args.quantities
     with export.ArrayFile(args.out) as file:
         for frame in log:
-            planes = np.stack([quantity(frame, name) for name in names])
+            planes = np.stack([export.plane(frame, name) for name in names])
             planes[:, ~frame.valid] = np.nan
             file.add(planes)
             shape = planes.shape

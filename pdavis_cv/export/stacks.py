@@ -21,7 +21,7 @@ __all__ = ["QUANTITIES", "StackFile", "plane"]
 QUANTITIES = {
     "I0": "DN/ms", "I45": "DN/ms", "I90": "DN/ms", "I135": "DN/ms", "S0": "DN/ms",
     "S1": "DN/ms", "S2": "DN/ms", "AoP": "rad", "DoLP": "1", "sigma_AoP": "rad",
-    "sigma_DoLP": "1", "quality": "1",
+    "sigma_DoLP": "1", "DoLP_debiased": "1", "quality": "1",
 }
 """Quantities of a PolarFrame that can be written, with their units."""
 
