@@ -1,4 +1,6 @@
 """AEDAT-2.0: words, frames, time; files are made byte by byte."""
+import struct
+
 import numpy as np
 import pytest
 from aedat2_bytes import (
@@ -163,10 +165,32 @@ def test_chips_have_their_sizes(read):
     for chip, size in ((b"Davis240C", (180, 240)), (b"Davis346mini", (260, 346))):
         _, recording = read(HEADER.replace(b"Davis346red", chip))
         assert recording.info.sensor_size == size
+    # The Zynq board has no frames; its events have the same addresses.
+    zynq = HEADER.replace(b"Davis346red", b"Davis346Zynq") + word(0x0514F800, 7)
+    (events, frames, *_), recording = read(zynq)
+    assert recording.info.camera == "Davis346Zynq"
+    assert (recording.info.sensor_size, frames) == ((260, 346), [])
+    assert events.tolist() == [(7, 10, 239, 1)]
     with pytest.raises(RecordingError, match="chip DVS128 is not a DAVIS"):
         read(HEADER.replace(b"Davis346red", b"DVS128"))
     _, recording = read(START + dvs(0, 0, 1, 0))
     assert [p.kind for p in recording.problems] == ["unknown chip"]
+
+
+@pytest.mark.parametrize("header", [
+    b"", b"#Some comment\r\n", b"# This is a raw AE data file - do not edit\r\n"])
+def test_aedat_1_is_refused_by_name(read, header):
+    # Big-endian int16 address, int32 time.
+    data = header + b"".join(struct.pack(">Hi", 2 * i, 100 * i) for i in range(50))
+    match = "AEDAT-1 of a DVS128" if header else "byte 0: not a recording"
+    with pytest.raises(RecordingError, match=match):
+        read(data)
+
+
+def test_other_versions_are_refused_by_name(read):
+    for version in (b"3.0", b"5", b""):
+        with pytest.raises(RecordingError, match=r"AEDAT-(3.0|5|\?) is not read"):
+            read(b"#!AER-DAT" + version + b"\r\n" + bytes(64))
 
 
 # Frames ------------------------------------------------------------------------

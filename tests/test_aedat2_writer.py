@@ -53,6 +53,34 @@ def recording(*, rolling=False, frames=3):
                                  triggers=triggers)
 
 
+def test_published_words_are_written(tmp_path):
+    events = np.array([(10, 10, 239, 1), (11, 0, 259, 0), (12, 345, 0, 0)],
+                      pdavis_cv.EVENT_DTYPE)
+    reset, signal = np.full(SIZE, 900, np.uint16), np.full(SIZE, 100, np.uint16)
+    reset[239, 10], signal[239, 10] = 800, 300
+    frame = ApsFrame(reset.astype(float) - signal, 100, 200, reset=reset,
+                     signal=signal)
+    imu = np.zeros(1, pdavis_cv.IMU_DTYPE)
+    # In the writer's 8 g and 1000 degrees per second: raw 8192 and -131.
+    imu["t"], imu["accel"], imu["gyro"] = 13, (0, 0, 2), (131 / 32.8, 0, 0)
+    triggers = np.array([(14, 1)], pdavis_cv.TRIGGER_DTYPE)
+    with Aedat2Writer(tmp_path / "x", sensor_size=SIZE) as writer:
+        writer.add(Packet(events, (), imu, triggers))
+        writer.add(Packet(frames=(frame,)))
+    data = (tmp_path / "x").read_bytes()
+    data = data[data.index(b"#End Of ASCII Header\r\n") + 22:]
+    words = [data[i:i + 8] for i in range(0, len(data), 8)]
+    times = {word[:4].hex(): int.from_bytes(word[4:], "big") for word in words}
+    assert times["0514f800"] == 10
+    assert times["00159000"] == 11
+    assert times["40c00000"] == 12
+    assert times["a2000c00"] == times["cff7dc00"] == 13
+    assert times["00000403"] == 14
+    # A global shutter: the last reset is read when the exposure begins.
+    assert 0 <= times["8500a320"] <= 100
+    assert times["8500a52c"] == 200
+
+
 @pytest.mark.parametrize("rolling", [False, True])
 def test_what_is_written_reads_back(tmp_path, rolling):
     path, source = tmp_path / "x.aedat2", recording(rolling=rolling)

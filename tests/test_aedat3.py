@@ -1,7 +1,9 @@
 """AEDAT-3.1 import; files are made byte by byte."""
+import struct
+
 import numpy as np
 import pytest
-from aedat31_bytes import aedat31_file
+from aedat31_bytes import aedat31_file, packet
 from test_aedat4 import assert_same, joined, read
 from test_aedat4_writer import small
 
@@ -24,6 +26,24 @@ def test_import_keeps_everything_upright(path):
         assert not recording.problems
     edges = wanted[3][np.isin(wanted[3]["type"], (1, 2, 3))]
     assert_same(got, (*wanted[:3], edges))
+
+
+def test_the_nine_values_of_imu9_are_read_without_the_compass(tmp_path):
+    words = [struct.pack("<ii10f", valid, t, *range(1, 7), 36.5, 7, 8, 9)
+             for valid, t in ((1, 100), (0, 200), (1, 300))]
+    event = struct.pack("<Ii", 1 | 1 << 1 | 2 << 2 | 3 << 17, 250)
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n"
+        + packet(4, 48, 4, 0, words[:2]) + packet(1, 8, 4, 0, [event])
+        + packet(4, 48, 4, 0, words[2:]))
+    (events, _, imu, _), problems = read(tmp_path / "x")
+    assert events.tolist() == [(250, 3, 2, 1)]
+    assert imu["t"].tolist() == [100, 300]
+    for sample in imu:
+        assert sample["accel"].tolist() == [1, 2, 3]
+        assert sample["gyro"].tolist() == [4, 5, 6]
+        assert sample["temperature"] == 36.5
+    assert not problems
 
 
 def test_a_damaged_packet_costs_itself_only(path):

@@ -1,6 +1,7 @@
 """AEDAT-4 as jAER writes it: files are made byte by byte."""
 import struct
 
+import lz4.frame
 import numpy as np
 import pytest
 from test_aedat4 import joined
@@ -43,8 +44,62 @@ def table(identifier, fields):
     return struct.pack("<I", len(data)) + data
 
 
-def jaer_file(packets, *, position=-2):
-    """Return an unclosed file of jAER with (stream, payload) packets."""
+def tables(identifier, structs):
+    """Return a size-prefixed vector of tables, each a vtable and a table's bytes."""
+    # size, root, identifier | vtable of the root at 12, root at 18, vector at 26
+    at = 30 + 4 * len(structs)
+    offsets, body = [], b""
+    for vtable, data in structs:
+        body += bytes(-(at + len(body) + len(vtable)) % 8) + vtable
+        offsets.append(at + len(body))
+        body += struct.pack("<i", len(vtable)) + data
+    out = struct.pack("<I4s3HiII", 14, identifier, 6, 8, 4, 6, 4, len(structs))
+    for i, offset in enumerate(offsets):
+        out += struct.pack("<I", offset - (30 + 4 * i))
+    return struct.pack("<I", len(out) + len(body)) + out + body
+
+
+def index(entries):
+    """Return jAER's index: (offset, stream, size, count, first, last) of packets."""
+    vtable = struct.pack("<7H", 14, 44, 4, 12, 20, 28, 36)
+    return tables(b"FTAB", [(vtable, struct.pack("<qiiqqq", *entry))
+                            for entry in entries])
+
+
+def imu_samples(rows):
+    """Return a packet of IMU samples: time, temperature, acceleration, rotation."""
+    vtable = struct.pack("<10H", 20, 40, 4, *range(12, 40, 4))
+    return 2, tables(b"IMUS", [(vtable, struct.pack("<q7f", *row)) for row in rows])
+
+
+def lz4_frame(data):
+    """Return independent blocks: literals, one sequence with a match, stored bytes."""
+    # Version 1, independent blocks, blocks of up to 4 MB, header checksum.
+    out = b"\x04\x22\x4d\x18\x60\x70\x73"
+
+    def length(n):
+        return b"" if n < 15 else b"\xff" * ((n - 15) // 255) + bytes([(n - 15) % 255])
+
+    third = len(data) // 3
+    parts = [data[:third], data[third:2 * third], data[2 * third:]]
+    literals = bytes([min(third, 15) << 4]) + length(third) + parts[0]
+    out += struct.pack("<I", len(literals)) + literals
+    # The block's own beginning again is a match; it refers to no other block.
+    n = next((n for n in range(third // 2, 3, -1)
+              if parts[1][:n] == parts[1][n:2 * n]), 0)
+    rest = parts[1][2 * n:]
+    if n >= 4 and len(rest) > 12:
+        block = (bytes([min(n, 15) << 4 | min(n - 4, 15)]) + length(n) + parts[1][:n]
+                 + struct.pack("<H", n) + length(n - 4)
+                 + bytes([min(len(rest), 15) << 4]) + length(len(rest)) + rest)
+    else:
+        block = bytes([min(third, 15) << 4]) + length(third) + parts[1]
+    out += struct.pack("<I", len(block)) + block
+    return out + struct.pack("<I", len(parts[2]) | 1 << 31) + parts[2] + bytes(4)
+
+
+def jaer_file(packets, *, position=-2, compression=0, closed=False):
+    """Return a file of jAER with (stream, payload) packets, unclosed if not told."""
     nodes = "".join(
         f'<node name="{i}"><attr key="originalModuleName" type="string">jAER</attr>'
         f'<attr key="typeIdentifier" type="string">{kind}</attr><node name="info">'
@@ -54,10 +109,21 @@ def jaer_file(packets, *, position=-2):
     xml = (f'<dv version="2.0"><node name="outInfo">{nodes}'
            '<node name="snapshot"><attr key="x" type="int">1</attr></node>'
            "</node></dv>").encode()
-    header = table(b"IOHE", [("i", 0), ("q", position), ("vector", (len(xml), xml))])
-    body = b"".join(struct.pack("<ii", stream, len(data)) + data
-                    for stream, data in packets)
-    return b"#!AER-DAT4.0\r\n" + header + body
+    def header(position):
+        return b"#!AER-DAT4.0\r\n" + table(b"IOHE", [
+            ("i", compression), ("q", position), ("vector", (len(xml), xml))])
+
+    if compression:
+        packets = [(stream, lz4_frame(data)) for stream, data in packets]
+    places, body = [], b""
+    for stream, data in packets:
+        places.append((len(header(0)) + len(body), stream, len(data)))
+        body += struct.pack("<ii", stream, len(data)) + data
+    if not closed:
+        return header(position) + body
+    # jAER does not compress the index, and counts from the packets' headers.
+    entries = [(*place, *facts) for place, facts in zip(places, closed, strict=True)]
+    return header(len(header(0)) + len(body)) + body + index(entries)
 
 
 def events(rows):
@@ -105,6 +171,46 @@ def test_mid_exposure_is_the_middle_of_the_readout(read):
     [problem] = recording.problems
     assert (problem.kind, problem.count) == ("frame times", 1)
     assert "within 3000 us" in problem.message
+
+
+def test_the_index_of_jaer_is_not_compressed_and_points_at_headers(read):
+    rows = [(5000 + k, k, 2 * k, k % 2) for k in range(60)]
+    image = np.full((260, 346), 99)
+    packets = [events(rows[:40]), frame(image, 1000, 9000, 2000), events(rows[40:])]
+    facts = [(40, 5000, 5039), (1, 5000, 5000), (20, 5040, 5059)]
+    for compression in (0, 1):
+        data = jaer_file(packets, compression=compression, closed=facts)
+        (got, [one], _, _), recording = read(data)
+        assert got.tolist() == [(t, x, 259 - y, p) for t, x, y, p in rows]
+        assert (one.dn == 99).all()
+        info = recording.info
+        assert (info.event_count, info.frame_count) == (60, 1)
+        assert (info.start_us, info.stop_us) == (5000, 9001)
+        assert [p.kind for p in recording.problems] == ["frame times"]
+
+
+def test_imu_samples_of_jaer_keep_its_signs(read):
+    rows = [(6000, 36.5, 1, 2, 3, 4, 5, 6), (7000, 37, -1, -2, -3, -4, -5, -6)]
+    (_, _, got, _), recording = read(
+        jaer_file([events([(5000, 1, 1, 1)]), imu_samples(rows)]))
+    for sample, row in zip(got, rows, strict=True):
+        assert (sample["t"], sample["temperature"]) == row[:2]
+        assert tuple(sample["accel"]) == row[2:5]
+        assert tuple(sample["gyro"]) == row[5:]
+    assert recording.info.header["imu_axes"] == "jAER"
+
+
+def test_independent_lz4_blocks_are_read(read):
+    rows = [(5000 + k, 7 * k % 346, k % 260, k % 2) for k in range(3000)]
+    image = np.tile(np.arange(346) % 1024, (260, 1))  # repeats: with matches
+    stream, data = frame(image, 9000, 19000, 2000)
+    assert lz4.frame.decompress(lz4_frame(data)) == data
+    assert len(lz4_frame(data)) < len(data)
+    (got, [one], _, _), recording = read(
+        jaer_file([events(rows), (stream, data)], compression=1))
+    assert got.tolist() == [(t, x, 259 - y, p) for t, x, y, p in rows]
+    np.testing.assert_array_equal(one.dn, image[::-1])
+    assert recording.info.header["compression"] == "LZ4"
 
 
 def test_old_files_that_jump_back_by_a_counter_s_range_go_on(read):

@@ -4,7 +4,8 @@ from __future__ import annotations
 import os
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,12 @@ MAGIC = b"#!AER-DAT3.1"
 MAX_PACKET = 64 << 20
 _END = b"#!END-HEADER\r\n"
 _HEAD = struct.Struct("<hhiiiiii")
-_SIZES = {0: 8, 1: 8, 3: 36}
-SPECIAL, POLARITY, FRAME, IMU6 = range(4)
+_SIZES = {0: 8, 1: 8, 3: 36, 4: 48}
+SPECIAL, POLARITY, FRAME, IMU6, IMU9 = range(5)
 _FRAME = struct.Struct("<i4i4i")
 _IMU = np.dtype([("info", "<i4"), ("t", "<i4"), ("accel", "<f4", 3),
                  ("gyro", "<f4", 3), ("temperature", "<f4")])
+_IMU9 = np.dtype([*_IMU.descr, ("compass", "<f4", 3)])
 # libcaer's special events: external input rising, falling, pulse.
 _TRIGGERS = {2: 1, 3: 2, 4: 3}
 HORIZON_US = 500_000
@@ -171,8 +173,8 @@ class Aedat3Recording(Recording):
 
     def _resync(self, at: int) -> int | None:
         step = 1 << 20
-        pattern = re.compile(rb"[\x00-\x03]\x00..(?=[\x08\x24]\x00\x00\x00[\x04\x08])",
-                             re.DOTALL)
+        pattern = re.compile(
+            rb"[\x00-\x04]\x00..(?=[\x08\x24\x30]\x00\x00\x00[\x04\x08])", re.DOTALL)
         while at < self._reader.size:
             block = self._reader.read(at, step + 64)
             for found in pattern.finditer(block):
@@ -210,12 +212,12 @@ class Aedat3Recording(Recording):
                         continue
                     last_mid = frame.mid_us
                     batch.frames.append(frame)
-            elif kind in (SPECIAL, POLARITY, IMU6):
+            elif kind in _READ:
                 samples = _READ[kind](data, overflow << 31)
                 if kind == POLARITY:
                     samples = self._inside(samples, at)
                 times = samples["t"].astype(np.int64)
-                keep, segments = clocks[kind].order(times)
+                keep, segments = clocks[min(kind, IMU6)].order(times)
                 samples["t"] = times
                 keep &= times >= promised
                 if segments:
@@ -282,8 +284,8 @@ def _polarity(data: bytes, base: int) -> NDArray[Any]:
     return events
 
 
-def _imu(data: bytes, base: int) -> NDArray[Any]:
-    raw = np.frombuffer(data, _IMU)
+def _imu(data: bytes, base: int, record: np.dtype[Any] = _IMU) -> NDArray[Any]:
+    raw = np.frombuffer(data, record)
     raw = raw[(raw["info"] & 1).astype(bool)]
     samples = np.empty(len(raw), IMU_DTYPE)
     samples["t"] = raw["t"].astype(np.int64) + base
@@ -302,8 +304,10 @@ def _special(data: bytes, base: int) -> NDArray[Any]:
     return samples
 
 
-_READ = {SPECIAL: _special, POLARITY: _polarity, IMU6: _imu}
-_FIELDS = {SPECIAL: "triggers", POLARITY: "events", IMU6: "imu"}
+_READ: dict[int, Callable[[bytes, int], NDArray[Any]]] = {
+    SPECIAL: _special, POLARITY: _polarity, IMU6: _imu,
+    IMU9: partial(_imu, record=_IMU9)}
+_FIELDS = {SPECIAL: "triggers", POLARITY: "events", IMU6: "imu", IMU9: "imu"}
 
 
 def _reopen(path: str, layout: Layout | None, bad_events: str,

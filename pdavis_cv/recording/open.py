@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -87,11 +88,26 @@ def open_recording(
         from pdavis_cv.recording.mosaic_source import open_mosaic
 
         return open_mosaic(source, layout=layout, fps=fps)
+    if start.startswith(b"#"):
+        raise RecordingError(f"{path}: byte 0: {_other_aedat(start)}")
     if not start:
         raise RecordingError(f"{path}: byte 0: the file is empty")
     raise RecordingError(
         f"{path}: byte 0: not a recording, first bytes {start[:8]!r} (a video or "
         "image of a polarization camera needs layout=)")
+
+
+def _other_aedat(start: bytes) -> str:
+    """Say what a file with AEDAT's comments is, if it is none of those that are read.
+
+    Without a line for the version it would be AEDAT-1: 16-bit addresses, of whose
+    polarity and direction jAER and its vendor's documents say opposite things.
+    """
+    if found := re.match(rb"#!AER-DAT([\w.]*)", start):
+        return (f"AEDAT-{found[1].decode() or '?'} is not read; DV converts it to "
+                "AEDAT-4")
+    return ("no line #!AER-DAT: not a recording, or AEDAT-1 of a DVS128 (16-bit "
+            "addresses), which is not read: no DAVIS wrote it")
 
 
 def _first_bytes(path: Path) -> bytes:
