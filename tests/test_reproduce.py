@@ -3,7 +3,8 @@ import csv
 import numpy as np
 import pytest
 
-from pdavis_cv.simulation import Camera, RotatingPolarizer
+import pdavis_cv
+from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
 from pdavis_cv.tools import _reproduce_run, reproduce
 from pdavis_cv.tools._reproduce_page import pivot
 from pdavis_cv.tools._reproduce_run import METHODS, Row
@@ -60,8 +61,8 @@ def test_the_score_of_the_kalman_method_is_below_the_goal_on_nominal_cameras():
     recording, truth = Camera.preset("nominal", seed=5).record(
         RotatingPolarizer(rpm=506.5), 2.0)
     score = _reproduce_run.score(
-        recording, truth, truth.stop_us, step_us=5000, method="kalman",
-        thresholds="in-situ", nominal_thresholds=(0.16, 0.18))["all"]
+        _reproduce_run.Take(recording, truth, 0, truth.stop_us), step_us=5000,
+        method="kalman", thresholds="in-situ", nominal_thresholds=(0.16, 0.18))["all"]
     assert score.aop_error < 0.0227     # 1.3 degrees
     assert score.dolp_error < 0.03
 
@@ -91,6 +92,7 @@ def test_the_bright_half_of_the_fan_saturates_frames_only(tmp_path):
     assert bright["frames, own times"] > 30
     assert float(rows["frames, own times", "bright half"]["valid"]) == 0
     assert max(dark["events"], bright["events"]) < 6
+    assert rows["events", "dark half"]["dolp_error"] == ""
 
 
 def test_frames_saturate_above_one_microwatt_and_events_do_not(tmp_path):
@@ -123,6 +125,44 @@ def test_flicker_leaves_the_frames_alone(tmp_path):
         rows["frames, own times", False], rel=0.1)
     assert rows["kalman", True] < 1.6 * rows["kalman", False]
     assert "over error without" in stem.with_suffix(".md").read_text()
+
+
+def test_a_recording_without_truth_is_scored_against_its_own_fit(tmp_path, capsys):
+    paths = []
+    for rpm in (-60.78, 1013):
+        recording, _ = Camera.preset("nominal", seed=9, size=(16, 20)).record(
+            RotatingPolarizer(rpm=rpm, start_angle=0.7), 1.7)
+        paths.append(str(tmp_path / f"at{abs(rpm):.0f}.aedat4"))
+        pdavis_cv.write_aedat4(paths[-1], recording)
+    stem = tmp_path / "mine"
+    assert reproduce.main([
+        "fig2", "-o", str(stem), "--recording", *paths, "--step-us", "10130",
+        "--roi", "2,4,8,8", "--nominal", ".16,.18", "--methods", "frames", "kalman",
+        "Sony 50 fps"]) == 0
+    page = capsys.readouterr().out
+    assert "| at61.aedat4 | -60.78" in page
+    assert "8x8 pixels at (2, 4)" in page
+    rows = {(row["method"], float(row["rpm"])): row for row in rows_of(stem)}
+    for rpm in (60.78, 1013.0):
+        assert float(rows["kalman", rpm]["aop_error_deg"]) < 1.3
+        assert float(rows["kalman", rpm]["dolp_error"]) < 0.03
+        assert rows["kalman", rpm]["camera"] == "recording"
+    assert float(rows["frames", 1013.0]["aop_error_deg"]) > 25
+    assert float(rows["Sony 50 fps", 60.78]["aop_error_roi_deg"]) == pytest.approx(
+        0.020 * 60.78 * 6, rel=0.1)  # half a frame of 20 ms, and half an exposure
+
+
+def test_a_recording_that_cannot_be_fitted_is_one_line(tmp_path, capsys):
+    path = tmp_path / "still.aedat4"
+    pdavis_cv.write_aedat4(path, Camera.preset("nominal").record(FlatLight(), 1.5)[0])
+    for more, said in (([], "turns"), (["--roi", "1,0,4,4"], "even numbers")):
+        assert reproduce.main(
+            ["fig2", "-o", str(tmp_path / "x"), "--recording", str(path), *more]) == 2
+        text = capsys.readouterr().err
+        assert said in text
+        assert str(path) in text
+    assert reproduce.main(
+        ["fig3", "-o", str(tmp_path / "x"), "--recording", str(path)]) == 2
 
 
 @pytest.mark.parametrize("arguments", [

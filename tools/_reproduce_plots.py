@@ -9,7 +9,6 @@ import numpy as np
 from pdavis_cv.tools._reproduce_page import mean
 from pdavis_cv.tools._reproduce_rotation import (
     INTERVALS_US,
-    OFF_LOCK,
     Comparison,
     Trace,
 )
@@ -25,7 +24,7 @@ _COLOURS = {
     "Sony 50 fps, own times": "tab:pink", "frames": "tab:gray",
     "frames, own times": "silver", "events": "tab:purple",
     "events, redundancy": "tab:red", "cf": "tab:orange",
-    "kalman causal": "tab:cyan", "kalman": "tab:blue"}
+    "kalman causal": "tab:cyan", "kalman": "tab:blue", "kalman offline": "navy"}
 
 
 def style(name: str) -> dict[str, Any]:
@@ -137,8 +136,9 @@ def _rates(axes: Any, result: Comparison) -> None:
     axes.loglog(speeds, rates, "o-", color="tab:green", label="events")
     axes.loglog(speeds, np.array(speeds) * rates[-1] / speeds[-1], ":", color="black",
                 label="proportional to RPM")
-    axes.axhline(result.outside_hz, color="tab:red", linestyle="--",
-                 label="constant light")
+    if np.isfinite(result.outside_hz):
+        axes.axhline(result.outside_hz, color="tab:red", linestyle="--",
+                     label="constant light")
     axes.set_xlabel("turns per minute")
     axes.set_ylabel("events per pixel and second")
     axes.legend(fontsize=7)
@@ -162,9 +162,8 @@ def _raster(axes: Any, result: Comparison) -> None:
     ticks = []
     for k, spectrum in enumerate(result.spectra):
         t, p = spectrum.raster
-        turn = 60e6 / (spectrum.rpm * OFF_LOCK)
         for polarity, colour, rise in ((1, "tab:green", 0.2), (0, "tab:red", -0.2)):
-            axes.eventplot(t[p == polarity] / turn, lineoffsets=k + rise,
+            axes.eventplot(t[p == polarity], lineoffsets=k + rise,
                            linelengths=0.35, linewidths=1, colors=colour)
         ticks.append(f"{spectrum.rpm:g} RPM")
     axes.set_yticks(range(len(ticks)), ticks)

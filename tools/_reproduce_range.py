@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pdavis_cv.simulation import Camera, Fan, FlatLight, RotatingPlate, Scene
 from pdavis_cv.simulation import RotatingPolarizer as Polarizer
 from pdavis_cv.tools._reproduce_page import mean, pivot, table
-from pdavis_cv.tools._reproduce_rotation import OFF_LOCK
-from pdavis_cv.tools._reproduce_run import METHODS, Case, Row, Settings
+from pdavis_cv.tools._reproduce_run import METHODS, OFF_LOCK, Case, Row, Settings
 
 __all__ = ["dynamic_range_cases", "dynamic_range_page", "fan_cases", "fan_page",
            "flicker_cases", "flicker_page"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,23 +20,19 @@ from pdavis_cv.simulation import (
 from pdavis_cv.tools._reproduce_page import mean, pivot, table
 from pdavis_cv.tools._reproduce_run import (
     METHODS,
-    SETTLE_US,
-    TAIL_US,
+    OFF_LOCK,
     Case,
     Row,
     Settings,
-    events_of,
+    Takes,
     fuse_parameters,
-    record,
     run,
 )
 
-__all__ = ["INTERVALS_US", "OFF_LOCK", "RPMS", "SCENES", "Comparison", "Rotation",
+__all__ = ["INTERVALS_US", "RPMS", "SCENES", "Comparison", "Rotation",
            "Spectrum", "Trace", "cases", "compare", "page"]
 
 RPMS = (30.0, 60.0, 100.0, 200.0, 500.0, 1000.0)
-# Speeds locked to the frame clock would flatter or ruin a method.
-OFF_LOCK = 1.013
 # A fixed plate along 0 or 45 degrees would leave two channels without a change.
 _PLATE_AXIS = math.radians(15)
 INTERVALS_US = 10 ** np.linspace(1, 7, 61)
@@ -116,7 +111,7 @@ class Spectrum:
     per_turn : (float, float)
         OFF and ON events per such pixel and turn.
     raster : (ndarray, ndarray)
-        Time and polarity of one pixel's events, over a turn.
+        Time in turns and polarity of one pixel's events, over a turn.
     """
 
     rpm: float
@@ -124,7 +119,7 @@ class Spectrum:
     below_1ms: float
     by_phase: NDArray[np.int64]
     per_turn: tuple[float, float]
-    raster: tuple[NDArray[np.int64], NDArray[np.uint8]]
+    raster: tuple[NDArray[np.float64], NDArray[np.uint8]]
 
 
 @dataclass
@@ -169,66 +164,68 @@ def compare(rotation: Rotation, settings: Settings, made: Sequence[Case],
         made[0].camera, made[0].seed, made[0].start_deg)]
     ends = {min(case.rpm for case in first), max(case.rpm for case in first)}
     for case in made:
-        result.rows += run(case, settings)
+        takes = Takes(case)
+        result.rows += run(case, settings, takes)
         if case in first and case.rpm in ends:
-            result.traces += _traces(case, rotation, settings)
-            result.spectra.append(_spectrum(case))
+            result.traces += _traces(case, rotation, settings, takes)
+            result.spectra.append(_spectrum(case, takes))
         tick()
-    flat = Case(scene="constant light", rpm=0.0, camera=made[0].camera,
-                seed=made[0].seed, light=lambda s0: FlatLight(s0=s0), seconds=2.0)
-    still, _, stop = record(flat, METHODS["frames"])
-    height, width = still.info.sensor_size
-    result.outside_hz = len(events_of(still)) / (height * width) / stop * 1e6
+    if made[0].existing is None:
+        flat = Case(scene="constant light", rpm=0.0, camera=made[0].camera,
+                    seed=made[0].seed, light=lambda s0: FlatLight(s0=s0), seconds=2.0)
+        still = Takes(flat)(METHODS["frames"])
+        height, width = still.recording.info.sensor_size
+        result.outside_hz = len(still.recording.events()) / (height * width) / 2.0
     return result
 
 
-def _traces(case: Case, rotation: Rotation, settings: Settings) -> list[Trace]:
-    cycle_us = 60e6 / (case.rpm * OFF_LOCK) / rotation.cycles
-    start = SETTLE_US
-    stop = min(start + 2.2 * cycle_us, case.seconds * 1e6 - TAIL_US)
-    times = np.unique(np.linspace(start, stop, 441).astype(np.int64))
+def _traces(
+    case: Case, rotation: Rotation, settings: Settings, takes: Takes
+) -> list[Trace]:
     traces: list[Trace] = []
-    made: dict[str, Any] = {}
     for name in settings.methods:
         method = METHODS[name]
         if method.own_times:
             continue
-        key = repr((method.preset, method.changes))
-        if key not in made:
-            made[key] = record(case, method)
-        recording, truth, _ = made[key]
+        take = takes(method)
+        start = take.settled_us
+        stop = min(start + 2.2 * case.turn_us / rotation.cycles, take.last_us)
+        times = np.unique(np.linspace(start, stop, 441).astype(np.int64))
         stokes = np.array([
             [plane.mean(dtype=np.float64) for plane in (image.s0, image.s1, image.s2)]
-            for image in fuse(recording, times_us=times, demosaic="superpixel",
-                              **fuse_parameters(method, case.camera))])
+            for image in fuse(take.recording, times_us=times, demosaic="superpixel",
+                              **fuse_parameters(method, case))])
         s0, s1, s2 = stokes.T
         traces.append(Trace(case.rpm, name, times, np.arctan2(s2, s1) / 2 % np.pi,
-                            np.hypot(s1, s2) / s0))
+                            np.hypot(s1, s2) / s0 if method.gives_dolp else
+                            np.full(len(s0), np.nan)))
         if traces[0].method != "truth":
-            x = y = 5.5
-            traces.insert(0, Trace(case.rpm, "truth", times, truth.aop(times, x, y),
-                                   truth.dolp(times, x, y)))
+            traces.insert(0, Trace(case.rpm, "truth", times,
+                                   take.truth.aop(times, 0, 0),
+                                   take.truth.dolp(times, 0, 0)))
     return traces
 
 
-def _spectrum(case: Case) -> Spectrum:
-    recording, _, stop_us = record(case, METHODS["frames"])
-    events, (height, width) = events_of(recording), recording.info.sensor_size
+def _spectrum(case: Case, takes: Takes) -> Spectrum:
+    take = takes(METHODS["frames"])
+    recording = take.recording
+    events, (height, width) = recording.events(), recording.info.sensor_size
     gaps = pixel_intervals(events, width)
     layout = recording.info.layout
     assert layout is not None
     angles = np.asarray(layout.angles_deg)
     zero = events[angles[events["y"] % 2, events["x"] % 2] == 0]
-    turn_us = 60e6 / (case.rpm * OFF_LOCK)
+    zero["t"] -= take.start_us
+    turn_us = case.turn_us
     phases = events_by_phase(zero, turn_us)
-    pixels = height * width / 4
-    off, on = (float(count) / pixels / (stop_us / turn_us) for count in phases.sum(1))
+    turns = (take.stop_us - take.start_us) / turn_us
+    off, on = (float(count) / (height * width / 4) / turns for count in phases.sum(1))
     row, column = np.argwhere(angles == 0)[0] + (height // 4 * 2, width // 4 * 2)
     one = zero[(zero["y"] == row) & (zero["x"] == column) & (zero["t"] < turn_us)]
     return Spectrum(
         case.rpm, np.histogram(gaps, INTERVALS_US)[0],
         float((gaps < 1000).mean()) if len(gaps) else math.nan, phases, (off, on),
-        (one["t"].copy(), one["p"].copy()))
+        (one["t"] / turn_us, one["p"].copy()))
 
 
 # ---- words -----------------------------------------------------------------------
@@ -236,11 +233,13 @@ def _spectrum(case: Case) -> Spectrum:
 _USE_EVENTS = ("events", "cf", "kalman")
 
 
-def page(figure: str, results: Sequence[Comparison], settings: Settings) -> list[str]:
+def page(figure: str, results: Sequence[Comparison], settings: Settings,
+         head: Sequence[str] | None = None) -> list[str]:
     """Return the Markdown of a figure: tables, and the paper's words beside ours."""
     cameras = sorted({row.camera for r in results for row in r.rows if "Sony" not in
                       row.method})
-    lines = [f"# {figure}", "",
+    lines = list(head) if head is not None else [
+             f"# {figure}", "",
              f"Cameras: {', '.join(cameras)}; specimens "
              f"{', '.join(map(str, settings.seeds))}, start angles "
              f"{', '.join(f'{a:g}' for a in settings.starts_deg)} degrees. Mean "
@@ -293,7 +292,7 @@ def _over(result: Comparison, column: str, methods: Sequence[str],
         mine = [row for row in result.rows if row.method == name and rpms(row.rpm)]
         by_speed = [mean([row for row in mine if row.rpm == rpm], column)
                     for rpm in {row.rpm for row in mine}]
-        if by_speed:
+        if np.isfinite(by_speed).any():
             digits = 1 if column.endswith("_deg") else 3
             parts.append(f"{name} {max(by_speed):.{digits}f}")
     return "; ".join(parts) or "-"
@@ -304,7 +303,7 @@ def _exponent(result: Comparison) -> str:
     rows = [row for row in result.rows if np.isfinite(row.events_per_pixel_s)]
     speeds = sorted({row.rpm for row in rows})
     rates = [mean([row for row in rows if row.rpm == rpm], "events_per_pixel_s")
-             - result.outside_hz for rpm in speeds]
+             - np.nan_to_num(result.outside_hz) for rpm in speeds]
     if len(speeds) < 2 or min(rates) <= 0:
         return "-"
     return f"rate ~ RPM^{np.polyfit(np.log(speeds), np.log(rates), 1)[0]:.3f}"
@@ -330,6 +329,7 @@ def _stated2(result: Comparison) -> list[tuple[str, str, str]]:
          + " from 1"),
         ("event rate", "grows with RPM", _exponent(result)),
         ("event rate outside the polarizer", "< 1 Hz per pixel after denoising",
+         "-" if np.isnan(result.outside_hz) else
          f"{result.outside_hz:.2f} Hz under constant light, not denoised"),
     ]
 
@@ -339,7 +339,7 @@ def _growth(result: Comparison, methods: Sequence[str]) -> str:
     for name in methods:
         mine = [row for row in result.rows if row.method == name]
         speeds = sorted({row.rpm for row in mine})
-        if len(speeds) > 1:
+        if len(speeds) > 1 and METHODS[name].gives_dolp:
             by_speed = [mean([row for row in mine if row.rpm == rpm], "dolp_error_roi")
                         for rpm in speeds]
             parts.append(f"{name} {100 * (max(by_speed) - by_speed[0]):+.1f}")

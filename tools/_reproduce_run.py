@@ -12,22 +12,21 @@ from numpy.typing import NDArray
 
 from pdavis_cv.analysis.intervals import pixel_intervals
 from pdavis_cv.analysis.score import KnownLight, Score, Scorer
-from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import fuse
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import FULL, PRESETS, Camera, Scene
 
 __all__ = [
     "METHODS",
+    "OFF_LOCK",
     "SONY_FULL",
     "Case",
     "Method",
     "Row",
     "Settings",
-    "events_of",
+    "Take",
+    "Takes",
     "fuse_parameters",
-    "nominal_thresholds",
-    "record",
     "run",
     "score",
 ]
@@ -36,6 +35,8 @@ __all__ = [
 SETTLE_US = 1_000_000
 # The last images of a recording have less future than others.
 TAIL_US = 60_000
+# Speeds locked to the frame clock would flatter or ruin a method.
+OFF_LOCK = 1.013
 # A Sony camera is given light that fills its 12 bits as FULL fills 10.
 SONY_FULL = 4 * FULL
 
@@ -54,12 +55,15 @@ class Method:
         Camera of frames that stands in for the event camera.
     changes : mapping of str to object
         Of `Camera.preset`.
+    gives_dolp : bool
+        Whether its DoLP means anything.
     """
 
     parameters: Mapping[str, Any]
     own_times: bool = False
     preset: str | None = None
     changes: Mapping[str, Any] = field(default_factory=dict)
+    gives_dolp: bool = True
 
 
 _SONY_75 = {"aps": {"fps": 75.0, "exposure_us": 13_300}}
@@ -73,14 +77,45 @@ METHODS: dict[str, Method] = {
     "frames": Method(parameters={"method": "frames"}),
     "frames, own times": Method(
         parameters={"method": "frames", "hold": "mid"}, own_times=True),
-    "events": Method(parameters={"method": "events"}),
+    "events": Method(parameters={"method": "events"}, gives_dolp=False),
     "events, redundancy": Method(
         parameters={"method": "events", "offsets": "redundancy"}),
     "cf": Method(parameters={"method": "cf"}),
     "kalman causal": Method(parameters={"method": "kalman", "causal": True}),
     "kalman": Method(parameters={"method": "kalman", "thresholds": "in-situ"}),
+    "kalman offline": Method(parameters={
+        "method": "kalman", "mode": "offline", "thresholds": "in-situ"}),
 }
 """What is compared; a new way to fuse is a new line here."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """A recording and what is known about it.
+
+    Parameters
+    ----------
+    recording : Recording
+    truth : KnownLight
+        The light in front of the camera.
+    start_us, stop_us : int
+        Beginning and end.
+    """
+
+    recording: Recording
+    truth: KnownLight
+    start_us: int
+    stop_us: int
+
+    @property
+    def settled_us(self) -> int:
+        """First time that counts."""
+        return self.start_us + SETTLE_US
+
+    @property
+    def last_us(self) -> int:
+        """End of what counts, exclusive."""
+        return self.stop_us - TAIL_US
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +148,12 @@ class Case:
         Camera -> {name: mask of super-pixels, or None for all}.
     margin : float
         Of `Scorer`.
+    existing : Take, optional
+        Stands in for what the event camera would record.
+    true_rpm : float, optional
+        Turns per minute; default ``rpm`` times `OFF_LOCK`.
+    nominal : (float, float), optional
+        Thresholds (on, off) that are given; default those of the preset.
     """
 
     scene: str
@@ -130,6 +171,15 @@ class Case:
     regions: Callable[[Camera], Mapping[str, NDArray[np.bool_] | None]] = (
         lambda camera: {"all": None})
     margin: float = 0.0
+    existing: Take | None = None
+    true_rpm: float | None = None
+    nominal: tuple[float, float] | None = None
+
+    @property
+    def turn_us(self) -> float:
+        """Time of a turn."""
+        rpm = self.rpm * OFF_LOCK if self.true_rpm is None else self.true_rpm
+        return 60e6 / abs(rpm)
 
     def specimen(self, method: Method) -> Camera:
         """Return the camera that a method looks through."""
@@ -202,7 +252,7 @@ class Settings:
     rpms: tuple[float, ...] | None = None
     methods: tuple[str, ...] = tuple(METHODS)
     seconds: float | None = None
-    step_us: int = 1000
+    step_us: int = 1013
     quick: bool = False
 
     @property
@@ -211,51 +261,42 @@ class Settings:
         return [(seed, start) for seed in self.seeds for start in self.starts_deg]
 
 
-def nominal_thresholds(camera: str) -> tuple[float, float]:
-    """Return the thresholds that the maker of a preset would state."""
-    dvs = PRESETS[camera]["dvs"]
-    return float(dvs.theta_on), float(dvs.theta_off)
+class Takes:
+    """The recordings of a case, each made when it is first asked for."""
 
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self._made: dict[Any, Take] = {}
 
-def events_of(recording: Recording) -> NDArray[Any]:
-    """Return all events of a recording, in the order of time."""
-    parts = [packet.events for packet in recording.packets() if len(packet.events)]
-    return np.concatenate(parts) if parts else np.empty(0, EVENT_DTYPE)
-
-
-def record(case: Case, method: Method) -> tuple[Recording, KnownLight, int]:
-    """Make a case's recording as a method's camera sees it.
-
-    Returns
-    -------
-    recording : Recording
-    truth : KnownLight
-    stop_us : int
-        End of the recording.
-    """
-    light = (case.event_dn_per_ms if method.preset is None else case.sony_dn_per_ms)
-    recording, truth = case.specimen(method).record(case.light(light), case.seconds)
-    return recording, truth, truth.stop_us
+    def __call__(self, method: Method) -> Take:
+        """Return what a method's camera records."""
+        case = self._case
+        if method.preset is None and case.existing is not None:
+            return case.existing
+        key = method.preset, repr(method.changes)
+        if key not in self._made:
+            s0 = case.event_dn_per_ms if method.preset is None else (
+                case.sony_dn_per_ms)
+            recording, truth = case.specimen(method).record(
+                case.light(s0), case.seconds)
+            self._made[key] = Take(recording, truth, 0, truth.stop_us)
+        return self._made[key]
 
 
 def score(
-    recording: Recording, truth: KnownLight, stop_us: int, *,
-    regions: Mapping[str, NDArray[np.bool_] | None] | None = None,
-    step_us: int = 1000, settle_us: int = SETTLE_US, own_times: bool = False,
-    margin: float = 0.0, **parameters: Any,
+    take: Take, *, regions: Mapping[str, NDArray[np.bool_] | None] | None = None,
+    step_us: int = 1013, own_times: bool = False, margin: float = 0.0,
+    **parameters: Any,
 ) -> dict[str, Score]:
     """Score a method on super-pixels of a recording, once it has settled.
 
     Parameters
     ----------
-    recording, truth
-        As a `Camera` returns them.
-    stop_us : int
-        End of the recording.
+    take : Take
     regions : mapping of str to ndarray of bool, optional
         Masks of super-pixels, None for all of them.
-    step_us, settle_us : int
-        Interval and first time that counts.
+    step_us : int
+        Interval of the images.
     own_times : bool
         Score at the frames' mid-exposures instead.
     margin : float
@@ -268,38 +309,39 @@ def score(
     dict of str to Score
     """
     when: dict[str, Any] = (
-        {"start_us": settle_us, "stop_us": stop_us - TAIL_US} if own_times else
-        {"times_us": np.arange(settle_us, stop_us - TAIL_US, step_us)})
-    x, y = parameters.get("roi", (0, 0))[:2]
+        {"start_us": take.settled_us, "stop_us": take.last_us} if own_times else
+        {"times_us": np.arange(take.settled_us, take.last_us, step_us)})
     scorers: dict[str, Scorer] = {}
-    for image in fuse(recording, demosaic="superpixel", **when, **parameters):
+    for image in fuse(take.recording, demosaic="superpixel", **when, **parameters):
         scorers = scorers or {
-            name: Scorer(truth, image.shape, mask=mask, margin=margin, origin=(x, y))
+            name: Scorer(take.truth, image.shape, mask=mask, margin=margin)
             for name, mask in (regions or {"all": None}).items()}
         for scorer in scorers.values():
             scorer.add(image)
     return {name: scorer.score for name, scorer in scorers.items()}
 
 
-def run(case: Case, settings: Settings) -> Iterator[Row]:
+def run(case: Case, settings: Settings, takes: Takes) -> Iterator[Row]:
     """Make a case's recordings and yield a row per method and region."""
-    made: dict[Any, tuple[Recording, KnownLight, int]] = {}
     counted: dict[str, tuple[float, float]] = {}
     for name in (name for name in METHODS if name in settings.methods):
         method = METHODS[name]
         of_events = method.preset is None
-        key = method.preset, repr(method.changes)
-        if key not in made:
-            made[key] = record(case, method)
-        recording, truth, stop_us = made[key]
-        regions = case.regions(case.specimen(method))
+        take = takes(method)
+        regions: Mapping[str, NDArray[np.bool_] | None] = {"all": None}
+        if case.existing is None:
+            regions = case.regions(case.specimen(method))
         if of_events and not counted:
-            counted = _event_statistics(recording, regions, stop_us)
+            counted = _event_statistics(take, regions)
         found = score(
-            recording, truth, stop_us, regions=regions, step_us=settings.step_us,
+            take, regions=regions, step_us=settings.step_us,
             own_times=method.own_times, margin=case.margin,
-            **fuse_parameters(method, case.camera))
+            **fuse_parameters(method, case))
         for region, s in found.items():
+            if not method.gives_dolp:
+                s = dataclasses.replace(
+                    s, dolp_error=math.nan, roi_dolp_error=math.nan,
+                    dolp_coverage=math.nan)
             rate, interval = (
                 counted[region] if of_events else (math.nan, math.nan))
             yield Row(
@@ -314,27 +356,28 @@ def run(case: Case, settings: Settings) -> Iterator[Row]:
                 valid=s.valid, events_per_pixel_s=rate, median_interval_us=interval)
 
 
-def fuse_parameters(method: Method, camera: str) -> dict[str, Any]:
+def fuse_parameters(method: Method, case: Case) -> dict[str, Any]:
     """Return what `fuse` is told: nothing that is tuned to a recording.
 
-    Parameters
-    ----------
-    method : Method
-    camera : str
-        Preset of the event camera, whose nominal thresholds are given.
+    Of a simulated camera the thresholds that its maker would state are known.
     """
     parameters = dict(method.parameters)
     if method.preset is None and parameters["method"] != "frames":
-        parameters["nominal_thresholds"] = nominal_thresholds(camera)
+        nominal = case.nominal
+        if nominal is None and case.existing is None:
+            dvs = PRESETS[case.camera]["dvs"]
+            nominal = dvs.theta_on, dvs.theta_off
+        if nominal is not None:
+            parameters["nominal_thresholds"] = nominal
     return parameters
 
 
 def _event_statistics(
-    recording: Recording, regions: Mapping[str, NDArray[np.bool_] | None], stop_us: int
+    take: Take, regions: Mapping[str, NDArray[np.bool_] | None]
 ) -> dict[str, tuple[float, float]]:
     """Return events per pixel and second, and the median interval, per region."""
-    events = events_of(recording)
-    height, width = recording.info.sensor_size
+    events = take.recording.events()
+    height, width = take.recording.info.sensor_size
     result = {}
     for name, mask in regions.items():
         inside, pixels = events, height * width
@@ -342,7 +385,8 @@ def _event_statistics(
             inside, pixels = events[mask[events["y"] // 2, events["x"] // 2]], (
                 4 * int(mask.sum()))
         gaps = pixel_intervals(inside, width)
-        result[name] = (len(inside) / pixels / stop_us * 1e6,
+        seconds = (take.stop_us - take.start_us) / 1e6
+        result[name] = (len(inside) / pixels / seconds,
                         float(np.median(gaps)) if len(gaps) else math.nan)
     return result
 

@@ -17,14 +17,24 @@ from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
 from pdavis_cv.tools import _reproduce_range as light
 from pdavis_cv.tools import _reproduce_rotation as rotation
-from pdavis_cv.tools._common import Parser, UsageError, command, positive, progress
+from pdavis_cv.tools._common import (
+    Parser,
+    UsageError,
+    command,
+    layout_option,
+    numbers,
+    positive,
+    progress,
+    roi_option,
+)
 from pdavis_cv.tools._reproduce_page import (
     beside_stem,
     save_figure,
     write_page,
     write_rows,
 )
-from pdavis_cv.tools._reproduce_run import METHODS, Case, Row, Settings, run
+from pdavis_cv.tools._reproduce_recording import fit_files, fits_page
+from pdavis_cv.tools._reproduce_run import METHODS, Case, Row, Settings, Takes, run
 
 __all__ = ["EXPERIMENTS", "main"]
 
@@ -35,6 +45,23 @@ def _rotation(figure: str, stem: Path, settings: Settings) -> str:
     """Figures 2 and 3."""
     scenes = rotation.SCENES[figure]
     made = [rotation.cases(scene, settings) for scene in scenes]
+    return _compared(figure, stem, settings, scenes, made, None)
+
+
+def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> str:
+    """Figure 2 from recordings."""
+    fitted = fit_files(
+        args.recording, layout=args.layout, roi=args.roi,
+        seconds=settings.seconds or 10.0, nominal=args.nominal)
+    made = [each.case for each in sorted(fitted, key=lambda each: each.case.rpm)]
+    return _compared("fig2", stem, settings, rotation.SCENES["fig2"], [made],
+                     fits_page(fitted, args.roi))
+
+
+def _compared(
+    figure: str, stem: Path, settings: Settings, scenes: Sequence[rotation.Rotation],
+    made: Sequence[Sequence[Case]], head: Sequence[str] | None,
+) -> str:
     shown = iter(progress(range(sum(map(len, made))), sum(map(len, made)), "cases"))
     next(shown)
     results = [rotation.compare(scene, settings, each, lambda: next(shown, None))
@@ -62,7 +89,7 @@ def _rotation(figure: str, stem: Path, settings: Settings) -> str:
                 "-" + result.rotation.name.replace(" ", "-"))
             save_figure(
                 beside_stem(stem, ending), plots.rotation_figure(figure, result))
-    return write_page(stem, rotation.page(figure, results, settings))
+    return write_page(stem, rotation.page(figure, results, settings, head))
 
 
 def _range(figure: str, stem: Path, settings: Settings) -> str:
@@ -70,7 +97,7 @@ def _range(figure: str, stem: Path, settings: Settings) -> str:
     make, describe = _RANGES[figure]
     made = make(settings)
     rows = [row for case in progress(made, len(made), "cases")
-            for row in run(case, settings)]
+            for row in run(case, settings, Takes(case))]
     write_rows(stem, rows, _facts(figure, settings))
     plots = _plots()
     if plots is not None:
@@ -101,7 +128,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Simulate, score, write; return 0."""
     args = _parser().parse_args(argv)
     settings = _settings(args)
-    print(EXPERIMENTS[args.figure][1](args.figure, args.output, settings))
+    if args.recording is None:
+        print(EXPERIMENTS[args.figure][1](args.figure, args.output, settings))
+    elif args.figure == "fig2":
+        print(_recorded(args.output, settings, args))
+    else:
+        raise UsageError(f"--recording belongs to fig2, not to {args.figure}")
     return 0
 
 
@@ -131,10 +163,32 @@ def _parser() -> argparse.ArgumentParser:
         "--seconds", type=positive, help="length of a recording, more than 1.1")
     parser.add_argument(
         "--step-us", type=int, metavar="US",
-        help="interval of the images scored; default 1000 (5000 with --quick)")
+        help="interval of the images scored; default 1013 (5077 with --quick), which "
+             "no frame clock divides")
     parser.add_argument(
         "--quick", action="store_true", help="fewer and shorter cases, a first look")
+    group = parser.add_argument_group(
+        "a recording of your own, of a polarizer turning at constant speed (fig2)")
+    group.add_argument(
+        "--recording", type=Path, nargs="+", metavar="FILE",
+        help="one or more, each of one speed; speed, sense and angle are fitted, "
+             "errors are from the fit; --seconds is how much to read, default 10")
+    group.add_argument(
+        "--roi", type=roi_option, metavar="X,Y,W,H",
+        help="region that the polarizer fills, even numbers; default 12x12 pixels in "
+             "the middle")
+    group.add_argument(
+        "--layout", type=layout_option, metavar="LAYOUT",
+        help="pdavis, sony or four angles by row; default what the file says")
+    group.add_argument(
+        "--nominal", type=_two_thresholds, metavar="ON,OFF",
+        help="contrast thresholds to start from, natural-log units; default 0.2,0.2")
     return parser
+
+
+def _two_thresholds(text: str) -> tuple[float, float]:
+    on, off = numbers(text, 2)
+    return on, off
 
 
 def _settings(args: argparse.Namespace) -> Settings:
@@ -142,7 +196,7 @@ def _settings(args: argparse.Namespace) -> Settings:
         raise UsageError(
             f"--seconds must exceed 1.1, as the first second settles, got "
             f"{args.seconds:g}")
-    step = args.step_us or (5000 if args.quick else 1000)
+    step = args.step_us or (5077 if args.quick else 1013)
     if step <= 0:
         raise UsageError(f"--step-us must be positive, got {step}")
     return Settings(

@@ -13,6 +13,7 @@ from pdavis_cv.analysis.load import LoadTrace, read_load
 from pdavis_cv.analysis.lockin import LockIn, LockInMaps
 from pdavis_cv.analysis.optics import birefringence, retardance, subtract_background
 from pdavis_cv.analysis.roi import Roi, parse_roi, read_rois
+from pdavis_cv.analysis.rotation import RotationFit, fit_rotation
 from pdavis_cv.analysis.score import KnownLight, Score, Scorer, axial_difference
 from pdavis_cv.analysis.spectrum import (
     Cycle,
@@ -43,6 +44,7 @@ __all__ = [
     "LockInMaps",
     "Loop",
     "Roi",
+    "RotationFit",
     "Score",
     "Scorer",
     "SectorSummary",
@@ -61,6 +63,7 @@ __all__ = [
     "dominant_tone",
     "event_counts",
     "events_by_phase",
+    "fit_rotation",
     "fit_tone",
     "hysteresis",
     "parse_roi",
