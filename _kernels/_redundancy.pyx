@@ -69,7 +69,8 @@ cdef inline void rebalance(const double* m, const double* prior, double sigma,
     s[2] = total - s[1]
 
 
-cdef inline void add_moments(double* m, const double* value, double keep) noexcept nogil:
+cdef inline void add_moments(double* m, const double* value,
+                             double keep) noexcept nogil:
     cdef double norm = 0.0
     cdef int i, j, k = 0
     for i in range(4):
@@ -83,7 +84,8 @@ cdef inline void add_moments(double* m, const double* value, double keep) noexce
     m[SINCE] += 1.0
 
 
-def redundancy_sample(const float[:, ::1] log not None, const float[:, ::1] null not None,
+def redundancy_sample(const float[:, ::1] log not None,
+                      const float[:, ::1] null not None,
                       const double[:, :, ::1] prior not None,
                       const double[::1] tuning not None,
                       track_t[:, ::1] tracks not None,

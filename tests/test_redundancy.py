@@ -7,10 +7,17 @@ from hypothesis import strategies as st
 from reference_redundancy import Macropixel
 from streams import random_events
 
-from pdavis_cv import Analyser, Layout, _kernels, fuse
+from pdavis_cv import (
+    Analyser,
+    ApsFrame,
+    Layout,
+    _kernels,
+    fuse,
+    recording_from_arrays,
+)
 from pdavis_cv.reconstruct.redundancy import EventRedundancy, null_of
 from pdavis_cv.reconstruct.tracks import TRACK_DTYPE
-from pdavis_cv.simulation import Camera, FlatLight, RotatingPlate
+from pdavis_cv.simulation import Camera, Fan, FlatLight, RotatingPlate
 
 KEEP, SIGMA, PER_EVENT, LOSS = 0.98, 0.06, 1 / 300, 0.006
 TUNING = np.array([KEEP, SIGMA, PER_EVENT, LOSS])
@@ -110,6 +117,68 @@ def test_light_that_only_flickers_tells_nothing_about_the_gains():
                       nominal_thresholds=(0.16, 0.18)):
         assert image.quality.min() > 0.3
         assert not image.valid.any()
+
+
+@pytest.mark.parametrize("options", [
+    {"method": "events", "offsets": "redundancy"},
+    {"method": "events", "offsets": "redundancy", "causal": True},
+    {"method": "kalman", "bandwidth": (250, 0)}])
+@pytest.mark.parametrize("roi", [(0, 0, 6, 5), (9, 3, 7, 4)])
+def test_a_region_equals_the_crop_of_the_whole(options, roi):
+    camera = Camera.preset("nominal", seed=3, size=(8, 20), origin=(54, 162))
+    recording, _ = camera.record(Fan(rpm=203), 0.7)
+    options = {"nominal_thresholds": (0.16, 0.18), "fps": 60, **options}
+    x, y, width, height = roi
+    rows, columns = slice(y, y + height), slice(x, x + width)
+    some = 0
+    for whole, part in zip(fuse(recording, **options),
+                           fuse(recording, roi=roi, **options), strict=True):
+        for name in ("aop", "dolp", "valid", "quality"):
+            mine, all_ = getattr(part, name), getattr(whole, name)
+            if all_ is not None:
+                np.testing.assert_array_equal(mine, all_[rows, columns])
+        some += part.valid.sum()
+    assert some > 0
+
+
+def test_light_that_saturates_every_frame_is_measured_by_its_events():
+    camera = Camera.preset("nominal", seed=3, size=(8, 12), origin=(54, 156))
+    scene = Fan(rpm=203)
+    recording, truth = camera.record(scene, 1.6)
+    frames = [frame.dn for packet in recording.packets() for frame in packet.frames]
+    assert np.ptp(frames, axis=0).max() < 30        # nothing of the scene is in them
+    y, x = np.mgrid[:8:2, :12:2] + 0.5
+    errors = []
+    for image in fuse(recording, times_us=np.arange(1_000_000, 1_540_000, 7_000),
+                      method="kalman", demosaic="superpixel", bandwidth=(250, 0),
+                      nominal_thresholds=(0.16, 0.18)):
+        assert image.valid.mean() > 0.8
+        turn = image.aop - truth.aop(image.t_us, x, y) + np.pi / 2
+        errors.append(np.median(np.abs(turn % np.pi - np.pi / 2)))
+    assert np.degrees(np.mean(errors)) < 3
+
+
+def test_a_macropixel_that_is_partly_saturated_keeps_the_scale_of_its_frames():
+    recording, truth = Camera.preset(
+        "nominal", seed=4, size=(4, 4)).record(RotatingPlate(rpm=203), 1.2)
+    packets = list(recording.packets())
+    events = np.concatenate([packet.events for packet in packets])
+    frames = []
+    for frame in (frame for packet in packets for frame in packet.frames):
+        usable = np.ones(frame.shape, bool)
+        usable[::2, ::2] = False        # one pixel of each macropixel
+        frames.append(ApsFrame(
+            frame.dn, frame.exposure_start_us, frame.exposure_end_us, valid=usable,
+            available_us=frame.available_us))
+    cut = recording_from_arrays(events, frames, sensor_size=(4, 4),
+                                layout=recording.info.layout)
+    s0 = []
+    for image in fuse(cut, times_us=[1_000_000, 1_040_000, 1_090_000],
+                      method="kalman", demosaic="superpixel", bandwidth=(250, 0),
+                      nominal_thresholds=(0.16, 0.18)):
+        assert image.valid.all()
+        s0.append(image.s0.mean() / truth.s0(image.t_us))
+    np.testing.assert_allclose(s0, 1, atol=0.1)
 
 
 @pytest.mark.parametrize("ahead", [0, 50_000])

@@ -116,7 +116,7 @@ class Reconstructor(ABC):
     def quality(self) -> NDArray[np.float32] | None:
         """How well the method's assumptions hold, 0 (well) to 1; None: cannot tell.
 
-        Of what was fed so far; float32, shape (H, W).
+        As of the last time that was read; float32, shape (H, W).
         """
         return None
 

@@ -11,7 +11,7 @@ from pdavis_cv._checks import checked_threshold
 from pdavis_cv.events import as_events, bad_event
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["NEVER", "Clock", "checked_threshold", "steps"]
+__all__ = ["NEVER", "Clock", "checked_bandwidth", "checked_threshold", "steps"]
 
 NEVER = int(np.iinfo(np.int64).min)
 
@@ -105,3 +105,17 @@ def steps(
     """Return the step of log intensity by polarity: (2,), or (H, W, 2) for maps."""
     off, on = np.broadcast_arrays(np.negative(theta_off), theta_on)
     return np.stack([off, on], axis=-1).astype(np.float32)
+
+
+def checked_bandwidth(value: tuple[float, float] | None) -> tuple[float, float]:
+    """Return (hz, hz_per_intensity), zeros for None; raise ValueError if impossible."""
+    if value is None:
+        return 0.0, 0.0
+    if isinstance(value, str):
+        raise ValueError(f"bandwidth must be (hz, hz_per_intensity), got {value!r}")
+    hz, slope = (float(part) for part in value)
+    if not (np.isfinite(hz) and np.isfinite(slope) and hz >= 0 and slope >= 0):
+        raise ValueError(
+            "bandwidth must be two finite numbers that are not negative, got "
+            f"{value!r}")
+    return hz, slope

@@ -11,16 +11,14 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import output, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock, checked_threshold
+from pdavis_cv.reconstruct.clock import Clock, checked_bandwidth, checked_threshold
 from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv.reconstruct.saturation import Saturated
 from pdavis_cv.reconstruct.smooth import NODE_DTYPE, Smoother
-from pdavis_cv.reconstruct.tracks import Tracks
+from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["LOOKAHEAD_US", "KalmanFilter", "checked_bandwidth"]
-
-LOOKAHEAD_US = 50_000
-"""How long a pixel's next event is waited for when buffered or offline."""
+__all__ = ["KalmanFilter"]
 
 SMOOTHING_US = 500_000
 """How far ahead of an image the offline mode takes frames into account."""
@@ -70,6 +68,9 @@ class KalmanFilter(Reconstructor):
         What de-blurring leaves in a frame (standard deviation of log intensity), and
         the variance of the sum of events per second and per event, in units of the
         threshold squared.
+    response : array_like of shape (2, 2, 3) or (H, W, 3), optional
+        Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
+        orthogonal ones on the diagonals.
 
     Raises
     ------
@@ -79,7 +80,10 @@ class KalmanFilter(Reconstructor):
     Notes
     -----
     A sample that is not valid is not used.  A pixel is valid from its first usable
-    sample on while the variance is below 0.25.  Results do not depend on how the
+    sample on while the variance is below 0.25.  One that has not had any, as in light
+    that saturates every frame, takes its offset from the other three of its
+    macropixel, by what `EventRedundancy` does; the scale of four such pixels is not
+    known.  Results do not depend on how the
     stream is cut into packets.
 
     Offline, a smoother with a fixed lag takes the place of one over the whole
@@ -98,7 +102,7 @@ class KalmanFilter(Reconstructor):
         mode: str = "buffered", lookahead_us: int | None = None,
         threshold_sigma: ArrayLike = 0.035,
         bandwidth: tuple[float, float] | None = None,
-        noise: tuple[float, float, float] = NOISE,
+        noise: tuple[float, float, float] = NOISE, response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         if mode not in _LOOKAHEADS:
@@ -131,6 +135,9 @@ class KalmanFilter(Reconstructor):
         offline = mode == "offline"
         self._tracks = Tracks(self.shape, KEEP_US + self._wait_us, late=offline)
         self._smoother = Smoother(self.shape) if offline else None
+        self._saturated = Saturated(
+            self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
+            self._bandwidth)
         self._clock = Clock(self.shape)
         self._frames: tuple[_Frame, ...] = ()
         self._chi = np.zeros(3)
@@ -141,7 +148,7 @@ class KalmanFilter(Reconstructor):
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "mode": self._mode, "lookahead_us": self.lookahead_us,
                 "threshold_sigma": self._sigma, "bandwidth": self._bandwidth,
-                "noise": self._noise}
+                "noise": self._noise, "response": self._saturated.response}
 
     @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -167,6 +174,7 @@ class KalmanFilter(Reconstructor):
         """Take events (see `Reconstructor.add_events`)."""
         events = as_events(events)
         taken = self._tracks.push(events, self._clock.last_us)
+        self._saturated.add_events(events[:taken])
         try:
             self._clock.took(events, taken)
         finally:
@@ -177,6 +185,7 @@ class KalmanFilter(Reconstructor):
         self._clock.check_frame(frame)
         waiting = _Frame(frame, self._wait_us, self._noise[0])
         self._frames = (*self._frames, waiting)
+        self._saturated.add_frame(frame, waiting.sample, waiting.noise > 0)
         longest = int(np.max(np.subtract(frame.exposure_end_us,
                                          frame.exposure_start_us)))
         delay = frame.available_us - int(np.min(frame.exposure_start_us))
@@ -205,6 +214,7 @@ class KalmanFilter(Reconstructor):
                 recent.tracks, self._reference, self._state9, log, variance)
         if before is not None:
             self._restore(before)
+        self._saturated.fill(t, log, variance)
         valid = (variance >= 0) & (variance <= VALID_VARIANCE)
         np.maximum(variance, 0, out=variance)
         return Estimate(log, variance, valid)
@@ -240,7 +250,8 @@ class KalmanFilter(Reconstructor):
         return {"last_us": self._clock.last_us, "frames": self._frames,
                 "tracks": tracks.state() if whole else tracks.mark(),
                 "reference": self._reference.copy(), "state": self._state9.copy(),
-                "chi": self._chi.copy(), "smoother": (
+                "chi": self._chi.copy(),
+                "saturated": self._saturated.state() if whole else None, "smoother": (
                     None if smoother is None else
                     smoother.state() if whole else smoother.mark())}
 
@@ -251,6 +262,8 @@ class KalmanFilter(Reconstructor):
         self._reference[:] = state["reference"]
         self._state9[:] = state["state"]
         self._chi[:] = state["chi"]
+        if state["saturated"] is not None:
+            self._saturated.restore(state["saturated"])
         if self._smoother is not None:
             self._smoother.restore(state["smoother"])
 
@@ -290,20 +303,6 @@ def _checked_sigma(
     sigma = np.broadcast_to(sigma, (2, *shape)) if sigma.ndim else np.array(
         [sigma, sigma])
     return sigma.copy()
-
-
-def checked_bandwidth(value: tuple[float, float] | None) -> tuple[float, float]:
-    """Return (hz, hz_per_intensity), zeros for None; raise ValueError if impossible."""
-    if value is None:
-        return 0.0, 0.0
-    if isinstance(value, str):
-        raise ValueError(f"bandwidth must be (hz, hz_per_intensity), got {value!r}")
-    hz, slope = (float(part) for part in value)
-    if not (np.isfinite(hz) and np.isfinite(slope) and hz >= 0 and slope >= 0):
-        raise ValueError(
-            "bandwidth must be two finite numbers that are not negative, got "
-            f"{value!r}")
-    return hz, slope
 
 
 def _checked_noise(value: Sequence[float]) -> tuple[float, float, float]:

@@ -12,9 +12,8 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import output, positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock, checked_threshold
-from pdavis_cv.reconstruct.kalman import LOOKAHEAD_US, checked_bandwidth
-from pdavis_cv.reconstruct.tracks import Tracks
+from pdavis_cv.reconstruct.clock import Clock, checked_bandwidth, checked_threshold
+from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["EventRedundancy"]
@@ -110,7 +109,8 @@ class EventRedundancy(Reconstructor):
         self._tracks = Tracks(self.shape, self.lookahead_us)
         self._clock = Clock(self.shape)
         self._next: int | None = None   # number of the next comparison
-        self._taken = 0
+        self._unsolved = False
+        self._shown = self._quality     # as of the last time read
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -121,14 +121,17 @@ class EventRedundancy(Reconstructor):
 
     @property
     def quality(self) -> NDArray[np.float32]:
-        """Ratio of the two smallest eigenvalues, 1 = unknown; shape (H, W)."""
+        """Ratio of the two smallest eigenvalues, 1 = unknown; shape (H, W).
+
+        As of the last time that was read.
+        """
         return self._by_pixel(0)
 
     def _by_pixel(self, known: int) -> NDArray[np.float32]:
         out = np.ones(self.shape, np.float32)
-        rows, columns, _ = self._quality.shape
+        rows, columns, _ = self._shown.shape
         out[:2 * rows, :2 * columns] = (
-            self._quality[..., known].repeat(2, 0).repeat(2, 1))
+            self._shown[..., known].repeat(2, 0).repeat(2, 1))
         return out
 
     def add_events(self, events: NDArray[Any]) -> None:
@@ -140,38 +143,42 @@ class EventRedundancy(Reconstructor):
         try:
             self._clock.took(events, taken)
         finally:
-            self._compare()
+            self._compare(self._clock.last_us - self.lookahead_us - 1)
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Check the frame and note its time."""
         self._clock.check_frame(frame)
-        self._compare()
+        self._compare(self._clock.last_us - self.lookahead_us - 1)
 
-    def _compare(self) -> None:
-        """Make the comparisons whose events have all been fed."""
-        if self._next is None:
-            return
-        tracks, ahead = self._tracks, self.lookahead_us
-        while self._next * STEP_US + ahead < self._clock.last_us:
-            t = self._next * STEP_US
-            before = tracks.committed
-            tracks.commit(t)
-            if tracks.committed == before:
-                # Nothing happens until the next event.
+    def _compare(self, until_us: int) -> None:
+        """Make the comparisons, and solutions, up to until_us inclusive.
+
+        Which they are is a matter of time alone: not of packets, nor of what other
+        macropixels do.
+        """
+        tracks = self._tracks
+        while self._next is not None and self._next * STEP_US <= until_us:
+            k, before = self._next, tracks.committed
+            tracks.commit(k * STEP_US)
+            self._next = k + 1
+            if tracks.committed != before:
+                log, _ = self._log(k * STEP_US)
+                _kernels.redundancy_sample(
+                    log, self._null, self._prior, self._tuning, tracks.tracks,
+                    self._state9, self._balance, self._moments)
+                self._unsolved = True
+            else:
+                # Nothing happens until the next event, or the next solution.
                 waiting = tracks.waiting_us
-                if waiting is None:
-                    return
-                self._next = max(self._next + 1, -(-waiting // STEP_US))
-                continue
-            self._next += 1
-            log, _ = self._log(t)
-            _kernels.redundancy_sample(
-                log, self._null, self._prior, self._tuning, tracks.tracks,
-                self._state9, self._balance, self._moments)
-            self._taken += 1
-            if self._taken % SOLVE_EVERY == 0:
+                self._next = max(k + 1, until_us // STEP_US + 1 if waiting is None
+                                 else -(-waiting // STEP_US))
+                if self._unsolved:
+                    self._next = min(self._next, -(-(k + 1) // SOLVE_EVERY)
+                                     * SOLVE_EVERY)
+            if k % SOLVE_EVERY == 0 and self._unsolved:
                 _kernels.redundancy_solve(
                     PULL, LEAST, self._moments, self._state9, self._quality)
+                self._unsolved = False
 
     def _log(
         self, t: int, out: NDArray[np.float32] | None = None
@@ -189,14 +196,27 @@ class EventRedundancy(Reconstructor):
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
         t = int(t_us)
         self._clock.check_read(t + self.lookahead_us)
-        log, _ = self._log(t, output(out, self.shape, np.float32))
+        log = output(out, self.shape, np.float32)
+        due = self._next is not None and self._next * STEP_US <= t and (
+            self._unsolved or self._tracks.waiting_us is not None)
+        before = self._kept(whole=False) if due else None
+        self._compare(t)
+        self._log(t, log)
+        self._shown = self._quality.copy()
+        if before is not None:
+            self._restore(before)
         return Estimate(log, self._by_pixel(1), self._by_pixel(0) < VALID_QUALITY)
 
     def _state(self) -> Mapping[str, Any]:
-        return {"last_us": self._clock.last_us, "tracks": self._tracks.state(),
+        return self._kept(whole=True)
+
+    def _kept(self, whole: bool) -> Mapping[str, Any]:
+        """Return the state; only what comparisons change unless whole."""
+        return {"last_us": self._clock.last_us,
+                "tracks": self._tracks.state() if whole else self._tracks.mark(),
                 "state": self._state9.copy(), "balance": self._balance.copy(),
                 "moments": self._moments.copy(), "quality": self._quality.copy(),
-                "next": self._next, "taken": self._taken}
+                "next": self._next, "unsolved": self._unsolved}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us = state["last_us"]
@@ -205,7 +225,7 @@ class EventRedundancy(Reconstructor):
         self._balance[:] = state["balance"]
         self._moments[:] = state["moments"]
         self._quality[:] = state["quality"]
-        self._next, self._taken = state["next"], state["taken"]
+        self._next, self._unsolved = state["next"], state["unsolved"]
 
 
 def null_of(

@@ -17,6 +17,9 @@ TRACK_DTYPE = np.dtype(
     [("prev", "<i8"), ("last", "<i8"), ("n_off", "<i4"), ("n_on", "<i4")])
 """Stamps of a pixel's last two events (2 t + p), and counts since a reference."""
 
+LOOKAHEAD_US = 50_000
+"""How long a pixel's next event is waited for, unless nothing may be waited for."""
+
 LONG_AGO = -(2**62)
 _LEAST = 1 << 14
 
