@@ -72,6 +72,50 @@ def test_equal_cycles_are_called_ambiguous_and_an_expected_offset_helps():
     assert np.max(np.abs(errors_ms(clock, 27))) < 2
 
 
+def test_of_equal_cycles_the_widest_overlap_is_taken():
+    rng = np.random.default_rng(2)
+    own = np.arange(0, 6, 0.001)
+    load = LoadTrace(own, np.sin(2 * np.pi * 5 * own))
+    t = np.arange(0, 6, 0.01)
+    v = np.sin(2 * np.pi * 5 * (t - 0.03)) + rng.normal(0, 0.05, len(t))
+    times = EPOCH + np.rint(t * 1e6).astype(np.int64)
+    with pytest.warns(AnalysisWarning, match="fits nearly as well"):
+        clock = align_by_correlation(times, v, load, sign=1)
+    middle = float(clock.to_us(3.0)) - EPOCH
+    assert abs(middle / 1e6 - 3.03) < 0.002
+
+
+def test_a_load_in_another_unit_of_time_is_refused():
+    own = np.arange(0, 6, 0.001)
+    load = LoadTrace(own * 1000, np.sin(2 * np.pi * 5 * own))
+    t = np.arange(0, 6, 0.01)
+    times = EPOCH + np.rint(t * 1e6).astype(np.int64)
+    with pytest.raises(ValueError, match="is the time of one of them in another unit"):
+        align_by_correlation(times, np.sin(2 * np.pi * 5 * t), load)
+
+
+def test_samples_locked_to_the_load_leave_the_offset_open():
+    rng = np.random.default_rng(4)
+    own = np.arange(0, 6, 0.001)
+    load = LoadTrace(own, np.sin(2 * np.pi * 10 * own))
+
+    def aligned(hz):
+        t = 0.02 + np.arange(0, 5.9, 1 / hz)
+        v = np.sin(2 * np.pi * 10 * t) + rng.normal(0, 0.01, len(t))
+        return align_by_correlation(
+            EPOCH + np.rint(t * 1e6).astype(np.int64), v, load, expected_s=-0.02,
+            within_s=0.03)
+
+    for hz in (20.7, 50.0):   # that it aliases at 20.7 Hz does not matter
+        clock = aligned(hz)
+        assert clock.offset_se_s < 5e-4
+        assert clock.offset_s == pytest.approx(-0.02, abs=1e-3)
+    try:
+        assert aligned(20.0).offset_se_s > 0.02
+    except ValueError as error:
+        assert "sampled in step with the load" in str(error)
+
+
 def test_a_gap_in_the_load_is_left_out():
     rng = np.random.default_rng(3)
     own, true = other_clock()

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from pdavis_cv import AnalysisWarning
 from pdavis_cv.analysis import (
     LockIn,
+    LockInMaps,
     alias_warning,
     birefringence,
     cycle_average,
@@ -142,6 +143,38 @@ def test_lock_in_equals_the_fit_of_each_pixel():
     assert np.all(np.abs(maps.amplitude - amplitude)[known]
                   < 5 * maps.amplitude_se[known])
     assert maps.significant[known & (amplitude > 0.1)].all()
+
+
+def test_smoothed_maps_average_the_phasors_of_known_pixels():
+    rng = np.random.default_rng(8)
+    phasor = rng.normal(size=(7, 9)) + 1j * rng.normal(size=(7, 9))
+    se = rng.uniform(0.1, 0.2, (7, 9))
+    phasor[2, 3] = se[2, 3] = np.nan
+    maps = LockInMaps(3.0, 0, np.ones((7, 9)), np.abs(phasor), se, np.angle(phasor),
+                      np.full((7, 9), 50.0))
+    smooth = maps.smoothed(3)
+    got = smooth.amplitude * np.exp(1j * smooth.phase)
+    for y, x in ((0, 0), (2, 4), (5, 5), (6, 8)):
+        part = (slice(max(y - 1, 0), y + 2), slice(max(x - 1, 0), x + 2))
+        assert got[y, x] == pytest.approx(np.nanmean(phasor[part]))
+        n = max(np.count_nonzero(np.isfinite(se[part])) / 4, 1)
+        assert smooth.amplitude_se[y, x] == pytest.approx(
+            np.sqrt(np.nanmean(se[part] ** 2) / n))
+    assert np.isnan(smooth.amplitude[2, 3])
+    np.testing.assert_allclose(smooth.mean[np.isfinite(phasor)], 1)
+    assert maps.smoothed(1) is maps
+    with pytest.raises(ValueError, match="size must be odd and positive, got 2"):
+        maps.smoothed(2)
+
+
+def test_smoothing_takes_out_what_neighbours_do_not_share():
+    y, x = np.mgrid[:40, :40]
+    truth = 0.2 + 0.03 * np.sin(x / 5)
+    rng = np.random.default_rng(9)
+    maps = LockInMaps(3.0, 0, truth, truth * (1 + 0.05 * rng.normal(size=truth.shape)),
+                      np.full_like(truth, 0.001), np.zeros_like(truth), truth)
+    error = [np.std(m.amplitude - truth) for m in (maps, maps.smoothed(3))]
+    assert error[1] < 0.5 * error[0]
 
 
 def test_lock_in_refuses_another_shape():

@@ -22,6 +22,8 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
+_MOST_SKEW = 2e-3  # of clocks that deserve the name
+
 
 @dataclass(frozen=True)
 class Clock:
@@ -224,8 +226,8 @@ def align_by_correlation(
     Raises
     ------
     ValueError
-        If the signals overlap in fewer than 16 samples at every offset allowed, or
-        are constant.
+        If the signals overlap in fewer than 16 samples at every offset allowed, are
+        constant, or fit only if the clocks differed by 2000 ppm or more.
 
     Warns
     -----
@@ -249,16 +251,31 @@ def align_by_correlation(
     if np.all(np.isnan(score)):
         raise ValueError("the trace and the load must overlap in 16 samples, got fewer")
     peaks = _peaks(score)
-    fits = [fit for i in peaks[:8]
+
+    def common(offset: float) -> int:
+        return int(np.count_nonzero(~load.inside_gap(t - offset)))
+
+    # Of equal cycles, every one scores alike: try the widest overlaps too.
+    alike = [i for i in peaks if score[i] > score[peaks[0]] - 0.05]
+    alike.sort(key=lambda i: -common(float(lags[i])))
+    fits = [fit for i in dict.fromkeys((*peaks[:8], *alike[:4]))
             if (fit := _refine(t, v, load, float(lags[i]), sign)) is not None]
     if not fits:
         raise ValueError("the trace and the load must overlap in 16 samples, got fewer")
-    # Candidates are compared by what they leave unexplained, not by the coarse score.
+    # Candidates are compared by what they leave unexplained, not by the coarse score;
+    # of those that differ by chance only, the widest overlap is taken.
     fits.sort(key=lambda fit: -abs(fit.correlation))
-    best = fits[0]
-    rivals = [fit for fit in fits[1:]
-              if abs(fit.offset_s - best.offset_s) > 2 * np.median(np.diff(t))
-              and 1 - fit.correlation ** 2 < 1.15 * (1 - best.correlation ** 2)]
+    least = 1 - fits[0].correlation ** 2
+    chance = max(0.15, 4 * np.sqrt(2 / max(common(fits[0].offset_s), 1)))
+    equal = [fit for fit in fits if 1 - fit.correlation ** 2 <= (1 + chance) * least]
+    best = max(equal, key=lambda fit: common(fit.offset_s))
+    if abs(best.skew_ppm) > 0.95e6 * _MOST_SKEW:
+        raise ValueError(
+            "no offset explains the trace by the load: is the time of one of them in "
+            "another unit, or the trace sampled in step with the load? (the clocks "
+            f"would differ by {best.skew_ppm:.0f} ppm)")
+    rivals = [fit for fit in equal
+              if abs(fit.offset_s - best.offset_s) > 2 * np.median(np.diff(t))]
     if rivals:
         warnings.warn(
             f"an offset of {rivals[0].offset_s:.3f} s fits nearly as well as "
@@ -336,8 +353,8 @@ def _refine(
     found = least_squares(
         residual, np.array([0.0, 0.0, *start]), jacobian,
         x_scale=[step, 1e-4, 1.0, 1.0, 1.0],
-        bounds=([-2 * step, -2e-3, -free, -free, -free],
-                [2 * step, 2e-3, free, free, free]))
+        bounds=([-2 * step, -_MOST_SKEW, -free, -free, -free],
+                [2 * step, _MOST_SKEW, free, free, free]))
     shift, skew, _, _, gain = (float(value) for value in found.x)
     if sign and np.sign(gain) != sign:
         return None
@@ -348,7 +365,12 @@ def _refine(
     r = min(max(float(rest[1:] @ rest[:-1]) / max(energy, 1e-300), 0.0), 0.99)
     variance = energy / max(1, len(v) - 5) * (1 + r) / (1 - r)
     matrix = jacobian(found.x)
-    covariance = np.linalg.pinv(matrix.T @ matrix) * variance
+    size = np.sqrt((matrix ** 2).sum(axis=0))
+    # A trace locked to the load's phase leaves the offset open: no pseudo-inverse,
+    # which would give what is open no error.
+    low, turn = np.linalg.eigh((matrix / size).T @ (matrix / size))
+    inverse = (turn / np.maximum(low, 1e-12)) @ turn.T
+    covariance = inverse * variance / np.outer(size, size)
     # Solved for our time at their zero: tau is 0 at the mean of the times used.
     rate = 1 / (1 - skew)
     zero = (offset + shift - float(t[inside].mean()) * skew) * rate
@@ -359,17 +381,18 @@ def _refine(
 
 
 def _smooth(load: LoadTrace, step: float) -> Any:
-    """Interpolate the load, smoothed to the trace's sampling.
+    """Interpolate the load, smoothed by a sample of the trace, but 5 ms at most.
 
     The noise of a faster clock would otherwise dominate the derivative; a symmetric
-    kernel moves nothing in time.
+    kernel moves nothing in time, and a short one leaves a load that aliases.
     """
     from scipy.interpolate import CubicSpline
     from scipy.ndimage import gaussian_filter1d
     fine = min(step / 2, max(float(np.median(np.diff(load.t_s))), step / 16))
     grid = np.arange(load.t_s[0], load.t_s[-1] + fine / 2, fine)
     values = np.interp(grid, load.t_s, load.primary)
-    return CubicSpline(grid, gaussian_filter1d(values, step / fine, mode="nearest"))
+    width = min(step, max(5e-3, 2 * fine))
+    return CubicSpline(grid, gaussian_filter1d(values, width / fine, mode="nearest"))
 
 
 def hysteresis(
