@@ -119,7 +119,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert zero == pytest.approx(0.2, abs=0.002)
     assert hz == pytest.approx(5.0, rel=0.005)
     table = pandas.read_csv(out / "traces.csv", comment="#")
-    images = list(fuse(recording, fps=100))
+    images = list(fuse(recording, fps=100, mode="offline", noise=(0.02, 3.0, 0.02)))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]
     s0, s1, s2 = np.array(mean).T
