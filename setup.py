@@ -15,6 +15,7 @@ KERNELS = (
     "_aedat2",
     "_aedat4",
     "_aedat_write",
+    "_aop_events",
     "_aps",
     "_build",
     "_bus",

@@ -7,6 +7,7 @@ from ._aedat4 import (
     aedat4_table_times,
 )
 from ._aedat_write import pack_aedat2_events, pack_aedat4_events
+from ._aop_events import aop_event_stokes
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
@@ -41,6 +42,7 @@ __all__ = [
     "aedat4_table_times",
     "aop",
     "aop_dolp",
+    "aop_event_stokes",
     "bilinear",
     "cds",
     "cf_frame",

@@ -55,6 +55,8 @@ _HOME = {
     "write_aedat4": "recording.aedat4_writer",
     "ComplementaryFilter": "reconstruct.cf",
     "KalmanFilter": "reconstruct.kalman",
+    "AOP_EVENT_DTYPE": "reconstruct.aop_events",
+    "AopEvents": "reconstruct.aop_events",
     "EventHighPass": "reconstruct.events",
     "EventRedundancy": "reconstruct.redundancy",
     "FrameHold": "reconstruct.frames",
@@ -105,6 +107,7 @@ _ROOMS = ("analysis", "calibration", "export", "render", "simulation")
 
 # Written out, because type checkers read it and do not run it.
 __all__ = [
+    "AOP_EVENT_DTYPE",
     "CAP_PDAVIS",
     "CAP_PDAVIS_AOP",
     "CAP_PDAVIS_AOP_BGR",
@@ -147,6 +150,7 @@ __all__ = [
     "Aedat4Writer",
     "Analyser",
     "AnalysisWarning",
+    "AopEvents",
     "ApsFrame",
     "BusWarning",
     "Calibration",
@@ -269,6 +273,7 @@ if TYPE_CHECKING:
     from pdavis_cv.mosaic import demosaic
     from pdavis_cv.packed import unpack
     from pdavis_cv.polarimetry import PolarFrame, polarization
+    from pdavis_cv.reconstruct.aop_events import AOP_EVENT_DTYPE, AopEvents
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
     from pdavis_cv.reconstruct.events import EventHighPass

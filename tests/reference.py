@@ -154,3 +154,38 @@ def event_high_pass(events, shape, theta_on, theta_off, cutoff_hz, radius, t_us,
         mean[y, x] = own[near(y, x)].mean()
         seen[y, x] = seen_here[near(y, x)].any()
     return mean, seen
+
+
+class AopEvents:
+    """High-passed sums by macropixel in float64, one event at a time."""
+
+    def __init__(self, shape, on, off, angle_deg, cutoff_hz, radius, correct):
+        self.rate = 2e-6 * np.pi * cutoff_hz
+        self.on, self.off = np.broadcast_to(on, shape), np.broadcast_to(off, shape)
+        self.angle = np.deg2rad(angle_deg)
+        self.radius, self.correct = radius, correct
+        cells = ((shape[0] + 1) // 2, (shape[1] + 1) // 2)
+        self.s = np.zeros(cells, complex)            # S1 + i S2
+        self.swept, self.energy = np.zeros(cells), np.zeros(cells)
+        self.t = np.zeros(cells)
+
+    def add(self, e):
+        y, x, t = int(e["y"]), int(e["x"]), int(e["t"])
+        rows, columns = np.indices(self.s.shape)
+        near = (rows - y // 2) ** 2 + (columns - x // 2) ** 2 <= self.radius**2
+        dt = t - self.t[near]
+        a = np.exp(-self.rate * dt / 2)              # of the rotation: half the rate
+        s = self.s[near] * np.exp(-self.rate * dt)
+        step = self.on[y, x] if e["p"] else -self.off[y, x]
+        step = step * np.exp(2j * self.angle[y % 2][x % 2])
+        self.energy[near] = self.energy[near] * a + np.abs(s) ** 2 * dt
+        self.swept[near] = self.swept[near] * a + np.imag(np.conj(s) * step)
+        self.s[near], self.t[near] = s + step, t
+        s = self.s[y // 2, x // 2]
+        if self.correct:
+            swept, energy = self.swept[y // 2, x // 2], self.energy[y // 2, x // 2]
+            if abs(swept) < 1e-9 * self.rate * energy:
+                return 0        # no sense of rotation yet
+            s *= np.exp(-1j * np.copysign(
+                np.arctan2(self.rate * energy, abs(swept)), swept))
+        return s

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from pdavis_cv.tools import (  # noqa: F401  # they register their cases
+    bench_events,
     bench_files,
     bench_kalman,
     bench_simulate,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
 from pdavis_cv.events import as_events
+from pdavis_cv.reconstruct.aop_events import AopEvents, axes_of, layout_of
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.cf import CELL_DTYPE
 from pdavis_cv.reconstruct.clock import Clock, steps
@@ -45,6 +46,14 @@ class EventHighPass(Reconstructor):
     hold : bool
         Show each pixel as its last event left it, which is the paper's equation;
         otherwise decayed up to the time of the image, so that still parts fade.
+        Default: unless ``correct_phase``.
+    correct_phase : bool
+        Estimate each macropixel's signed rate of rotation, over about two time
+        constants, and turn its angle back by what the high pass turned it ahead;
+        excludes ``hold``.
+    response : array_like of shape (2, 2, 3) or (H, W, 3), optional
+        Response of each pixel (of the cell) to S0, S1, S2: which polarizer is where.
+        Needed for ``correct_phase``.
 
     Raises
     ------
@@ -68,7 +77,8 @@ class EventHighPass(Reconstructor):
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
-        cutoff_hz: float = 0.5, radius: int = 1, hold: bool = True,
+        cutoff_hz: float = 0.5, radius: int = 1, hold: bool | None = None,
+        correct_phase: bool = False, response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
@@ -77,7 +87,18 @@ class EventHighPass(Reconstructor):
         if radius != int(radius) or radius < 0:
             raise ValueError(f"radius must be a whole number from 0, got {radius!r}")
         self._radius = int(radius)
-        self._hold = bool(hold)
+        self._hold = not correct_phase if hold is None else bool(hold)
+        self._response = None if response is None else np.array(response, np.float64)
+        self._turns: AopEvents | None = None
+        if correct_phase:
+            if self._hold:
+                raise ValueError("correct_phase needs hold=False, got hold=True")
+            if self._response is None:
+                raise ValueError("correct_phase needs the pixels' response, got None")
+            self._axes = axes_of(self._response)
+            self._turns = AopEvents(
+                self.shape, theta_on=theta_on, theta_off=theta_off,
+                layout=layout_of(self._axes), cutoff_hz=cutoff_hz, radius=self._radius)
         self.margin = 2 * self._radius
         self._steps = steps(self._theta_on, self._theta_off)
         self._leak = (
@@ -93,13 +114,17 @@ class EventHighPass(Reconstructor):
         """Parameters that make an equal EventHighPass."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "cutoff_hz": self._cutoff_hz, "radius": self._radius,
-                "hold": self._hold}
+                "hold": self._hold, "correct_phase": self._turns is not None,
+                "response": self._response}
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Integrate events (see `Reconstructor.add_events`)."""
         events = as_events(events)
         clock = self._clock
-        clock.took(events, self._leak(events, self._steps, clock.last_us, self._cells))
+        taken = self._leak(events, self._steps, clock.last_us, self._cells)
+        if self._turns is not None:
+            self._turns.add(events[:taken])
+        clock.took(events, taken)
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Check the frame and note its time."""
@@ -122,7 +147,22 @@ class EventHighPass(Reconstructor):
                 count[to] += 1
                 seen[to] |= seen_here[of]
             log /= count
+        if self._turns is not None:
+            self._turn_back(log, self._turns.turn(t))
         return Estimate(log, None, seen)
+
+    def _turn_back(
+        self, log: NDArray[np.float32], turn: NDArray[np.float64]
+    ) -> None:
+        """Turn the doubled angles of macropixels by -turn; their sums stay."""
+        rows, columns = (side // 2 for side in self.shape)
+        part = [log[i // 2:2 * rows:2, i % 2:2 * columns:2] for i in range(4)]
+        s1, s2 = (sum(self._axes[i, j] * part[i] for i in range(4)) for j in (0, 1))
+        turn = turn[:rows, :columns]
+        cos, sin = np.cos(turn), np.sin(turn)
+        d1, d2 = s1 * cos + s2 * sin - s1, s2 * cos - s1 * sin - s2
+        for plane, (one, two) in zip(part, self._axes, strict=True):
+            plane += (one * d1 + two * d2) / 2
 
     def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return 1 + dL, for a macropixel's relative intensities."""
@@ -139,11 +179,14 @@ class EventHighPass(Reconstructor):
                     yield tuple(to for to, _ in pairs), tuple(of for _, of in pairs)
 
     def _state(self) -> Mapping[str, Any]:
-        return {"last_us": self._clock.last_us, "cells": self._cells.copy()}
+        return {"last_us": self._clock.last_us, "cells": self._cells.copy(),
+                "turns": None if self._turns is None else self._turns.state()}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us = state["last_us"]
         self._cells = state["cells"].copy()
+        if self._turns is not None:
+            self._turns.restore(state["turns"])
 
 
 def _shifted(by: int, side: int) -> tuple[slice, slice]:

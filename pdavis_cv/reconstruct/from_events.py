@@ -13,7 +13,8 @@ from pdavis_cv.reconstruct.redundancy import EventRedundancy
 __all__ = ["from_events"]
 
 _KINDS: dict[str, Any] = {"mean": EventHighPass, "redundancy": EventRedundancy}
-_ONLY = {"mean": ("radius", "hold"), "redundancy": ("lookahead_us", "bandwidth")}
+_ONLY = {"mean": ("radius", "hold", "correct_phase"),
+         "redundancy": ("lookahead_us", "bandwidth")}
 
 
 def from_events(
@@ -25,6 +26,7 @@ def from_events(
     cutoff_hz: float = 0.5,
     radius: int | None = None,
     hold: bool | None = None,
+    correct_phase: bool | None = None,
     lookahead_us: int | None = None,
     bandwidth: tuple[float, float] | None = None,
     response: ArrayLike | None = None,
@@ -38,10 +40,12 @@ def from_events(
     offsets : {"mean", "redundancy"}
         "mean": the channels' means are taken to be equal, as in the paper;
         "redundancy": they follow from I0 + I90 = I45 + I135, and DoLP with them.
-    radius, hold
+    radius, hold, correct_phase
         Of `EventHighPass`; default: its own.
-    lookahead_us, bandwidth, response
+    lookahead_us, bandwidth
         Of `EventRedundancy`; default: its own.
+    response
+        Of both.
 
     Raises
     ------
@@ -53,13 +57,13 @@ def from_events(
     if offsets not in _KINDS:
         raise ValueError(f"offsets must be 'mean' or 'redundancy', got {offsets!r}")
     given: dict[str, Any] = {
-        "radius": radius, "hold": hold, "lookahead_us": lookahead_us,
-        "bandwidth": bandwidth}
+        "radius": radius, "hold": hold, "correct_phase": correct_phase,
+        "lookahead_us": lookahead_us, "bandwidth": bandwidth}
     given = {name: value for name, value in given.items() if value is not None}
     for name in given:
         if name not in _ONLY[offsets]:
             raise TypeError(f"{name} has no meaning with offsets={offsets!r}")
-    if offsets == "redundancy":
+    if offsets == "redundancy" or correct_phase:
         given["response"] = response
     made: Reconstructor = _KINDS[offsets](
         shape, theta_on=theta_on, theta_off=theta_off, cutoff_hz=cutoff_hz, **given)
