@@ -227,8 +227,9 @@ def test_a_pixel_without_a_sample_before_t_is_known_from_the_one_after():
 def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
     nodes, times = np.zeros((1, 2, 2), NODE_DTYPE), np.zeros((1, 2), np.int64)
     past, gaps = np.zeros((2, 2), PAST_DTYPE), np.zeros((2, 2), GAP_DTYPE)
-    state, order, passed = np.zeros((2, 2, 9)), np.zeros(1, np.int32), np.zeros(
+    state, order, passed = np.full((2, 2, 9), 0.2), np.zeros(1, np.int32), np.zeros(
         2, np.int32)
+    gaps["before"]["var"] = gaps["after"]["var"] = 0.01
     arguments = {
         _kernels.smooth_past: dict(
             nodes=nodes[0], times=times[0], state=state, past=past),
