@@ -25,6 +25,7 @@ KERNELS = (
     "_floor",
     "_kalman",
     "_leaky",
+    "_network",
     "_packed",
     "_picture",
     "_polarization",

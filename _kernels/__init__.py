@@ -25,6 +25,7 @@ from ._leaky import (
     leak_read,
     log_frame,
 )
+from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import hue_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
@@ -87,4 +88,5 @@ __all__ = [
     "unpack_packed",
     "video_events",
     "voxel",
+    "voxel_planes",
 ]

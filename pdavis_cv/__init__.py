@@ -22,6 +22,8 @@ _HOME = {
     "PdavisError": "errors",
     "PdavisWarning": "errors",
     "RecordingError": "errors",
+    "WeightsError": "errors",
+    "WindowWarning": "errors",
     "CHANNELS": "sensor",
     "Layout": "sensor",
     "Sensor": "sensor",
@@ -59,7 +61,11 @@ _HOME = {
     "AopEvents": "reconstruct.aop_events",
     "EventHighPass": "reconstruct.events",
     "EventRedundancy": "reconstruct.redundancy",
+    "FireNet": "reconstruct.firenet",
     "FrameHold": "reconstruct.frames",
+    "Joint": "reconstruct.firenet",
+    "Weights": "reconstruct.weights",
+    "response_table": "reconstruct.firenet",
     "Estimate": "reconstruct.base",
     "Reconstructor": "reconstruct.base",
     "Snapshot": "reconstruct.base",
@@ -164,7 +170,9 @@ __all__ = [
     "EventRedundancy",
     "EventSlice",
     "ExposureWarning",
+    "FireNet",
     "FrameHold",
+    "Joint",
     "KalmanFilter",
     "Layout",
     "LayoutError",
@@ -179,6 +187,9 @@ __all__ = [
     "Sensor",
     "Snapshot",
     "VideoCapture",
+    "Weights",
+    "WeightsError",
+    "WindowWarning",
     "__version__",
     "accumulate",
     "analysis",
@@ -196,6 +207,7 @@ __all__ = [
     "polarization",
     "recording_from_arrays",
     "render",
+    "response_table",
     "simulation",
     "slices",
     "stokes",
@@ -259,6 +271,8 @@ if TYPE_CHECKING:
         PdavisError,
         PdavisWarning,
         RecordingError,
+        WeightsError,
+        WindowWarning,
     )
     from pdavis_cv.events import (
         EVENT_DTYPE,
@@ -277,10 +291,12 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
     from pdavis_cv.reconstruct.events import EventHighPass
+    from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table
     from pdavis_cv.reconstruct.frames import FrameHold
     from pdavis_cv.reconstruct.kalman import KalmanFilter
     from pdavis_cv.reconstruct.methods import METHODS
     from pdavis_cv.reconstruct.redundancy import EventRedundancy
+    from pdavis_cv.reconstruct.weights import Weights
     from pdavis_cv.recording.aedat2_writer import Aedat2Writer, write_aedat2
     from pdavis_cv.recording.aedat4_writer import Aedat4Writer, write_aedat4
     from pdavis_cv.recording.base import (

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.errors import LayoutError
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
@@ -44,6 +45,15 @@ def chosen_layout(
             return Layout.PDAVIS
         _warned.add(recording)
     return resolve_layout(*known, stacklevel=4)
+
+
+def check_method_fits(method: str, layout: Layout) -> None:
+    """Raise LayoutError if the method was made for other layouts."""
+    i0, _, i90, _ = layout.places
+    if method == "joint" and i0 + i90 != 3:
+        raise LayoutError(
+            "method 'joint' needs a layout in which 0 and 90 degrees lie diagonally, "
+            f"got {layout}")
 
 
 def checked_calibration(

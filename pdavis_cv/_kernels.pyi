@@ -64,6 +64,7 @@ __all__ = [
     "unpack_packed",
     "video_events",
     "voxel",
+    "voxel_planes",
 ]
 
 DEBUG: bool
@@ -213,6 +214,10 @@ def unpack_12p(data: _U8, out: NDArray[np.uint16]) -> None: ...
 def unpack_packed(data: _U8, bits: int, out: NDArray[np.uint16]) -> None: ...
 def surface(events: NDArray[Any], t: int, rate: float, out: _F32) -> None: ...
 def voxel(events: NDArray[Any], start: int, stop: int, out: _F32) -> int: ...
+def voxel_planes(
+    events: NDArray[Any], last: int, start: int, stop: int, steps: _F32,
+    height: int, width: int, out: _F32, seen: _U8,
+) -> int: ...
 def video_events(
     quad: _F32, weights: _F32, pixels: NDArray[np.float64], keys: NDArray[np.uint64],
     edges: NDArray[np.float64], first_edge: int, settings: NDArray[np.float64],

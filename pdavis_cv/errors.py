@@ -12,6 +12,8 @@ __all__ = [
     "PdavisError",
     "PdavisWarning",
     "RecordingError",
+    "WeightsError",
+    "WindowWarning",
 ]
 
 
@@ -29,6 +31,10 @@ class LayoutError(PdavisError, ValueError):
 
 class CalibrationError(PdavisError, ValueError):
     """Raised when a calibration does not belong to the recording or cannot be read."""
+
+
+class WeightsError(PdavisError, ValueError):
+    """Raised when the weights of a network are damaged, foreign or do not fit."""
 
 
 class PdavisWarning(UserWarning):
@@ -57,3 +63,7 @@ class BusWarning(PdavisWarning):
 
 class AnalysisWarning(PdavisWarning):
     """A measurement was asked for where its conditions do not hold."""
+
+
+class WindowWarning(PdavisWarning):
+    """Events are summed over windows too long for what they show."""

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv._arguments import (
+    check_method_fits,
     checked_calibration,
     checked_grid,
     checked_roi,
@@ -36,7 +37,7 @@ from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.mosaic import demosaic_valid
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
-from pdavis_cv.reconstruct.methods import make_reconstructor
+from pdavis_cv.reconstruct.methods import EVENT_METHODS, make_reconstructor
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Layout
 
@@ -212,6 +213,7 @@ class Fusion:
         self._calibration = checked_calibration(calibration, recording)
         self.method = choose_method(method, recording, DEFAULT_METHOD)
         self.layout = chosen_layout(layout, calibration, recording)
+        check_method_fits(self.method, self.layout)
         if demosaic not in ("bilinear", "superpixel"):
             raise ValueError(
                 f"demosaic must be 'bilinear' or 'superpixel', got {demosaic!r}")
@@ -422,7 +424,7 @@ class Fusion:
         # With causal, a second state stays behind at the last frame's mid-exposure:
         # when a frame arrives, it is advanced, and what followed is replayed.
         self._lagged = (
-            self._make() if self._causal and self.method != "events" else None)
+            self._make() if self._causal and self.method not in EVENT_METHODS else None)
         self._backlog: deque[NDArray[Any]] = deque()
         self._frames: deque[tuple[int, int]] = deque()
         self._index, self._t, self._fed_us = 0, None, None
@@ -464,7 +466,7 @@ class Fusion:
 
     def _add_frame(self, frame: ApsFrame) -> None:
         self._frames.append((frame.mid_us, frame.available_us))
-        if self.method == "events":
+        if self.method in EVENT_METHODS:
             return
         frame = corrected(frame, self._calibration).cropped(*self._window)
         if self._lagged is None:

@@ -15,7 +15,7 @@ LINES = (
     ("fusion", "_arguments"),
     ("analysis", "export", "render"),
     ("calibration",),
-    ("simulation",),
+    ("simulation", "training"),
     ("reconstruct",),
     ("_feed",),
     ("recording",),

@@ -21,6 +21,8 @@ COMMANDS = {
     "fan": "make the video of a turning fan of polarizers, with each sector's angle",
     "tendon": "measure a loaded sample: traces, spectra, lock-in maps, a report",
     "reproduce": "the paper's figures, every method against the truth",
+    "train": "train a network for the methods joint and firenet on simulated events",
+    "weights": "convert a published network's checkpoint, or show a file of weights",
     "demo": "make pictures from the sample recording and an ideal camera",
 }
 

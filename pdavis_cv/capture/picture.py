@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.capture import constants as c
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.methods import EVENT_METHODS
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr
 
@@ -40,7 +41,7 @@ def white_level(recording: Recording, method: str, frame: ApsFrame | None) -> fl
     ----------
     recording : Recording
     method : str
-        ``events`` knows changes only, so it has a scale of its own.
+        Those that use events alone have a scale of their own.
     frame : ApsFrame or None
         The first one: gives the converter's range and the exposure.
 
@@ -49,7 +50,7 @@ def white_level(recording: Recording, method: str, frame: ApsFrame | None) -> fl
     float
         In the unit of S0 / 2: DN per ms of exposure, DN where no exposure is known.
     """
-    if frame is None or method == "events":
+    if frame is None or method in EVENT_METHODS:
         return WHITE_WITHOUT_FRAMES
     return frame.full_scale_dn / (frame.exposure_ms or 1.0)
 

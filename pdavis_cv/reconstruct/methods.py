@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.reconstruct.base import Reconstructor
 
-__all__ = ["METHODS", "make_reconstructor", "method_parameters"]
+__all__ = ["EVENT_METHODS", "METHODS", "make_reconstructor", "method_parameters"]
 
 # Method -> (module, what makes it, whether it takes thresholds).
 _CLASSES = {
@@ -19,9 +19,14 @@ _CLASSES = {
     "events": ("from_events", "from_events", True),
     "cf": ("cf", "ComplementaryFilter", True),
     "kalman": ("kalman", "KalmanFilter", True),
+    "firenet": ("firenet", "FireNet", True),
+    "joint": ("firenet", "Joint", True),
 }
 METHODS = tuple(_CLASSES)
 """Names that ``fuse(method=...)`` takes."""
+
+EVENT_METHODS = ("events", "firenet", "joint")
+"""Those that use no frames: their scale of intensity is their own."""
 
 
 def make_reconstructor(

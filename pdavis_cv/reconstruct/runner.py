@@ -1,0 +1,111 @@
+"""Running a network's ONNX bytes by whichever library is there."""
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.reconstruct.onnx import INPUTS, OUTPUTS, network_onnx
+from pdavis_cv.reconstruct.weights import Weights
+
+__all__ = ["BACKENDS", "chosen_backend", "make_runner"]
+
+BACKENDS = ("onnxruntime", "cv2")
+"""What can run a network, the quicker one first."""
+
+_SMALL = 4096  # cells that are not worth a second thread
+
+Array = NDArray[np.float32]
+Runner = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
+
+
+def chosen_backend(backend: str = "auto") -> str:
+    """Return the library to use.
+
+    Parameters
+    ----------
+    backend : {"auto", "onnxruntime", "cv2"}
+        "auto" takes the first of ``BACKENDS`` that is installed.
+
+    Raises
+    ------
+    ImportError
+        If it, or with "auto" each of them, is missing.
+    ValueError
+        If there is no such backend.
+    """
+    if backend not in ("auto", *BACKENDS):
+        raise ValueError(
+            f"backend must be one of auto, {', '.join(BACKENDS)}, got {backend!r}")
+    wanted = BACKENDS if backend == "auto" else (backend,)
+    for name in wanted:
+        if _installed(name):
+            return name
+    raise ImportError(
+        f"networks need {' or '.join(wanted)}: pip install 'pdavis-cv[dnn]' for "
+        "onnxruntime, 'pdavis-cv[cv2]' for OpenCV")
+
+
+def _installed(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # sys.modules says that it is not to be had
+        return False
+
+
+def make_runner(weights: Weights, height: int, width: int, backend: str) -> Runner:
+    """Return a function from (x, h1, h2) to (y, g1, g2).
+
+    Parameters
+    ----------
+    weights : Weights
+    height, width : int
+        Of the planes, in macropixels.
+    backend : {"onnxruntime", "cv2"}
+
+    Returns
+    -------
+    callable
+        Takes and returns float32 arrays; those returned are the caller's.
+    """
+    model = network_onnx(weights, height, width)
+    if backend == "onnxruntime":
+        return _onnxruntime(model, 1 if height * width < _SMALL else 0)
+    return _cv2(model)
+
+
+def _onnxruntime(model: bytes, threads: int) -> Runner:
+    # Some builds report home from import on: nothing here is to leave the machine.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    runtime: Any = importlib.import_module("onnxruntime")
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = threads  # 0 = one per core
+    # Threads that spin while they wait starve whatever else runs.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    session = runtime.InferenceSession(
+        model, options, providers=["CPUExecutionProvider"])
+
+    def run(x: Array, h1: Array, h2: Array) -> tuple[Array, Array, Array]:
+        y, g1, g2 = session.run(list(OUTPUTS), dict(zip(INPUTS, (x, h1, h2),
+                                                        strict=True)))
+        return y, g1, g2
+
+    return run
+
+
+def _cv2(model: bytes) -> Runner:
+    cv2: Any = importlib.import_module("cv2")
+    net = cv2.dnn.readNetFromONNX(np.frombuffer(model, np.uint8))
+
+    def run(x: Array, h1: Array, h2: Array) -> tuple[Array, Array, Array]:
+        for name, value in zip(INPUTS, (x, h1, h2), strict=True):
+            net.setInput(value, name)
+        # What forward returns may be the network's own memory.
+        y, g1, g2 = (np.array(out, np.float32) for out in net.forward(list(OUTPUTS)))
+        return y, g1, g2
+
+    return run

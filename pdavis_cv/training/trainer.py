@@ -1,0 +1,248 @@
+"""The training loop: chunks of clips, truncated back-propagation, checkpoints."""
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pdavis_cv.reconstruct.weights import Weights
+from pdavis_cv.training.clips import UNIT, Chunk, Clips
+from pdavis_cv.training.networks import WIDTH, make_network
+
+__all__ = ["Recipe", "Trainer", "train"]
+
+DARKEST = 1e-2
+"""Intensity below which ``firenet`` counts as dark, where mean S0 is 1."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a network is trained.
+
+    Parameters
+    ----------
+    network : {"joint", "firenet"}
+    seed : int
+        Of the first weights and of the clips.
+    steps : int
+        Updates, over which the rate falls along a cosine.
+    rate : float
+        Largest rate of Adam.
+    batch, side, windows : int
+        Clips side by side, macropixels along a side, and windows through which
+        errors are propagated back.
+    half : bool
+        Convolve in bfloat16; states and losses stay float32.
+    """
+
+    network: str = "joint"
+    seed: int = 0
+    steps: int = 20_000
+    rate: float = 2e-3
+    batch: int = 6
+    side: int = 32
+    windows: int = 8
+    half: bool = False
+
+
+class Trainer:
+    """Train a network step by step; the state can be saved and taken up again.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    """
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        torch.manual_seed(recipe.seed)
+        self.net = make_network(recipe.network)
+        self.optimizer = torch.optim.Adam(self.net.parameters(), lr=recipe.rate)
+        self.clips = Clips(recipe.batch, recipe.side, recipe.seed)
+        self.planes = recipe.batch * (4 if recipe.network == "firenet" else 1)
+        shape = (self.planes, WIDTH, recipe.side, recipe.side)
+        self.states = [torch.zeros(shape), torch.zeros(shape)]
+        self.step = 0
+        self.pixel_steps = 0  # cells times windows that were learned from
+
+    def advance(self) -> dict[str, float]:
+        """Make one update; return its loss and errors."""
+        recipe, net = self.recipe, self.net
+        done = min(self.step / recipe.steps, 1)
+        rate = recipe.rate * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * done)))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate * min(1, (self.step + 1) / 100)
+        chunk = self.clips.chunk(recipe.windows)
+        outputs = self._forward(chunk)
+        loss, scores = score(outputs, chunk, recipe.network)
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+        self.optimizer.step()
+        self.step += 1
+        self.pixel_steps += recipe.batch * recipe.side**2 * recipe.windows
+        return scores
+
+    def _forward(self, chunk: Chunk) -> torch.Tensor:
+        keep = (~chunk.fresh).float()
+        if self.recipe.network == "firenet":
+            keep = keep.repeat_interleave(4)
+        h1, h2 = (h.detach() * keep.view(-1, 1, 1, 1) for h in self.states)
+        inputs = planes(chunk, self.recipe.network)
+        outputs = []
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.recipe.half):
+            for x in inputs:
+                y, h1, h2 = self.net(x, h1, h2)
+                outputs.append(y)
+        self.states = [h1.detach(), h2.detach()]
+        k, n, _, _, h, w = chunk.voxels.shape
+        return torch.stack(outputs).view(k, n, -1, h, w)
+
+    # ---- checkpoints ---------------------------------------------------------
+
+    def save(self, path: Path) -> None:
+        """Write everything that is needed to go on, beside and then in place."""
+        state = {"recipe": asdict(self.recipe), "step": self.step,
+                 "pixel_steps": self.pixel_steps,
+                 "net": self.net.state_dict(),
+                 "optimizer": self.optimizer.state_dict(), "states": self.states,
+                 "clips": self.clips.state()}
+        beside = path.with_name(path.name + ".part")
+        torch.save(state, beside)
+        beside.replace(path)
+
+    @classmethod
+    def load(cls, path: Path, recipe: Recipe | None = None) -> Trainer:
+        """Go on from a checkpoint of one's own (it is a pickle: trust it).
+
+        Parameters
+        ----------
+        path : Path
+        recipe : Recipe, optional
+            Another one from here on; clips go on only with equal seed and sizes.
+
+        Raises
+        ------
+        ValueError
+            If the recipe is for the other network.
+        """
+        state = torch.load(path, weights_only=False)
+        trainer = cls(recipe or Recipe(**state["recipe"]))
+        if state["recipe"]["network"] != trainer.recipe.network:
+            raise ValueError(
+                f"{path} is of network {state['recipe']['network']!r}, not "
+                f"{trainer.recipe.network!r}")
+        trainer.net.load_state_dict(state["net"])
+        trainer.optimizer.load_state_dict(state["optimizer"])
+        trainer.step, trainer.pixel_steps = state["step"], state["pixel_steps"]
+        same = ("batch", "side", "seed")
+        if all(state["recipe"][name] == getattr(trainer.recipe, name)
+               for name in same):
+            trainer.states = state["states"]
+            trainer.clips.restore(state["clips"])
+        return trainer
+
+    def weights(self, **about: Any) -> Weights:
+        """Return the weights as they are, for `Weights.save`."""
+        arrays = {name: value.detach().numpy().copy()
+                  for name, value in self.net.state_dict().items()}
+        return Weights(self.recipe.network, arrays, UNIT, {
+            "recipe": asdict(self.recipe), "step": self.step,
+            "pixel_steps": self.pixel_steps, **about})
+
+
+def planes(chunk: Chunk, network: str) -> torch.Tensor:
+    """Return a network's inputs, shape (K, planes, C, H, W)."""
+    k, n, _, bins, h, w = chunk.voxels.shape
+    if network == "firenet":
+        return chunk.voxels.reshape(k, n * 4, bins, h, w)
+    return torch.cat((chunk.voxels.reshape(k, n, 4 * bins, h, w),
+                      chunk.integrals.reshape(k, n, 8, h, w)), 2)
+
+
+def _measured(
+    outputs: torch.Tensor, network: str
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return ln S0 before each pixel, or of each cell, and S1/S0 and S2/S0."""
+    if network == "joint":
+        return outputs[:, :, :4], outputs[:, :, 4:]
+    i0, i45, i90, i135 = outputs.clamp(min=DARKEST).unbind(2)
+    s0 = (i0 + i45 + i90 + i135) / 2
+    polar = torch.stack(((i0 - i90) / s0, (i45 - i135) / s0), 2)
+    return torch.log(s0)[:, :, None], polar
+
+
+def score(
+    outputs: torch.Tensor, chunk: Chunk, network: str
+) -> tuple[torch.Tensor, dict[str, float]]:
+    """Return the loss, and errors by kind of scene.
+
+    The loss is the mean absolute error of S1/S0 and S2/S0, and a third of that of ln
+    S0 up to one gain per clip and chunk; for ``firenet`` also a half of that of
+    intensity, in which mean S0 is 1.
+    """
+    log_s0, polar = _measured(outputs, network)
+    true_s0, true = chunk.log_s0, chunk.polar
+    if network == "firenet":
+        true_s0 = torch.logsumexp(true_s0, 2, keepdim=True) - math.log(4)
+    weight = chunk.age / (chunk.age + 4)
+    weight = (weight / weight.mean())[..., None, None, None]
+    off = log_s0 - true_s0
+    gain = off.mean((0, 2, 3, 4), keepdim=True)
+    light = (off - gain).abs() * weight
+    loss = 2 * ((polar - true).abs() * weight).mean() + light.mean() / 3
+    if network == "firenet":
+        mean = torch.exp(true_s0).mean((0, 2, 3, 4), keepdim=True)
+        loss = loss + ((outputs - chunk.light / mean).abs() * weight).mean() / 2
+    else:
+        loss = loss + 0.01 * gain.abs().mean()
+    with torch.no_grad():
+        scores = {"loss": float(loss.detach()), "light": float(light.mean())}
+        (s1, s2), (t1, t2) = polar.unbind(2), true.unbind(2)
+        dolp = (torch.hypot(s1, s2) - torch.hypot(t1, t2)).abs()
+        turned = torch.atan2(s2 * t1 - s1 * t2, s1 * t1 + s2 * t2).abs()
+        sure = torch.hypot(t1, t2) > 0.3
+        old = chunk.age[-1] > 16
+        for i, kind in enumerate(chunk.kinds):
+            if old[i]:
+                scores[f"{kind} dolp"] = float(dolp[:, i].mean())
+                if sure[:, i].any():
+                    scores[f"{kind} aop"] = math.degrees(
+                        float(turned[:, i][sure[:, i]].mean()) / 2)
+    return loss, scores
+
+
+class Averages:
+    """Means of scores since the last `take`."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[float, int]] = {}
+
+    def add(self, scores: dict[str, float]) -> None:
+        """Count scores."""
+        for name, value in scores.items():
+            total, n = self._sums.get(name, (0.0, 0))
+            self._sums[name] = total + value, n + 1
+
+    def take(self) -> dict[str, float]:
+        """Return the means, and begin anew."""
+        means = {name: total / n for name, (total, n) in sorted(self._sums.items())}
+        self._sums = {}
+        return means
+
+
+def train(
+    trainer: Trainer, path: Path, *, every: int = 200,
+    told: Callable[[dict[str, float]], None] = lambda scores: None,
+) -> None:
+    """Train to the recipe's end, saving to path every so many steps."""
+    averages = Averages()
+    while trainer.step < trainer.recipe.steps:
+        averages.add(trainer.advance())
+        if trainer.step % every == 0 or trainer.step == trainer.recipe.steps:
+            trainer.save(path)
+            told(averages.take())

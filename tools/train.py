@@ -1,0 +1,75 @@
+"""Train a network on simulated events; needs torch (pip install 'pdavis-cv[train]')."""
+from __future__ import annotations
+
+import csv
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+from pdavis_cv.export import beside
+from pdavis_cv.tools._common import Parser, UsageError, command, positive
+
+__all__ = ["main"]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Train, from the start or from a checkpoint; return 0."""
+    parser = Parser(
+        "train", (__doc__ or "").split(";")[0],
+        "pdavis train joint -o mine/joint.npz --steps 20000\n"
+        "  pdavis export recording.aedat4 -o out.mp4 --method joint "
+        "--set weights=mine/joint.npz")
+    parser.add_argument("network", choices=("joint", "firenet"))
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILE.npz",
+        help="weights; beside it FILE.pt, from which training goes on when it is "
+             "there, and FILE.csv with the scores")
+    parser.add_argument("--steps", type=int, default=20_000,
+                        help="updates in all; the rate falls to them along a cosine")
+    parser.add_argument("--every", type=int, default=200,
+                        help="updates between checkpoints")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rate", type=positive, default=2e-3, help="of Adam, at most")
+    parser.add_argument("--batch", type=int, default=8, help="clips side by side")
+    parser.add_argument("--side", type=int, default=20,
+                        help="macropixels along a side of a clip")
+    parser.add_argument("--half", action="store_true",
+                        help="convolve in bfloat16: quicker on processors that have it")
+    args = parser.parse_args(argv)
+    out = Path(args.output)
+    if out.suffix != ".npz":
+        raise UsageError(f"--output must end in .npz, got {args.output!r}")
+    for name in ("steps", "every", "batch"):
+        if getattr(args, name) < 1:
+            raise UsageError(f"--{name} must be at least 1, got {getattr(args, name)}")
+    if args.side < 4:
+        raise UsageError(f"--side must be at least 4, got {args.side}")
+    if importlib.util.find_spec("torch") is None:
+        raise UsageError("training needs torch: pip install 'pdavis-cv[train]'")
+    from pdavis_cv.training.trainer import Recipe, Trainer, train
+
+    recipe = Recipe(args.network, args.seed, args.steps, args.rate, args.batch,
+                    args.side, half=args.half)
+    checkpoint = out.with_suffix(".pt")
+    if checkpoint.exists():
+        trainer = Trainer.load(checkpoint, recipe)
+        print(f"{checkpoint}: going on from step {trainer.step}")
+    else:
+        trainer = Trainer(recipe)
+
+    def told(scores: dict[str, float]) -> None:
+        with beside(out) as path:
+            trainer.weights(scores=scores).save(path)
+        row = {"step": trainer.step, "pixel_steps": trainer.pixel_steps, **scores}
+        with open(out.with_suffix(".csv"), "a", newline="") as stream:
+            writer = csv.writer(stream)
+            if not stream.tell():
+                writer.writerow(("step", "pixel_steps", "score", "mean"))
+            writer.writerows((trainer.step, trainer.pixel_steps, name, f"{value:.6g}")
+                             for name, value in scores.items())
+        print(" ".join(f"{name}={value:.4g}" for name, value in row.items()),
+              flush=True)
+
+    train(trainer, checkpoint, every=args.every, told=told)
+    return 0

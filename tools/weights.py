@@ -1,0 +1,58 @@
+"""pdavis weights: convert a FireNet checkpoint that you have, or show a file."""
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from pdavis_cv.export import beside
+from pdavis_cv.reconstruct.checkpoint import firenet_weights
+from pdavis_cv.reconstruct.weights import Weights
+from pdavis_cv.tools._common import Parser, UsageError, command
+
+__all__ = ["main"]
+
+
+class _ActionParser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """Raise UsageError instead of printing the whole usage."""
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Convert or show; return 0."""
+    parser = Parser("weights", (__doc__ or "").split(": ", 1)[1],
+                    "pdavis weights convert firenet_1000.pth.tar -o firenet.npz")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION",
+                                    parser_class=_ActionParser)
+    convert = actions.add_parser(
+        "convert", help="read a checkpoint of the published FireNet, without torch and "
+                        "without running what is in it")
+    convert.add_argument("checkpoint", help="a file that torch.save wrote")
+    convert.add_argument("-o", "--output", required=True, metavar="FILE.npz",
+                         help="for fuse(method='firenet', weights=...)")
+    show = actions.add_parser("show", help="say what an npz file of weights holds")
+    show.add_argument("file", metavar="FILE.npz")
+    args = parser.parse_args(argv)
+    if args.action == "show":
+        _show(Weights.load(args.file))
+        return 0
+    if Path(args.output).suffix != ".npz":
+        raise UsageError(f"--output must end in .npz, got {args.output!r}")
+    weights = firenet_weights(args.checkpoint)
+    with beside(Path(args.output)) as path:
+        weights.save(path)
+    print(f"{args.output}: {weights.parameters} weights, {weights.digest}")
+    return 0
+
+
+def _show(weights: Weights) -> None:
+    print(f"{weights.network}: {weights.parameters} weights, {weights.digest}")
+    unit = ("counts events" if weights.unit is None
+            else f"log intensity in units of {weights.unit:g}")
+    print(f"input: {unit}")
+    for name, value in weights.about.items():
+        print(f"{name}: {value if isinstance(value, str) else json.dumps(value)}")
