@@ -243,10 +243,14 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
     if "tendon" in command:
         pytest.importorskip("matplotlib")
     tool, *options = command
+    program = (
+        f"from pdavis_cv.tools import {tool}, main\nprint('ready', flush=True)\n"
+        "raise SystemExit(main.main())")
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "pdavis_cv.tools.main", tool,
+        [sys.executable, "-P", "-c", program, tool,
          str(example_recording()), *options, "--fps", "30000", "--layout", "pdavis"],
         cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
     # The unfinished file shows that the work has begun; tendon first measures.
     deadline = time.monotonic() + 60
     while not any(tmp_path.iterdir()) and "tendon" not in command:
@@ -254,7 +258,7 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
         assert time.monotonic() < deadline
         time.sleep(0.02)
     if "tendon" in command:
-        time.sleep(2)
+        time.sleep(1)
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=60)
     assert process.returncode == 1
