@@ -11,7 +11,14 @@ import warnings
 import numpy as np
 import pytest
 
-from pdavis_cv import Layout, PolarFrame, fuse, open_recording
+from pdavis_cv import (
+    ApsFrame,
+    Layout,
+    PolarFrame,
+    fuse,
+    open_recording,
+    recording_from_arrays,
+)
 from pdavis_cv.data import example_recording
 from pdavis_cv.export import read_embedded
 from pdavis_cv.simulation import Camera, Fan, Tendon
@@ -94,6 +101,26 @@ def test_fan_takes_a_second_camera(tmp_path, wheel, monkeypatch, capsys):
     assert heights[1] > heights[0] + 60
 
 
+@pytest.mark.parametrize("name", ["fruits_IMX250MZR.png", "camera_IMX250MZR.png"])
+def test_fan_shows_a_real_sony_mosaic_beside(
+        tmp_path, wheel, monkeypatch, data_dir, name):
+    real = fan.open_recording
+    monkeypatch.setattr(
+        fan, "open_recording", lambda path, **options: wheel[0] if path == "a"
+        else real(path, **options))
+    still = tmp_path / "s.png"
+    assert fan.main(["a", "-o", str(tmp_path / "f.mp4"), "--fps", "10", "--method",
+                     "cf", "--beside", str(data_dir / name), "--beside-layout", "sony",
+                     "--still", str(still)]) == 0
+    picture = cv2.imread(str(still))
+    mosaic = cv2.imread(str(data_dir / name), cv2.IMREAD_UNCHANGED)
+    small = cv2.resize(mosaic[1::2, 1::2], (76, 64), interpolation=cv2.INTER_AREA)
+    # Its intensity at 0 degrees is found in the sheet.
+    match = cv2.matchTemplate(np.ascontiguousarray(picture[:, :, 0]), small,
+                              cv2.TM_CCOEFF_NORMED)
+    assert match.max() > 0.7
+
+
 def load_csv(path, scene, offset=0.2, skew=50e-6):
     own = np.arange(0, 1.7, 0.001)
     strain = scene.strain(1e6 * (offset + (1 + skew) * own))
@@ -139,6 +166,56 @@ def test_tendon_finds_the_load_and_writes_everything(
     names = {path.name for path in out.iterdir()}
     assert names == {"traces.csv", "traces-jaer.csv", "frames.csv", "cycle.csv",
                      "loop.csv", "lockin.npz", "tendon.mp4", "report.html"}
+
+
+def test_tendon_takes_the_clock_from_triggers(tmp_path, pulled, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    recording, _, scene = pulled
+    packets = list(recording.packets())
+    own = np.array([0.1, 0.45, 0.8, 1.3])
+    pulses = np.zeros(8, packets[0].triggers.dtype)
+    pulses["t"][::2] = np.rint(1e6 * (0.2 + (1 + 50e-6) * own))
+    pulses["t"][1::2] = pulses["t"][::2] + 3000
+    pulses["type"] = [1, 2] * 4
+    with_pulses = recording_from_arrays(
+        np.concatenate([p.events for p in packets]),
+        [f for p in packets for f in p.frames], triggers=pulses,
+        sensor_size=recording.info.sensor_size, layout=recording.info.layout)
+    t = np.arange(0, 1.7, 0.001)
+    level = [5 * any(o <= now < o + 0.003 for o in own) for now in t]
+    strain = scene.strain(1e6 * (0.2 + (1 + 50e-6) * t))
+    (tmp_path / "load.csv").write_text("time (s),force (N),trigger (V)\n" + "\n".join(
+        f"{a:.3f},{b:.6f},{c}" for a, b, c in zip(t, 1e3 * strain, level, strict=True)))
+    monkeypatch.setattr(tendon, "open_recording", opener({"a": with_pulses}))
+    assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "50", "--load",
+                        str(tmp_path / "load.csv"), "--align", "trigger"]) == 0
+    text = capsys.readouterr().out
+    zero = float(re.search(r"its zero lies at ([\d.]+) s", text).group(1))
+    start = with_pulses.info.start_us / 1e6
+    assert zero == pytest.approx(0.2 - start, abs=0.001)   # a sample of the load file
+
+
+def test_tendon_subtracts_the_polarization_of_the_light(
+        tmp_path, pulled, monkeypatch, capsys):
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("matplotlib")
+    recording, _, _ = pulled
+    angles = np.deg2rad(np.tile(recording.info.layout.angles_deg, (12, 16)))
+    light = 400 * (1 + 0.1 * np.cos(2 * angles))   # S1 / S0 = 0.1
+    empty = recording_from_arrays(
+        None, [ApsFrame(light.astype(np.float32), k * 50_000, k * 50_000 + 20_000)
+               for k in range(3)],
+        sensor_size=(24, 32), layout=recording.info.layout)
+    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording, "b": empty}))
+    vectors = []
+    for extra in ([], ["--background", "b"]):
+        assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "20",
+                            "--set", "extinction_ratio=none", *extra]) == 0
+        table = pandas.read_csv(tmp_path / "traces.csv", comment="#")
+        vectors.append(table["dolp"] * np.exp(2j * np.deg2rad(table["aop_deg"])))
+    capsys.readouterr()
+    gain = 41 / 39   # the nominal extinction ratio's, of the background's frames
+    np.testing.assert_allclose(vectors[0] - vectors[1], 0.1 * gain, atol=2e-4)
 
 
 def test_tendon_warns_where_frames_alias_and_not_where_they_do_not(
@@ -250,7 +327,8 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
         [sys.executable, "-P", "-c", program, tool,
          str(example_recording()), *options, "--fps", "30000", "--layout", "pdavis"],
         cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
     # The unfinished file shows that the work has begun; tendon first measures.
     deadline = time.monotonic() + 60
     while not any(tmp_path.iterdir()) and "tendon" not in command:

@@ -123,7 +123,8 @@ def _parser() -> argparse.ArgumentParser:
         help="average the maps over N x N pixels: 1, 3, 5 or 7; default 3, about a "
              "macropixel")
     parser.add_argument("--background", metavar="FILE",
-                        help="a recording without the sample, to be subtracted")
+                        help="a recording of the light without the sample: its S1/S0 "
+                             "and S2/S0 are subtracted")
     parser.add_argument("--thickness-um", type=float, metavar="UM",
                         help="thickness of the sample, for the birefringence")
     parser.add_argument("--wavelength-nm", type=float, metavar="NM",
@@ -307,7 +308,8 @@ def _align(
         rising = np.isin(pulses["type"], (1, 3))
         if not rising.any():
             raise UsageError("--align trigger: the recording holds no external trigger")
-        clock = analysis.align_by_triggers(pulses["t"][rising], load.trigger_times())
+        clock = analysis.align_by_triggers(
+            pulses["t"][rising], load.trigger_times()).counted_from(origin)
     else:
         clock = _correlated(args, found, load)
     found.clock, found.load = clock, load
