@@ -13,7 +13,7 @@ cdef inline double log64(double x) noexcept nogil:
     memcpy(&bits, &x, 8)
     # the exponent for which the mantissa lies in [sqrt(1/2), sqrt(2))
     k = ((bits + <int64_t>0x00095f6400000000ULL) >> 52) - 1023
-    bits -= k << 52
+    bits -= k * (<int64_t>1 << 52)  # a shift of what is negative is not defined
     memcpy(&m, &bits, 8)
     f = m - 1.0
     s = f / (2.0 + f)

@@ -173,7 +173,7 @@ cdef inline float log32(float x) noexcept nogil:
     cdef float m, z, y, e
     memcpy(&bits, &x, 4)
     k = (bits - 0x3f3504f3) >> 23
-    bits -= k << 23
+    bits -= k * (1 << 23)  # a shift of what is negative is not defined
     memcpy(&m, &bits, 4)
     m -= <float>1.0
     z = m * m

@@ -6,16 +6,18 @@ they do not hold (exposure, IMU, triggers) stands beside it under ``/pdavis``.
 """
 from __future__ import annotations
 
+import contextlib
+import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.errors import RecordingError
+from pdavis_cv.errors import DamagedFileWarning, PdavisError, RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
@@ -25,16 +27,23 @@ from pdavis_cv.recording.base import (
     Problem,
     Recording,
     RecordingInfo,
+    joined,
 )
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
-from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
+from pdavis_cv.recording.timeline import FAR, NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
 __all__ = ["MAGIC", "Hdf5Recording", "write_hdf5"]
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 CHUNK = 1 << 16
+LEAST_PIECE = 256
+MAX_SIDE = 8192
+MAX_CHUNK = 256 << 20
+MOST_RATIO = 1100
+"""Deflate packs at most 1032 to 1; a file that promises more is damaged."""
+MAX_EXPOSURE_US = 60_000_000
 
 
 def _h5py() -> Any:
@@ -44,6 +53,22 @@ def _h5py() -> Any:
         raise ImportError("HDF5 needs a package: pip install 'pdavis-cv[hdf5]'"
                           ) from None
     return h5py
+
+
+class _LostError(Exception):
+    """Raised when HDF5 cannot read a part of a file."""
+
+
+@contextlib.contextmanager
+def _reading() -> Iterator[None]:
+    """Turn what h5py raises for a damaged file, which is anything, into one error."""
+    try:
+        yield
+    except PdavisError:
+        raise
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError, AttributeError,
+            OverflowError, MemoryError, SystemError) as error:
+        raise _LostError(f"{type(error).__name__}: {error}") from error
 
 
 class Hdf5Recording(Recording):
@@ -64,15 +89,22 @@ class Hdf5Recording(Recording):
         self._strict = bad_events == "raise"
         self._path = Path(path)
         self._log = ProblemLog(str(path))
+        h5py = _h5py()
         try:
-            self._file = _h5py().File(path, "r")
-        except OSError as error:
+            with _reading():
+                self._file = h5py.File(path, "r")
+        except _LostError as error:
             raise RecordingError(f"{path}: byte 0: HDF5 cannot read it: {error}"
                                  ) from error
+        self._most_bytes = MOST_RATIO * self._path.stat().st_size
         try:
-            self._columns = self._find_events()
-            self._frames = self._file.get("frame")
-            self._info = self._make_info(layout)
+            with _reading():
+                self._columns = self._find_events()
+                self._frames = self._dataset(self._file, "frame", 3)
+                self._info = self._make_info(layout)
+        except _LostError as error:
+            self._file.close()
+            raise RecordingError(f"{path}: the file is damaged: {error}") from error
         except BaseException:
             self._file.close()
             raise
@@ -99,66 +131,106 @@ class Hdf5Recording(Recording):
         """Release the file."""
         self._file.close()
 
-    def _find_events(self) -> Any:
-        """Return a function from rows to (t, x, y, p), and the number of events."""
-        h5py = _h5py()
-        events = self._file.get("events")
-        if isinstance(events, h5py.Group) and all(k in events for k in "txyp"):
-            self._format = "HDF5 (DSEC)"
-            offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
-            self._count = min(len(events[k]) for k in "txyp")
-            return lambda rows: (events["t"][rows].astype(np.int64) + offset,
-                                 *(events[k][rows] for k in "xyp"))
-        if isinstance(events, h5py.Dataset) and events.ndim == 2 and (
-                events.shape[1] == 4):
-            self._format, self._count = "HDF5 (E2P)", len(events)
-            return lambda rows: (
-                self._microseconds(events[rows, 0]),
-                *(events[rows, k] for k in (1, 2, 3)))
-        raise RecordingError(
-            f"{self._path}: no /events of E2P (N, 4) or DSEC (t, x, y, p); it holds "
-            f"{', '.join(self._file) or 'nothing'}")
+    # Opening -------------------------------------------------------------------
 
-    @staticmethod
-    def _microseconds(t: NDArray[Any]) -> NDArray[np.int64]:
-        """Return times in microseconds; those with fractions are seconds."""
-        if t.dtype.kind == "f" and np.any(t != np.rint(t)):
-            t = np.rint(t * 1e6)
-        return t.astype(np.int64)
+    def _dataset(self, group: Any, name: str, dimensions: int) -> Any:
+        """Return a dataset of numbers that the file can hold, None if there is none."""
+        found = group.get(name)
+        if found is None:
+            return None
+        if not isinstance(found, _h5py().Dataset) or found.ndim != dimensions or (
+                found.dtype.kind not in "iufb"):
+            raise RecordingError(
+                f"{self._path}: {found.name if found.name else name} must be numbers "
+                f"in {dimensions} dimensions")
+        row = found.dtype.itemsize * math.prod(found.shape[1:])
+        chunk = found.dtype.itemsize * math.prod(found.chunks or ())
+        if row * len(found) > self._most_bytes or max(row, chunk) > MAX_CHUNK:
+            raise RecordingError(
+                f"{self._path}: {name} of shape {found.shape} does not fit into the "
+                f"file's {self._path.stat().st_size} bytes")
+        return found
+
+    def _find_events(self) -> Callable[[slice], tuple[NDArray[Any], ...]]:
+        """Return a function from rows to (t, x, y, p); note how many rows there are."""
+        events = self._file.get("events")
+        if isinstance(events, _h5py().Group) and all(k in events for k in "txyp"):
+            columns = [self._dataset(events, k, 1) for k in "txyp"]
+            offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
+            self._format, self._count = "HDF5 (DSEC)", min(map(len, columns))
+            self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
+
+            def read(rows: slice) -> tuple[NDArray[Any], ...]:
+                t, x, y, p = (column[rows] for column in columns)
+                return t.astype(np.int64) + offset, x, y, p
+
+            return read
+        table = self._dataset(self._file, "events", 2) if "events" in self._file else (
+            None)
+        if table is None or table.shape[1] != 4:
+            raise RecordingError(
+                f"{self._path}: no /events of E2P (N, 4) or DSEC (t, x, y, p); it "
+                f"holds {', '.join(self._file) or 'nothing'}")
+        self._format, self._count = "HDF5 (E2P)", len(table)
+        self._piece = (table.chunks or (CHUNK,))[0]
+        scale = _unit(self._first(lambda rows: table[rows, 0]))
+
+        def read_table(rows: slice) -> tuple[NDArray[Any], ...]:
+            t, x, y, p = table[rows].T
+            return _microseconds(t, scale), x, y, p
+
+        return read_table
+
+    def _first(self, read: Callable[[slice], NDArray[Any]]) -> NDArray[Any]:
+        """Return what can be read of the first events."""
+        step = max(self._piece, LEAST_PIECE)
+        for rows in (slice(0, CHUNK), *(
+                slice(row, row + step) for row in range(0, self._count, step))):
+            with contextlib.suppress(_LostError), _reading():
+                return read(rows)
+        raise _LostError("none of its events can be read")
 
     def _make_info(self, layout: Layout | None) -> RecordingInfo:
         attributes = self._file.attrs
         if "sensor_size" in attributes:
             height, width = (int(side) for side in attributes["sensor_size"])
-        elif self._frames is not None and self._frames.ndim == 3:
+        elif self._frames is not None:
             height, width = self._frames.shape[1:]
         else:
             # DSEC does not say: take the first events' hull, a DAVIS346 at least.
-            _, x, y, _ = self._columns(slice(0, CHUNK))
-            height = max(260, int(y.max(initial=0)) + 1)
-            width = max(346, int(x.max(initial=0)) + 1)
+            height = max(260, 1 + int(
+                self._first(lambda rows: self._columns(rows)[2]).max(initial=0)))
+            width = max(346, 1 + int(
+                self._first(lambda rows: self._columns(rows)[1]).max(initial=0)))
+        if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+            raise RecordingError(
+                f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, the file says "
+                f"{width}x{height}")
+        if self._frames is not None and self._frames.shape[1:] != (height, width):
+            raise RecordingError(
+                f"{self._path}: frames are of shape {self._frames.shape[1:]}, the "
+                f"sensor is {(height, width)}")
         known = attributes.get("layout")
         if known is not None:
             a, b, c, d = (int(angle) for angle in known)
             layout = resolve_layout(layout, recording=Layout((a, b), (c, d)))
-        start = None
-        if self._count:
-            start = int(self._columns(slice(0, 1))[0][0])
-        frames = 0 if self._frames is None else len(self._frames)
         return RecordingInfo(
             format=self._format, sensor_size=(height, width),
             writer=attributes.get("writer"), camera=attributes.get("camera"),
             sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None,
-            layout=layout, start_us=start, event_count=self._count,
-            frame_count=frames, imu_count=len(self._table("imu", IMU_DTYPE)),
+            layout=layout, start_us=self._start(), event_count=self._count,
+            frame_count=0 if self._frames is None else len(self._frames),
+            imu_count=len(self._table("imu", IMU_DTYPE)),
             trigger_count=len(self._table("triggers", TRIGGER_DTYPE)))
 
-    def _table(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
-        group = self._file.get("pdavis")
-        if group is None or name not in group:
-            return np.empty(0, dtype)
-        table: NDArray[Any] = group[name][()].astype(dtype)
-        return table
+    def _start(self) -> int | None:
+        try:
+            with _reading():
+                return int(self._columns(slice(0, 1))[0][0]) if self._count else None
+        except _LostError:
+            return None  # told when it is read
+
+    # Reading -------------------------------------------------------------------
 
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None
@@ -169,35 +241,50 @@ class Hdf5Recording(Recording):
         return packetise(self._batches(start_us), start_us, stop_us)
 
     def _batches(self, start_us: int | None) -> Iterator[Batch]:
-        frames = self._all_frames()
-        samples = Batch(imu=self._table("imu", IMU_DTYPE),
-                        triggers=self._table("triggers", TRIGGER_DTYPE),
-                        complete_us=NEVER)
-        yield samples
-        clock, taken, before = Clock(Timeline()), 0, NEVER
+        frames, taken = self._all_frames(), 0
+        yield Batch(imu=self._table("imu", IMU_DTYPE),
+                    triggers=self._table("triggers", TRIGGER_DTYPE),
+                    complete_us=NEVER)
+        clock, before = Clock(Timeline()), NEVER
         first = 0 if start_us is None else self._chunk_before(cell_start(start_us))
         for row in range(first, self._count, CHUNK):
-            events = self._events(slice(row, row + CHUNK), clock, row)
+            events = self._events(row, min(row + CHUNK, self._count), clock)
             now = clock.last
-            ready = []
-            while taken < len(frames) and frames[taken][0] <= max(now, before):
-                ready.append(self._frame(frames[taken][1]))
+            ready: list[ApsFrame] = []
+            while taken < len(frames) and frames[taken].ready <= max(now, before):
+                ready += self._frame(frames[taken])
                 taken += 1
             before = now
             yield Batch(events, ready, complete_us=min(
-                [now, *(t for t, _ in frames[taken:taken + 1])]))
-        yield Batch(frames=[self._frame(k) for _, k in frames[taken:]])
+                [now, *(f.ready for f in frames[taken:taken + 1])]))
+        for place in frames[taken:]:
+            yield Batch(frames=self._frame(place), complete_us=place.ready)
 
     def _chunk_before(self, t_us: int) -> int:
         lo, hi = 0, (self._count + CHUNK - 1) // CHUNK
-        while hi - lo > 1:
-            middle = (lo + hi) // 2
-            t = self._columns(slice(middle * CHUNK, middle * CHUNK + 1))[0][0]
-            lo, hi = (middle, hi) if t < t_us else (lo, middle)
-        return max(lo, 0) * CHUNK
+        try:
+            with _reading():
+                while hi - lo > 1:
+                    middle = (lo + hi) // 2
+                    t = self._columns(slice(middle * CHUNK, middle * CHUNK + 1))[0][0]
+                    lo, hi = (middle, hi) if t < t_us else (lo, middle)
+        except _LostError:
+            return 0
+        return lo * CHUNK
 
-    def _events(self, rows: slice, clock: Clock, row: int) -> NDArray[Any]:
-        t, x, y, p = self._columns(rows)
+    def _events(self, row: int, stop: int, clock: Clock) -> NDArray[Any]:
+        """Return the events of rows; those that cannot be read are left out."""
+        try:
+            with _reading():
+                columns = self._columns(slice(row, stop))
+        except _LostError as error:
+            step = max(self._piece, LEAST_PIECE)
+            if stop - row > step:
+                return joined([self._events(at, min(at + step, stop), clock)
+                               for at in range(row, stop, step)])
+            self._damage(row, f"events {row} .. {stop}", error)
+            return np.empty(0, EVENT_DTYPE)
+        t, x, y, p = columns
         height, width = self._info.sensor_size
         p = np.where(p < 0, 0, p)  # some writers use -1 for OFF
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (p <= 1)
@@ -220,17 +307,57 @@ class Hdf5Recording(Recording):
             events[name] = column[good]
         return events
 
-    def _all_frames(self) -> list[tuple[int, int]]:
-        """Return (available_us, number) of the frames, in time order."""
-        if self._frames is None or "frame_ts" not in self._file:
+    def _table(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Return the IMU samples or triggers that our writer put beside the rest."""
+        try:
+            with _reading():
+                group = self._file.get("pdavis")
+                if group is None or name not in group:
+                    return np.empty(0, dtype)
+                found = group[name]
+                # HDF5 itself crashes on a record whose fields overlap.
+                if found.dtype != dtype or found.ndim != 1 or (
+                        len(found) * dtype.itemsize > self._most_bytes):
+                    raise ValueError(f"{found.shape} of {found.dtype}")
+                table: NDArray[Any] = found[()]
+                times = table["t"].astype(np.int64)
+        except _LostError as error:
+            self._damage(name, name, error)
+            return np.empty(0, dtype)
+        keep, _ = Clock(Timeline()).order(times)
+        table["t"] = times
+        if not keep.all():
+            self._log.add("backward time", name, f"{name} samples were dropped because "
+                          "time ran backward", count=int(np.count_nonzero(~keep)))
+        return table[keep]
+
+    def _all_frames(self) -> list[_Place]:
+        """Return where and when the frames are, in time order."""
+        if self._frames is None:
             return []
-        mids = self._microseconds(self._file["frame_ts"][()])
-        times = self._extra("available_us", mids)
-        found, last = [], NEVER
-        for k, t in enumerate(times.tolist()[:len(self._frames)]):
-            if t > last:
-                found.append((t, k))
-                last = t
+        try:
+            with _reading():
+                stamps = self._dataset(self._file, "frame_ts", 1)
+                if stamps is None:
+                    return []
+                raw = stamps[()]
+                mids = _microseconds(raw, _unit(raw))
+                rows = np.stack([self._extra(name, mids) for name in (
+                    "exposure_start_us", "exposure_end_us", "available_us")], 1)
+        except _LostError as error:
+            self._damage("frame_ts", "the times of all frames", error)
+            return []
+        found: list[_Place] = []
+        last = last_mid = NEVER
+        for k, (start, end, ready) in enumerate(rows.tolist()[:len(self._frames)]):
+            if not 0 <= end - start <= MAX_EXPOSURE_US:
+                start = end = int(mids[k])
+            if not 0 <= ready - end <= MAX_EXPOSURE_US:
+                ready = end
+            mid = (start + end) // 2
+            if last < ready < -NEVER and mid > last_mid and start > NEVER:
+                found.append(_Place(k, start, end, ready))
+                last, last_mid = ready, mid
             else:
                 self._log.add("backward time", ("frame", k), "frames were dropped "
                               "because time ran backward")
@@ -238,25 +365,65 @@ class Hdf5Recording(Recording):
 
     def _extra(self, name: str, default: NDArray[Any]) -> NDArray[Any]:
         group = self._file.get("pdavis")
-        if group is None or name not in group or len(group[name]) != len(default):
+        column = None if group is None else self._dataset(group, name, 1)
+        if column is None or len(column) != len(default):
             return default
-        column: NDArray[Any] = group[name][()]
-        return column
+        values: NDArray[Any] = column[()].astype(np.int64)
+        return values
 
-    def _frame(self, k: int) -> ApsFrame:
-        image = self._frames[k]
-        mids = self._microseconds(self._file["frame_ts"][()])
-        start, end, ready = (int(self._extra(name, mids)[k]) for name in (
-            "exposure_start_us", "exposure_end_us", "available_us"))
-        full = 1020 if image.dtype == np.uint8 else 1023
-        dn = image.astype(np.float32) * np.float32(4 if image.dtype == np.uint8 else 1)
-        valid = dn < full
-        group = self._file.get("pdavis")
-        if group is not None and "valid" in group:
-            valid = group["valid"][k].astype(np.bool_)
-        return ApsFrame(dn, start, max(start, end), full_scale_dn=full,
-                        available_us=max(start, end, ready),
-                        valid=None if valid.all() else valid)
+    def _frame(self, place: _Place) -> list[ApsFrame]:
+        """Return the frame at a place, or nothing where it cannot be read."""
+        try:
+            with _reading():
+                image = self._frames[place.k]
+                eight = image.dtype == np.uint8
+                full = 1020 if eight else 1023
+                dn = image.astype(np.float32) * np.float32(4 if eight else 1)
+                valid = dn < full
+                group = self._file.get("pdavis")
+                known = None if group is None else self._dataset(group, "valid", 3)
+                if known is not None and known.shape == self._frames.shape:
+                    valid = known[place.k].astype(np.bool_)
+        except _LostError as error:
+            self._damage(("frame", place.k), f"frame {place.k}", error, place)
+            return []
+        finite = np.isfinite(dn)
+        if not finite.all():
+            dn[~finite], valid = 0, valid & finite
+        return [ApsFrame(dn, place.start, place.end, full_scale_dn=full,
+                         available_us=place.ready,
+                         valid=None if valid.all() else valid)]
+
+    def _damage(self, key: Hashable, what: str, error: Exception,
+                place: _Place | None = None) -> None:
+        # HDF5 does not say at which byte it stumbled.
+        self._log.add(
+            "damage", key, f"{what} cannot be read ({error})",
+            start_us=place.start if place else None,
+            stop_us=place.ready if place else None, warning=DamagedFileWarning)
+
+
+class _Place(NamedTuple):
+    """A frame's number and times."""
+
+    k: int
+    start: int
+    end: int
+    ready: int
+
+
+def _unit(t: NDArray[Any]) -> float:
+    """Return microseconds per unit of times: those with fractions are seconds."""
+    whole = t.dtype.kind != "f" or np.all(t[np.isfinite(t)] % 1 == 0)
+    return 1.0 if whole else 1e6
+
+
+def _microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
+    if t.dtype.kind != "f":
+        return t.astype(np.int64)
+    t = np.rint(t * unit)
+    # What is no number, or beyond any time, is dropped as such later.
+    return np.where(np.abs(t) < FAR, t, -FAR).astype(np.int64)
 
 
 def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,

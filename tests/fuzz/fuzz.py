@@ -51,7 +51,8 @@ def main(argv=None):
     args = parser.parse_args(argv)
     seed = int.from_bytes(os.urandom(4)) if args.seed is None else args.seed
     names = [args.target] if args.target else list(TARGETS)
-    corpora = {name: TARGETS[name]() for name in names}
+    corpora = {name: corpus for name in names if (corpus := TARGETS[name]())}
+    names = list(corpora)  # without h5py there is nothing to damage
     end = time.monotonic() + args.seconds
     runs = {name: 0 for name in names}
     slowest = 0.0

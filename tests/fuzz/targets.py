@@ -1,5 +1,6 @@
 """What is fuzzed: a corpus of whole files and one entry per parser."""
 import contextlib
+import importlib.util
 import tempfile
 import warnings
 from pathlib import Path
@@ -52,6 +53,14 @@ def _aedat31():
     return [aedat31_file(recording((12, 16), 3))]
 
 
+def _hdf5():
+    if importlib.util.find_spec("h5py") is None:
+        return []
+    from pdavis_cv.recording.hdf5 import write_hdf5
+    return [_written(write_hdf5, recording((12, 16), 3), flavour=name)
+            for name in ("e2p", "dsec")]
+
+
 def fuzz_one(data):
     """Read what may be a recording from end to end; only our errors are allowed."""
     with tempfile.NamedTemporaryFile(suffix=".bin") as file:
@@ -92,5 +101,5 @@ def _read(path):
     return count
 
 
-TARGETS = {"aedat4": _aedat4, "aedat2": _aedat2, "aedat31": _aedat31}
+TARGETS = {"aedat4": _aedat4, "aedat2": _aedat2, "aedat31": _aedat31, "hdf5": _hdf5}
 """Name of a parser -> its corpus; each is read by `fuzz_one`."""

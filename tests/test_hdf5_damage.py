@@ -1,0 +1,134 @@
+"""Damaged HDF5: what HDF5 itself can still read is delivered, the rest is told."""
+import numpy as np
+import pytest
+from streams import random_events
+from test_aedat4 import joined
+from test_aedat4_writer import small
+
+from pdavis_cv import (
+    DamagedFileWarning,
+    RecordingError,
+    open_recording,
+    recording_from_arrays,
+)
+from pdavis_cv.recording.hdf5 import write_hdf5
+
+h5py = pytest.importorskip("h5py")
+
+
+def spoil(path, name, number):
+    """Overwrite the middle of a dataset's chunk."""
+    with h5py.File(path) as file:
+        chunk = file[name].id.get_chunk_info(number)
+    data = bytearray(path.read_bytes())
+    middle = chunk.byte_offset + chunk.size // 2
+    data[middle:middle + 8] = b"\xff" * 8
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(("flavour", "name"), [("e2p", "events"), ("dsec", "events/x")])
+def test_a_broken_chunk_costs_its_events_only(tmp_path, flavour, name):
+    path, n = tmp_path / "x.h5", 1 << 16
+    events = random_events(2 * n + 1000, (12, 16), seed=4)
+    write_hdf5(path, recording_from_arrays(events, sensor_size=(12, 16)),
+               flavour=flavour)
+    spoil(path, name, 1)
+    match = f"events {n} .. {2 * n} cannot be read"
+    with open_recording(path) as recording:
+        with pytest.warns(DamagedFileWarning, match=match):
+            got = recording.events()
+        assert [p.kind for p in recording.problems] == ["damage"]
+    np.testing.assert_array_equal(got, np.concatenate([events[:n], events[2 * n:]]))
+
+
+def test_chunks_smaller_than_what_is_read_at_once_cost_no_more(tmp_path):
+    events = random_events(5000, (12, 16), seed=4)
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        table = np.stack([events[k].astype(np.int64) for k in "txyp"], 1)
+        file.create_dataset("events", data=table, chunks=(1000, 4), compression="gzip")
+    spoil(tmp_path / "x.h5", "events", 2)
+    with open_recording(tmp_path / "x.h5") as recording, \
+            pytest.warns(DamagedFileWarning, match=r"events 2000 \.\. 3000"):
+        got = recording.events()
+    np.testing.assert_array_equal(got, np.delete(events, np.s_[2000:3000]))
+
+
+def test_a_broken_frame_costs_itself(tmp_path):
+    write_hdf5(tmp_path / "x.h5", small())
+    wanted = joined(small().packets())
+    spoil(tmp_path / "x.h5", "frame", 1)
+    with open_recording(tmp_path / "x.h5") as recording, \
+            pytest.warns(DamagedFileWarning, match="frame 1 cannot be read"):
+        events, frames, *_ = joined(recording.packets())
+    np.testing.assert_array_equal(events, wanted[0])
+    for frame, other in zip(frames, wanted[1][::2], strict=True):
+        np.testing.assert_array_equal(frame.dn, other.dn)
+        assert frame.available_us == other.available_us
+
+
+def test_what_the_file_cannot_hold_is_refused(tmp_path):
+    for name, shape, chunks in (
+            ("events", (1 << 50, 4), (1 << 16, 4)), ("events", (9, 4), (1 << 26, 4)),
+            ("frame", (1 << 40, 12, 16), (1, 12, 16))):
+        with h5py.File(tmp_path / "x.h5", "w") as file:
+            file.create_dataset(name, shape, "i8", chunks=chunks,
+                                maxshape=(None, *shape[1:]))
+            if name != "events":
+                file["events"] = np.zeros((2, 4))
+        with pytest.raises(RecordingError, match="does not fit into the file's"):
+            open_recording(tmp_path / "x.h5")
+
+
+def test_other_kinds_of_values_are_refused(tmp_path):
+    for values in (np.array([b"text"] * 4).reshape(1, 4), np.zeros((2, 4), "c16")):
+        with h5py.File(tmp_path / "x.h5", "w") as file:
+            file["events"] = values
+        with pytest.raises(RecordingError, match="must be numbers"):
+            open_recording(tmp_path / "x.h5")
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["events"] = np.zeros((2, 4))
+        file.attrs["sensor_size"] = (1 << 40, 3)
+    with pytest.raises(RecordingError, match=r"must lie in 1\.\.8192"):
+        open_recording(tmp_path / "x.h5")
+
+
+def test_times_that_are_no_times_are_dropped(tmp_path):
+    rows = [[0.5, 1, 1, 1], [np.nan, 1, 1, 1], [np.inf, 1, 1, 1], [0.75, 2, 2, 0]]
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["events"] = np.array(rows)
+        file["frame"] = np.full((1, 12, 16), np.nan, np.float32)
+        file["frame_ts"] = np.array([600_000])
+    with open_recording(tmp_path / "x.h5") as recording:
+        events, [frame], *_ = joined(recording.packets())
+    assert events["t"].tolist() == [500_000, 750_000]
+    assert not frame.valid.any()
+
+
+def test_a_part_that_begins_on_a_whole_second_keeps_its_unit(tmp_path):
+    # Seconds with fractions; the row that a search looks at has none.
+    t = np.arange(200_000) / 65_536
+    table = np.stack([t, t * 0 + 1, t * 0 + 2, t * 0 + 1], 1)
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["events"] = table
+        file.attrs["sensor_size"] = (12, 16)
+    with open_recording(tmp_path / "x.h5") as recording:
+        whole = recording.events()
+        part = recording.events(2_500_000)
+    np.testing.assert_array_equal(part, whole[whole["t"] >= 2_500_000])
+    assert len(part)
+
+
+def test_samples_whose_fields_overlap_are_not_read(tmp_path):
+    # HDF5 writes beyond its buffers where it converts such a record.
+    write_hdf5(tmp_path / "x.h5", small())
+    fields = {"names": ["t", "temperature", "accel", "gyro"],
+              "formats": ["<i8", "<f8", ("<f4", (3,)), ("<f4", (3,))],
+              "offsets": [0, 8, 16, 24], "itemsize": 36}
+    with h5py.File(tmp_path / "x.h5", "r+") as file:
+        count = len(file["pdavis/imu"])
+        del file["pdavis/imu"]
+        file["pdavis/imu"] = np.zeros(count, np.dtype(fields))
+    with pytest.warns(DamagedFileWarning, match="imu cannot be read"):
+        recording = open_recording(tmp_path / "x.h5")
+    with recording:
+        assert not len(joined(recording.packets())[2])
