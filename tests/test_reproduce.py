@@ -127,6 +127,25 @@ def test_flicker_leaves_the_frames_alone(tmp_path):
     assert "over error without" in stem.with_suffix(".md").read_text()
 
 
+def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
+    stem = tmp_path / "all"
+    assert reproduce.main([
+        "all", "-o", str(stem), "--quick", "--rpm", "200", "--seconds", "1.3",
+        "--step-us", "20260", "--methods", "frames"]) == 0
+    for name in ("fig2", "fig3", "fig4a", "dr", "flicker"):
+        assert (tmp_path / f"all-{name}.md").exists()
+        assert (tmp_path / f"all-{name}.csv").exists()
+    line = next(line for line in capsys.readouterr().out.splitlines()
+                if line.startswith("| frames |"))
+    polarizer, _, _, fan, *_ = line.split("|")[2:]
+    mine = [row for row in rows_of(stem) if row["method"] == "frames"]
+    errors = [float(row["aop_error_deg"]) for row in mine if row["region"] == "all"]
+    assert polarizer.strip().startswith(f"{errors[0]:.2f} / ")
+    halves = [f"{float(row['aop_error_deg']):.2f}" for row in mine
+              if row["scene"] == "fan"]
+    assert fan.strip() == " / ".join(halves)
+
+
 def test_a_recording_without_truth_is_scored_against_its_own_fit(tmp_path, capsys):
     paths = []
     for rpm in (-60.78, 1013):

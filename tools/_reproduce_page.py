@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +14,8 @@ from pdavis_cv.tools._reproduce_run import METHODS, Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["beside_stem", "cell", "mean", "pivot", "save_figure", "table", "write_page",
-           "write_rows"]
+__all__ = ["beside_stem", "cell", "mean", "pivot", "save_figure", "summary", "table",
+           "write_page", "write_rows"]
 
 # Columns of the tables, and how their numbers are written.
 FORMATS = {
@@ -82,6 +82,74 @@ def pivot(
         lines.append([name, *cells, *([cell(mine, columns)] if average else [])])
     head = [title, *map(label, settings), *(["mean"] if average else [])]
     return table(head, lines)
+
+
+# Heading -> experiment, what a row must have, columns, and how rows are joined:
+# "mean", or "worst" of the means at each speed or irradiance.
+_SUMMARY: tuple[tuple[str, str, dict[str, Any], tuple[str, ...], str], ...] = (
+    ("polarizer", "fig2", {}, ("aop_error_deg", "dolp_error"), "mean"),
+    ("rotating plate", "fig3", {"scene": "rotating plate"},
+     ("aop_error_deg", "dolp_error"), "mean"),
+    ("polarizer before a plate", "fig3", {"scene": "rotating polarizer"},
+     ("aop_error_deg", "dolp_error"), "mean"),
+    ("fan 200 RPM, dark / bright half", "fig4a", {"rpm": 200.0}, ("halves",), "mean"),
+    ("fan 1000 RPM", "fig4a", {"rpm": 1000.0}, ("halves",), "mean"),
+    ("120 dB, worst level, super-pixels / region", "dr", {"scene": "polarizer"},
+     ("aop_error_deg", "aop_error_roi_deg"), "worst"),
+    ("same through a rotating plate", "dr", {"scene": "rotating plate"},
+     ("aop_error_deg", "aop_error_roi_deg"), "worst"),
+)
+
+
+def summary(rows: Mapping[str, Sequence[Row]]) -> list[str]:
+    """Return the Markdown of everything in one table per event camera.
+
+    Parameters
+    ----------
+    rows : mapping of str to sequence of Row
+        Experiment -> its rows.
+
+    Returns
+    -------
+    list of str
+    """
+    lines = ["# All figures", "",
+             "AoP error in degrees (/ DoLP error) of super-pixels, mean over specimens "
+             "and speeds unless said otherwise.", ""]
+    cameras = {row.camera for each in rows.values() for row in each
+               if "Sony" not in row.method}
+    for camera in sorted(cameras):
+        found = {name: [row for row in each if row.camera == camera
+                        or "Sony" in row.method] for name, each in rows.items()}
+        heads = [entry for entry in _SUMMARY
+                 if any(row.camera == camera for row in found.get(entry[1], ()))]
+        table_lines = []
+        for method in METHODS:
+            cells = [
+                _summed([row for row in found[name] if row.method == method and all(
+                    getattr(row, key) == value for key, value in having.items())],
+                    columns, join)
+                for _, name, having, columns, join in heads]
+            if set(cells) != {"-"}:
+                table_lines.append([method, *cells])
+        lines += [f"## `{camera}` camera", "",
+                  *table(["method", *(entry[0] for entry in heads)], table_lines)]
+    return lines
+
+
+def _summed(rows: Sequence[Row], columns: Sequence[str], join: str) -> str:
+    if not rows:
+        return "-"
+    if columns == ("halves",):
+        return " / ".join(
+            cell([row for row in rows if row.region == half], ("aop_error_deg",))
+            for half in ("dark half", "bright half"))
+    if join == "mean":
+        return cell(rows, columns)
+    levels = {(row.rpm, row.irradiance_uw_cm2) for row in rows}
+    return " / ".join(FORMATS[column].format(max(
+        mean([row for row in rows if (row.rpm, row.irradiance_uw_cm2) == level], column)
+        for level in levels)) for column in columns)
 
 
 def beside_stem(stem: Path, ending: str) -> Path:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from pdavis_cv.tools._common import (
 from pdavis_cv.tools._reproduce_page import (
     beside_stem,
     save_figure,
+    summary,
     write_page,
     write_rows,
 )
@@ -41,14 +43,17 @@ __all__ = ["EXPERIMENTS", "main"]
 EVENT_CAMERAS = tuple(name for name in PRESETS if PRESETS[name]["dvs"] is not None)
 
 
-def _rotation(figure: str, stem: Path, settings: Settings) -> str:
+Result = tuple[str, list[Row]]
+
+
+def _rotation(figure: str, stem: Path, settings: Settings) -> Result:
     """Figures 2 and 3."""
     scenes = rotation.SCENES[figure]
     made = [rotation.cases(scene, settings) for scene in scenes]
     return _compared(figure, stem, settings, scenes, made, None)
 
 
-def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> str:
+def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> Result:
     """Figure 2 from recordings."""
     fitted = fit_files(
         args.recording, layout=args.layout, roi=args.roi,
@@ -61,13 +66,13 @@ def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> str:
 def _compared(
     figure: str, stem: Path, settings: Settings, scenes: Sequence[rotation.Rotation],
     made: Sequence[Sequence[Case]], head: Sequence[str] | None,
-) -> str:
+) -> Result:
     shown = iter(progress(range(sum(map(len, made))), sum(map(len, made)), "cases"))
     next(shown)
     results = [rotation.compare(scene, settings, each, lambda: next(shown, None))
                for scene, each in zip(scenes, made, strict=True)]
-    write_rows(stem, [row for result in results for row in result.rows],
-               _facts(figure, settings))
+    rows = [row for result in results for row in result.rows]
+    write_rows(stem, rows, _facts(figure, settings))
     write_csv(
         beside_stem(stem, "-traces.csv"),
         ("scene", "rpm", "method", "t_us", "aop_deg", "dolp"),
@@ -89,10 +94,10 @@ def _compared(
                 "-" + result.rotation.name.replace(" ", "-"))
             save_figure(
                 beside_stem(stem, ending), plots.rotation_figure(figure, result))
-    return write_page(stem, rotation.page(figure, results, settings, head))
+    return write_page(stem, rotation.page(figure, results, settings, head)), rows
 
 
-def _range(figure: str, stem: Path, settings: Settings) -> str:
+def _range(figure: str, stem: Path, settings: Settings) -> Result:
     """Figure 4a, the dynamic range, flicker: cases, a page and a picture."""
     make, describe = _RANGES[figure]
     made = make(settings)
@@ -102,7 +107,7 @@ def _range(figure: str, stem: Path, settings: Settings) -> str:
     plots = _plots()
     if plots is not None:
         save_figure(stem, plots.range_figure(figure, rows))
-    return write_page(stem, describe(rows, settings))
+    return write_page(stem, describe(rows, settings)), rows
 
 
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
@@ -112,15 +117,29 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
     "flicker": (light.flicker_cases, light.flicker_page),
 }
 
-Experiment = Callable[[str, Path, Settings], str]
+def _all(figure: str, stem: Path, settings: Settings) -> Result:
+    """Everything, and a table of it."""
+    rows = {}
+    for name in ("fig2", "fig3", "fig4a", "dr", "flicker"):
+        start = perf_counter()
+        _, rows[name] = EXPERIMENTS[name][1](
+            name, beside_stem(stem, f"-{name}"), settings)
+        print(f"{name}: {perf_counter() - start:.0f} s")
+    every = [row for each in rows.values() for row in each]
+    write_rows(stem, every, _facts(figure, settings))
+    return write_page(stem, summary(rows)), every
+
+
+Experiment = Callable[[str, Path, Settings], Result]
 EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "fig2": ("error against speed, rotating polarizer", _rotation),
     "fig3": ("error against speed, plate and polarizer, both ways round", _rotation),
     "fig4a": ("a fan of polarizers, one half lit 2000 times more", _range),
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
+    "all": ("all of these, as STEM-fig2 and so on, and a table of them", _all),
 }
-"""Name -> what it is, and (name, stem, settings) -> the page that was written."""
+"""Name -> what it is, and (name, stem, settings) -> the page written, and its rows."""
 
 
 @command
@@ -129,11 +148,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     settings = _settings(args)
     if args.recording is None:
-        print(EXPERIMENTS[args.figure][1](args.figure, args.output, settings))
+        page, _ = EXPERIMENTS[args.figure][1](args.figure, args.output, settings)
     elif args.figure == "fig2":
-        print(_recorded(args.output, settings, args))
+        page, _ = _recorded(args.output, settings, args)
     else:
         raise UsageError(f"--recording belongs to fig2, not to {args.figure}")
+    print(page)
     return 0
 
 

@@ -1,0 +1,70 @@
+"""The methods on event pixels that do not share our simulator's model of a crossing.
+
+``python tests/test_other_pixels.py`` prints the table in docs/reproduced.md.
+"""
+import importlib.util
+
+import numpy as np
+import pytest
+from other_pixels import Light, eventcv_events, recording, v2e_events
+
+from pdavis_cv import fuse
+from pdavis_cv.analysis import Scorer
+
+PIXELS = {"v2e": v2e_events, "EventCV": eventcv_events}
+DOLP = 0.8
+# AoP in degrees, DoLP; EventCV's pixels make ten noise events per second.
+GOALS = {"v2e": (1.3, 0.05), "EventCV": (2.6, 0.08)}
+METHODS = {
+    "frames": {"method": "frames"},
+    "cf": {"method": "cf"},
+    "kalman causal": {"method": "kalman", "causal": True},
+    "kalman": {"method": "kalman", "thresholds": "in-situ"},
+    "kalman offline": {"method": "kalman", "mode": "offline", "thresholds": "in-situ"},
+    "events, redundancy": {"method": "events", "offsets": "redundancy"},
+}
+
+
+def errors(made, rpm, *, step_us=1013, **parameters):
+    """AoP in degrees, DoLP, and the part of both within one sigma; super-pixels."""
+    scorer = Scorer(Light(rpm, DOLP), (6, 6))
+    times = np.arange(1_000_000, made.info.stop_us - 100_000, step_us)
+    for image in fuse(made, times_us=times, demosaic="superpixel",
+                      nominal_thresholds=(0.2, 0.2), extinction_ratio=40, **parameters):
+        scorer.add(image)
+    score = scorer.score
+    return (np.degrees(score.aop_error), score.dolp_error, score.aop_coverage,
+            score.dolp_coverage)
+
+
+@pytest.mark.parametrize("rpm", [60.78, 1013])
+@pytest.mark.parametrize("pixel", list(PIXELS))
+def test_kalman_is_accurate_on_other_pixels_with_nothing_tuned(pixel, rpm):
+    if pixel == "EventCV":
+        pytest.importorskip("eventcv")
+    made = recording(PIXELS[pixel], rpm, seconds=2.0, dolp=DOLP)
+    got = {name: errors(made, rpm, step_us=5077, **METHODS[name])
+           for name in ("frames", "cf", "kalman")}
+    aop, dolp, _, _ = got["kalman"]
+    assert aop < GOALS[pixel][0]
+    assert dolp < GOALS[pixel][1]
+    assert aop < got["cf"][0] / 2
+    assert got["frames"][0] > 10
+
+
+if __name__ == "__main__":
+    speeds = (30.39, 60.78, 101.3, 202.6, 506.5, 1013.0)
+    for name, pixel in PIXELS.items():
+        if name == "EventCV" and importlib.util.find_spec("eventcv") is None:
+            continue
+        made = {rpm: [recording(pixel, rpm, seed=seed, dolp=DOLP) for seed in (1, 2)]
+                for rpm in speeds}
+        print(f"\n| {name} | " + " | ".join(f"{rpm / 1.013:g}" for rpm in speeds)
+              + " | mean | within one sigma |\n" + "|---" * (len(speeds) + 3) + "|")
+        for method, parameters in METHODS.items():
+            scores = np.array([[errors(one, rpm, **parameters) for one in ones]
+                               for rpm, ones in made.items()]).mean(1)
+            cells = [f"{aop:.2f} / {dolp:.3f}" for aop, dolp in scores[:, :2]]
+            aop, dolp, a, d = scores.mean(0)
+            print("| " + " | ".join([method, *cells, f"{aop:.2f} / {dolp:.3f}",
+                                     f"{a:.2f} / {d:.2f}"]) + " |", flush=True)
