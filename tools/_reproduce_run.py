@@ -237,7 +237,9 @@ class Settings:
     cameras, seeds, starts_deg, rpms
         What cases are made of; None leaves it to the experiment.
     methods : tuple of str
-        Names in `METHODS`.
+        Names in `METHODS`, or of the figure's own.
+    weights : tuple of str
+        Files of weights instead of the package's.
     seconds : float or None
         Length of a recording.
     step_us : int
@@ -251,6 +253,7 @@ class Settings:
     starts_deg: tuple[float, ...] = (17.0,)
     rpms: tuple[float, ...] | None = None
     methods: tuple[str, ...] = tuple(METHODS)
+    weights: tuple[str, ...] = ()
     seconds: float | None = None
     step_us: int = 1013
     quick: bool = False

@@ -6,7 +6,8 @@ with the paper's words beside the figures (Markdown) and pictures (PNG, SVG).
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
+from pdavis_cv.tools import _reproduce_network as network
 from pdavis_cv.tools import _reproduce_range as light
 from pdavis_cv.tools import _reproduce_rotation as rotation
 from pdavis_cv.tools._common import (
@@ -110,6 +112,21 @@ def _range(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, describe(rows, settings)), rows
 
 
+def _networks(figure: str, stem: Path, settings: Settings) -> Result:
+    """Networks beside the other methods."""
+    weights = network.all_weights(settings.weights)
+    made = network.network_cases(settings)
+    rows = [row for case in progress(made, len(made), "cases")
+            for row in network.measure(case, settings, weights)]
+    write_csv(beside_stem(stem, ".csv"), network.columns(),
+              (dataclasses.astuple(row) for row in rows), {
+                  **_facts(figure, settings),
+                  **{f"{name} weights": w.digest for name, w in weights.items()}})
+    costs = network.step_costs(weights, 2 if settings.quick else 20)
+    lines = network.network_page(rows, weights, costs, settings.seeds)
+    return write_page(stem, lines), []  # its rows have columns of their own
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -138,6 +155,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
     "all": ("all of these, as STEM-fig2 and so on, and a table of them", _all),
+    "network": ("networks on events alone, on these and on moving textures", _networks),
 }
 """Name -> what it is, and (name, stem, settings) -> the page written, and its rows."""
 
@@ -170,8 +188,12 @@ def _parser() -> argparse.ArgumentParser:
         "--camera", nargs="+", choices=EVENT_CAMERAS, metavar="PRESET",
         help=f"of {', '.join(EVENT_CAMERAS)}; default what suits the figure")
     parser.add_argument(
-        "--methods", nargs="+", choices=list(METHODS), metavar="NAME",
-        help=f"of {', '.join(repr(name) for name in METHODS)}; default all")
+        "--methods", nargs="+", choices=[*METHODS, *network.METHODS], metavar="NAME",
+        help=f"of {_named(METHODS)}; of network {_named(network.METHODS)}; default all")
+    parser.add_argument(
+        "--weights", nargs="+", default=[], metavar="FILE",
+        help="network: npz files, or a checkpoint of the published FireNet, instead of "
+             "the weights that come with the package")
     parser.add_argument(
         "--rpm", type=positive, nargs="+", help="turns per minute")
     parser.add_argument(
@@ -206,6 +228,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _named(methods: Iterable[str]) -> str:
+    return ", ".join(map(repr, methods))
+
+
 def _two_thresholds(text: str) -> tuple[float, float]:
     on, off = numbers(text, 2)
     return on, off
@@ -223,7 +249,8 @@ def _settings(args: argparse.Namespace) -> Settings:
         cameras=None if args.camera is None else tuple(args.camera),
         seeds=tuple(args.seeds), starts_deg=tuple(args.starts_deg),
         rpms=None if args.rpm is None else tuple(args.rpm),
-        methods=tuple(args.methods or METHODS), seconds=args.seconds, step_us=step,
+        methods=tuple(args.methods or [*METHODS, *network.METHODS]),
+        weights=tuple(args.weights), seconds=args.seconds, step_us=step,
         quick=args.quick)
 
 

@@ -181,8 +181,9 @@ def score(
 ) -> tuple[torch.Tensor, dict[str, float]]:
     """Return the loss, and errors by kind of scene.
 
-    The loss is the mean absolute error of S1/S0 and S2/S0, and a third of that of ln
-    S0 up to one gain per clip and chunk; for ``firenet`` also a half of that of
+    The loss is the sum of mean absolute errors: of S1/S0, of S2/S0, of DoLP (where the
+    angle is in doubt, the other two alone would make it too small), a third of that of
+    ln S0 up to one gain per clip and chunk; for ``firenet`` also a half of that of
     intensity, in which mean S0 is 1.
     """
     log_s0, polar = _measured(outputs, network)
@@ -194,7 +195,11 @@ def score(
     off = log_s0 - true_s0
     gain = off.mean((0, 2, 3, 4), keepdim=True)
     light = (off - gain).abs() * weight
-    loss = 2 * ((polar - true).abs() * weight).mean() + light.mean() / 3
+    # Unlike hypot, the norm has a gradient at 0.
+    degree, true_degree = (
+        torch.linalg.vector_norm(p, dim=2, keepdim=True) for p in (polar, true))
+    loss = (2 * ((polar - true).abs() * weight).mean() + light.mean() / 3
+            + ((degree - true_degree).abs() * weight).mean())
     if network == "firenet":
         mean = torch.exp(true_s0).mean((0, 2, 3, 4), keepdim=True)
         loss = loss + ((outputs - chunk.light / mean).abs() * weight).mean() / 2
@@ -203,9 +208,9 @@ def score(
     with torch.no_grad():
         scores = {"loss": float(loss.detach()), "light": float(light.mean())}
         (s1, s2), (t1, t2) = polar.unbind(2), true.unbind(2)
-        dolp = (torch.hypot(s1, s2) - torch.hypot(t1, t2)).abs()
+        dolp = (degree - true_degree).abs()[:, :, 0]
         turned = torch.atan2(s2 * t1 - s1 * t2, s1 * t1 + s2 * t2).abs()
-        sure = torch.hypot(t1, t2) > 0.3
+        sure = true_degree[:, :, 0] > 0.3
         old = chunk.age[-1] > 16
         for i, kind in enumerate(chunk.kinds):
             if old[i]:
