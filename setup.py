@@ -20,6 +20,7 @@ KERNELS = (
     "_build",
     "_bus",
     "_demosaic",
+    "_denoise",
     "_elementwise",
     "_events",
     "_floor",

@@ -12,6 +12,7 @@ from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
 from ._demosaic import bilinear, superpixel
+from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, reconcile
 from ._events import count, surface, voxel
 from ._floor import floor_sum
@@ -51,6 +52,8 @@ __all__ = [
     "check_events",
     "correct",
     "count",
+    "denoise_events",
+    "denoise_rates",
     "dolp",
     "exp",
     "floor_sum",

@@ -59,6 +59,7 @@ _HOME = {
     "KalmanFilter": "reconstruct.kalman",
     "AOP_EVENT_DTYPE": "reconstruct.aop_events",
     "AopEvents": "reconstruct.aop_events",
+    "EventDenoiser": "reconstruct.denoise",
     "EventHighPass": "reconstruct.events",
     "EventRedundancy": "reconstruct.redundancy",
     "FireNet": "reconstruct.firenet",
@@ -166,6 +167,7 @@ __all__ = [
     "ComplementaryFilter",
     "DamagedFileWarning",
     "Estimate",
+    "EventDenoiser",
     "EventHighPass",
     "EventRedundancy",
     "EventSlice",
@@ -290,6 +292,7 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.aop_events import AOP_EVENT_DTYPE, AopEvents
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
+    from pdavis_cv.reconstruct.denoise import EventDenoiser
     from pdavis_cv.reconstruct.events import EventHighPass
     from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table
     from pdavis_cv.reconstruct.frames import FrameHold

@@ -3,7 +3,9 @@ from __future__ import annotations
 
 import operator
 import weakref
+from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,6 +131,17 @@ def part_of(
     """Return the part of thresholds that belongs to a window."""
     return theta if isinstance(theta, float) else np.ascontiguousarray(
         theta[rows, columns])
+
+
+def denoising(value: bool | Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the parameters of an `EventDenoiser`, None for none."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(
+            "denoise must be a bool or a mapping of parameters of EventDenoiser, got "
+            f"{type(value).__name__}")
+    return {} if value else None
 
 
 def response_of(

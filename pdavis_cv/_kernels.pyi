@@ -27,6 +27,8 @@ __all__ = [
     "check_events",
     "correct",
     "count",
+    "denoise_events",
+    "denoise_rates",
     "dolp",
     "exp",
     "floor_sum",
@@ -108,6 +110,14 @@ def check_events(events: NDArray[Any], last: int, h: int, w: int) -> int: ...
 def correct(
     raw: _F32, dark: _F32 | None, gain: _F32 | None, clip_dn: float, dn: _F32,
     valid: NDArray[np.uint8]
+) -> None: ...
+def denoise_events(
+    events: NDArray[Any], start: int, last: int, stop: int, window: int, needed: int,
+    hot: _U8, times: NDArray[np.int64], counts: NDArray[np.int32], keep: _U8,
+) -> int: ...
+def denoise_rates(
+    counts: NDArray[np.int32], rates: _F32, hot: _U8, share: float, per_count: float,
+    floor: float, factor: float,
 ) -> None: ...
 def dolp(s0: _F32, s1: _F32, s2: _F32, out: _F32) -> None: ...
 def exp(x: _F32, out: _F32) -> None: ...

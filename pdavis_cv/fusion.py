@@ -22,6 +22,7 @@ from pdavis_cv._arguments import (
     checked_roi,
     choose_method,
     chosen_layout,
+    denoising,
     part_of,
     resolved_extinction_ratio,
     response_of,
@@ -67,6 +68,7 @@ def fuse(
     causal: bool = False,
     thresholds: str | tuple[ArrayLike, ArrayLike] | None = None,
     nominal_thresholds: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    denoise: bool | Mapping[str, Any] = False,
     **method_parameters: Any,
 ) -> Iterator[PolarFrame]:
     """Fuse a recording's frames and events into polarization images.
@@ -116,6 +118,9 @@ def fuse(
         looked at before its time, and ``kalman`` learns from the past alone.
     nominal_thresholds : (on, off)
         Used for "nominal", and where nothing better is known.
+    denoise : bool or mapping
+        Leave out events without support by neighbours behind the same polarizer, and
+        those of hot pixels; parameters of `EventDenoiser`, or True for its own.
     **method_parameters
         Passed to the method, e.g. ``cutoff_hz`` for ``cf``.
 
@@ -136,7 +141,7 @@ def fuse(
         recording, method=method, fps=fps, times_us=times_us, start_us=start_us,
         stop_us=stop_us, layout=layout, calibration=calibration,
         extinction_ratio=extinction_ratio, demosaic=demosaic, roi=roi, causal=causal,
-        thresholds=thresholds, nominal_thresholds=nominal_thresholds,
+        thresholds=thresholds, nominal_thresholds=nominal_thresholds, denoise=denoise,
         **method_parameters)
 
 
@@ -202,6 +207,7 @@ class Fusion:
         causal: bool = False,
         thresholds: str | tuple[ArrayLike, ArrayLike] | None = None,
         nominal_thresholds: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+        denoise: bool | Mapping[str, Any] = False,
         **method_parameters: Any,
     ) -> None:
         if not isinstance(recording, Recording):
@@ -229,10 +235,11 @@ class Fusion:
             method_parameters.setdefault("mode", "causal")
         elif causal and method_parameters.get("offsets") == "redundancy":
             method_parameters.setdefault("lookahead_us", 0)
+        self._denoise = denoising(denoise)
         everything = (slice(0, info.sensor_size[0]), slice(0, info.sensor_size[1]))
         whole = make_reconstructor(
             self.method, info.sensor_size, on, off, method_parameters,
-            response_of(self.layout, self._calibration, *everything))
+            response_of(self.layout, self._calibration, *everything), self._denoise)
         if causal and whole.lookahead_us != 0:
             raise ValueError(
                 f"causal=True needs a method that does not look ahead, but "
@@ -438,7 +445,7 @@ class Fusion:
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         return make_reconstructor(
             self.method, shape, *self._thresholds, self._method_parameters,
-            self._response)
+            self._response, self._denoise)
 
     def _advance_to(self, t: int) -> None:
         ahead = self._lookahead_us

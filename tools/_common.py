@@ -140,6 +140,10 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
         "--thresholds", type=_thresholds, metavar="T",
         help="calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     group.add_argument(
+        "--denoise", action="store_true",
+        help="leave out events without support by neighbours behind the same "
+             "polarizer, and hot pixels")
+    group.add_argument(
         "--set", action="append", default=[], type=_setting, metavar="NAME=VALUE",
         dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6 "
                               "or mode=offline")
@@ -154,7 +158,7 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
     return {
         "method": args.method, "fps": fps, "roi": args.roi, "layout": args.layout,
         "demosaic": args.demosaic, "causal": args.causal,
-        "thresholds": args.thresholds,
+        "thresholds": args.thresholds, "denoise": args.denoise,
         "start_us": _after(origin, args.start), "stop_us": _after(origin, args.stop),
         **dict(args.settings)}
 

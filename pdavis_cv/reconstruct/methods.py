@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.reconstruct.base import Reconstructor
+from pdavis_cv.reconstruct.denoise import Denoised
 
 __all__ = ["EVENT_METHODS", "METHODS", "make_reconstructor", "method_parameters"]
 
@@ -36,6 +37,7 @@ def make_reconstructor(
     theta_off: NDArray[np.float32] | float,
     parameters: Mapping[str, Any],
     response: NDArray[np.float64] | None = None,
+    denoise: Mapping[str, Any] | None = None,
 ) -> Reconstructor:
     """Make the Reconstructor of a method.
 
@@ -51,6 +53,8 @@ def make_reconstructor(
         Further parameters of the method.
     response : ndarray of float64, shape (2, 2, 3) or (H, W, 3), optional
         Response of the pixels (of the cell) to S0, S1, S2, for methods that ask.
+    denoise : mapping of str to object, optional
+        Parameters of an `EventDenoiser` to put before it.
 
     Raises
     ------
@@ -70,7 +74,7 @@ def make_reconstructor(
     if response is not None and "response" in inspect.signature(maker).parameters:
         given["response"] = response
     made: Reconstructor = maker(shape, **given, **parameters)
-    return made
+    return made if denoise is None else Denoised(made, **denoise)
 
 
 def method_parameters(method: str) -> tuple[str, ...]:
