@@ -14,8 +14,9 @@ cdef inline Py_ssize_t last_of(Py_ssize_t at, Py_ssize_t side) noexcept nogil:
 
 def denoise_events(const event_t[::1] events not None, Py_ssize_t start, int64_t last,
                    int64_t stop, int64_t window, Py_ssize_t needed,
-                   const uint8_t[:, ::1] hot not None, int64_t[:, :, ::1] times not None,
-                   int32_t[:, ::1] counts not None, uint8_t[::1] keep not None):
+                   const uint8_t[:, ::1] hot not None,
+                   int64_t[:, :, ::1] times not None, int32_t[:, ::1] counts not None,
+                   uint8_t[::1] keep not None):
     """Set keep for the events from index start on that lie before the time stop.
 
     An event is kept if at least `needed` of the eight pixels two rows or columns away
