@@ -37,7 +37,9 @@ KERNELS = (
 )
 SHARED = (
     "_check.pxd",
+    "_clones.h",
     "_double.pxd",
+    "_film.h",
     "_math.pxd",
     "_pixel.pxd",
     "_rows.pxd",

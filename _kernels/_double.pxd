@@ -1,9 +1,14 @@
 """Double-precision log, exp and counter-based random numbers, the same bits on every
 CPU: libm's versions differ with the instruction set that it finds.  Algorithms of
 fdlibm (e_log.c, e_exp.c; below 1 ulp) and of SplitMix64 (Steele et al., 2014)."""
-from libc.math cimport floor
 from libc.stdint cimport int64_t, uint64_t
 from libc.string cimport memcpy
+
+cdef extern from *:
+    """
+    #define ROUND 6755399441055744.0
+    """
+    const double ROUND      # 1.5 * 2^52: adding it rounds to an integer
 
 
 cdef inline double log64(double x) noexcept nogil:
@@ -36,7 +41,8 @@ cdef inline double exp64(double x) noexcept nogil:
         x = 700.0
     elif x < -700.0:
         x = -700.0
-    k = floor(x * 1.44269504088896338700 + 0.5)
+    k = x * 1.44269504088896338700 + ROUND
+    k -= ROUND
     hi = x - k * 6.93147180369123816490e-01
     lo = k * 1.90821492927058770002e-10
     r = hi - lo

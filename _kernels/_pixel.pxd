@@ -6,7 +6,7 @@ interval (0..1; phi time constants long), L' = phi (v - L), so
 L = a exp(-phi x) + P(x), or a power series where phi is small.  Crossings are roots
 of that function, not of samples.
 """
-from libc.math cimport fabs, floor
+from libc.math cimport fabs
 from libc.stdint cimport int64_t, uint8_t, uint16_t, uint64_t
 
 from _kernels._double cimport draw64, exp64, log64, uniform64
@@ -114,20 +114,31 @@ cdef inline double filtered(cell_t *c, double x) noexcept nogil:
     return c.a * exp64(-c.phi * x) + c.p0 + x * (c.p1 + x * (c.p2 + x * c.p3))
 
 
-cdef inline double value(cell_t *c, double s, double *slope) noexcept nogil:
-    """What the comparator sees at s, and its derivative."""
-    cdef double i, x, y, v
+cdef inline double value(cell_t *c, double s, double *slope,
+                         double *bend) noexcept nogil:
+    """What the comparator sees at s, and its first and second derivative."""
+    cdef double i, x, y, v, rise, rate
     if not c.ready:
         prepare(c)
     if c.unfiltered:
-        i = light_at(c, s)
-        slope[0] = (c.i1 + s * (2 * c.i2 + s * 3 * c.i3)) / i + c.drift
-        return log64(i) + c.drift * s
+        i = 1 / light_at(c, s)
+        rise = (c.i1 + s * (2 * c.i2 + s * 3 * c.i3)) * i
+        slope[0] = rise + c.drift
+        bend[0] = (2 * c.i2 + s * 6 * c.i3) * i - rise * rise
+        return log64(light_at(c, s)) + c.drift * s
     x = filter_time(c, s)
     y = filtered(c, x)
     v = c.v0 + x * (c.m0 + x * (c.b + x * c.e))
-    i = c.phi if c.slope == 0 else c.cutoff + c.slope * light_at(c, s)
-    slope[0] = i * (v - y) + c.drift
+    rise = c.m0 + x * (2 * c.b + x * 3 * c.e)
+    if c.slope == 0:
+        slope[0] = c.phi * (v - y)
+        bend[0] = c.phi * (rise - slope[0])
+    else:
+        rate = c.cutoff + c.slope * light_at(c, s)
+        slope[0] = rate * (v - y)
+        bend[0] = c.slope * (c.i1 + s * (2 * c.i2 + s * 3 * c.i3)) * (v - y) + (
+            rate * (rise * rate / c.phi - slope[0]))
+    slope[0] += c.drift
     return y + c.drift * s
 
 
@@ -179,10 +190,11 @@ cdef inline double root(cell_t *c, double target, double sa, double sb, double y
                         double yb, double tolerance) noexcept nogil:
     """Where value(), ya and yb at sa and sb, reaches target on a monotonic stretch.
 
-    Newton's method from the chord's guess, kept in bounds by bisection; the last step
-    squares the error, so that it ends far below the tolerance.
+    Chebyshev's method (Newton's with the second derivative) from the chord's guess,
+    kept in bounds by bisection, until the estimate of what the step leaves is below
+    the tolerance.
     """
-    cdef double s, y, slope, step
+    cdef double s, y, slope, bend, step, turn
     cdef int rising = ya < target, direct = c.unfiltered and c.drift == 0, _n
     s = sa + (target - ya) / (yb - ya) * (sb - sa) if yb != ya else sb
     if not (sa <= s <= sb):
@@ -193,33 +205,46 @@ cdef inline double root(cell_t *c, double target, double sa, double sb, double y
         if direct:
             y = c.i0 + s * (c.i1 + s * (c.i2 + s * c.i3))
             slope = c.i1 + s * (2 * c.i2 + s * 3 * c.i3)
+            bend = 2 * c.i2 + s * 6 * c.i3
         else:
-            y = value(c, s, &slope)
+            y = value(c, s, &slope, &bend)
         if (y < target) == rising:
             sa = s
         else:
             sb = s
-        step = s - (y - target) / slope if slope != 0 else -1.0
-        if not (sa <= step <= sb):
-            step = 0.5 * (sa + sb)
-        if fabs(step - s) < tolerance:
-            return step
-        s = step
+        if slope != 0:
+            slope = 1 / slope
+            step = (target - y) * slope
+            turn = 0.5 * step * bend * slope
+            if fabs(turn) > 0.25:
+                turn = 0
+            y = s + step - step * turn
+            # what is left: of Chebyshev's method, and of the third derivative
+            if sa <= y <= sb and fabs(step) * (
+                    2 * turn * turn + step * step) < tolerance:
+                return y
+            s = y
+        else:
+            s = sa - 1
+        if not (sa <= s <= sb):
+            s = 0.5 * (sa + sb)
+            if sb - sa < tolerance:
+                return s
     return s
 
 
 cdef inline double turning(cell_t *c, double sa, double sb) noexcept nogil:
     """Where the slope of value() changes sign between sa and sb (Illinois method)."""
-    cdef double fa, fb, f, s, y
+    cdef double fa, fb, f, s, y, bend
     cdef int _n, side = 0
-    y = value(c, sa, &fa)
-    y = value(c, sb, &fb)
+    y = value(c, sa, &fa, &bend)
+    y = value(c, sb, &fb, &bend)
     if (fa < 0) == (fb < 0):
         return 2
     s = sa
     for _n in range(80):
         s = (fa * sb - fb * sa) / (fa - fb)
-        y = value(c, s, &f)
+        y = value(c, s, &f, &bend)
         if fabs(f) < 1e-13 or sb - sa < 1e-9:
             break
         if (f < 0) == (fb < 0):
@@ -248,7 +273,7 @@ cdef inline void emit(sink_t *out, double t, int polarity) noexcept nogil:
     if out.n >= out.capacity:
         out.full = 1
         return
-    out.events[out.n].t = <int64_t>floor(t + 0.5)
+    out.events[out.n].t = <int64_t>(t + 0.5)  # t >= 0
     out.events[out.n].x = out.x
     out.events[out.n].y = out.y
     out.events[out.n].p = <uint8_t>polarity
@@ -277,8 +302,8 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
                           double *burst_t, int burst_p, sink_t *out) noexcept nogil:
     """Events of one pixel in [t0, t0 + h); `last` is the filtered log at its end."""
     cdef double s = 0, stop, ga = c.level, gb = 0, slope_a, slope_b, at, up, down
-    cdef double extreme = 2
-    cdef double reach, t1 = t0 + cfg.h, tolerance = 0.01 / cfg.h
+    cdef double extreme = 2, bend
+    cdef double reach, t1 = t0 + cfg.h, tolerance = 0.001 / cfg.h
     cdef int polarity, checked = 0, forced
     if p.release > t0:
         if p.release >= t1:
@@ -288,7 +313,7 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
                 burst_t[0] = NEVER
             return
         s = (p.release - t0) / cfg.h
-        ga = p.ref = value(c, s, &slope_a)
+        ga = p.ref = value(c, s, &slope_a, &bend)
     while not out.full:
         # The next time at which an event is forced, or the end.
         forced = 0
@@ -311,7 +336,7 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
             at = s
             polarity = ga >= up
         else:
-            gb = last + c.drift if stop == 1 else value(c, stop, &slope_b)
+            gb = last + c.drift if stop == 1 else value(c, stop, &slope_b, &bend)
             if not checked:
                 # A turning point inside hides crossings from the two ends.
                 checked = 1
@@ -340,7 +365,7 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
                             or s > 0 or stop < 1 or gb >= up or gb <= down)):
                         extreme = turning(c, 0, 1)
             if s < extreme < stop:
-                reach = value(c, extreme, &slope_a)
+                reach = value(c, extreme, &slope_a, &bend)
                 if reach >= up or reach <= down:
                     polarity = reach >= up
                     at = root(c, up if polarity else down, s, extreme, ga, reach,
@@ -381,7 +406,7 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
                     burst_t[0] = NEVER
                 return
             s = (p.release - t0) / cfg.h
-            ga = p.ref = value(c, s, &slope_a)
+            ga = p.ref = value(c, s, &slope_a, &bend)
 
 
 cdef inline int quiet(cell_t *c, pixel_t_ *p, double last) noexcept nogil:

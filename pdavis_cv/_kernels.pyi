@@ -229,9 +229,7 @@ def voxel_planes(
     height: int, width: int, out: _F32, seen: _U8,
 ) -> int: ...
 def video_events(
-    quad: _F32, weights: _F32, pixels: NDArray[np.float64], keys: NDArray[np.uint64],
+    quad: _F32, weights: _F32, before: _F32, light: _F32, keys: NDArray[np.uint64],
     edges: NDArray[np.float64], first_edge: int, settings: NDArray[np.float64],
-    places: NDArray[np.uint16], state: NDArray[np.float64],
-    counters: NDArray[np.uint64], light: _F32, start: int, stop: int,
-    out: NDArray[Any]
+    watch: _F32, cells: NDArray[Any], start: int, stop: int, out: NDArray[Any]
 ) -> tuple[int, int]: ...

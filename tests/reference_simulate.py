@@ -53,3 +53,33 @@ def film_pixel(v, step_us, cutoff_hz, on, off, leak_hz):
         level = seen[-1] - drift
         reference -= drift
     return found
+
+
+def log32(x):
+    """Cephes' logf of positive, normal float32, each step rounded to float32."""
+    bits = x.view(np.int32)
+    k = (bits - 0x3f3504f3) >> 23
+    m = (bits - k * (1 << 23)).view(np.float32) - np.float32(1)
+    y = np.full_like(m, 7.0376836292e-2)
+    for c in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1,
+              -1.6668057665e-1, 2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1):
+        y = y * m + np.float32(c)
+    z, e = m * m, k.astype(np.float32)
+    y = y * m * z + e * np.float32(-2.12194440e-4) - np.float32(0.5) * z
+    return m + y + e * np.float32(0.693359375)
+
+
+def film_step(quad, weights, level, v, phi, dark):
+    """Light, filtered log light and log light at the end of a step, in float32."""
+    i0, i45, i90, i135 = quad.reshape(4, -1)
+    half, along, across = weights
+    light = np.maximum(
+        np.float32(dark) + half * ((i0 + i90) + (i45 + i135))
+        + (along * (i0 - i90) + across * (i45 - i135)), np.float32(1e-9))
+    after = log32(light)
+    if phi is None:
+        return light, after, after
+    # What remains of a step, and of a ramp, after the time of the filter.
+    w0 = np.float32(-math.expm1(-phi))
+    w1 = np.float32(1 + math.expm1(-phi) / phi)
+    return light, level + w0 * (v - level) + w1 * (after - v), after

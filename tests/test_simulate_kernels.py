@@ -8,7 +8,8 @@ from streams import random_events
 
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.simulation import Camera, VideoScene, noise
+from pdavis_cv.simulation import Camera, DvsPixel, VideoScene, noise
+from pdavis_cv.simulation.dvs import PixelArray
 
 
 def shuffled(n, shape=(5, 7), seed=0):
@@ -184,19 +185,75 @@ def test_video_events_match_reference(cutoff_hz, leak_hz):
     assert found > 30
 
 
+@pytest.mark.parametrize("cutoff_hz", [None, 150.0])
+def test_the_light_of_a_video_equals_its_twin_bit_for_bit(cutoff_hz):
+    # 1015 pixels: neither whole vectors nor whole rows of the kernel's.
+    size, n = (35, 29), 35 * 29
+    quad = film(n=5, size=size).astype("f4")
+    quad[2, :, 3:5] = 0  # no light has a log too
+    weights = np.random.default_rng(1).uniform(-0.2, 0.5, (3, n)).astype("f4")
+    weights[0] += 0.5
+    pixel = DvsPixel(cutoff_hz=cutoff_hz, dark_dn_ms=0.3)
+    pixels = PixelArray(pixel, pixel.maps(0, size, (0, 0)), 0)
+    seen = np.full(n, 7.0, "f4")
+    pixels.settle_film(seen)
+    phi = None if cutoff_hz is None else 2e-3 * np.pi * cutoff_hz
+    level, v = pixels._watch[0].copy(), pixels._watch[1].copy()
+    for k in range(5):
+        before, seen = seen, np.empty(n, "f4")
+        pixels.advance_film(1000.0 * k, 1000.0, quad[k], weights, before, seen)
+        light, level, v = reference.film_step(quad[k], weights, level, v, phi, 0.3)
+        np.testing.assert_array_equal(seen, light)
+        np.testing.assert_array_equal(pixels._watch[1], v)
+        np.testing.assert_array_equal(pixels._watch[0], level)
+
+
+@pytest.mark.parametrize("dvs", [
+    {"cutoff_hz": 60.0, "leak_hz": 20.0, "shot_noise_hz": 30.0, "refractory_us": 2500},
+    {"cutoff_hz": None, "leak_hz": 5.0, "refractory_us": 300.0},
+    {"cutoff_hz": 300.0, "leak_hz": 0.0, "burst_chance": 0.3, "burst_us": 100.0}])
+def test_pixels_that_are_left_in_peace_would_have_made_no_event(dvs):
+    size, n = (16, 40), 640
+    quad = np.exp(2 + np.cumsum(np.random.default_rng(2).normal(
+        0, 0.03, (40, 4, *size)), 0)).astype("f4")
+    weights = np.tile([[0.5], [0.3], [0.2]], n).astype("f4")
+    pixel = DvsPixel(theta_on=0.1, theta_off=0.12, **dvs)
+    found = []
+    for look in (False, True):
+        pixels = PixelArray(pixel, pixel.maps(3, size, (0, 0)), 3)
+        seen, events, left = np.full(n, 7.0, "f4"), [], 0
+        pixels.settle_film(seen)
+        for k, frame in enumerate(quad):
+            if look:
+                pixels._watch[4] = -1
+            left += np.count_nonzero(pixels._watch[4] > 1000 * (k + 1))
+            before, seen = seen, np.empty(n, "f4")
+            edges = np.array([1000.0 * k + 200] if k % 5 == 2 else [])
+            events += pixels.advance_film(1000.0 * k, 1000.0, frame, weights, before,
+                                          seen, edges=edges, first_edge=k // 5)
+        found.append(np.concatenate(events))
+        assert bool(left) != look
+    assert len(found[0]) > 500
+    np.testing.assert_array_equal(*found)
+
+
 def test_video_events_refuse_what_does_not_fit():
     size, n = (2, 3), 6
     base = pixel_arguments(n)
+    pixels = PixelArray(DvsPixel(), DvsPixel().maps(0, size, (0, 0)), 0)
+    pixels.settle_film(np.full(n, 30.0, "f4"))
     arguments = {
-        "quad": np.ones((4, *size), "f4"), "weights": np.ones((4, n), "f4"),
-        **{k: base[k] for k in ("pixels", "keys", "edges", "first_edge", "settings",
-                                "places", "state", "counters")},
-        "light": np.empty(n, "f4"), "start": 0, "stop": n, "out": base["out"]}
-    # What the light was before: relative slopes divide by it.
-    arguments["state"][:, 4:6] = 30.0, np.log(30.0)
+        "quad": np.ones((4, *size), "f4"), "weights": np.ones((3, n), "f4"),
+        "before": np.full(n, 30.0, "f4"), "light": np.empty(n, "f4"),
+        **{k: base[k] for k in ("keys", "edges", "first_edge", "settings")},
+        "watch": pixels._watch, "cells": pixels._cells, "start": 0, "stop": n,
+        "out": base["out"]}
     assert _kernels.video_events(*arguments.values())[0] == n
     for name, value in (("quad", np.ones((3, *size), "f4")), ("stop", 7),
-                        ("light", np.empty(5, "f4"))):
+                        ("light", np.empty(5, "f4")), ("before", np.empty(5, "f4")),
+                        ("weights", np.ones((4, n), "f4")),
+                        ("watch", np.zeros((4, n), "f4")),
+                        ("cells", pixels._cells[1:])):
         with pytest.raises(ValueError, match="video_events: shapes do not fit"):
             _kernels.video_events(*(arguments | {name: value}).values())
     settings = base["settings"].copy()

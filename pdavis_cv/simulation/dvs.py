@@ -19,6 +19,11 @@ __all__ = ["DvsPixel", "PixelArray"]
 
 FloatArray = NDArray[np.float64]
 
+_CELL_DTYPE = np.dtype([
+    *((name, np.float64) for name in (
+        "ref", "since", "release", "noise_t", "on", "off", "leak")),
+    ("counter", np.uint64)])
+
 
 @dataclass(frozen=True, kw_only=True)
 class DvsPixel:
@@ -222,11 +227,34 @@ class PixelArray:
 
         return self._collect(run, 0, len(pixels))
 
+    def settle_film(self, seen: NDArray[np.float32]) -> None:
+        """Let all pixels adapt to the light of a video's first frame.
+
+        Parameters
+        ----------
+        seen : ndarray of float32, shape (H * W,)
+            Light on each pixel, DN per ms, dark current included.
+        """
+        # By way of float64: NumPy's float32 log depends on the CPU.
+        level = np.log(np.maximum(seen, 1e-9), dtype=np.float64).astype(np.float32)
+        self._watch = np.zeros((5, len(seen)), np.float32)
+        self._watch[:2] = level
+        self._watch[4] = -1  # every pixel is looked at first
+        # Each cell in one cache line.
+        room = np.zeros(len(seen) + 1, _CELL_DTYPE).view(np.uint8)
+        line = _CELL_DTYPE.itemsize
+        first = -room.ctypes.data % line
+        self._cells = room[first:first + line * len(seen)].view(_CELL_DTYPE)
+        self._cells["ref"] = level
+        self._cells["release"] = -np.inf
+        for column, name in enumerate(("on", "off", "leak")):
+            self._cells[name] = self._pixels[:, column]
+
     def advance_film(
         self, start_us: float, step_us: float, quad: NDArray[np.float32],
-        weights: NDArray[np.float32], seen: NDArray[np.float32], *,
-        rows: slice = slice(None), edges: FloatArray | None = None,
-        first_edge: int = 0,
+        weights: NDArray[np.float32], before: NDArray[np.float32],
+        seen: NDArray[np.float32], *, rows: slice = slice(None),
+        edges: FloatArray | None = None, first_edge: int = 0,
     ) -> list[NDArray[Any]]:
         """Return the events of one interval over which log light is linear.
 
@@ -236,10 +264,11 @@ class PixelArray:
             Start of the interval and its length.
         quad : ndarray of float32, shape (4, H, W)
             Four planes of light at its end, DN per ms.
-        weights : ndarray of float32, shape (4, H * W)
-            Response of each pixel to each plane.
-        seen : ndarray of float32, shape (H * W,)
-            Receives the light on each pixel, dark current included.
+        weights : ndarray of float32, shape (3, H * W)
+            Response of each pixel to I0 + I45 + I90 + I135, I0 - I90, I45 - I135.
+        before, seen : ndarray of float32, shape (H * W,)
+            Light on each pixel at the interval's start, dark current included, and
+            what receives that at its end.
         rows, edges, first_edge
             As for `advance`.
         """
@@ -249,9 +278,8 @@ class PixelArray:
 
         def run(start: int, buffer: NDArray[Any]) -> tuple[int, int]:
             return video_events(
-                quad, weights, self._pixels, self._keys, edges, first_edge, settings,
-                self._places, self._state, self._counters, seen, start, part.stop,
-                buffer)
+                quad, weights, before, seen, self._keys, edges, first_edge, settings,
+                self._watch, self._cells, start, part.stop, buffer)
 
         return self._collect(run, part.start, part.stop)
 

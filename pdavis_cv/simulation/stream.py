@@ -233,7 +233,7 @@ class SimulatedRecording(Recording):
             if at == 0:
                 film.seen = film.light(film.quad(0)) + np.float32(dark)
                 if pixels is not None:
-                    pixels.settle(film.seen.astype(np.float64) - dark)
+                    pixels.settle_film(film.seen)
             before, film.seen = film.seen, np.empty_like(film.seen)
             quad = film.quad(at + step)
             if pixels is None:
@@ -241,7 +241,8 @@ class SimulatedRecording(Recording):
             else:
                 found = map if len(rows) == 1 else pool.map
                 for part in found(functools.partial(
-                        _film_band, pixels, film, quad, at, step, bursts), rows):
+                        _film_band, pixels, film, quad, before, at, step, bursts),
+                        rows):
                     events += part
             for (frame, other), weight in weights.items():
                 if other == block and np.any(weight):
@@ -305,11 +306,12 @@ class SimulatedRecording(Recording):
 
 
 def _film_band(
-    pixels: PixelArray, film: Film, quad: NDArray[np.float32], at: float, step: float,
-    bursts: dict[str, Any], rows: slice,
+    pixels: PixelArray, film: Film, quad: NDArray[np.float32],
+    before: NDArray[np.float32], at: float, step: float, bursts: dict[str, Any],
+    rows: slice,
 ) -> list[NDArray[Any]]:
     return pixels.advance_film(
-        at, step, quad, film.weights, film.seen, rows=rows, **bursts)
+        at, step, quad, film.weights, before, film.seen, rows=rows, **bursts)
 
 
 def _integral(
