@@ -57,6 +57,18 @@ def test_the_file_cases_run_or_say_what_is_not_installed(name, inputs, goal, cap
     assert all(r["ratio"] > 0 and r["goal"] == goal for r in report["results"])
 
 
+def test_the_networks_are_timed_against_each_other_or_it_is_said_why_not(capsys):
+    assert bench.main(["joint", "--pairs", "2", "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    if report["skipped"]:
+        assert "onnxruntime" in report["skipped"]["joint"]
+        return
+    result, = report["results"]
+    assert result["goal"] == 0.35
+    # A quarter of the multiplications: another order would be another network.
+    assert 0.1 < result["ratio"] < 1
+
+
 def test_a_peer_that_is_not_installed_is_named(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "faery", None)
     assert bench.main(["aedat4_write"]) == 0

@@ -181,6 +181,20 @@ def test_every_backend_equals_the_plain_network_over_twenty_steps(
             np.testing.assert_allclose(got, right, atol=1e-5 * np.abs(right).max())
 
 
+@each_network
+@pytest.mark.skipif(not all(map(find_spec, BACKENDS)), reason="needs every backend")
+def test_the_backends_agree_over_twenty_steps_with_the_packages_weights(network):
+    weights, random = Weights.shipped(network), np.random.default_rng(0)
+    runs = [make_runner(weights, 9, 7, backend) for backend in BACKENDS]
+    n, planes = (4, 5) if network == "firenet" else (1, 28)
+    states = [[np.zeros((n, 16, 9, 7), np.float32)] * 2 for _ in BACKENDS]
+    for _ in range(20):
+        x = random.poisson(0.4, (n, planes, 9, 7)).astype(np.float32) - 0.4
+        (one, *states[0]), (other, *states[1]) = (
+            run(x, *state) for run, state in zip(runs, states, strict=True))
+        assert np.abs(one - other).max() <= 1e-5 * np.abs(one).max()
+
+
 def test_the_quicker_backend_is_chosen_and_the_lack_of_both_is_said(monkeypatch):
     if find_spec("onnxruntime"):
         assert chosen_backend() == "onnxruntime"

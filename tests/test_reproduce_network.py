@@ -95,7 +95,7 @@ def test_error_of_s0_is_that_of_its_log_up_to_a_gain():
 
 def test_the_command_writes_a_table_a_page_and_the_cost(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(network, "network_cases", lambda settings: [polarizer()])
-    monkeypatch.setattr(network.step_costs, "__defaults__", ((8, 8),))
+    monkeypatch.setattr(network.network_steps, "__defaults__", ((8, 8),))
     weights = reference.random_weights("joint")
     weights.save(tmp_path / "mine.npz")
     assert reproduce.main([

@@ -19,6 +19,7 @@ from pdavis_cv.tools import (  # noqa: F401  # they register their cases
     bench_events,
     bench_files,
     bench_kalman,
+    bench_network,
     bench_simulate,
 )
 from pdavis_cv.tools._common import Parser, UsageError, command

@@ -122,7 +122,8 @@ def _networks(figure: str, stem: Path, settings: Settings) -> Result:
               (dataclasses.astuple(row) for row in rows), {
                   **_facts(figure, settings),
                   **{f"{name} weights": w.digest for name, w in weights.items()}})
-    costs = network.step_costs(weights, 2 if settings.quick else 20)
+    costs = network.step_costs(
+        network.network_steps(weights), 2 if settings.quick else 20)
     lines = network.network_page(rows, weights, costs, settings.seeds)
     return write_page(stem, lines), []  # its rows have columns of their own
 

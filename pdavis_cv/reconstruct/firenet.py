@@ -92,6 +92,7 @@ class _Recurrent(Reconstructor):
         self._steps = np.ascontiguousarray(step[None, None] if step.ndim == 1 else step)
         self._unit = unit or 1.0
         self._runner: Runner | None = None
+        self._input: Array | None = None
         self._clock = Clock(self.shape)
         self._turns = Turns()
         self._begin()
@@ -254,7 +255,7 @@ class _Recurrent(Reconstructor):
             f.name: state[f.name].copy() for f in fields(_State) if f.name != "quiet"})
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_runner": None}
+        return {**self.__dict__, "_runner": None, "_input": None}
 
 
 class FireNet(_Recurrent):
@@ -342,13 +343,20 @@ class Joint(_Recurrent):
 
     def _inputs(self, grid: Array, memory: Array) -> Array:
         height, width = self._planes
-        return np.concatenate((grid.reshape(-1, height, width),
-                               memory.reshape(-1, height, width)))[None]
+        if self._input is None:  # memory that is new each time costs more than the copy
+            self._input = np.empty((1, 4 * BINS + 8, height, width), np.float32)
+        self._input[0, :4 * BINS] = grid.reshape(-1, height, width)
+        self._input[0, 4 * BINS:] = memory.reshape(-1, height, width)
+        return self._input
 
     def _light(self, planes: Array) -> Array:
-        s0, polar = np.exp(planes[:4]), planes[4:]
-        polar = polar / np.maximum(np.hypot(*polar), 1)
-        return np.asarray(s0 / 2 * (1 + np.concatenate((polar, -polar))))
+        polar = planes[4:]
+        light = np.empty((4, *polar.shape[1:]), np.float32)
+        np.divide(polar, np.maximum(np.hypot(*polar), 1), out=light[:2])
+        np.negative(light[:2], out=light[2:])
+        light += 1
+        light *= np.exp(planes[:4]) / 2
+        return light
 
 
 def response_table(given: ArrayLike, light: ArrayLike, knots: int = 33) -> Array:
