@@ -23,6 +23,7 @@ from pdavis_cv import (
     AnalysisWarning,
     PolarFrame,
     Recording,
+    accumulate,
     analysis,
     export,
     fuse,
@@ -75,12 +76,37 @@ class Findings:
     clock: analysis.Clock | None = None
     load: analysis.LoadTrace | None = None
     loops: list[analysis.Loop] = field(default_factory=list)
+    busiest: analysis.Traces | None = None
     still: render.Picture | None = None
     extra: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def seconds(self, t_us: NDArray[np.int64]) -> NDArray[np.float64]:
         """Seconds since the recording's start."""
         return np.asarray((t_us - self.origin_us) / 1e6)
+
+
+@dataclass(frozen=True, eq=False)
+class _Busiest(analysis.Roi):
+    """The quarter of a region's pixels that have the most events.
+
+    Events are late by what the light has to change for one, which is less of a cycle
+    where there are many in it.
+    """
+
+    counts: NDArray[np.float64] | None = None
+
+    def mask(
+        self, shape: tuple[int, int], *, origin: tuple[int, int] = (0, 0),
+        scale: int = 1,
+    ) -> NDArray[np.bool_]:
+        from scipy.ndimage import uniform_filter
+        inside = super().mask(shape, origin=origin, scale=scale)
+        assert self.counts is not None
+        x, y = origin
+        part = self.counts[y:y + shape[0] * scale, x:x + shape[1] * scale]
+        # Images hold what pixels share with their neighbours.
+        near = uniform_filter(part, 3 * scale)[::scale, ::scale]
+        return np.asarray(inside & (near >= np.quantile(near[inside], 0.75)))
 
 
 @command
@@ -119,9 +145,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--load-hz", type=float, metavar="HZ",
                         help="frequency of the load; default: the strongest in DoLP")
     parser.add_argument(
-        "--smooth", type=int, choices=(1, 3, 5, 7), default=3, metavar="N",
-        help="average the maps over N x N pixels: 1, 3, 5 or 7; default 3, about a "
-             "macropixel")
+        "--smooth", type=int, choices=(1, 3, 5, 7), default=5, metavar="N",
+        help="average the maps over N x N pixels: 1, 3, 5 or 7; default 5")
     parser.add_argument("--background", metavar="FILE",
                         help="a recording of the light without the sample: its S1/S0 "
                              "and S2/S0 are subtracted")
@@ -191,8 +216,11 @@ def measure(
     facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
     recorder = analysis.TraceRecorder(
         regions, estimate=args.estimate, background=background)
+    busiest = _busiest(recording, regions, background) if load is not None else None
     for image in progress(fuse(recording, **options), len(times), "images"):
         recorder.add(image)
+        if busiest is not None:
+            busiest.add(image)
     fused, frames = recorder.traces(recording), None
     if recording.info.frame_count != 0:
         recorder = analysis.TraceRecorder(
@@ -201,8 +229,12 @@ def measure(
             recorder.add(image)
         frames = recorder.traces(recording) if recorder.count else None
     found = _evaluate(args, recording, fused, frames, facts, fps)
+    found.busiest = busiest and busiest.traces()
     if load is not None:
+        said = len(found.messages)
         _align(args, recording, found, load)
+        for message in found.messages[said:]:
+            warnings.warn(message, AnalysisWarning, stacklevel=2)
     _maps_and_video(args, recording, options, held, found)
     return found
 
@@ -229,6 +261,20 @@ def _whole(recording: Recording, args: argparse.Namespace) -> analysis.Roi:
     height, width = recording.info.sensor_size
     x, y, w, h = args.roi or (0, 0, width // 2 * 2, height // 2 * 2)
     return analysis.Roi.from_rectangle(x, y, w, h, "all")
+
+
+def _busiest(
+    recording: Recording, regions: Sequence[analysis.Roi], background: Any
+) -> analysis.TraceRecorder | None:
+    """Record the busiest pixels of each region, if there are events."""
+    counts = np.zeros(recording.info.sensor_size)
+    for packet in recording.packets():
+        counts += accumulate(packet.events, recording.info.sensor_size).sum(0)
+    if not counts.any():
+        return None
+    return analysis.TraceRecorder(
+        [_Busiest(roi.name, roi.rings, roi.rectangle, counts) for roi in regions],
+        background=background)
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
@@ -370,7 +416,7 @@ def _correlated(
     found.messages.append(
         "load file: aligned with the fused images, which may lag by 1 % of a cycle, as "
         "the frames alone do not fix its offset")
-    return aligned(found.fused)
+    return aligned(found.busiest or found.fused)
 
 
 def _maps_and_video(
