@@ -25,8 +25,8 @@ from pdavis_cv.recording.base import (
     RecordingInfo,
 )
 from pdavis_cv.recording.files import FileReader, ProblemLog
-from pdavis_cv.recording.packetise import Batch, packetise
-from pdavis_cv.recording.timeline import Clock, Timeline
+from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.timeline import NEVER, Clock, Marks, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["MAGIC", "Aedat3Recording"]
@@ -43,6 +43,7 @@ _IMU = np.dtype([("info", "<i4"), ("t", "<i4"), ("accel", "<f4", 3),
 _IMU9 = np.dtype([*_IMU.descr, ("compass", "<f4", 3)])
 # libcaer's special events: external input rising, falling, pulse.
 _TRIGGERS = {2: 1, 3: 2, 4: 3}
+MARK_BYTES = 1 << 18
 HORIZON_US = 500_000
 """How far the packets of different kinds may interleave imperfectly in time."""
 
@@ -50,7 +51,7 @@ HORIZON_US = 500_000
 class Aedat3Recording(Recording):
     """A recording in AEDAT-3.1; see `open_recording`.
 
-    Read from its beginning each time: the format has no index.
+    The format has no index: the first reading makes one, for those that follow.
 
     Parameters
     ----------
@@ -67,6 +68,7 @@ class Aedat3Recording(Recording):
         self._strict = bad_events == "raise"
         self._reader = FileReader(path)
         self._log = ProblemLog(str(path))
+        self._marks = Marks(MARK_BYTES)
         try:
             self._info = self._read_header(layout, camera)
         except BaseException:
@@ -127,7 +129,7 @@ class Aedat3Recording(Recording):
 
     def _frame_size(self) -> tuple[int, int] | None:
         """Return the size of the first frame near the start of the file."""
-        for _, kind, _, _, data in self._raw(quiet=True):
+        for _, kind, _, _, data in self._raw(self._start, quiet=True):
             if kind == FRAME and len(data) >= 36:
                 width, height = struct.unpack_from("<ii", data, 20)
                 if 0 < width <= 4096 and 0 < height <= 4096:
@@ -135,10 +137,9 @@ class Aedat3Recording(Recording):
         return None
 
     def _raw(
-        self, *, quiet: bool = False
+        self, at: int, *, quiet: bool = False
     ) -> Iterator[tuple[int, int, int, int, bytes]]:
-        """Give (byte, kind, event size, overflow, events) of each packet."""
-        at = self._start
+        """Give (byte, kind, event size, overflow, events) of each packet from at on."""
         while at < self._reader.size:
             head = self._reader.read(at, _HEAD.size)
             found = self._plausible(head, at)
@@ -190,13 +191,19 @@ class Aedat3Recording(Recording):
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        return packetise(self._batches(), start_us, stop_us)
+        return packetise(self._batches(start_us), start_us, stop_us)
 
-    def _batches(self) -> Iterator[Batch]:
+    def _batches(self, start_us: int | None) -> Iterator[Batch]:
         timeline = Timeline()
         clocks = [Clock(timeline) for _ in range(4)]
-        last_mid = promised = -(1 << 61)
-        for at, kind, size, overflow, data in self._raw():
+        begin, last_mid, promised = self._start, NEVER, NEVER
+        if start_us is not None:
+            mark = self._marks.before(cell_start(start_us))
+            if mark is not None:
+                begin, clocks, last_mid, promised = mark
+        for at, kind, size, overflow, data in self._raw(begin):
+            newest = max(clock.last for clock in clocks)
+            self._marks.note(at, newest, (at, clocks, last_mid, promised))
             batch = Batch()
             if kind == FRAME:
                 for i in range(0, len(data), size):

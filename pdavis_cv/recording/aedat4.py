@@ -20,7 +20,7 @@ from pdavis_cv.recording.packetise import (
     cell_start,
     packetise,
 )
-from pdavis_cv.recording.timeline import NEVER, Timeline
+from pdavis_cv.recording.timeline import NEVER, Marks, Timeline
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
 __all__ = ["Aedat4Recording"]
@@ -28,6 +28,7 @@ __all__ = ["Aedat4Recording"]
 KINDS = ("EVTS", "FRME", "IMUS", "TRIG")
 MAX_SIDE = 8192
 FRAMES_UNDER_WAY = 3
+MARK_PULLS = 64
 """The index gives a frame's timestamp; its readout ends within this time of it."""
 EPOCH_US = 10**15
 """Times beyond this (2001) are Unix times, smaller ones count from some start."""
@@ -52,6 +53,7 @@ class Aedat4Recording(Recording):
         self._file = Aedat4File(path)
         try:
             self._streams = self._choose(camera)
+            self._marks = Marks(MARK_PULLS)
             self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
                              for s in self._streams.values())
             self._size = self._sensor_size()
@@ -231,7 +233,7 @@ class Aedat4Recording(Recording):
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> NDArray[Any]:
         """Return the events of start_us <= time < stop_us as one array."""
-        if "EVTS" in self._streams:
+        if "EVTS" in self._streams and (start_us is None or self._ordered()):
             cursor = self._cursor("EVTS", Timeline(), *self._seek("EVTS", start_us))
             end = END_OF_TIME if stop_us is None else stop_us
             events = cursor.all_events(end)
@@ -242,11 +244,15 @@ class Aedat4Recording(Recording):
 
     def _batches(self, start_us: int | None) -> Iterator[Batch]:
         """Read the stream that is least far in time, until all are at their end."""
-        timeline = Timeline()
-        cursors = [
-            self._cursor(kind, timeline, *self._seek(kind, start_us))
-            for kind in KINDS if kind in self._streams]
+        cursors, pulls, newest = self._begin(start_us)
+        marked = not self._file.indexed or not self._ordered()
         while cursors:
+            if marked:
+                # Later readings can begin here, where no index says how.
+                newest = max(newest, *(cursor.clock.last for cursor in cursors))
+                self._marks.note(
+                    pulls, newest, (pulls, newest, [cursor.mark for cursor in cursors]))
+                pulls += 1
             cursor = min(cursors, key=lambda c: c.clock.last)
             got = cursor.pull()
             if got is None:
@@ -258,6 +264,23 @@ class Aedat4Recording(Recording):
                 batch.complete_us = min(c.clock.last for c in cursors)
             yield batch
 
+    def _begin(self, start_us: int | None) -> tuple[list[Cursor], int, int]:
+        """Return cursors that give every sample from start_us's cell on.
+
+        With them, how often such were pulled before, and no sample was later than.
+        """
+        if start_us is not None and not self._ordered():
+            found = self._marks.before(cell_start(start_us))
+            if found is not None:
+                pulls, newest, marks = found
+                cursors = [self._cursor(mark[0], Timeline()) for mark in marks]
+                for cursor, mark in zip(cursors, marks, strict=True):
+                    cursor.go_to(mark)
+                return cursors, pulls, newest
+        timeline = Timeline()
+        return [self._cursor(kind, timeline, *self._seek(kind, start_us))
+                for kind in KINDS if kind in self._streams], 0, NEVER
+
     def _cursor(self, kind: str, timeline: Timeline, first: int = 0,
                 last_us: int = NEVER) -> Cursor:
         return Cursor(
@@ -268,8 +291,8 @@ class Aedat4Recording(Recording):
     def _seek(self, kind: str, start_us: int | None) -> tuple[int, int]:
         """Return the packet to begin with, and the last time before it.
 
-        A file whose index shows time running backward is read from its beginning:
-        what is dropped there depends on everything before.
+        A file whose index shows time running backward is read from its beginning, or
+        a mark: what is dropped there depends on everything before.
         """
         if start_us is None or not self._ordered():
             return 0, NEVER

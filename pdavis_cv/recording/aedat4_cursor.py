@@ -54,6 +54,15 @@ class Cursor:
         self._read = {"EVTS": self._events, "FRME": self._frames,
                       "IMUS": self._samples, "TRIG": self._samples}[kind]
 
+    @property
+    def mark(self) -> tuple[str, int, Clock, int]:
+        """Where it stands; not a copy."""
+        return self.kind, self._next, self.clock, self._last_mid
+
+    def go_to(self, mark: tuple[str, int, Clock, int]) -> None:
+        """Stand where another cursor of this stream stood."""
+        _, self._next, self.clock, self._last_mid = mark
+
     def pull(self) -> Any:
         """Return the samples of the next packet that can be read, None at the end."""
         while self._next < len(self._entries):

@@ -5,12 +5,15 @@ the one before it; smaller ones are dropped and counted.
 """
 from __future__ import annotations
 
+import copy
+import threading
+from bisect import bisect_left
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NEVER", "SEGMENT_US", "Clock", "Timeline"]
+__all__ = ["NEVER", "SEGMENT_US", "Clock", "Marks", "Timeline"]
 
 NEVER = -(1 << 61)
 """Before any time that a file may hold."""
@@ -103,3 +106,51 @@ class Clock:
             else:
                 self.state[4] += 1
         return keep, segments
+
+
+class Marks:
+    """Places where reading can begin again, noted as they are passed.
+
+    For files whose samples depend on everything before them: the first pass makes
+    the index.
+
+    Parameters
+    ----------
+    spacing : int
+        Least distance between two marks, in the unit of their places.
+    """
+
+    def __init__(self, spacing: int) -> None:
+        self._spacing = spacing
+        self._lock = threading.Lock()
+        self._places: list[int] = []
+        self._newest: list[int] = []
+        self._states: list[Any] = []
+
+    def note(self, place: int, newest_us: int, state: Any) -> None:
+        """Note what is known at a place, unless there is a mark near it.
+
+        Parameters
+        ----------
+        place : int
+            Grows while reading, the same way in each pass.
+        newest_us : int
+            No sample before the place is later.
+        state : object
+            What reading on needs; a copy is kept.
+        """
+        with self._lock:
+            if place < (self._places[-1] if self._places else 0) + self._spacing:
+                return
+            self._places.append(place)
+            self._newest.append(newest_us)
+            self._states.append(copy.deepcopy(state))
+
+    def before(self, t_us: int) -> Any:
+        """Return a copy of the last state before which all samples lie before a time.
+
+        None if there is none.
+        """
+        with self._lock:
+            i = bisect_left(self._newest, t_us)
+            return copy.deepcopy(self._states[i - 1]) if i else None
