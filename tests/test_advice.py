@@ -4,6 +4,7 @@ from streams import random_events
 
 from pdavis_cv import ApsFrame, Layout, recording_from_arrays
 from pdavis_cv.recording.advice import advise
+from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 SIZE = (40, 60)
 
@@ -59,3 +60,41 @@ def test_mains_flicker_is_found_and_nothing_else():
         found = topics(events[keep])
         assert set(found) == {"flicker"}
         assert f"at {hz} Hz" in found["flicker"].finding
+
+
+def exposed(moving, exposure_us=8_000):
+    """Ten frames; a share of the pixels makes 4 events in each exposure."""
+    pixels = round(moving * SIZE[0] * SIZE[1])
+    events, frames = [], []
+    for k in range(10):
+        start = 5_000 + 40_000 * k
+        part = np.zeros(4 * pixels, steady(0).dtype)
+        place = np.tile(np.arange(pixels), 4)
+        part["x"], part["y"] = place % SIZE[1], place // SIZE[1]
+        part["t"] = start + np.repeat(np.arange(4), pixels) * exposure_us // 4
+        events.append(part)
+        frames.append(ApsFrame(np.full(SIZE, 500.0), start, start + exposure_us,
+                               available_us=start + exposure_us + 5_000))
+    return np.concatenate(events), frames
+
+
+def test_an_exposure_during_which_light_moves_is_told():
+    found = topics(*exposed(0.5))
+    assert "exposure" in found
+    assert "(8.0 ms)" in found["exposure"].finding
+    assert "50% of the pixels" in found["exposure"].finding
+    assert found["exposure"].action.startswith("expose for 2 ms or less")
+    assert "exposure" not in topics(*exposed(0.03))
+
+
+def test_light_that_moves_between_exposures_only_is_no_matter():
+    events, frames = exposed(0.5)
+    events["t"] += 20_000
+    assert "exposure" not in topics(events, frames)
+
+
+def test_a_fast_polarizer_blurs_and_a_slow_one_does_not():
+    camera = Camera.preset("ideal", size=(12, 12), aps={"exposure_us": 8_000})
+    for rpm, blurs in ((30.0, False), (1000.0, True)):
+        recording = camera.stream(RotatingPolarizer(rpm=rpm), 0.3)
+        assert ("exposure" in {a.topic for a in advise(recording)}) == blurs

@@ -1,12 +1,14 @@
 """What a user should know about a recording before trusting what comes out of it."""
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.base import ApsFrame, Recording
 
 __all__ = ["Advice", "advise"]
 
@@ -18,6 +20,10 @@ LEAST_HOT_EVENTS = 100
 FLICKER_HZ = (100, 120)
 FLICKER_BIN_US = 1000
 DARK_DN = 20.0
+BLUR_EVENTS = 3
+"""With a usual threshold of 0.2, light changes by a factor of 1.8 meanwhile."""
+BLURRED_SHARE = 0.05
+MOST_KEPT_EVENTS = 2_000_000
 F_THRESHOLD = 0.7 / (0.7**2 * 20)
 
 
@@ -56,7 +62,7 @@ def advise(recording: Recording) -> list[Advice]:
     for packet in recording.packets():
         facts.add_events(packet.events)
         for frame in packet.frames:
-            facts.add_frame(frame.dn, frame.valid)
+            facts.add_frame(frame)
     found = [*_about_header(recording), *facts.about_frames(), *facts.about_events()]
     for problem in recording.problems:
         if problem.kind in ("backward time", "segment", "stale words", "damage"):
@@ -75,22 +81,47 @@ class _Facts:
         self._bins: dict[int, int] = {}
         self._clipped: list[float] = []
         self._levels: list[float] = []
+        self._recent: deque[NDArray[np.void]] = deque()
+        self._kept = 0
+        self._blurred: list[tuple[float, float, float]] = []
 
     def add_events(self, events: NDArray[np.void]) -> None:
         if not len(events):
             return
-        width = self._counts.shape[1]
-        places = events["y"].astype(np.int64) * width + events["x"]
-        self._counts += np.bincount(
-            places, minlength=self._counts.size).reshape(self._counts.shape)
+        self._counts += self._per_pixel(events)
         bins, counts = np.unique(events["t"] // FLICKER_BIN_US, return_counts=True)
         for i, n in zip(bins.tolist(), counts.tolist(), strict=True):
             self._bins[i] = self._bins.get(i, 0) + n
 
-    def add_frame(self, dn: NDArray[np.float32], valid: NDArray[np.bool_] | None
-                  ) -> None:
-        self._clipped.append(0.0 if valid is None else float(np.mean(~valid)))
-        self._levels.append(float(np.median(dn)))
+        self._recent.append(events)
+        self._kept += len(events)
+        while self._kept > MOST_KEPT_EVENTS:
+            self._kept -= len(self._recent.popleft())
+
+    def _per_pixel(self, events: NDArray[np.void]) -> NDArray[np.int64]:
+        width = self._counts.shape[1]
+        places = events["y"].astype(np.int64) * width + events["x"]
+        return np.bincount(
+            places, minlength=self._counts.size).reshape(self._counts.shape)
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        self._clipped.append(
+            0.0 if frame.valid is None else float(np.mean(~frame.valid)))
+        self._levels.append(float(np.median(frame.dn)))
+        # What a pixel's events say of its light while the frame was exposed.
+        half = round(500 * frame.exposure_ms)
+        start, stop = frame.mid_us - half, frame.mid_us + half
+        counts = np.zeros(self._counts.shape, np.int64)
+        for events in self._recent:
+            t = events["t"]
+            if t[-1] >= start and t[0] < stop:
+                counts += self._per_pixel(events[(t >= start) & (t < stop)])
+        moving = counts >= BLUR_EVENTS
+        self._blurred.append((
+            float(np.mean(moving)), frame.exposure_ms,
+            float(np.median(counts[moving])) if moving.any() else 0.0))
+        self._recent.clear()
+        self._kept = 0
 
     def about_frames(self) -> list[Advice]:
         found: list[Advice] = []
@@ -106,6 +137,15 @@ class _Facts:
             found.append(Advice(
                 "dark frames", f"the median pixel has {level:.0f} DN",
                 "lengthen the exposure or add light; subtract a dark frame"))
+        share, exposure_ms, events = np.mean(self._blurred, axis=0).tolist()
+        if share > BLURRED_SHARE:
+            factor = math.exp(0.2 * BLUR_EVENTS)
+            found.append(Advice(
+                "exposure", f"while a frame is exposed ({exposure_ms:.1f} ms), light "
+                f"changes by a factor of {factor:.1f} or more on {share:.0%} of the "
+                "pixels: the frames blur, their DoLP reads low",
+                f"expose for {exposure_ms / events:.2g} ms or less, or slow the scene; "
+                "method kalman reckons with the exposure, the others do not"))
         return found
 
     def about_events(self) -> list[Advice]:
