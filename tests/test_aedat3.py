@@ -64,3 +64,46 @@ def test_a_file_without_the_header_s_end_is_refused(tmp_path):
     (tmp_path / "x").write_bytes(b"#!AER-DAT3.1\r\n" + bytes(100))
     with pytest.raises(RecordingError, match="no #!END-HEADER"):
         open_recording(tmp_path / "x")
+
+
+def event_packets(times, overflow=0):
+    return packet(1, 8, 4, overflow, [
+        struct.pack("<Ii", 1 | 2 << 2 | 3 << 17, t) for t in times])
+
+
+def imu_packet(t):
+    return packet(3, 36, 4, 0, [struct.pack("<ii7f", 1, t, *range(7))])
+
+
+@pytest.mark.parametrize("damaged", ["event", "imu", "overflow"])
+def test_a_wild_time_costs_its_sample_or_packet_only(tmp_path, damaged):
+    parts = []
+    for k in range(20):
+        times = [1000 * k + 100 * i for i in range(10)]
+        imu_us, overflow = 1000 * k, 0
+        if k == 7:
+            if damaged == "event":
+                times[4] += 1 << 28
+            elif damaged == "imu":
+                imu_us += 1 << 28
+            else:
+                overflow = 3
+        parts += [imu_packet(imu_us), event_packets(times, overflow)]
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n" + b"".join(parts))
+    (events, _, imu, _), problems = read(tmp_path / "x")
+    assert [(p.kind, p.count) for p in problems] == [
+        ("wild time", 10 if damaged == "overflow" else 1)]
+    assert len(events) == 200 - {"event": 1, "imu": 0, "overflow": 10}[damaged]
+    assert len(imu) == 20 - (damaged == "imu")
+    assert np.isin(events["t"], 100 * np.arange(200)).all()
+
+
+def test_a_camera_s_reset_of_time_is_no_damage(tmp_path):
+    parts = [event_packets([t, t + 10, t + 20])
+             for t in (9_000_000, 9_001_000, 9_002_000, 0, 1_000, 2_000)]
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n" + b"".join(parts))
+    (events, *_), problems = read(tmp_path / "x")
+    assert len(events) == 18
+    assert [p.kind for p in problems] == ["segment"]

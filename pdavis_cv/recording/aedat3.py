@@ -26,7 +26,7 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.files import FileReader, ProblemLog
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
-from pdavis_cv.recording.timeline import NEVER, Clock, Marks, Timeline
+from pdavis_cv.recording.timeline import NEVER, SEGMENT_US, Clock, Marks, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["MAGIC", "Aedat3Recording"]
@@ -44,6 +44,7 @@ _IMU9 = np.dtype([*_IMU.descr, ("compass", "<f4", 3)])
 # libcaer's special events: external input rising, falling, pulse.
 _TRIGGERS = {2: 1, 3: 2, 4: 3}
 MARK_BYTES = 1 << 18
+SPIKE_US = 1_000
 HORIZON_US = 500_000
 """How far the packets of different kinds may interleave imperfectly in time."""
 
@@ -196,20 +197,31 @@ class Aedat3Recording(Recording):
     def _batches(self, start_us: int | None) -> Iterator[Batch]:
         timeline = Timeline()
         clocks = [Clock(timeline) for _ in range(4)]
-        begin, last_mid, promised = self._start, NEVER, NEVER
+        begin, last_mid, promised, before = self._start, NEVER, NEVER, None
         if start_us is not None:
             mark = self._marks.before(cell_start(start_us))
             if mark is not None:
-                begin, clocks, last_mid, promised = mark
-        for at, kind, size, overflow, data in self._raw(begin):
+                begin, clocks, last_mid, promised, before = mark
+        packets = self._decoded(begin)
+        ahead = next(packets, None)
+        while ahead is not None:
+            at, kind, found, times = ahead
+            ahead = next(packets, None)
             newest = max(clock.last for clock in clocks)
-            self._marks.note(at, newest, (at, clocks, last_mid, promised))
+            self._marks.note(at, newest, (at, clocks, last_mid, promised, before))
+            sane = ~_wild(times, before, None if ahead is None else ahead[3])
+            if not sane.all():
+                self._count(at, "wild time", int((~sane).sum()), "samples were dropped "
+                            "because their time is far from all around them")
+                found = [f for f, good in zip(found, sane, strict=True) if good] if (
+                    kind == FRAME) else found[sane]
+                times = times[sane]
+            if not len(times):
+                continue
+            before = int(times[-1])
             batch = Batch()
             if kind == FRAME:
-                for i in range(0, len(data), size):
-                    frame = self._frame(data[i:i + size], overflow, at)
-                    if frame is None:
-                        continue
+                for frame in found:
                     t = np.array([frame.available_us], np.int64)
                     keep, segments = clocks[FRAME].order(t)
                     if segments or not keep[0] or frame.mid_us <= last_mid or (
@@ -219,13 +231,9 @@ class Aedat3Recording(Recording):
                         continue
                     last_mid = frame.mid_us
                     batch.frames.append(frame)
-            elif kind in _READ:
-                samples = _READ[kind](data, overflow << 31)
-                if kind == POLARITY:
-                    samples = self._inside(samples, at)
-                times = samples["t"].astype(np.int64)
+            else:
                 keep, segments = clocks[min(kind, IMU6)].order(times)
-                samples["t"] = times
+                found["t"] = times
                 keep &= times >= promised
                 if segments:
                     self._log.add("segment", at, "time jumped back by more than a "
@@ -233,12 +241,33 @@ class Aedat3Recording(Recording):
                 if not keep.all():
                     self._count(at, "backward time", int((~keep).sum()),
                                 "samples were dropped because time ran backward")
-                    samples = samples[keep]
-                setattr(batch, _FIELDS[kind], samples)
+                    found = found[keep]
+                setattr(batch, _FIELDS[kind], found)
             # Packets of different kinds are not in order of time among each other.
             newest = max(clock.last for clock in clocks)
             promised = batch.complete_us = max(promised, newest - HORIZON_US)
             yield batch
+
+    def _decoded(
+        self, begin: int
+    ) -> Iterator[tuple[int, int, Any, NDArray[np.int64]]]:
+        """Give (byte, kind, samples or frames, times) of the packets from a byte on."""
+        for at, kind, size, overflow, data in self._raw(begin):
+            found: Any
+            if kind == FRAME:
+                frames = (self._frame(data[i:i + size], overflow, at)
+                          for i in range(0, len(data), size))
+                found = [frame for frame in frames if frame is not None]
+                times = np.array([frame.available_us for frame in found], np.int64)
+            elif kind in _READ:
+                found = _READ[kind](data, overflow << 31)
+                if kind == POLARITY:
+                    found = self._inside(found, at)
+                times = found["t"].astype(np.int64)
+            else:
+                continue
+            if len(times):
+                yield at, kind, found, times
 
     def _inside(self, events: NDArray[Any], at: int) -> NDArray[Any]:
         height, width = self._info.sensor_size
@@ -278,6 +307,35 @@ class Aedat3Recording(Recording):
         if self._strict:
             raise RecordingError(f"{self.path}: byte {at}: {count} {message}")
         self._log.add(kind, at, message, count=count, offset=at)
+
+
+def _wild(times: NDArray[np.int64], before: int | None,
+          after: NDArray[np.int64] | None) -> NDArray[np.bool_]:
+    """Return which times a damaged word must have made.
+
+    They lie far from what comes before and after, on the same side of both, while
+    those two go on as time does.  All of a packet, if its middle does: a packet has a
+    count of overflows of its own.
+    """
+    if after is None:
+        return np.zeros(len(times), np.bool_)
+    nexts = int(np.median(after))
+    if before is None:
+        before = nexts if nexts < times[0] else int(times[0])
+    if _spikes(np.array([before, int(np.median(times)), nexts]), SEGMENT_US)[0]:
+        return np.ones(len(times), np.bool_)
+    # Other packets need not be in order of time with this one.
+    wild = _spikes(np.concatenate(([before], times, [nexts])), SEGMENT_US)
+    wild[1:-1] |= _spikes(times, SPIKE_US)
+    return wild
+
+
+def _spikes(times: NDArray[np.int64], limit_us: int) -> NDArray[np.bool_]:
+    left, here, right = times[:-2], times[1:-1], times[2:]
+    found: NDArray[np.bool_] = (right - left > -limit_us) & (
+        (np.minimum(here - left, here - right) > limit_us)
+        | (np.minimum(left - here, right - here) > limit_us))
+    return found
 
 
 def _polarity(data: bytes, base: int) -> NDArray[Any]:
