@@ -42,9 +42,9 @@ from pdavis_cv.tools._reproduce_range import (
 from pdavis_cv.tools._reproduce_rotation import RPMS
 from pdavis_cv.tools._reproduce_run import OFF_LOCK, TAIL_US, Case, Settings, Take
 
-__all__ = ["METHODS", "TEXTURE_SEEDS", "NetworkCase", "NetworkRow", "all_weights",
-           "columns", "measure", "network_cases", "network_page", "network_steps",
-           "step_costs", "window_us"]
+__all__ = ["METHODS", "SCENES", "TEXTURE_SEEDS", "NetworkCase", "NetworkRow",
+           "all_weights", "columns", "measure", "network_cases", "network_page",
+           "network_steps", "step_costs", "window_us"]
 
 _TABLE = "firenet, table"
 METHODS: dict[str, Mapping[str, Any]] = {
@@ -57,11 +57,14 @@ METHODS: dict[str, Mapping[str, Any]] = {
 }
 """What is compared."""
 
+SCENES = ("polarizer", "rotating plate", "fan", "tendon", "irradiance", "texture")
+"""What is recorded."""
+
 # Training draws its textures from another generator; these seeds are of no clip.
 TEXTURE_SEEDS = (9101, 9102, 9103, 9104, 9105, 9106)
-WINDOWS_PER_PERIOD = 16.6  # not a whole number, so that windows end at all phases
+WINDOWS_PER_PERIOD = 16.618  # windows are to end at all phases
 SETTLING = 64  # windows: the longer of the memories of ``joint``
-_IMAGES = 150  # scored of a recording, at the most
+_IMAGES = 200  # scored of a recording, at the most
 _LEAST_DOLP = 0.3
 _SIDE, _ROI = 40, 12
 _RANGE_RPM = 60.0
@@ -84,7 +87,7 @@ class NetworkCase:
     period_us : float
         Of the light at a pixel; of textures, the time in which they move 16 pixels.
     calibrated : bool
-        Whether one cycle of it can serve as the paper's calibration.
+        Whether the paper's calibrations apply: light that turns, with no picture.
     """
 
     case: Case
@@ -115,17 +118,19 @@ class NetworkRow:
 
 def network_cases(settings: Settings) -> list[NetworkCase]:
     """Return what is recorded."""
-    return [*_turning(settings), *_fans(settings), *_tendons(settings),
-            *_range(settings), *_textures(settings)]
+    made = (*_turning(settings), *_fans(settings), *_tendons(settings),
+            *_range(settings), *_textures(settings))
+    return [each for each in made
+            if each.case.scene.split(",")[0] in settings.scenes or not settings.scenes]
 
 
 def _case(scene: str, light: Callable[[float], Scene], period_us: float,
           settings: Settings, seed: int = 0, **more: Any) -> Case:
     settled = max(runs.SETTLE_US, SETTLING * window_us(period_us))
-    scored = max(0.4e6, period_us) if settings.quick else max(1e6, 6 * period_us)
-    return Case(scene=scene, light=light, seed=seed or settings.seeds[0],
-                **{"rpm": math.nan, "size": (_SIDE, _SIDE), **more},
-                seconds=settings.seconds or (settled + scored + TAIL_US) / 1e6)
+    scored = max(0.4e6, period_us) if settings.quick else max(5e5, 6 * period_us)
+    return Case(scene=scene, light=light, seed=seed or settings.seeds[0], **{
+        "rpm": math.nan, "size": (_SIDE, _SIDE),
+        "seconds": settings.seconds or (settled + scored + TAIL_US) / 1e6, **more})
 
 
 def _turning(settings: Settings) -> Iterator[NetworkCase]:
@@ -192,11 +197,13 @@ def _range(settings: Settings) -> Iterator[NetworkCase]:
     for camera in ("nominal",) if settings.quick else ("nominal", "realistic"):
         for level in levels:
             period = 30e6 / (_RANGE_RPM * OFF_LOCK)
+            # The range of AoP is that of the images: they must be many.
+            seconds = settings.seconds or (2.5 if settings.quick else 9.0)
             yield NetworkCase(
                 case=_case(f"irradiance, {camera}", light, period, settings,
                            rpm=_RANGE_RPM, camera=camera, regions=_middle_of,
                            irradiance_uw_cm2=float(level),
-                           event_dn_per_ms=EVENT_DN * level),
+                           event_dn_per_ms=EVENT_DN * level, seconds=seconds),
                 setting=f"{level:.3g} uW/cm2", period_us=period)
 
 
@@ -264,7 +271,7 @@ def measure(made: NetworkCase, settings: Settings,
     times = _window_ends(take, window)
     regions = case.regions(camera)
     for name in names:
-        if name == _TABLE and not made.calibrated:
+        if "scaling" in METHODS[name] and not made.calibrated:
             continue
         parameters = _parameters(name, case, window, weights)
         if name == _TABLE:

@@ -240,6 +240,8 @@ class Settings:
         Names in `METHODS`, or of the figure's own.
     weights : tuple of str
         Files of weights instead of the package's.
+    scenes : tuple of str
+        Those that are made, of figures that leave a choice; empty = all.
     seconds : float or None
         Length of a recording.
     step_us : int
@@ -254,6 +256,7 @@ class Settings:
     rpms: tuple[float, ...] | None = None
     methods: tuple[str, ...] = tuple(METHODS)
     weights: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
     seconds: float | None = None
     step_us: int = 1013
     quick: bool = False

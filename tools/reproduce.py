@@ -192,6 +192,9 @@ def _parser() -> argparse.ArgumentParser:
         "--methods", nargs="+", choices=[*METHODS, *network.METHODS], metavar="NAME",
         help=f"of {_named(METHODS)}; of network {_named(network.METHODS)}; default all")
     parser.add_argument(
+        "--scenes", nargs="+", default=[], choices=network.SCENES, metavar="SCENE",
+        help=f"network: of {_named(network.SCENES)}; default all")
+    parser.add_argument(
         "--weights", nargs="+", default=[], metavar="FILE",
         help="network: npz files, or a checkpoint of the published FireNet, instead of "
              "the weights that come with the package")
@@ -251,8 +254,8 @@ def _settings(args: argparse.Namespace) -> Settings:
         seeds=tuple(args.seeds), starts_deg=tuple(args.starts_deg),
         rpms=None if args.rpm is None else tuple(args.rpm),
         methods=tuple(args.methods or [*METHODS, *network.METHODS]),
-        weights=tuple(args.weights), seconds=args.seconds, step_us=step,
-        quick=args.quick)
+        weights=tuple(args.weights), scenes=tuple(args.scenes),
+        seconds=args.seconds, step_us=step, quick=args.quick)
 
 
 def _facts(figure: str, settings: Settings) -> dict[str, Any]:
