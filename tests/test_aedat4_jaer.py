@@ -220,3 +220,22 @@ def test_old_files_that_jump_back_by_a_counter_s_range_go_on(read):
     (got, *_), recording = read(data)
     assert got["t"].tolist() == [t, t + 10, t + 20, t + 30]
     assert [p.kind for p in recording.problems] == ["segment"]
+
+
+def test_wild_times_of_an_unclosed_file_are_dropped(read):
+    packets, wanted = [], []
+    for k in range(6):
+        rows = [(10_000 * k + 100 * i, i, k, 1) for i in range(50)]
+        times = [10_000 * k + 2_000 * i for i in range(5)]
+        if k in (1, 3):  # in the middle, and at the end
+            i = 20 if k == 1 else 49
+            rows[i] = (rows[i][0] + (1 << 40), *rows[i][1:])
+            times[i // 12] -= 1 << 33
+        wanted += [t for t, *_ in rows if t < 1 << 20]
+        packets += [events(rows), imu_samples([(t, *[1] * 7) for t in times])]
+    (got, _, imu, _), recording = read(jaer_file(packets))
+    assert got["t"].tolist() == wanted
+    assert len(wanted) == 298
+    assert len(imu) == 28
+    assert imu["t"].max() < 60_000
+    assert "segment" not in {p.kind for p in recording.problems}

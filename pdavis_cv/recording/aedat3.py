@@ -26,7 +26,15 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.files import FileReader, ProblemLog
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
-from pdavis_cv.recording.timeline import NEVER, SEGMENT_US, Clock, Marks, Timeline
+from pdavis_cv.recording.timeline import (
+    NEVER,
+    SEGMENT_US,
+    SPIKE_US,
+    Clock,
+    Marks,
+    Timeline,
+    spikes,
+)
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["MAGIC", "Aedat3Recording"]
@@ -44,7 +52,6 @@ _IMU9 = np.dtype([*_IMU.descr, ("compass", "<f4", 3)])
 # libcaer's special events: external input rising, falling, pulse.
 _TRIGGERS = {2: 1, 3: 2, 4: 3}
 MARK_BYTES = 1 << 18
-SPIKE_US = 1_000
 HORIZON_US = 500_000
 """How far the packets of different kinds may interleave imperfectly in time."""
 
@@ -322,20 +329,12 @@ def _wild(times: NDArray[np.int64], before: int | None,
     nexts = int(np.median(after))
     if before is None:
         before = nexts if nexts < times[0] else int(times[0])
-    if _spikes(np.array([before, int(np.median(times)), nexts]), SEGMENT_US)[0]:
+    if spikes(np.array([before, int(np.median(times)), nexts]), SEGMENT_US)[0]:
         return np.ones(len(times), np.bool_)
     # Other packets need not be in order of time with this one.
-    wild = _spikes(np.concatenate(([before], times, [nexts])), SEGMENT_US)
-    wild[1:-1] |= _spikes(times, SPIKE_US)
+    wild = spikes(np.concatenate(([before], times, [nexts])), SEGMENT_US)
+    wild[1:-1] |= spikes(times, SPIKE_US)
     return wild
-
-
-def _spikes(times: NDArray[np.int64], limit_us: int) -> NDArray[np.bool_]:
-    left, here, right = times[:-2], times[1:-1], times[2:]
-    found: NDArray[np.bool_] = (right - left > -limit_us) & (
-        (np.minimum(here - left, here - right) > limit_us)
-        | (np.minimum(left - here, right - here) > limit_us))
-    return found
 
 
 def _polarity(data: bytes, base: int) -> NDArray[Any]:

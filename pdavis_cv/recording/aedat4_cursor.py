@@ -1,6 +1,7 @@
 """Reading one stream of an AEDAT-4 file, packet by packet, in time order."""
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,20 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording import aedat4_samples as samples
 from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError
 from pdavis_cv.recording.base import ApsFrame, joined
-from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
+from pdavis_cv.recording.timeline import (
+    FAR,
+    NEVER,
+    SEGMENT_US,
+    SPIKE_US,
+    Clock,
+    Timeline,
+    spikes,
+)
 
 __all__ = ["Cursor"]
+
+MANY = 5
+"""Of so many times in a packet, more than one that is far from all is no damage."""
 
 
 class Cursor:
@@ -116,7 +128,7 @@ class Cursor:
         """Append a packet's events to out; False at a new segment, if not wanted."""
         raw, state = np.frombuffer(data, np.uint8), self.clock.state
         state[3] = state[4] = 0
-        done, bounds = 0, self._bounds()
+        done, bounds = 0, self._bounds(data, at, count)
         while True:
             done = _kernels.aedat4_events(
                 raw, at, done, count, *self._size, self._jaer, *bounds, state, out)
@@ -134,13 +146,26 @@ class Cursor:
                     "events were dropped because time ran backward")
         return True
 
-    def _bounds(self) -> tuple[int, int]:
+    def _bounds(self, data: bytes, at: int, count: int) -> tuple[int, int]:
         """Return the times that the events of this packet can have.
 
         The index gives each packet's; to mislead, two of its entries must be wrong.
+        Without one, the packets before and after a disordered one say it.
         """
         if not self._file.indexed:
-            return NEVER, -NEVER
+            times = np.ndarray((count,), "<i8", data, at, (16,))
+            if not count:
+                return NEVER, -NEVER
+            begun = self.clock.last > NEVER
+            before = self.clock.last - int(self.clock.state[2]) if begun else (
+                int(times[0]))
+            if (before <= int(times[0]) and int(times[-1]) - before <= SEGMENT_US
+                    and np.all(times[1:] >= times[:-1])):
+                return NEVER, -NEVER
+            before = before if begun else NEVER
+            after = self._next_time()
+            return (NEVER, -NEVER) if after is None or after < before else (
+                before, after)
         i, entries = self._next - 1, self._entries
         here = entries[i]
         first, last = [here.start_us], [here.stop_us]
@@ -150,6 +175,16 @@ class Cursor:
             last.append(entries[i + 1].start_us)
         return (min((t for t in first if t is not None), default=NEVER),
                 max((t for t in last if t is not None), default=-NEVER))
+
+    def _next_time(self) -> int | None:
+        """Return the middle time of the next packet that can be read."""
+        for entry in self._entries[self._next:self._next + 2]:
+            with contextlib.suppress(PayloadError):
+                data, table = self._file.table(entry, "EVTS")
+                at, count = samples.event_vector(table)
+                if count:
+                    return int(np.median(np.ndarray((count,), "<i8", data, at, (16,))))
+        return None
 
     def _frames(self, entry: Entry) -> list[ApsFrame]:
         data, table = self._file.table(entry, "FRME")
@@ -194,6 +229,10 @@ class Cursor:
         read = samples.imu_samples if self.kind == "IMUS" else samples.triggers
         got = read(*self._file.table(entry, self.kind))
         times = got["t"].astype(np.int64)
+        if not self._file.indexed and (wild := _wild(times)).any():
+            self._count(entry, "wild time", int(np.count_nonzero(wild)), "samples were "
+                        "dropped because their time is far from all around them")
+            got, times = got[~wild], times[~wild]
         keep, segments = self.clock.order(times)
         got["t"] = times
         for i in segments:
@@ -233,6 +272,21 @@ class Cursor:
             f"packet at (t={_time(data, at, i)}, x={x}, y={y}, "
             f"p={data[at + 16 * i + 12]}) lies outside the sensor, or before its "
             "predecessor")
+
+
+def _wild(times: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which times of a packet damaged words must have made; none if many."""
+    if len(times) < MANY or (np.all(times[1:] >= times[:-1])
+                             and times[-1] - times[-2] <= SEGMENT_US):
+        return np.zeros(len(times), np.bool_)
+    # The differences of int64 may not be int64's.
+    t = np.clip(times, -FAR, FAR)
+    wild = np.zeros(len(t), np.bool_)
+    wild[1:-1] = spikes(t, SPIKE_US)
+    wild[0] = t[0] - max(t[1], t[2]) > SPIKE_US
+    wild[-1] = (min(t[-2], t[-3]) - t[-1] > SPIKE_US
+                or t[-1] - max(t[-2], t[-3]) > SEGMENT_US)
+    return wild & (np.count_nonzero(wild) * MANY <= len(times))
 
 
 def _time(data: bytes, at: int, i: int) -> int:

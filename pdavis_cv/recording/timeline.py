@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NEVER", "SEGMENT_US", "Clock", "Marks", "Timeline"]
+__all__ = ["NEVER", "SEGMENT_US", "SPIKE_US", "Clock", "Marks", "Timeline", "spikes"]
 
 NEVER = -(1 << 61)
 """Before any time that a file may hold."""
 FAR = 1 << 61
 SEGMENT_US = 1_000_000
+SPIKE_US = 1_000
 WRAP_US = 1 << 32
 """A 32-bit microsecond counter that was not unwrapped jumps back by this."""
 
@@ -154,3 +155,22 @@ class Marks:
         with self._lock:
             i = bisect_left(self._newest, t_us)
             return copy.deepcopy(self._states[i - 1]) if i else None
+
+
+def spikes(times: NDArray[np.int64], limit_us: int) -> NDArray[np.bool_]:
+    """Return which times, of all but the first and last, a damaged word has made.
+
+    They lie far from both neighbours, on the same side, while those two go on as time
+    does.
+
+    Parameters
+    ----------
+    times : ndarray of int64, shape (N,)
+    limit_us : int
+        What is far.
+    """
+    left, here, right = times[:-2], times[1:-1], times[2:]
+    found: NDArray[np.bool_] = (right - left > -limit_us) & (
+        (np.minimum(here - left, here - right) > limit_us)
+        | (np.minimum(left - here, right - here) > limit_us))
+    return found
