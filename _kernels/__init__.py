@@ -13,7 +13,7 @@ from ._build import DEBUG
 from ._bus import read_out, sort_events
 from ._demosaic import bilinear, superpixel
 from ._denoise import denoise_events, denoise_rates
-from ._elementwise import exp, reconcile
+from ._elementwise import exp, mismatch, reconcile
 from ._events import count, surface, voxel
 from ._floor import floor_sum
 from ._kalman import kalman_frame, kalman_read
@@ -64,6 +64,7 @@ __all__ = [
     "leak_events_map",
     "leak_read",
     "log_frame",
+    "mismatch",
     "mix",
     "pack_aedat2_events",
     "pack_aedat4_events",

@@ -14,6 +14,39 @@ def exp(const float[:, ::1] x not None, float[:, ::1] out not None):
                 out[row, col] = exp_f(x[row, col])
 
 
+def mismatch(const float[:, :, ::1] quad not None, float gain, float angle,
+             float contrast, float[:, :, ::1] variance not None):
+    """Add to variance (of ln I) what pixels differ by from their nominal response.
+
+    quad and variance are (4, row, column).  gain is the standard deviation of a
+    pixel's relative sensitivity, angle that of its polarizer's angle in radians,
+    contrast that of (ER - 1) / (ER + 1).
+    """
+    cdef Py_ssize_t height = quad.shape[1], width = quad.shape[2], row, col, k
+    cdef float side, across, least, v, most = 1.0, tiny = 1e-30, quarter = 0.25
+    cdef float part = 1e-4
+    if (quad.shape[0] != 4 or variance.shape[0] != 4 or variance.shape[1] != height
+            or variance.shape[2] != width):
+        raise ValueError("mismatch: quad and variance must be (4, h, w)")
+    angle *= angle
+    contrast *= contrast * quarter
+    gain *= gain
+    with nogil:
+        for row in range(height):
+            for col in range(width):
+                least = tiny
+                for k in range(4):
+                    least += quad[k, row, col]
+                least *= least * part
+                for k in range(4):
+                    side = quad[(k + 1) & 3, row, col] - quad[(k + 3) & 3, row, col]
+                    across = quad[k, row, col] - quad[(k + 2) & 3, row, col]
+                    v = quad[k, row, col] * quad[k, row, col]
+                    v = v if v > least else least
+                    v = (angle * side * side + contrast * across * across) / v
+                    variance[k, row, col] += gain + (v if v < most else most)
+
+
 def reconcile(float[:, :, ::1] quad not None, const float[:, :, ::1] variance not None,
               const float[:, :, ::1] null not None):
     """Move quad, in place, onto the intensities that Stokes parameters can give.

@@ -9,7 +9,8 @@ from libc.stdint cimport int32_t, int64_t
 
 from _kernels._math cimport exp_f, log_f
 from _kernels._tracks cimport (
-    ahead, between, drift, lead, node_t, part_t, quiet, start, step, track_t, walk_t)
+    ahead, between, drift, lead, lead_variance, node_t, part_t, quiet, start, step,
+    track_t, walk_t)
 from _kernels._types cimport event_t
 
 cdef struct sum_t:
@@ -27,7 +28,7 @@ cdef inline double at(const walk_t* walk, const event_t* store, int64_t known,
     cdef double y, theta
     cdef part_t part
     if walk.next >= 0 and store[walk.next].t <= known:
-        part = between(walk.t, walk.p, store[walk.next].t, store[walk.next].p, t)
+        part = between(walk, store[walk.next].t, store[walk.next].p, on, off, t)
     else:
         part = quiet(walk.t, walk.p, <double>known, t)
     n_on[0] = walk.n_on
@@ -136,7 +137,7 @@ def kalman_frame(const float[:, ::1] sample not None,
                  const int64_t[:, ::1] times not None, int64_t known,
                  const event_t[::1] store not None, const int32_t[::1] link not None,
                  const int32_t[:, ::1] first not None,
-                 const int64_t[:, ::1] old not None, Py_ssize_t committed,
+                 const int64_t[:, :, ::1] old not None, Py_ssize_t committed,
                  const double[:, :, ::1] prior not None,
                  const double[::1] tuning not None, track_t[:, ::1] tracks not None,
                  int64_t[:, ::1] reference not None, double[:, :, ::1] state not None,
@@ -145,13 +146,13 @@ def kalman_frame(const float[:, ::1] sample not None,
     """Use a frame: de-blur it by the stored events up to `known`, update state.
 
     first and link chain the events since the exposure began, old holds the stamps of
-    the last ones before; those below index `committed` are counted in tracks.  sample
+    the last two before; those below index `committed` are counted in tracks.  sample
     is ln intensity, noise its variance, 0 or less where there is no usable sample;
     times holds start, middle and end of exposure by column.  prior is (row, column,
     (on, off)).  tuning: variance per second and per event in units of theta^2, hz, hz
-    per unit of intensity.  chi collects e^2/v (16 at most), ln v and their number.
-    nodes receives what a smoother needs, totals counts all events up to the last
-    sample; both may be empty.
+    per unit of intensity, relative error of both.  chi collects e^2/v (16 at most),
+    ln v and their number.  nodes receives what a smoother needs, totals counts all
+    events up to the last sample; both may be empty.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
@@ -162,9 +163,10 @@ def kalman_frame(const float[:, ::1] sample not None,
             or reference.shape[1] != w or state.shape[0] != h or state.shape[1] != w
             or prior.shape[0] != h or prior.shape[1] != w or first.shape[0] != h
             or first.shape[1] != w or old.shape[0] != h or old.shape[1] != w
+            or old.shape[2] != 2
             or times.shape[0] != 3 or times.shape[1] != w):
         raise ValueError("kalman_frame: all images must have one shape")
-    if state.shape[2] != 9 or prior.shape[2] != 2 or tuning.shape[0] != 4:
+    if state.shape[2] != 9 or prior.shape[2] != 2 or tuning.shape[0] != 5:
         raise ValueError("kalman_frame: state, prior or tuning has a wrong length")
     if chi.shape[0] != 3 or link.shape[0] != n or n == 0:
         raise ValueError("kalman_frame: chi, store or link has a wrong length")
@@ -178,7 +180,7 @@ def kalman_frame(const float[:, ::1] sample not None,
                 if noise[y, x] > 0:
                     use_sample(sample[y, x], noise[y, x], times[0, x], times[1, x],
                                times[2, x], known, &store[0], &link[0], first[y, x],
-                               old[y, x], <int32_t>committed, &prior[y, x, 0],
+                               &old[y, x, 0], <int32_t>committed, &prior[y, x, 0],
                                &tuning[0], &tracks[y, x], &reference[y, x],
                                &state[y, x, 0], &chi[0], &node)
                 if keep:
@@ -192,7 +194,7 @@ def kalman_frame(const float[:, ::1] sample not None,
 
 cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
                      int64_t end, int64_t known, const event_t* store,
-                     const int32_t* link, int32_t first, int64_t old,
+                     const int32_t* link, int32_t first, const int64_t* old,
                      int32_t committed, const double* prior, const double* tuning,
                      track_t* track, int64_t* reference, double* s,
                      double* chi, node_t* node) noexcept nogil:
@@ -202,7 +204,7 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
     cdef double n_on, n_off, h_on, h_off, theta2, blur, level, added = 0.0
     cdef bint fresh = s[3] < 0
     # Counts from the start of exposure to the middle and to the last committed.
-    start(&walk, old, first)
+    start(&walk, old[0], old[1], first)
     while walk.next >= 0 and store[walk.next].t <= mid:
         step(&walk, store, link)
     at_on = walk.n_on
@@ -227,7 +229,7 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
         s[3] += added
         level = s[0]
     # The double integral, relative to the level at the last event before mid.
-    start(&walk, old, first)
+    start(&walk, old[0], old[1], first)
     walk.n_on = -at_on
     walk.n_off = -at_off
     if end <= begin:
@@ -271,57 +273,54 @@ def kalman_read(int64_t t, int64_t known, const event_t[::1] store not None,
                 const double[::1] tuning not None,
                 const track_t[:, ::1] tracks not None,
                 const int64_t[:, ::1] reference not None,
-                const double[:, :, ::1] state not None, float[:, ::1] out not None,
-                float[:, ::1] variance not None):
+                const double[:, :, ::1] state not None, double most,
+                float[:, ::1] out not None, float[:, ::1] variance not None,
+                unsigned char[:, ::1] valid not None):
     """Log intensity and its variance at t from the events up to known >= t.
 
     first and link chain the events that are not counted in tracks yet.
 
-    variance is -1 where no frame was used yet; out then counts from 0.
+    variance is -1 where no frame was used yet; out then counts from 0.  valid is 1
+    where it is at most `most`, not counting that of the lag.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
     if (reference.shape[0] != h or reference.shape[1] != w or state.shape[0] != h
             or state.shape[1] != w or out.shape[0] != h or out.shape[1] != w
             or variance.shape[0] != h or variance.shape[1] != w
+            or valid.shape[0] != h or valid.shape[1] != w
             or first.shape[0] != h or first.shape[1] != w):
         raise ValueError("kalman_read: all images must have one shape")
-    if state.shape[2] != 9 or tuning.shape[0] != 4 or link.shape[0] != n or n == 0:
+    if state.shape[2] != 9 or tuning.shape[0] != 5 or link.shape[0] != n or n == 0:
         raise ValueError("kalman_read: state, tuning, store or link has a wrong length")
     with nogil:
         for y in range(h):
             for x in range(w):
                 read_pixel(t, known, &store[0], &link[0], first[y, x], &tuning[0],
-                           &tracks[y, x], reference[y, x], &state[y, x, 0], &out[y, x],
-                           &variance[y, x])
+                           &tracks[y, x], reference[y, x], &state[y, x, 0], most,
+                           &out[y, x], &variance[y, x], &valid[y, x])
 
 
 cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
                      const int32_t* link, int32_t first, const double* tuning,
                      const track_t* track, int64_t reference, const double* s,
-                     float* out, float* variance) noexcept nogil:
+                     double most, float* out, float* variance,
+                     unsigned char* valid) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
-    cdef int64_t t_prev = track.prev >> 1
-    cdef int p_prev = track.prev & 1
     cdef double n_on, n_off, theta, theta2, level, v, u
-    start(&walk, track.last, first)
+    start(&walk, track.prev, track.last, first)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
     while walk.next >= 0 and store[walk.next].t <= t:
-        t_prev = walk.t
-        p_prev = walk.p
         step(&walk, store, link)
     if walk.next >= 0 and store[walk.next].t <= known:
-        part = between(walk.t, walk.p, store[walk.next].t, store[walk.next].p,
+        part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
                        <double>t)
-        v = 0.01
     elif known > t:
         part = quiet(walk.t, walk.p, <double>known, <double>t)
-        v = 0.02
     else:
-        part = ahead(t_prev, p_prev, walk.t, walk.p, <double>t)
-        v = 0.05
+        part = ahead(walk.t_prev, walk.p_prev, walk.t, walk.p, <double>t)
     n_on = walk.n_on
     n_off = walk.n_off
     theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
@@ -336,9 +335,13 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
     out[0] = <float>(level + u)
     if s[3] < 0:
         variance[0] = -1.0
+        valid[0] = 0
         return
-    v = (v * theta2 + 0.01 * u * u + s[3]
-         + n_on * n_on * s[6] + n_off * n_off * s[8]
+    v = (theta2 * part.var + s[3] + n_on * n_on * s[6] + n_off * n_off * s[8]
          + 2.0 * (n_on * s[4] - n_off * s[5] - n_on * n_off * s[7])
          + theta2 * drift(t - reference, walk.n_on + walk.n_off, tuning))
-    variance[0] = <float>(v if v > 1e-8 else 1e-8)
+    v = v if v > 1e-8 else 1e-8
+    u = lead_variance(u, theta2 * part.rate_var, s[2] * part.fall, level,
+                      tuning)
+    variance[0] = <float>(v + u)
+    valid[0] = v <= most

@@ -7,7 +7,8 @@ is filtered; base + theta_on n_on - theta_off n_off is known up to it.
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._tracks cimport (
-    between, drift, lead, node_t, part_t, quiet, start, step, track_t, walk_t)
+    between, drift, lead, lead_variance, node_t, part_t, quiet, start, step, track_t,
+    walk_t)
 from _kernels._types cimport event_t
 
 cdef packed struct past_t:
@@ -140,51 +141,52 @@ def smooth_read(int64_t t, int64_t known, const event_t[::1] store not None,
                 const double[::1] tuning not None,
                 const track_t[:, ::1] tracks not None,
                 const gap_t[:, ::1] gaps not None,
-                const double[:, :, ::1] state not None, float[:, ::1] out not None,
-                float[:, ::1] variance not None):
+                const double[:, :, ::1] state not None, double most,
+                float[:, ::1] out not None, float[:, ::1] variance not None,
+                unsigned char[:, ::1] valid not None):
     """Log intensity and its variance at t from the events up to known > t.
 
     tracks counts all events up to some time before t, first and link chain those
     after it.  variance is -1 where there is no frame on either side; out then counts
-    from 0.
+    from 0.  valid is 1 where it is at most `most`, not counting that of the lag.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
     if (gaps.shape[0] != h or gaps.shape[1] != w or state.shape[0] != h
             or state.shape[1] != w or out.shape[0] != h or out.shape[1] != w
             or variance.shape[0] != h or variance.shape[1] != w
+            or valid.shape[0] != h or valid.shape[1] != w
             or first.shape[0] != h or first.shape[1] != w):
         raise ValueError("smooth_read: all images must have one shape")
-    if state.shape[2] != 9 or tuning.shape[0] != 4 or link.shape[0] != n or n == 0:
+    if state.shape[2] != 9 or tuning.shape[0] != 5 or link.shape[0] != n or n == 0:
         raise ValueError("smooth_read: state, tuning, store or link has a wrong length")
     with nogil:
         for y in range(h):
             for x in range(w):
                 read_pixel(t, known, &store[0], &link[0], first[y, x], &tuning[0],
-                           &tracks[y, x], &gaps[y, x], &state[y, x, 0], &out[y, x],
-                           &variance[y, x])
+                           &tracks[y, x], &gaps[y, x], &state[y, x, 0], most,
+                           &out[y, x], &variance[y, x], &valid[y, x])
 
 
 cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
                      const int32_t* link, int32_t first, const double* tuning,
                      const track_t* track, const gap_t* gap, const double* s,
-                     float* out, float* variance) noexcept nogil:
+                     double most, float* out, float* variance,
+                     unsigned char* valid) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
-    cdef double m_on = 0.0, m_off = 0.0, theta, theta2, level = 0.0, v, u, sub
+    cdef double m_on = 0.0, m_off = 0.0, theta, theta2, level = 0.0, v, u
     cdef double a = 0.0, b = 0.0, left, whole, share
-    start(&walk, track.last, first)
+    start(&walk, track.prev, track.last, first)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
     while walk.next >= 0 and store[walk.next].t <= t:
         step(&walk, store, link)
     if walk.next >= 0 and store[walk.next].t <= known:
-        part = between(walk.t, walk.p, store[walk.next].t, store[walk.next].p,
+        part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
                        <double>t)
-        sub = 0.01
     else:
         part = quiet(walk.t, walk.p, <double>known, <double>t)
-        sub = 0.02
     theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
     # Thresholds crossed since the sample before, and until the one after.
     if gap.before.var >= 0:
@@ -209,7 +211,7 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         b = gap.after.var + left
         u = gap.after.base - (s[1] * (gap.after.n_on - walk.n_on)
                               - s[2] * (gap.after.n_off - walk.n_off))
-        share = a / (a + b) if gap.before.var >= 0 else 1.0
+        share = a / (a + b + 1e-30) if gap.before.var >= 0 else 1.0
         m_on = (1.0 - share) * m_on - share * (gap.after.n_on - walk.n_on)
         m_off = (1.0 - share) * m_off - share * (gap.after.n_off - walk.n_off)
         level += share * (u - level)
@@ -226,11 +228,16 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
     out[0] = <float>(level + u)
     if v < 0:
         variance[0] = -1.0
+        valid[0] = 0
         return
     if part.p:
         m_on += part.fraction
     else:
         m_off += part.fraction
-    v += (sub * theta2 + 0.01 * u * u + m_on * m_on * s[6] + m_off * m_off * s[8]
+    v += (theta2 * part.var + m_on * m_on * s[6] + m_off * m_off * s[8]
           - 2.0 * m_on * m_off * s[7])
-    variance[0] = <float>(v if v > 1e-8 else 1e-8)
+    v = v if v > 1e-8 else 1e-8
+    u = lead_variance(u, theta2 * part.rate_var, s[2] * part.fall, level,
+                      tuning)
+    variance[0] = <float>(v + u)
+    valid[0] = v <= most

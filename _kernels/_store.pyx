@@ -52,14 +52,16 @@ def store_commit(const event_t[::1] store not None, Py_ssize_t at, Py_ssize_t st
 
 
 def store_pass(const event_t[::1] store not None, Py_ssize_t at, Py_ssize_t stop,
-               int64_t until, int64_t[:, ::1] stamps not None):
-    """Note the stamps of stored events from index at on, t <= until.
+               int64_t until, int64_t[:, :, ::1] stamps not None):
+    """Note each pixel's last two stamps of stored events from index at on, t <= until.
 
     Returns the first one left.
     """
     cdef Py_ssize_t h = stamps.shape[0], w = stamps.shape[1], i, y, x
     if at < 0 or stop > store.shape[0]:
         raise ValueError("store_pass: indices must lie in store")
+    if stamps.shape[2] != 2:
+        raise ValueError("store_pass: stamps must be (h, w, 2)")
     with nogil:
         i = at
         while i < stop and store[i].t <= until:
@@ -67,7 +69,8 @@ def store_pass(const event_t[::1] store not None, Py_ssize_t at, Py_ssize_t stop
             x = store[i].x
             if y >= h or x >= w:
                 break
-            stamps[y, x] = 2 * store[i].t + store[i].p
+            stamps[y, x, 0] = stamps[y, x, 1]
+            stamps[y, x, 1] = 2 * store[i].t + store[i].p
             i += 1
     return i
 

@@ -39,6 +39,7 @@ __all__ = [
     "leak_events_map",
     "leak_read",
     "log_frame",
+    "mismatch",
     "mix",
     "pack_aedat2_events",
     "pack_aedat4_events",
@@ -135,8 +136,8 @@ def kalman_frame(
 def kalman_read(
     t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
     first: NDArray[np.int32], tuning: _F64, tracks: NDArray[Any],
-    reference: NDArray[np.int64], state: _F64, out: _F32,
-    variance: _F32,
+    reference: NDArray[np.int64], state: _F64, most: float, out: _F32,
+    variance: _F32, valid: _U8,
 ) -> None: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
@@ -147,6 +148,9 @@ def leak_events_map(
 def leak_read(cells: NDArray[Any], base: _F32, t: float, out: _F32) -> None: ...
 def log_frame(
     dn: _F32, usable: _U8, log_exposure: _F32, out: _F32, valid: _U8
+) -> None: ...
+def mismatch(
+    quad: _F32, gain: float, angle: float, contrast: float, variance: _F32
 ) -> None: ...
 def mix(quad: _F32, solution: _F32, out: _F32) -> None: ...
 def pack_aedat2_events(
@@ -172,7 +176,8 @@ def smooth_past(
 def smooth_read(
     t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
     first: NDArray[np.int32], tuning: _F64, tracks: NDArray[Any],
-    gaps: NDArray[Any], state: _F64, out: _F32, variance: _F32,
+    gaps: NDArray[Any], state: _F64, most: float, out: _F32, variance: _F32,
+    valid: _U8,
 ) -> None: ...
 def store_commit(
     store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any]

@@ -1,6 +1,7 @@
 """fuse(): polarization images at any time; the one place that orders time."""
 from __future__ import annotations
 
+import math
 import warnings
 from bisect import bisect_left
 from collections import deque
@@ -40,7 +41,7 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.methods import EVENT_METHODS, make_reconstructor
 from pdavis_cv.recording.base import ApsFrame, Recording
-from pdavis_cv.sensor import Layout
+from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["DEFAULT_METHOD", "Fusion", "FusionSnapshot", "fuse"]
 
@@ -254,6 +255,7 @@ class Fusion:
             self._window_layout, self._calibration, rows, columns)
         self._crop = self._crop_of_window()
         self._analyser = self._window_analyser()
+        self._mismatch = _mismatch(info.sensor)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
         x, y, width, height = self._roi
@@ -332,6 +334,8 @@ class Fusion:
                 variance[:, rows, columns])
             quality = None if quality is None else quality[rows, columns].copy()
         if variance is not None:
+            if self._analyser is None:
+                _kernels.mismatch(quad, *self._mismatch, variance)
             # The four channels measure three numbers: weighted least squares.
             _kernels.reconcile(quad, variance, self._null)
         # The arrays are new and nobody else's: the image takes them over.
@@ -340,7 +344,7 @@ class Fusion:
             extinction_ratio=(
                 self.extinction_ratio if self._analyser is None else None),
             analyser=self._analyser, variance=variance, provenance=self.provenance,
-            quality=quality)
+            quality=quality, reconciled=variance is not None)
 
     # ---- repositioning -------------------------------------------------------
 
@@ -548,3 +552,11 @@ class Fusion:
         if self._crop is not None:
             response = response[:, :, self._crop[0], self._crop[1]]
         return Analyser(response)
+
+
+def _mismatch(sensor: Sensor | None) -> tuple[float, float, float]:
+    """Spread of gain, angle (radians) and contrast of a sensor's pixels."""
+    sensor = sensor or Sensor.PDAVIS
+    gain, angle_deg, ratio = sensor.mismatch
+    contrast = 2 * ratio / (sensor.extinction_ratio + 1) ** 2
+    return gain, math.radians(angle_deg), contrast

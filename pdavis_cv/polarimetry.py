@@ -57,6 +57,9 @@ class PolarFrame:
         How the image came about.
     quality : array_like of shape (H, W), optional
         How well the method's assumptions hold, 0 (well) to 1.
+    reconciled : bool
+        ``quad`` was moved by weighted least squares onto what Stokes parameters can
+        give; ``variance`` is that of before, and sigmas are smaller for it.
 
     Raises
     ------
@@ -75,14 +78,15 @@ class PolarFrame:
 
     __slots__ = (
         "_analyser", "_aop_dolp", "_mosaic", "_provenance", "_quad", "_quality",
-        "_sigmas", "_stokes", "_usable", "_valid", "_variance", "extinction_ratio",
-        "frame_us", "t_us")
+        "_reconciled", "_sigmas", "_stokes", "_usable", "_valid", "_variance",
+        "extinction_ratio", "frame_us", "t_us")
 
     t_us: int | None
     frame_us: int | None
     extinction_ratio: float | None
     _quad: NDArray[np.float32] | None
     _quality: NDArray[np.float32] | None
+    _reconciled: bool
     _mosaic: tuple[NDArray[Any], Layout] | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: tuple[
@@ -105,13 +109,14 @@ class PolarFrame:
         variance: ArrayLike | None = None,
         provenance: Mapping[str, Any] | None = None,
         quality: ArrayLike | None = None,
+        reconciled: bool = False,
     ) -> None:
         copies = {name: np.array(real(name, value), order="C") for name, value in (
             ("quad", quad), ("variance", variance), ("quality", quality))
             if value is not None}
         self._set(copies["quad"], None if valid is None else np.array(valid), t_us,
                   frame_us, extinction_ratio, analyser, copies.get("variance"),
-                  provenance, quality=copies.get("quality"))
+                  provenance, quality=copies.get("quality"), reconciled=reconciled)
 
     @classmethod
     def adopt(
@@ -126,6 +131,7 @@ class PolarFrame:
         variance: NDArray[np.float32] | None = None,
         provenance: Mapping[str, Any] | None = None,
         quality: NDArray[np.float32] | None = None,
+        reconciled: bool = False,
     ) -> Self:
         """Make a PolarFrame that takes the arrays over instead of copying them.
 
@@ -144,7 +150,7 @@ class PolarFrame:
                     f"got {array.dtype} with strides {array.strides}")
         frame = cls.__new__(cls)
         frame._set(quad, valid, t_us, frame_us, extinction_ratio, analyser, variance,
-                   provenance, quality=quality)
+                   provenance, quality=quality, reconciled=reconciled)
         return frame
 
     def _set(
@@ -159,8 +165,9 @@ class PolarFrame:
         provenance: Mapping[str, Any] | None,
         mosaic: tuple[NDArray[Any], Layout] | None = None,
         quality: NDArray[np.float32] | None = None,
+        reconciled: bool = False,
     ) -> None:
-        self._quad, self._mosaic = quad, mosaic
+        self._quad, self._mosaic, self._reconciled = quad, mosaic, reconciled
         self._aop_dolp = self._sigmas = self._stokes = self._usable = None
         if quad is not None and (quad.ndim != 3 or quad.shape[0] != 4):
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
@@ -334,14 +341,15 @@ class PolarFrame:
         if self._sigmas is None:
             analyser = self._analyser or Analyser.ideal(self.extinction_ratio)
             self._sigmas = propagated(
-                self._planes(), analyser.solution, self._variance * self.quad**2)
+                self._planes(), analyser.solution, self._variance * self.quad**2,
+                analyser.null() if self._reconciled else None)
         return self._sigmas
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored_frame, (
             self._quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
             self._analyser, self._variance, self._provenance, self._mosaic,
-            self._quality)
+            self._quality, self._reconciled)
 
     def __repr__(self) -> str:
         height, width = self.shape

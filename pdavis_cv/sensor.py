@@ -142,6 +142,9 @@ class Sensor:
         Largest value of the converter.
     pixel_um : float
         Pixel pitch in micrometres.
+    mismatch : (float, float, float)
+        How pixels differ (standard deviations): relative sensitivity, angle of the
+        polarizer in degrees, extinction ratio.
     """
 
     name: str
@@ -150,6 +153,7 @@ class Sensor:
     extinction_ratio: float
     full_scale_dn: int
     pixel_um: float
+    mismatch: tuple[float, float, float] = (0.02, 0.7, 3.0)
 
     PDAVIS: ClassVar[Sensor]
     SONY: ClassVar[Sensor]
@@ -157,7 +161,8 @@ class Sensor:
 
 # Haessig et al., "Sensor design and fabrication" and Fig. 1; IMX250MZR data sheet.
 Sensor.PDAVIS = Sensor("PDAVIS", (260, 346), Layout.PDAVIS, 40.0, 1023, 18.5)
-Sensor.SONY = Sensor("Sony IMX250MZR", (2048, 2448), Layout.SONY, 350.0, 4095, 3.45)
+Sensor.SONY = Sensor("Sony IMX250MZR", (2048, 2448), Layout.SONY, 350.0, 4095, 3.45,
+                     (0.005, 0.2, 20.0))
 
 
 def resolve_layout(

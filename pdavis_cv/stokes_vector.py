@@ -201,23 +201,37 @@ def propagated(
     planes: tuple[NDArray[np.float32], ...],
     solution: NDArray[np.float32],
     variance: NDArray[np.float32],
+    null: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Propagate the variance of the intensities, (4, H, W).
 
     To AoP, DoLP, and S1 / S0 and S2 / S0 across the direction of polarization.
+    Weighted least squares takes a part of the error out: that along `null`, in which
+    no light moves the four intensities.
     """
     s0, s1, s2 = (plane.astype(np.float64) for plane in planes)
     square = s1**2 + s2**2
     size = np.sqrt(square)
     var_aop, var_dolp, var_dark = (np.zeros_like(s0) for _ in range(3))
+    # Covariances with n . I, and its variance.
+    with_aop, with_dolp, along = (np.zeros_like(s0) for _ in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):
         for k in range(4):
             m0, m1, m2 = solution[0, k], solution[1, k], solution[2, k]
-            var_aop += ((s1 * m2 - s2 * m1) / (2 * square))**2 * variance[k]
+            slope = (s1 * m2 - s2 * m1) / (2 * square)
+            var_aop += slope**2 * variance[k]
+            if null is not None:
+                with_aop += slope * null[k] * variance[k]
             slope = (s1 * m1 + s2 * m2) / (size * s0) - size * m0 / s0**2
             var_dolp += slope**2 * variance[k]
+            if null is not None:
+                with_dolp += slope * null[k] * variance[k]
+                along += null[k]**2 * variance[k]
             # Without polarization the slope depends on the direction: its mean square.
             var_dark += (m1**2 + m2**2) / 2 / s0**2 * variance[k]
+        along = np.fmax(along, np.finfo(np.float32).tiny)
+        var_aop = np.maximum(var_aop - with_aop**2 / along, 0)
+        var_dolp = np.maximum(var_dolp - with_dolp**2 / along, 0)
         sigma_aop = np.fmin(np.sqrt(var_aop), UNIFORM_SIGMA_RAD)
         sigma_dolp = np.sqrt(np.where(square > 0, var_dolp, var_dark))
         across = np.sqrt(np.where(

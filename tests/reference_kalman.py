@@ -7,27 +7,39 @@ import numpy as np
 US = 1e-6
 
 
-def between(t0, p0, t1, p1, t):
-    """Polarity, fraction of its threshold crossed, fraction per second."""
+def between(before, t0, p0, t1, p1, ratio, t):
+    """Polarity, fraction of its threshold crossed, per second, variances of both, fall.
+
+    The last is the thresholds per second that the intensity last fell by.
+    """
     if t0 is None:
-        return p1, 0.0, 0.0
+        return p1, 0.0, 0.0, 0.3, 0.0, 0.0
     gap = max(t1 - t0, 100)
-    s = (t - t0) / gap
+    s, hz = (t - t0) / gap, 1e6 / gap
     if p0 == p1:
-        return p1, s, 1e6 / gap
-    return p1, s * (3.732 * s - 2.732), (7.464 * s - 2.732) * 1e6 / gap
+        return p1, s, hz, 0.001, 0.01 * hz**2, 0.0 if p1 else hz
+    turn, spread, fall = 0.366, (0.05, 1.0), 0.0
+    if before is not None and before[1] == p0:
+        q = max(t0 - before[0], 100) / gap
+        fall = hz / q if p1 else 0.0
+        turn = np.clip((ratio - q**2) / (2 * (ratio + q)), 0, 0.414)
+        spread = (0.003, 0.05)
+    # Through 0 at s = 0 and 1 at s = 1, its extremum at s = turn.
+    return (p1, s * (s - 2 * turn) / (1 - 2 * turn),
+            (2 * s - 2 * turn) / (1 - 2 * turn) * hz, spread[0], spread[1] * hz**2,
+            fall)
 
 
 def quiet(t0, p0, known, t):
     if t0 is None:
-        return p0, 0.0, 0.0
-    s = (t - t0) / (known - t0)
-    return p0, 2 * s * (1 - s), (2 - 4 * s) * 1e6 / (known - t0)
+        return p0, 0.0, 0.0, 0.3, 0.0, 0.0
+    s, hz = (t - t0) / (known - t0), 1e6 / (known - t0)
+    return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, 0.08, 0.3 * hz**2, 0.0
 
 
 def ahead(before, t0, p0, t):
     if before is None:
-        return p0, 0.0, 0.0
+        return p0, 0.0, 0.0, 0.3, 0.0, 0.0
     gap = max(t0 - before[0], 200)
     u = (t - t0) / gap
     if before[1] == p0:
@@ -38,7 +50,23 @@ def ahead(before, t0, p0, t):
                   (0.6, 0.72 - 0.571 * (u - 0.25), 0),
                   (2.0, 0.52 - 0.157 * (u - 0.6), 0), (np.inf, 0.3, 0)]
     fraction, rate = next((f, r) for limit, f, r in pieces if u < limit)
-    return p0, fraction, rate * 1e6 / gap
+    fall = 1e6 / gap if before[1] == p0 == 0 else 0.0
+    return p0, fraction, rate * 1e6 / gap, 0.05, 0.3 * (1e6 / gap) ** 2, fall
+
+
+def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
+    """Of u in u (hz + k e^u) = rate / 2 pi, k = slope_hz * level, by its derivatives.
+
+    And of what a pixel that follows its light's intensity can lose in a fall.
+    """
+    if not hz and not slope_hz:
+        return 0.0
+    k = slope_hz * level
+    lost = np.clip(2 * (fall / (2 * np.pi) * k / (hz + k) ** 2 - 0.2), 0, 0.6)
+    e = slope_hz * level * np.exp(u)
+    d = max(hz + e * (1 + u), 0.05 * (hz + e))
+    return min((rate_var / (2 * np.pi) ** 2 + (sigma * u * (hz + e)) ** 2) / d**2
+               + lost**2, 1.0)
 
 
 def lead(slope, level, hz, slope_hz):
@@ -83,11 +111,14 @@ class Pixel:
     def part(self, i, t, known):
         """Thresholds crossed since event i - 1 at t, i the next event."""
         last = self.events[i - 1] if i else (None, 0)
+        before = self.events[i - 2] if i > 1 else None
         if i < len(self.events) and self.events[i][0] <= known:
-            return between(*last, *self.events[i], t)
+            _, on, off = self.x
+            return between(before, *last, *self.events[i],
+                           off / on if self.events[i][1] else on / off, t)
         if known > t:
             return quiet(*last, known, t)
-        return ahead(self.events[i - 2] if i > 1 else None, *last, t)
+        return ahead(before, *last, t)
 
     def next(self, t):
         return sum(time <= t for time, _ in self.events)
@@ -99,12 +130,20 @@ class Pixel:
     def value(self, t, known, since, level):
         i = self.next(t)
         n = (self.counts(since, i) if i >= since else -self.counts(i, since))
-        p, fraction, rate = self.part(i, t, known)
+        p, fraction, rate, *spread = self.part(i, t, known)
         n[0 if p else 1] += fraction
         _, on, off = self.x
         y = on * n[0] - off * n[1]
-        u = lead((on if p else -off) * rate, np.exp(level + y), *self.bandwidth)
-        return n, y, u
+        return n, y, *self.lag(p, rate, spread, level + y)
+
+    def lag(self, p, rate, spread, log):
+        """What the photoreceptor's lag adds; the variance of it and of the part."""
+        _, on, off = self.x
+        theta2 = self.x[1:].mean() ** 2
+        hz, slope, sigma = self.bandwidth
+        u = lead((on if p else -off) * rate, np.exp(log), hz, slope)
+        return u, theta2 * spread[0], lead_variance(
+            u, theta2 * spread[1], off * spread[2], np.exp(log), hz, slope, sigma)
 
     def frame(self, sample, noise, begin, mid, end, known):
         fresh = self.reference is None
@@ -118,7 +157,7 @@ class Pixel:
             theta2 = self.x[1:].mean() ** 2
             self.x = F @ self.x
             self.P = F @ self.P @ F.T
-            added = theta2 * (1.3 * US * (mid - self.reference) + 0.005 * n.sum())
+            added = theta2 * (0.1 * US * (mid - self.reference) + 0.0003 * n.sum())
             self.P[0, 0] += added
         level = sample if fresh else self.x[0]
         inner = sorted({t for t, _ in self.events if begin < t < end})
@@ -127,7 +166,7 @@ class Pixel:
         for a, b in itertools.pairwise(cuts):
             for node in (-1, 1) if inner else (0, 0):
                 t = (a + b) / 2 + node * (b - a) / np.sqrt(12)
-                n, y, u = self.value(t, known, at, level)
+                n, y, u, *_ = self.value(t, known, at, level)
                 whole += (b - a) / 2 * np.exp(y + u)
                 weighted += (b - a) / 2 * np.exp(y + u) * n
         blur = np.log(whole / (end - begin))
@@ -152,16 +191,15 @@ class Pixel:
 
     def read(self, t, known):
         i = self.next(t)
-        n, y, u = self.value(t, known, self.since, self.x[0])
-        seen = i < len(self.events) and self.events[i][0] <= known
+        n, y, u, spread, lag = self.value(t, known, self.since, self.x[0])
         F = np.array([1.0, n[0], -n[1]])
         theta2 = self.x[1:].mean() ** 2
-        variance = F @ self.P @ F + theta2 * (
-            (0.01 if seen else 0.02 if known > t else 0.05)
-            + 1.3 * US * (t - (self.reference or 0))
-            + 0.005 * (i - self.since)) + 0.01 * u**2
+        variance = F @ self.P @ F + spread + theta2 * (
+            0.1 * US * (t - (self.reference or 0)) + 0.0003 * (i - self.since))
         fresh = self.reference is None
-        return self.x[0] + y + u, 0.0 if fresh else max(variance, 1e-8), not fresh
+        variance = max(variance, 1e-8)
+        return (self.x[0] + y + u, 0.0 if fresh else variance + lag,
+                not fresh and variance <= 0.25)
 
     def path(self, start, stop):
         """Counts (on, -off) from one place among the events to another."""
@@ -200,7 +238,7 @@ class Pixel:
         sides, link = [], None      # counts from the samples next to t
 
         def drift(t0, i0, t1, i1):
-            return theta2 * (1.3 * US * (t1 - t0) + 0.005 * (i1 - i0))
+            return theta2 * (0.1 * US * (t1 - t0) + 0.0003 * (i1 - i0))
 
         for k in range(here + 1):
             t0, i0, _ = places[k - 1] if k else (None, None, None)
@@ -224,7 +262,7 @@ class Pixel:
                 sides.append(self.path(i1, i))
                 link = len(equations)
                 equations.append(({here: 1, k: -1}, sides[-1] @ theta, parts[1]))
-        p, fraction, rate = self.part(i, t, known)
+        p, fraction, rate, *spread = self.part(i, t, known)
         sign = np.array([1, 0]) if p else np.array([0, -1])
         if here:
             a, z = np.zeros((len(equations), here + 1)), np.zeros(len(equations))
@@ -241,17 +279,16 @@ class Pixel:
         else:
             level = self.path(0, i) @ theta
         level += fraction * (sign @ theta)
-        u = lead(rate * (sign @ theta), np.exp(level), *self.bandwidth)
+        u, spread, lag = self.lag(p, rate, spread, level)
         if not here:
             return level + u, 0.0, False
         m = m + fraction * sign
-        seen = i < len(self.events) and self.events[i][0] <= known
-        variance += (theta2 * (0.01 if seen else 0.02) + 0.01 * u**2
-                     + m @ self.P[1:, 1:] @ m)
-        return level + u, max(variance, 1e-8), True
+        variance += spread + m @ self.P[1:, 1:] @ m
+        variance = max(variance, 1e-8)
+        return level + u, variance + lag, variance <= 0.25
 
 
-def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0),
+def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0, 0),
            lookahead_us=50_000, offline=False):
     """Log intensity, variance and validity at t_us, from what acts on it."""
     wait_us = min(lookahead_us, 50_000)
@@ -270,7 +307,7 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
             dn = float(frame.dn[at])
             usable = dn >= 1 and (frame.valid is None or frame.valid[at])
             if known <= t_us + lookahead_us and usable:
-                noise = (4 + dn / 10) / dn**2 + 0.05**2
+                noise = (4 + dn / 10) / dn**2 + 0.02**2
                 pixel.frame(np.log(dn) - log, noise, frame.exposure_start_us, mid,
                             max(end, frame.exposure_start_us + 1), known)
             if known <= t_us + lookahead_us and offline:
@@ -278,4 +315,4 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
         read = pixel.smooth if offline else pixel.read
         out[0][at], out[1][at], valid[at] = read(
             t_us, t_us + wait_us)
-    return out[0], out[1], valid & (out[1] <= 0.25)
+    return out[0], out[1], valid

@@ -137,3 +137,25 @@ def test_frames_are_corrected_by_the_calibration_first(nominal):
         for frame in packet.frames:
             frame.dn -= dark
     assert np.std(ratio_error(camera, calibrated)) < 0.006
+
+
+@pytest.mark.parametrize(("hz", "low", "high"), [(0, 0, 0.5), (10, 4, 16)])
+def test_noise_of_events_is_told_from_how_badly_frames_agree_with_them(
+        nominal, hz, low, high):
+    _, recording, _ = nominal
+    true, shape = recording.events(), recording.info.sensor_size
+    rng = np.random.default_rng(4)
+    # Each of these moves the sum of a pixel's events by a threshold, for good.
+    more = np.zeros(int(hz * 2.5 * shape[0] * shape[1]), true.dtype)
+    more["t"] = rng.integers(0, 2_500_000, len(more))
+    more["y"], more["x"] = rng.integers(0, shape[0], (2, len(more)))
+    more["p"] = rng.integers(0, 2, len(more))
+    events = np.concatenate([true, more])
+    noisy = recording_from_arrays(
+        events[np.argsort(events["t"], kind="stable")],
+        [f for packet in recording.packets() for f in packet.frames],
+        sensor_size=shape, layout=recording.info.layout)
+    _, _, learned = insitu.learned(
+        noisy, None, NOMINAL, None, {"bandwidth": (250, 0)}, "kalman", causal=False)
+    assert low <= learned["noise"][1] <= high
+    assert learned["bandwidth"] == (250, 0)

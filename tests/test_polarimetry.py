@@ -310,7 +310,8 @@ def test_sigmas_where_nothing_is_polarized_or_lit():
 def test_a_frame_pickles():
     frame = PolarFrame(
         random_quad(), valid=random_quad()[0] > 500, t_us=7, frame_us=3,
-        analyser=response(), variance=random_quad(seed=1), provenance={"method": "cf"})
+        analyser=response(), variance=random_quad(seed=1), provenance={"method": "cf"},
+        reconciled=True)
     for image in (frame, pdavis_cv.polarization(
             random_mosaic((4, 6), np.uint8), Layout.SONY, extinction_ratio=40)):
         again = pickle.loads(pickle.dumps(image))

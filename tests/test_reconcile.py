@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pdavis_cv import _kernels
+from pdavis_cv import PolarFrame, _kernels
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.stokes_vector import stokes
 
@@ -49,6 +49,49 @@ def test_a_channel_that_nothing_is_known_of_follows_from_the_others():
     _kernels.reconcile(quad, variance, IDEAL)
     np.testing.assert_allclose(quad[[0, 2, 3]], others, rtol=1e-2)
     np.testing.assert_allclose(quad[1], others[0] + others[1] - others[2], atol=0.5)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (5, 7)])
+def test_mismatch_is_what_malus_law_says_of_gain_angle_and_contrast(shape):
+    quad, variance = images(shape=shape)
+    before = quad.copy(), variance.copy()
+    _kernels.mismatch(quad, 0.02, 0.012, 0.004, variance)
+    np.testing.assert_array_equal(quad, before[0])
+    # I = (S0 + c (S1 cos 2a + S2 sin 2a)) / 2, derivatives by angle and by c.
+    side = np.roll(quad, -1, 0) - np.roll(quad, 1, 0)
+    across = (quad - np.roll(quad, 2, 0)) / 2
+    least = 1e-4 * quad.sum(0) ** 2
+    moved = (0.012 * side) ** 2 + (0.004 * across) ** 2
+    expected = before[1] + 0.02**2 + np.minimum(
+        moved / np.maximum(quad**2, least), 1)
+    np.testing.assert_allclose(variance, expected, rtol=1e-5)
+
+
+def test_mismatch_checks_shapes():
+    ones = np.ones((4, 2, 2), np.float32)
+    for quad, variance in ((ones, ones[:3]), (ones[:, :1], ones)):
+        with pytest.raises(ValueError, match="mismatch:"):
+            _kernels.mismatch(quad.copy(), 0, 0, 0, variance.copy())
+
+
+def test_sigmas_of_reconciled_images_agree_with_their_scatter():
+    rng = np.random.default_rng(3)
+    angle = np.linspace(0, 3, 6).reshape(1, 6)
+    axes = np.deg2rad([0, 45, 90, 135]).reshape(4, 1, 1)
+    truth = (400 * (1 + 0.5 * np.cos(2 * (angle - axes)))).astype(np.float32)
+    sigma = np.array([0.01, 0.04, 0.015, 0.005]).reshape(4, 1, 1)
+    variance = np.ascontiguousarray(
+        np.broadcast_to(sigma**2, truth.shape), np.float32)
+    frame = PolarFrame(truth, variance=variance, reconciled=True)
+    frames = []
+    for _ in range(4000):
+        quad = (truth * np.exp(rng.normal(0, 1, truth.shape) * sigma)).astype("f4")
+        _kernels.reconcile(quad, variance, IDEAL)
+        frames.append(PolarFrame(quad))
+    scatter = np.std([np.sin(2 * (f.aop - frame.aop)) / 2 for f in frames], 0)
+    np.testing.assert_allclose(frame.sigma_aop, scatter, rtol=0.05)
+    np.testing.assert_allclose(
+        frame.sigma_dolp, np.std([f.dolp for f in frames], 0), rtol=0.05)
 
 
 def test_no_light_stays_no_light():

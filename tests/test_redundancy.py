@@ -115,8 +115,8 @@ def test_light_that_only_flickers_tells_nothing_about_the_gains():
     recording, _ = Camera.preset("nominal", seed=2, aps=None).record(light, 1.0)
     for image in fuse(recording, times_us=[900_000], offsets="redundancy",
                       nominal_thresholds=(0.16, 0.18)):
-        assert image.quality.min() > 0.3
-        assert not image.valid.any()
+        assert np.median(image.quality) > 0.9
+        assert image.valid.mean() < 0.2
 
 
 @pytest.mark.parametrize("options", [
@@ -232,7 +232,7 @@ def test_ideal_polarizers_of_any_layout_share_the_diagonals():
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"lookahead_us": -1}, "lookahead_us must be a whole number from 0, got -1"),
-    ({"bandwidth": (-1, 0)}, "bandwidth must be two"),
+    ({"bandwidth": (-1, 0)}, "bandwidth must hold"),
     ({"cutoff_hz": 0}, "cutoff_hz must be positive"),
     ({"response": np.ones((3, 3))}, r"response must have shape \(2, 2, 3\) or"),
     ({"response": np.ones((2, 2, 3))}, "response must tell the four channels apart"),

@@ -16,7 +16,8 @@ from pdavis_cv._feed import Feed
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
-from pdavis_cv.reconstruct.kalman import KalmanFilter
+from pdavis_cv.reconstruct.clock import BANDWIDTH_SIGMA
+from pdavis_cv.reconstruct.kalman import NOISE, KalmanFilter
 from pdavis_cv.recording.base import ApsFrame, Recording
 
 __all__ = ["Bandwidth", "ThresholdEstimate", "bandwidth_in_situ", "learned",
@@ -28,6 +29,15 @@ SIGMA = 0.035
 LEARNED_SIGMA = 0.003
 """What the filter is told of thresholds learned in situ: it goes on learning."""
 
+TYPICAL_BANDWIDTH = (300.0, 0.0, 0.5)
+"""Of a photoreceptor, Hz, where nothing may be looked at before its time; the relative
+error counts in the variance."""
+
+# As `KalmanFilter`'s, but what de-blurring leaves is not independent from frame to
+# frame: it counts for more where many frames are added up.
+_NOISE = (0.05, 1.3, 0.005)
+# Of images, variance of the sum of events per second: from quiet pixels to noisy ones.
+_GRID_NOISE = (NOISE[1], 0.4, 1.5, 5.0, 15.0)
 _USUAL_MISMATCH = 0.035
 # Bounds on what is held in memory and looked at.
 _MAX_SECONDS, _MAX_EVENTS = 10.0, 5_000_000
@@ -80,12 +90,16 @@ class ThresholdEstimate:
         Of (theta_on, theta_off); their ratio is known far better than their sum.
     bandwidth : Bandwidth or None
         What was assumed or found out about the photoreceptors.
+    noise : float or None
+        Variance of the sum of events per second, in thresholds^2: leak and noise
+        events; None where frames or events are too few.
     """
 
     theta_on: NDArray[np.float64]
     theta_off: NDArray[np.float64]
     covariance: NDArray[np.float64]
     bandwidth: Bandwidth | None
+    noise: float | None = None
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -161,7 +175,8 @@ def thresholds_in_situ(
     # The noise was assumed; what is left over says how large it is.
     scale = float(np.clip(chi / n, 1e-3, 4.0)) if n else 1.0
     theta, covariance = _shrunk(theta, covariance, nominal, sigma, scale)
-    return ThresholdEstimate(theta[0], theta[1], covariance, found)
+    return ThresholdEstimate(theta[0], theta[1], covariance, found,
+                             None if sample is None else _noise(sample, law))
 
 
 def bandwidth_in_situ(
@@ -205,21 +220,25 @@ def learned(
 ) -> tuple[Theta, Theta, dict[str, Any]]:
     """Return thresholds and parameters of a method, learned where that was asked for.
 
-    ``fuse`` documents the arguments.  For ``kalman`` the bandwidth too is estimated
-    unless it is given; with `causal` nothing is.
+    ``fuse`` documents the arguments.  For ``kalman`` the bandwidth and the noise of
+    events too are estimated unless they are given; with `causal` nothing is.
 
     Returns
     -------
     theta_on, theta_off : floats or ndarrays of float32, shape (H, W)
     parameters : dict
-        With ``bandwidth`` as numbers.
+        With ``bandwidth`` and ``noise`` as numbers.
     """
     learn = isinstance(thresholds, str) and thresholds == "in-situ"
     on, off = resolve_thresholds(
         recording, None if learn else thresholds, nominal, calibration)
     parameters = dict(parameters)
+    if method == "kalman":
+        parameters = _calibrated(parameters, thresholds, calibration)
     late = causal or parameters.get("mode") == "causal"
-    wanted = parameters.get("bandwidth", None if late else "in-situ")
+    if method == "kalman" and late:
+        parameters.setdefault("bandwidth", TYPICAL_BANDWIDTH)
+    wanted = parameters.get("bandwidth", "in-situ")
     ask = method == "kalman" and isinstance(wanted, str)
     if ask:
         if wanted != "in-situ":
@@ -231,23 +250,50 @@ def learned(
                 "bandwidth='in-situ' looks at the recording before the first image, "
                 "which causal=True forbids")
         parameters.pop("bandwidth", None)
-    if recording.info.frame_count == 0 or causal or not (ask or learn):
+    noise_too = method == "kalman" and not late and "noise" not in parameters
+    if recording.info.frame_count == 0 or causal or not (ask or learn or noise_too):
         return on, off, parameters
-    found: Bandwidth | None
+    found: Bandwidth | None = None
+    noise: float | None = None
     if learn:
         estimate = thresholds_in_situ(
             recording, nominal=(on, off), calibration=calibration,
             bandwidth="in-situ" if ask or method != "kalman" else None)
         on, off = (theta.astype(np.float32)
                    for theta in (estimate.theta_on, estimate.theta_off))
-        found = estimate.bandwidth
+        found, noise = estimate.bandwidth, estimate.noise
         if method == "kalman":
             parameters.setdefault("threshold_sigma", LEARNED_SIGMA)
     else:
-        found = bandwidth_in_situ(recording, nominal=(on, off), calibration=calibration)
+        items = _window(recording, calibration, None, None)
+        sample = _sample(items, recording.info.sensor_size, (on, off))
+        if sample is not None:
+            found = _bandwidth(sample) if ask else None
+            known = parameters.get("bandwidth") or (0.0, 0.0)
+            noise = _noise(sample, found.law if found else known[:2])
+    if noise_too and noise is not None:
+        parameters["noise"] = (NOISE[0], noise, NOISE[2])
     if ask:
-        parameters["bandwidth"] = None if found is None else found.law
+        parameters["bandwidth"] = None if found is None else (
+            *found.law, max(found.sigma, BANDWIDTH_SIGMA))
     return on, off, parameters
+
+
+def _calibrated(
+    parameters: dict[str, Any], thresholds: object, calibration: Calibration | None
+) -> dict[str, Any]:
+    """Return the parameters with what the calibration says and the caller does not."""
+    if calibration is None:
+        return parameters
+    known = dict(parameters)
+    hz, per_dn = calibration.bandwidth_hz, calibration.bandwidth_hz_per_dn
+    if hz is not None or per_dn is not None:
+        known.setdefault("bandwidth", (hz or 0.0, per_dn or 0.0))
+    if calibration.theta_on is not None and thresholds in (None, "calibration"):
+        on, off = calibration.theta_on_sigma, calibration.theta_off_sigma
+        known.setdefault("threshold_sigma", LEARNED_SIGMA if on is None or off is None
+                         else float(np.median([on, off])))
+    return known
 
 
 def _window(
@@ -274,9 +320,10 @@ def _window(
 def _run(
     items: _Items, shape: tuple[int, int], on: ArrayLike, off: ArrayLike,
     sigma: ArrayLike, bandwidth: tuple[float, float] | None,
+    noise: tuple[float, float, float] = _NOISE,
 ) -> KalmanFilter:
     method = KalmanFilter(shape, theta_on=on, theta_off=off, threshold_sigma=sigma,
-                          bandwidth=bandwidth)
+                          bandwidth=bandwidth, noise=noise)
     for item in items:
         if isinstance(item, ApsFrame):
             method.add_frame(item)
@@ -299,9 +346,13 @@ class _Sample:
              if isinstance(item, ApsFrame)]), 0.9)
         self.bright = max(float(bright), 1e-3)
 
-    def misfit(self, law: tuple[float, float]) -> tuple[float, float]:
+    def misfit(
+        self, law: tuple[float, float],
+        noise: tuple[float, float, float] = _NOISE,
+    ) -> tuple[float, float]:
         """Return minus the log likelihood, and the mean of e^2 / v."""
-        chi, log, n = _run(self.items, self.shape, self.on, self.off, SIGMA, law).misfit
+        chi, log, n = _run(
+            self.items, self.shape, self.on, self.off, SIGMA, law, noise).misfit
         return 0.5 * float(chi + log), float(chi / max(n, 1))
 
 
@@ -325,6 +376,17 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     bend = (cost(found.x + step) + cost(found.x - step) - 2 * found.fun) / 0.1**2
     sigma = np.sqrt(max(left, 1e-3) / max(bend, 1 / _LN_HZ_SIGMA**2))
     return Bandwidth(hz, slope, sample.bright, float(sigma))
+
+
+def _noise(sample: _Sample, law: tuple[float, float]) -> float:
+    """Return the noise of events under which frames are the most likely."""
+    best, least = _GRID_NOISE[0], np.inf
+    for each in _GRID_NOISE:
+        cost, _ = sample.misfit(law, (NOISE[0], each, NOISE[2]))
+        if cost >= least:
+            break
+        best, least = each, cost
+    return best
 
 
 def _law(point: NDArray[np.float64], bright: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """What every method checks about what it is fed: order in time and shape."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,11 @@ from pdavis_cv._checks import checked_threshold
 from pdavis_cv.events import as_events, bad_event
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["NEVER", "Clock", "checked_bandwidth", "checked_threshold", "steps"]
+__all__ = ["BANDWIDTH_SIGMA", "NEVER", "Clock", "checked_bandwidth",
+           "checked_threshold", "steps"]
+
+BANDWIDTH_SIGMA = 0.03
+"""Relative error of a bandwidth that says nothing of its own."""
 
 NEVER = int(np.iinfo(np.int64).min)
 
@@ -107,15 +112,18 @@ def steps(
     return np.stack([off, on], axis=-1).astype(np.float32)
 
 
-def checked_bandwidth(value: tuple[float, float] | None) -> tuple[float, float]:
-    """Return (hz, hz_per_intensity), zeros for None; raise ValueError if impossible."""
+def checked_bandwidth(value: Sequence[float] | None) -> tuple[float, float, float]:
+    """Return (hz, hz_per_intensity, sigma), zeros for None; refuse what cannot be."""
     if value is None:
-        return 0.0, 0.0
-    if isinstance(value, str):
-        raise ValueError(f"bandwidth must be (hz, hz_per_intensity), got {value!r}")
-    hz, slope = (float(part) for part in value)
-    if not (np.isfinite(hz) and np.isfinite(slope) and hz >= 0 and slope >= 0):
+        return 0.0, 0.0, 0.0
+    if isinstance(value, str) or len(value) not in (2, 3):
         raise ValueError(
-            "bandwidth must be two finite numbers that are not negative, got "
+            "bandwidth must be (hz, hz_per_intensity) or (hz, hz_per_intensity, "
+            f"sigma), got {value!r}")
+    hz, slope, *rest = (float(part) for part in value)
+    sigma = rest[0] if rest else BANDWIDTH_SIGMA
+    if not all(np.isfinite(x) and x >= 0 for x in (hz, slope, sigma)):
+        raise ValueError(
+            "bandwidth must hold finite numbers that are not negative, got "
             f"{value!r}")
-    return hz, slope
+    return hz, slope, sigma

@@ -13,7 +13,7 @@ from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.clock import Clock, checked_bandwidth, checked_threshold
 from pdavis_cv.reconstruct.frames import log_samples
-from pdavis_cv.reconstruct.saturation import Saturated
+from pdavis_cv.reconstruct.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.smooth import NODE_DTYPE, Smoother
 from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
 from pdavis_cv.recording.base import ApsFrame
@@ -23,9 +23,13 @@ __all__ = ["KalmanFilter"]
 SMOOTHING_US = 500_000
 """How far ahead of an image the offline mode takes frames into account."""
 
-NOISE = (0.05, 1.3, 0.005)
+NOISE = (0.02, 0.1, 0.0003)
 """What de-blurring leaves in a frame (standard deviation of log intensity); variance
-of the sum of events per second (leak, noise events) and per event, in thresholds^2."""
+of the sum of events per second (leak) and per event, in thresholds^2.
+
+Noise events are not in it: one moves the sum by a threshold, which the next frame
+contradicts by many standard deviations, and is taken as a jump.
+"""
 
 # Of a frame: read noise in DN, and DN per unit of shot noise variance.
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
@@ -33,8 +37,6 @@ READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
 KEEP_US = 100_000
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 _NO_NODES, _NO_TOTALS = np.zeros((0, 0), NODE_DTYPE), np.zeros((0, 0, 2), np.int32)
-# An estimate is valid up to this variance of log intensity.
-VALID_VARIANCE = 0.25
 
 
 class KalmanFilter(Reconstructor):
@@ -61,9 +63,10 @@ class KalmanFilter(Reconstructor):
     threshold_sigma : float or array_like of shape (2, H, W)
         Standard deviation of the thresholds given (ON, OFF), natural-log units;
         0 keeps them as they are.
-    bandwidth : (float, float), optional
-        Corner frequency of the photoreceptor in Hz, and what is added to it per unit
-        of intensity (Hz per DN/ms).  Default: no lag.
+    bandwidth : (float, float) or (float, float, float), optional
+        Corner frequency of the photoreceptor in Hz, what is added to it per unit of
+        intensity (Hz per DN/ms), and the relative error of both, default 0.03, which
+        counts in the variance.  Default: no lag.
     noise : (float, float, float)
         What de-blurring leaves in a frame (standard deviation of log intensity), and
         the variance of the sum of events per second and per event, in units of the
@@ -80,10 +83,10 @@ class KalmanFilter(Reconstructor):
     Notes
     -----
     A sample that is not valid is not used.  A pixel is valid from its first usable
-    sample on while the variance is below 0.25.  One that has not had any, as in light
-    that saturates every frame, takes its offset from the other three of its
-    macropixel, by what `EventRedundancy` does; the scale of four such pixels is not
-    known.  Results do not depend on how the
+    sample on while the variance, but for that of the lag, is at most 0.25.  One that
+    has not had any, as in light that saturates every frame, takes its offset from the
+    other three of its macropixel, by what `EventRedundancy` does; the scale of four
+    such pixels is not known.  Results do not depend on how the
     stream is cut into packets.
 
     Offline, a smoother with a fixed lag takes the place of one over the whole
@@ -101,7 +104,7 @@ class KalmanFilter(Reconstructor):
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
         mode: str = "buffered", lookahead_us: int | None = None,
         threshold_sigma: ArrayLike = 0.035,
-        bandwidth: tuple[float, float] | None = None,
+        bandwidth: Sequence[float] | None = None,
         noise: tuple[float, float, float] = NOISE, response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
@@ -198,6 +201,7 @@ class KalmanFilter(Reconstructor):
         self._clock.check_read(t + ahead)
         log = output(out, self.shape, np.float32)
         variance = np.empty(self.shape, np.float32)
+        valid = np.empty(self.shape, np.bool_)
         due = any(frame.known_us <= t + ahead for frame in self._frames)
         before = self._kept(whole=False) if due else None
         if due:
@@ -206,16 +210,16 @@ class KalmanFilter(Reconstructor):
         if self._smoother is not None:
             self._smoother.read(
                 t, t + self._wait_us, recent, self._tuning,
-                self._state9, log, variance)
+                self._state9, VALID_VARIANCE, log, variance, valid)
         else:
             recent.chain_pending()
             _kernels.kalman_read(
                 t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
-                recent.tracks, self._reference, self._state9, log, variance)
+                recent.tracks, self._reference, self._state9, VALID_VARIANCE,
+                log, variance, valid.view(np.uint8))
         if before is not None:
             self._restore(before)
-        self._saturated.fill(t, log, variance)
-        valid = (variance >= 0) & (variance <= VALID_VARIANCE)
+        self._saturated.fill(t, log, variance, valid)
         np.maximum(variance, 0, out=variance)
         return Estimate(log, variance, valid)
 

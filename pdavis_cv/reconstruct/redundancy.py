@@ -58,7 +58,7 @@ class EventRedundancy(Reconstructor):
         Below it, common changes of a macropixel's four pixels fade.
     lookahead_us : int
         How long to wait for each pixel's next event; 0 = not at all.
-    bandwidth : (float, float), optional
+    bandwidth : (float, float) or (float, float, float), optional
         As for `KalmanFilter`.
 
     Raises
@@ -80,7 +80,7 @@ class EventRedundancy(Reconstructor):
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
         response: ArrayLike | None = None, cutoff_hz: float = 0.5,
-        lookahead_us: int = LOOKAHEAD_US, bandwidth: tuple[float, float] | None = None,
+        lookahead_us: int = LOOKAHEAD_US, bandwidth: Sequence[float] | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
@@ -189,7 +189,8 @@ class EventRedundancy(Reconstructor):
         tracks.chain_pending()
         _kernels.kalman_read(
             t, t + self.lookahead_us, tracks.store, tracks.link, tracks.first,
-            self._lag, tracks.tracks, self._reference, self._state9, log, variance)
+            self._lag, tracks.tracks, self._reference, self._state9, 0.0, log, variance,
+            np.empty(self.shape, np.uint8))
         return log, variance
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:

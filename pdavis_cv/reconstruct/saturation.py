@@ -12,7 +12,10 @@ from pdavis_cv.reconstruct.frames import log_exposure
 from pdavis_cv.reconstruct.redundancy import EventRedundancy, null_of
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["Saturated"]
+__all__ = ["VALID_VARIANCE", "Saturated"]
+
+VALID_VARIANCE = 0.25
+"""An estimate is valid up to this variance of log intensity, lag apart."""
 
 PRIOR_SIGMA = 0.3
 """Of a log intensity, where the mean squares of a macropixel's four are taken equal."""
@@ -34,13 +37,14 @@ class Saturated:
         As for `EventRedundancy`.
     lookahead_us : int
         What will have been fed after the time of `fill`.
-    bandwidth : (float, float)
+    bandwidth : (float, float, float)
         As for `KalmanFilter`.
     """
 
     def __init__(
         self, shape: tuple[int, int], theta_on: ArrayLike, theta_off: ArrayLike,
-        response: ArrayLike | None, lookahead_us: int, bandwidth: tuple[float, float],
+        response: ArrayLike | None, lookahead_us: int,
+        bandwidth: tuple[float, float, float],
     ) -> None:
         self.response = None if response is None else np.array(response, np.float64)
         self._shape, self._bandwidth = shape, bandwidth
@@ -54,9 +58,9 @@ class Saturated:
 
     def _make(self, level: float) -> EventRedundancy:
         # The photoreceptors are as fast as the least light that saturates makes them.
-        hz, slope = self._bandwidth
+        hz, slope, sigma = self._bandwidth
         return EventRedundancy(
-            self._shape, bandwidth=(hz + slope * math.exp(level), 0.0),
+            self._shape, bandwidth=(hz + slope * math.exp(level), 0.0, sigma),
             **self._options)
 
     def add_frame(
@@ -80,7 +84,8 @@ class Saturated:
             self._method.add_events(mine)
 
     def fill(
-        self, t_us: int, log: NDArray[np.float32], variance: NDArray[np.float32]
+        self, t_us: int, log: NDArray[np.float32], variance: NDArray[np.float32],
+        valid: NDArray[np.bool_],
     ) -> None:
         """Complete an estimate where its variance is negative: nothing is known.
 
@@ -90,11 +95,13 @@ class Saturated:
             Time of the estimate.
         log, variance : ndarray of float32, shape (H, W)
             Log intensity and its variance; changed where the events tell enough.
+        valid : ndarray of bool, shape (H, W)
+            Set where the variance is then at most `VALID_VARIANCE`.
         """
         unknown = variance < 0
         if self._method is None or not unknown.any():
             return
-        shown, rest, valid = self._method.read(t_us)
+        shown, rest, enough = self._method.read(t_us)
         assert rest is not None
         rows, columns = (side // 2 for side in self._shape)
         whole = np.zeros(self._shape, np.bool_)
@@ -106,10 +113,11 @@ class Saturated:
         count = _summed(known.astype(np.float32))
         bound = _summed(self._bound[:2 * rows, :2 * columns]) / 4
         offset = np.where(count > 0, _summed(apart) / np.maximum(count, 1), bound)
-        at = np.nonzero(unknown & valid)
+        at = np.nonzero(unknown & enough)
         log[at] = shown[at] + offset[at[0] // 2, at[1] // 2]
         # Where the gains are less certain, the prior of equal mean squares has a say.
         variance[at] = rest[at] + PRIOR_SIGMA**2 * self._method.quality[at]
+        valid[at] = variance[at] <= VALID_VARIANCE
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
@@ -124,9 +132,9 @@ class Saturated:
         self._method = None
         if snapshot is not None:
             self._watched = _cells_with(self._never)
-            hz, _ = snapshot.parameters["bandwidth"]
             self._method = EventRedundancy(
-                self._shape, bandwidth=(hz, 0.0), **self._options)
+                self._shape, bandwidth=snapshot.parameters["bandwidth"],
+                **self._options)
             self._method.restore(snapshot)
 
 

@@ -96,10 +96,10 @@ class Smoother:
 
     def read(
         self, t_us: int, known_us: int, tracks: Tracks, tuning: NDArray[np.float64],
-        state: NDArray[np.float64], log: NDArray[np.float32],
-        variance: NDArray[np.float32],
+        state: NDArray[np.float64], most: float, log: NDArray[np.float32],
+        variance: NDArray[np.float32], valid: NDArray[np.bool_],
     ) -> None:
-        """Write log intensity and variance (-1: unknown) at t_us.
+        """Write log intensity and variance at t_us (see ``smooth_read``).
 
         ``known_us`` is after t_us, and the events up to then count.
         """
@@ -112,7 +112,8 @@ class Smoother:
         tracks.chain_late(known_us)
         _kernels.smooth_read(
             t_us, known_us, tracks.store, tracks.link, tracks.first, tuning,
-            tracks.late, self._gap, state, log, variance)
+            tracks.late, self._gap, state, most, log, variance,
+            valid.view(np.uint8))
 
     def mark(self) -> Mapping[str, Any]:
         """Return copies of what adding and folding frames changes.

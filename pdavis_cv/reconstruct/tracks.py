@@ -45,8 +45,8 @@ class Tracks:
         Of the committed events.
     late : ndarray of TRACK_DTYPE, shape (H, W), or (0, 0)
         Of the events that `commit_late` has committed; counts are never reset.
-    old : ndarray of int64, shape (H, W)
-        Stamps of the last events passed.
+    old : ndarray of int64, shape (H, W, 2)
+        Stamps of the last two events passed.
     store : ndarray of EVENT_DTYPE, shape (capacity,)
     link : ndarray of int32, shape (capacity,)
     first : ndarray of int32, shape (H, W)
@@ -60,7 +60,7 @@ class Tracks:
         self.late = np.zeros(shape if late else (0, 0), TRACK_DTYPE)
         for tracks in (self.tracks, self.late):
             tracks["prev"] = tracks["last"] = 2 * LONG_AGO
-        self.old = np.full(shape, 2 * LONG_AGO, np.int64)
+        self.old = np.full((*shape, 2), 2 * LONG_AGO, np.int64)
         self.first = np.full(shape, -1, np.int32)
         self.store = np.zeros(_LEAST, EVENT_DTYPE)
         self.link = np.zeros(_LEAST, np.int32)
