@@ -235,6 +235,7 @@ def test_tendon_warns_where_frames_alias_and_not_where_they_do_not(
     (["--region", "1,1,4,4", "--demosaic", "superpixel"], "even x, y, width"),
     (["--region", "3,3,0,5"], "must not be empty"),
     (["--region", "no.zip"], "no.zip: No such file"),
+    (["--region", "a=0,0,4,4", "--region", "a=8,8,4,4"], "must have different names"),
     (["--load", "gone.csv"], "gone.csv: No such file"),
     (["--load", "wrong.csv"], "the unit must be one of N, mN, kN, gf, lbf"),
     (["--load", "late.csv", "--align", "offset", "--offset", "0"],

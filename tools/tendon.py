@@ -213,6 +213,9 @@ def measure(
     background = _background(args, options)
     regions = [roi for group in args.region for roi in group]
     regions = regions or [_whole(recording, args)]
+    names = [roi.name for roi in regions]
+    if len(set(names)) < len(names):
+        raise UsageError(f"regions must have different names, got {', '.join(names)}")
     facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
     recorder = analysis.TraceRecorder(
         regions, estimate=args.estimate, background=background)
@@ -586,10 +589,10 @@ def _write(args: argparse.Namespace, found: Findings) -> list[str]:
             f"distortion {100 * tone.distortion:.1f} %")
     if found.clock is not None:
         clock = found.clock
-        lines.append(
-            f"load file: its zero lies at {clock.offset_s:.4f} s "
-            f"(+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
-            f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow")
+        lines.append(f"load file: its zero lies at {clock.offset_s:.4f} s" + (
+            "" if clock.how == "offset" else
+            f" (+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
+            f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow"))
     return lines
 
 
