@@ -163,6 +163,22 @@ def test_one_sigma_covers_about_two_thirds_of_the_errors(recorded, camera, optio
     assert scorer.score.aop_error < np.deg2rad(1.1)
 
 
+@pytest.mark.parametrize(("mode", "aop_deg", "dolp"), [
+    ("buffered", 0.5, 0.010), ("offline", 0.35, 0.007)])
+def test_a_complete_calibration_takes_the_pixels_differences_out(
+        recorded, mode, aop_deg, dolp):
+    recording, truth = recorded["nominal"]
+    camera = Camera.preset("nominal", seed=5, size=(12, 12))
+    calibration = Calibration(**camera.exact_calibration(), bandwidth_hz=250.0)
+    scorer = Scorer(truth, (6, 6))
+    for image in fuse(recording, times_us=np.arange(1_000_000, 1_900_000, 5003),
+                      method="kalman", mode=mode, demosaic="superpixel",
+                      calibration=calibration):
+        scorer.add(image)
+    assert scorer.score.aop_error < np.deg2rad(aop_deg)
+    assert scorer.score.dolp_error < dolp
+
+
 def test_without_events_variance_grows_at_the_stated_rate():
     method = make((1, 1), 0.2, 0.2)
     method.add_frame(ApsFrame(np.full((1, 1), 400.0), 0, 10_000))
