@@ -260,6 +260,10 @@ def align_by_correlation(
     alike.sort(key=lambda i: -common(float(lags[i])))
     fits = [fit for i in dict.fromkeys((*peaks[:8], *alike[:4]))
             if (fit := _refine(t, v, load, float(lags[i]), sign)) is not None]
+    if expected_s is not None and within_s is not None:
+        # A fit that begins at the edge may leave the range.
+        fits = [fit for fit in fits
+                if abs(fit.offset_s - expected_s) <= within_s] or fits
     if not fits:
         raise ValueError("the trace and the load must overlap in 16 samples, got fewer")
     # Candidates are compared by what they leave unexplained, not by the coarse score;
