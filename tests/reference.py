@@ -167,6 +167,7 @@ class AopEvents:
         cells = ((shape[0] + 1) // 2, (shape[1] + 1) // 2)
         self.s = np.zeros(cells, complex)            # S1 + i S2
         self.swept, self.energy = np.zeros(cells), np.zeros(cells)
+        self.most_swept = np.zeros(cells)            # were all steps across s
         self.t = np.zeros(cells)
 
     def add(self, e):
@@ -180,12 +181,13 @@ class AopEvents:
         step = step * np.exp(2j * self.angle[y % 2][x % 2])
         self.energy[near] = self.energy[near] * a + np.abs(s) ** 2 * dt
         self.swept[near] = self.swept[near] * a + np.imag(np.conj(s) * step)
+        self.most_swept[near] = self.most_swept[near] * a + np.abs(s) * np.abs(step)
         self.s[near], self.t[near] = s + step, t
         s = self.s[y // 2, x // 2]
         if self.correct:
             swept, energy = self.swept[y // 2, x // 2], self.energy[y // 2, x // 2]
-            if abs(swept) < 1e-9 * self.rate * energy:
-                return 0        # no sense of rotation yet
+            if abs(swept) <= 1e-5 * self.most_swept[y // 2, x // 2]:
+                return 0        # no sense of rotation, but for rounding
             s *= np.exp(-1j * np.copysign(
                 np.arctan2(self.rate * energy, abs(swept)), swept))
         return s

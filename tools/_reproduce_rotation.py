@@ -183,9 +183,8 @@ def _traces(
     case: Case, rotation: Rotation, settings: Settings, takes: Takes
 ) -> list[Trace]:
     traces: list[Trace] = []
-    for name in settings.methods:
-        method = METHODS[name]
-        if method.own_times:
+    for name, method in METHODS.items():
+        if name not in settings.methods or method.own_times:
             continue
         take = takes(method)
         start = take.settled_us

@@ -135,6 +135,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
     "flicker": (light.flicker_cases, light.flicker_page),
 }
 
+
 def _all(figure: str, stem: Path, settings: Settings) -> Result:
     """Everything, and a table of it."""
     rows = {}

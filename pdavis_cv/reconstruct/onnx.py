@@ -21,6 +21,9 @@ OUTPUTS = ("y", "g1", "g2")
 _IR_VERSION, _OPSET = 8, 13
 _FLOAT, _INT, _INTS = 1, 2, 7
 
+# OpenCV 5 says that tanh is NaN beyond 44; at 16 float32 already rounds it to 1.
+_LIMITS = {"least": -16.0, "most": 16.0}
+
 
 def _varint(value: int) -> bytes:
     out = bytearray()
@@ -104,6 +107,8 @@ def network_onnx(weights: Weights, height: int, width: int) -> bytes:
         An ONNX model of IR version 8, operator set 13.
     """
     graph, arrays = _Graph(), weights.arrays
+    for name, limit in _LIMITS.items():
+        graph.tensors.append(_tensor(name, np.array(limit, np.float32)))
 
     def convolve(x: str, name: str, out: str) -> str:
         return graph.convolve(
@@ -117,8 +122,9 @@ def network_onnx(weights: Weights, height: int, width: int) -> bytes:
         graph.node("Split", [gates], [z, r], axis=1)
         reset = graph.node("Mul", [r, state], [f"g{i}.reset"])
         both = graph.node("Concat", [x, reset], [f"g{i}.kept"], axis=1)
-        new = graph.node("Tanh", [convolve(both, f"g{i}.new", f"g{i}.fresh")],
-                         [f"g{i}.value"])
+        fresh = graph.node("Clip", [convolve(both, f"g{i}.new", f"g{i}.fresh"),
+                                    *_LIMITS], [f"g{i}.near"])
+        new = graph.node("Tanh", [fresh], [f"g{i}.value"])
         change = graph.node("Sub", [new, state], [f"g{i}.change"])
         part = graph.node("Mul", [z, change], [f"g{i}.part"])
         return graph.node("Add", [state, part], [out])
