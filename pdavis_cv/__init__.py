@@ -36,6 +36,7 @@ _HOME = {
     "voxel_grid": "events",
     "Analyser": "analyser",
     "cds": "aps",
+    "deblur": "reconstruct.deblur",
     "demosaic": "mosaic",
     "unpack": "packed",
     "PolarFrame": "polarimetry",
@@ -200,6 +201,7 @@ __all__ = [
     "calibration",
     "cds",
     "debias_dolp",
+    "deblur",
     "demosaic",
     "dolp",
     "export",
@@ -292,6 +294,7 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.aop_events import AOP_EVENT_DTYPE, AopEvents
     from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
+    from pdavis_cv.reconstruct.deblur import deblur
     from pdavis_cv.reconstruct.denoise import EventDenoiser
     from pdavis_cv.reconstruct.events import EventHighPass
     from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table

@@ -18,7 +18,7 @@ from pdavis_cv.reconstruct.smooth import NODE_DTYPE, Smoother
 from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["KalmanFilter"]
+__all__ = ["LOOKAHEAD_US", "KalmanFilter"]
 
 SMOOTHING_US = 500_000
 """How far ahead of an image the offline mode takes frames into account."""
