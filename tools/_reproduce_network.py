@@ -62,7 +62,7 @@ SCENES = ("polarizer", "rotating plate", "fan", "tendon", "irradiance", "texture
 
 # Training draws its textures from another generator; these seeds are of no clip.
 TEXTURE_SEEDS = (9101, 9102, 9103, 9104, 9105, 9106)
-WINDOWS_PER_PERIOD = 16.618  # windows are to end at all phases
+WINDOWS_PER_PERIOD = 24.618  # windows are to end at all phases
 SETTLING = 64  # windows: the longer of the memories of ``joint``
 _IMAGES = 200  # scored of a recording, at the most
 _LEAST_DOLP = 0.3
@@ -71,7 +71,7 @@ _RANGE_RPM = 60.0
 
 
 def window_us(period_us: float) -> int:
-    """Return the window for light of a period: about a sixteenth, 1 ms or more."""
+    """Return the window for light of a period: about a 25th, 1 ms or more."""
     return int(np.clip(period_us / WINDOWS_PER_PERIOD, 1_000, 1_000_000))
 
 
