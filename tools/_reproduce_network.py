@@ -221,7 +221,7 @@ def _textures(settings: Settings) -> Iterator[NetworkCase]:
         def light(s0: float, fields: dict[str, Any] = fields) -> Scene:
             return Texture(s0=s0, **fields)
 
-        period = 16e6 / speed  # so a window is below an eighth of any wave's period
+        period = WINDOWS_PER_PERIOD * 1e6 / speed  # a window is a pixel of its way
         yield NetworkCase(
             case=_case("texture", light, period, settings,
                        size=(16, 16) if settings.quick else (_SIDE, _SIDE)),
