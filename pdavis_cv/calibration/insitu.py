@@ -408,21 +408,31 @@ def _shrunk(
     center = np.stack([np.broadcast_to(value, shape) for value in nominal], -1)
     shift = np.moveaxis(theta, 0, -1) - center
     prior = np.eye(2) / sigma**2
-    total = np.linalg.inv(covariance)
+    total = _inverse(covariance)
     own, pull = total - prior, total @ shift[..., None]
     # A sample of the pixels tells the spread; it grows from what is usual.
     some = slice(None, None, max(own[..., 0, 0].size // 4000, 1))
     few, their = own.reshape(-1, 2, 2)[some], pull.reshape(-1, 2, 1)[some]
     spread = (_USUAL_MISMATCH * center.mean((0, 1))) ** 2
     for _ in range(30):
-        after = np.linalg.inv(few + np.diag(1 / spread))
+        after = _inverse(few + np.diag(1 / spread))
         variance = np.stack([after[:, 0, 0], after[:, 1, 1]], -1)
         spread = np.mean((after @ their)[..., 0] ** 2 + variance, axis=0)
         spread = np.clip(spread, (0.01 * sigma) ** 2, sigma**2)
-    shift = (np.linalg.inv(own + np.diag(1 / spread)) @ pull)[..., 0]
-    after = np.linalg.inv(own / scale + np.diag(1 / spread))
+    shift = (_inverse(own + np.diag(1 / spread)) @ pull)[..., 0]
+    after = _inverse(own / scale + np.diag(1 / spread))
     limited = np.clip(center + shift, 0.3 * center, 3 * center)
     return np.moveaxis(limited, -1, 0), np.asarray(after, np.float64)
+
+
+def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Invert symmetric 2 x 2 matrices; ten times as fast as a general solver."""
+    out = np.empty_like(matrix)
+    a, b, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
+    scale = 1 / (a * d - b * b)
+    out[..., 0, 0], out[..., 1, 1] = d * scale, a * scale
+    out[..., 0, 1] = out[..., 1, 0] = -b * scale
+    return out
 
 
 def _sample(
