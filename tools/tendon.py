@@ -232,7 +232,7 @@ def measure(
             recorder.add(image)
         frames = recorder.traces(recording) if recorder.count else None
     found = _evaluate(args, recording, fused, frames, facts, fps)
-    found.busiest = busiest and busiest.traces()
+    found.busiest = None if busiest is None else busiest.traces()
     if load is not None:
         said = len(found.messages)
         _align(args, recording, found, load)
