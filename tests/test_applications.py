@@ -321,7 +321,8 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
     if "tendon" in command:
         pytest.importorskip("matplotlib")
     tool, *options = command
-    program = (
+    program = (  # jobs in the background are started deaf to SIGINT
+        "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"from pdavis_cv.tools import {tool}, main\nprint('ready', flush=True)\n"
         "raise SystemExit(main.main())")
     process = subprocess.Popen(
