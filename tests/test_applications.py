@@ -347,6 +347,28 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
+@pytest.mark.parametrize("module", ["numpy", "numpy.linalg", "pdavis_cv._kernels"])
+def test_an_interrupt_while_modules_load_says_one_line(tmp_path, module):
+    program = (  # jobs in the background are started deaf to SIGINT
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "from pdavis_cv.tools.main import main\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "raise SystemExit(main())")
+    run = subprocess.run(
+        [sys.executable, "-P", "-c", program, "export", str(example_recording()),
+         "-o", "x.mp4"], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        check=False)
+    assert (run.returncode, run.stdout) == (1, "")
+    assert run.stderr == "pdavis: interrupted; nothing unfinished was left\n"
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("name", ["a.ome.tif", "a.h5", "a.npz"])
 def test_export_writes_stacks(tmp_path, name, capsys):
     sample = str(example_recording())

@@ -8,11 +8,12 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NoReturn, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv.errors import PdavisError, PdavisWarning
-from pdavis_cv.recording.base import Recording
-from pdavis_cv.sensor import Layout
+
+if TYPE_CHECKING:  # an interrupt while NumPy loads must find `command` at work
+    from pdavis_cv import Layout, Recording
 
 __all__ = [
     "Parser",
@@ -211,6 +212,7 @@ def roi_option(text: str) -> tuple[int, int, int, int]:
 
 def layout_option(text: str) -> Layout:
     """Parse pdavis, sony or four angles by row."""
+    from pdavis_cv.sensor import Layout
     known = {"pdavis": Layout.PDAVIS, "sony": Layout.SONY}
     if text.lower() in known:
         return known[text.lower()]
