@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from pdavis_cv import (
+    EVENT_DTYPE,
     ApsFrame,
     Layout,
     PolarFrame,
@@ -367,6 +368,42 @@ def test_an_interrupt_while_modules_load_says_one_line(tmp_path, module):
     assert (run.returncode, run.stdout) == (1, "")
     assert run.stderr == "pdavis: interrupted; nothing unfinished was left\n"
     assert not list(tmp_path.iterdir())
+
+
+def glare(columns):
+    """A recording in which the first columns saturate every frame; 300 DN beside."""
+    shape = (20, 40)
+    dn = np.full(shape, 300.0, np.float32)
+    dn[:, :columns] = 760
+    valid = dn < 700
+    frames = [ApsFrame(dn, t, t + 10_000, valid=valid, available_us=t + 12_000)
+              for t in range(0, 400_000, 50_000)]
+    events = np.zeros(30, EVENT_DTYPE)  # one pixel flickers
+    events["t"], events["x"] = np.arange(30) * 13_000 + 5_000, 39
+    events["p"] = np.arange(30) % 2
+    return recording_from_arrays(
+        events, frames, sensor_size=shape, layout=Layout.PDAVIS)
+
+
+@pytest.mark.parametrize("method", ["frames", "cf", "kalman"])
+@pytest.mark.parametrize("columns", [20, 40])
+def test_what_saturates_every_frame_is_white(tmp_path, monkeypatch, method, columns):
+    recordings = opener({"a": glare(columns)})
+    monkeypatch.setattr(export, "open_recording", recordings)
+    monkeypatch.setattr(fan, "open_recording", recordings)
+    out = tmp_path / "a.png"
+    for quantity in ("s0", "i45"):
+        assert export.main(["a", "-o", str(out), "--at", "0.3", "--method", method,
+                            "--bare", "--quantities", quantity]) == 0
+        picture = cv2.imread(str(out))
+        assert picture.shape == (20, 40, 3)
+        assert (picture[:, :columns] == 255).all()
+        assert (picture[:, columns + 1:] < 255).all()
+    assert fan.main(["a", "-o", str(tmp_path / "a.mp4"), "--fps", "20", "--method",
+                     method, "--still", str(out)]) == 0
+    white = (cv2.imread(str(out)) == 255).all(-1)
+    runs = np.lib.stride_tricks.sliding_window_view(white, (20, columns)).all((2, 3))
+    assert np.count_nonzero(runs) >= 2  # I0 of the frames and of the method
 
 
 @pytest.mark.parametrize("name", ["a.ome.tif", "a.h5", "a.npz"])

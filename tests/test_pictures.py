@@ -88,6 +88,18 @@ def test_a_tone_curve_cannot_flicker():
         render.ToneCurve.of([np.zeros((2, 2))])
 
 
+def test_a_tone_curve_whitens_what_is_too_bright_and_leaves_what_is_too_dark():
+    value = np.array([[0.01, 0.01, 20.0, 20.0, 60.0]])
+    valid = np.array([[True, False, True, False, True]])
+    curve = render.ToneCurve(60.0, saturated=18.0)
+    dark, same, measured, white, top = curve.seen(value, valid)[0, :, 0].tolist()
+    assert (dark, same, white, top) == (0, 0, 255, 255)
+    assert measured == 85
+    assert render.ToneCurve(60.0).seen(value, valid)[0, 3, 0] == 85
+    with pytest.raises(ValueError, match="saturated must be positive"):
+        render.ToneCurve(60.0, saturated=0.0)
+
+
 def test_events_whiten_and_blacken_their_own_pixels():
     events = np.zeros(6, EVENT_DTYPE)
     events["x"], events["y"] = [3, 3, 5, 9, 9, 40], [2, 2, 4, 1, 1, 2]

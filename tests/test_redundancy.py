@@ -158,6 +158,20 @@ def test_light_that_saturates_every_frame_is_measured_by_its_events():
     assert np.degrees(np.mean(errors)) < 3
 
 
+@pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])
+def test_light_that_is_too_bright_and_still_is_shown_by_its_bound(mode):
+    recording, _ = Camera.preset("nominal", seed=3, size=(6, 8)).record(
+        FlatLight(s0=2000.0), 0.7)
+    frame = next(f for packet in recording.packets() for f in packet.frames)
+    image = next(fuse(recording, times_us=[500_000], method="kalman", mode=mode))
+    usable = frame.valid
+    assert usable is not None
+    assert not usable.any()
+    assert not image.valid.any()
+    np.testing.assert_allclose(image.quad, frame.dn.mean() / frame.exposure_ms,
+                               rtol=0.05)
+
+
 def test_a_macropixel_that_is_partly_saturated_keeps_the_scale_of_its_frames():
     recording, truth = Camera.preset(
         "nominal", seed=4, size=(4, 4)).record(RotatingPlate(rpm=203), 1.2)

@@ -12,7 +12,7 @@ from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv._feed import first_time
 from pdavis_cv.tools._common import UsageError
 
-__all__ = ["facts_of", "grid_times", "held_at", "of_frames", "tone_of"]
+__all__ = ["facts_of", "full_scale", "grid_times", "held_at", "of_frames", "tone_of"]
 
 
 def grid_times(
@@ -66,11 +66,27 @@ def tone_of(
     chosen = times[np.linspace(len(times) // 4, len(times) - 1, count).astype(int)]
     images = list(fuse(recording, **{**options, "times_us": np.unique(chosen)}))
     usable = [image for image in images if image.valid.any()]
-    if not usable:
+    top = full_scale(recording)
+    if usable:
+        return render.ToneCurve.of(
+            [export.plane(image, quantity) for image in usable],
+            [image.valid for image in usable], saturated=top and top / 2)
+    if top is None or not any((export.plane(image, quantity) >= top / 2).any()
+                              for image in images):
         raise UsageError("no image has a valid pixel: is there a frame before its end?")
-    return render.ToneCurve.of(
-        [export.plane(image, quantity) for image in usable],
-        [image.valid for image in usable])
+    return render.ToneCurve(top, saturated=top / 2)
+
+
+def full_scale(recording: Recording) -> float | None:
+    """Return the intensity at which the converter ends, None without frames.
+
+    A pixel that is not valid is too bright rather than too dark if its sample is more
+    than half of that.
+    """
+    if recording.info.frame_count == 0:
+        return None
+    frame = next((f for packet in recording.packets() for f in packet.frames), None)
+    return None if frame is None else frame.full_scale_dn / (frame.exposure_ms or 1.0)
 
 
 def facts_of(

@@ -30,6 +30,7 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
+from pdavis_cv.tools._images import full_scale
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
 
@@ -163,7 +164,9 @@ class Sheet:
         self.origin_us = start_of(recording)
         self.source = recording.path.name if recording.path else recording.info.format
         self.provenance, self.path = first.provenance, recording.path
-        self.white = float(args.white or _white(first, recording))
+        top = full_scale(recording)
+        self.white = float(args.white or _white(first, top))
+        self.saturated = math.inf if top is None else top / 2
         # small images are shown large enough to see and to carry a caption
         self.scale = 1 if args.bare else max(1, -(-240 // first.shape[1]))
 
@@ -192,7 +195,8 @@ class Sheet:
         # may still be seen.
         if name in ("s1", "s2"):  # mid-grey is 0
             return render.grey_bgr(plane + self.white, 2 * self.white)
-        return render.grey_bgr(plane, self.white)
+        return render.saturated_white(
+            render.grey_bgr(plane, self.white), plane, frame.valid, self.saturated)
 
     def _panel(self, frame: PolarFrame, name: str) -> Picture:
         legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"
@@ -207,21 +211,14 @@ class Sheet:
             legend=legend, start=start, end=end, scale=self.scale)
 
 
-def _white(frame: PolarFrame, recording: Recording) -> float:
+def _white(frame: PolarFrame, top: float | None) -> float:
     """Return a round intensity somewhat above all but the brightest pixels."""
     usable = frame.s0[frame.valid & np.isfinite(frame.s0)]
     bright = float(np.percentile(usable, 99)) * 1.1 if usable.size else 0.0
     if not bright > 0:
-        top = _full_scale(recording)
         return 1.0 if top is None else top
     digit = 10.0 ** (math.floor(math.log10(bright)) - 1)
     return math.ceil(bright / digit) * digit
-
-
-def _full_scale(recording: Recording) -> float | None:
-    """Return the intensity at which the converter ends, None without frames."""
-    frame = next((f for packet in recording.packets() for f in packet.frames), None)
-    return None if frame is None else frame.full_scale_dn / (frame.exposure_ms or 1.0)
 
 
 def _playing_rate(
@@ -326,7 +323,7 @@ def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
              "quality": (0.0, 1.0)}
     if name in fixed:
         return fixed[name]
-    top = _full_scale(recording)
+    top = full_scale(recording)
     if top is None:
         raise UsageError(f"--range is needed: no frame says how large {name} can be")
     return {"s0": (0.0, 2 * top), "s1": (-top, top), "s2": (-top, top)}.get(

@@ -27,7 +27,14 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
-from pdavis_cv.tools._images import facts_of, grid_times, held_at, of_frames, tone_of
+from pdavis_cv.tools._images import (
+    facts_of,
+    full_scale,
+    grid_times,
+    held_at,
+    of_frames,
+    tone_of,
+)
 
 __all__ = ["main", "make_fan"]
 
@@ -138,8 +145,8 @@ def make_fan(
                 times.tolist(), strict=True)
     with export.VideoFile(args.out, args.fps / args.slow, facts) as video:
         for held, fused, t in progress(pairs, len(times), "images"):
-            rows = [("frames", held, tones[0].bgr),
-                    (str(fused.provenance["method"]), fused, tones[1].bgr),
+            rows = [("frames", held, tones[0].seen),
+                    (str(fused.provenance["method"]), fused, tones[1].seen),
                     *(next(beside) if beside is not None else ())]
             picture = render.fan_sheet(
                 rows, scale=args.scale, least_dolp=args.mask_dolp,
@@ -176,10 +183,12 @@ def _beside(
     first = next(fuse(second, method="frames", hold="mid"), None)
     if first is None or first.t_us is None:
         raise UsageError(f"{args.beside}: no image with a time")
-    tone = render.ToneCurve.of([first.quad[0]], [first.valid])
+    top = full_scale(second)
+    tone = render.ToneCurve.of(
+        [first.quad[0]], [first.valid], saturated=top and top / 2)
     shifted = times - times[0] + first.t_us + round(args.beside_offset * 1e6)
     frames = fuse(second, method="frames", hold="mid")
-    return ([("second camera", frame, tone.bgr)]
+    return ([("second camera", frame, tone.seen)]
             for frame in held_at(frames, iter(shifted.tolist())))
 
 

@@ -521,7 +521,7 @@ class _Sheet:
         title = (f"{self._source}   t = {now:.3f} s   load {found.load_hz:.3g} Hz   "
                  f"{self.args.slow:g} x slower   {self._fps:g} images/s")
         return render.tendon_sheet(
-            frame, events, image, below, grey=self.tone.bgr, top=self.top,
+            frame, events, image, below, grey=self.tone.seen, top=self.top,
             scale=self.args.scale, title=title, marks=self._mark(left, top, scale))
 
     def _mark(self, left: int, top: int, scale: int) -> Any:

@@ -86,8 +86,9 @@ class KalmanFilter(Reconstructor):
     sample on while the variance, but for that of the lag, is at most 0.25.  One that
     has not had any, as in light that saturates every frame, takes its offset from the
     other three of its macropixel, by what `EventRedundancy` does; the scale of four
-    such pixels is not known.  Results do not depend on how the
-    stream is cut into packets.
+    such pixels is not known.  Where the events do not tell enough either, it shows the
+    last sample, a bound, and is not valid.  Results do not depend on how the stream is
+    cut into packets.
 
     Offline, a smoother with a fixed lag takes the place of one over the whole
     recording: a frame says nothing of the time a few frames away, since leak and noise

@@ -89,17 +89,23 @@ class Saturated:
     ) -> None:
         """Complete an estimate where its variance is negative: nothing is known.
 
+        There it becomes the last frame's sample, which is a bound (a lower one where
+        the pixel saturates), and where the events tell enough, what they tell.
+
         Parameters
         ----------
         t_us : int
             Time of the estimate.
         log, variance : ndarray of float32, shape (H, W)
-            Log intensity and its variance; changed where the events tell enough.
+            Log intensity and its variance.
         valid : ndarray of bool, shape (H, W)
             Set where the variance is then at most `VALID_VARIANCE`.
         """
         unknown = variance < 0
-        if self._method is None or not unknown.any():
+        if not unknown.any():
+            return
+        log[unknown] = self._bound[unknown]
+        if self._method is None:
             return
         shown, rest, enough = self._method.read(t_us)
         assert rest is not None

@@ -12,6 +12,7 @@ from pdavis_cv.render.colours import (
     even,
     grey_bgr,
     panel,
+    saturated_white,
     stack,
     tile,
 )
@@ -49,6 +50,7 @@ __all__ = [
     "panel",
     "quad_picture",
     "reliable",
+    "saturated_white",
     "scale_bar",
     "stack",
     "tendon_sheet",

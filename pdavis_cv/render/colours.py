@@ -28,6 +28,7 @@ __all__ = [
     "grey_bgr",
     "opencv",
     "panel",
+    "saturated_white",
     "stack",
     "tile",
 ]
@@ -132,6 +133,36 @@ def grey_bgr(
         raise ValueError(f"white must be positive, got {white}")
     return through_table(
         _kernels.ramp_bgr, intensity, valid, 255 / white, _GREY_TABLE)
+
+
+def saturated_white(
+    picture: Picture, intensity: ArrayLike, valid: NDArray[np.bool_], least: float
+) -> Picture:
+    """Whiten the pixels that are too bright to be measured.
+
+    Their intensity is a lower bound, and may look darker than a light beside them
+    that was measured.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        Picture of the intensity; changed.
+    intensity : array_like of float, shape (H, W)
+        S0 or a channel.
+    valid : ndarray of bool, shape (H, W)
+        True = usable.
+    least : float
+        Of the pixels that are not valid, those from here on saturate; the others are
+        too dark.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        ``picture``.
+    """
+    if not valid.all():
+        picture[~valid & (np.asarray(intensity) >= least)] = 255
+    return picture
 
 
 def aop_legend(

@@ -127,7 +127,7 @@ def fan_sheet(
             panel(_to_height(picture, height, scale), f"{name}: {what}",
                   legend=legend if last else None)
             for picture, what, legend in (
-                (grey(frame.quad[0], None), "I0", None),
+                (grey(frame.quad[0], frame.valid), "I0", None),
                 (colour if marks is None or i else marks(colour), "AoP", "aop"),
                 (dolp_bgr(frame.dolp, frame.valid), "DoLP", "dolp"))],
             columns=3, title="" if i else title))

@@ -11,7 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.render.colours import INVALID, Picture, through_table
+from pdavis_cv.render.colours import (
+    INVALID,
+    Picture,
+    saturated_white,
+    through_table,
+)
 
 __all__ = ["LOG_RANGE", "ToneCurve"]
 
@@ -44,6 +49,8 @@ class ToneCurve:
         Above 0; more brightens what is between black and white.
     log : bool
         Excludes a `knee`.
+    saturated : float, optional
+        Intensity from which pixels that are not valid are too bright to measure.
 
     Raises
     ------
@@ -55,9 +62,10 @@ class ToneCurve:
     knee: float | None = None
     gamma: float = 1.0
     log: bool = False
+    saturated: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("white", "knee", "gamma"):
+        for name in ("white", "knee", "gamma", "saturated"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be positive, got {value!r}")
@@ -66,7 +74,8 @@ class ToneCurve:
 
     @classmethod
     def of(
-        cls, images: Iterable[ArrayLike], valid: Iterable[NDArray[np.bool_]] = ()
+        cls, images: Iterable[ArrayLike], valid: Iterable[NDArray[np.bool_]] = (), *,
+        saturated: float | None = None,
     ) -> Self:
         """Fit a curve with a knee to some images, once, before a video is made.
 
@@ -76,6 +85,8 @@ class ToneCurve:
             Intensities, e.g. of ten images spread over the recording.
         valid : iterable of ndarray of bool, shape (H, W)
             True = usable, one per image; default: all.
+        saturated : float, optional
+            As for the class.
 
         Returns
         -------
@@ -97,7 +108,7 @@ class ToneCurve:
         if not pixels.size:
             raise ValueError("images must hold a positive pixel, got none")
         low, high = np.quantile(pixels, (0.2, 0.995))
-        return cls(1.1 * float(high), float(low))
+        return cls(1.1 * float(high), float(low), saturated=saturated)
 
     @functools.cached_property
     def _table(self) -> Picture:
@@ -148,3 +159,24 @@ class ToneCurve:
         return through_table(
             _kernels.tone_bgr, intensity, valid, (_STEPS - 1) ** 2 / self.white,
             self._table, invalid)
+
+    def seen(self, intensity: ArrayLike, valid: NDArray[np.bool_]) -> Picture:
+        """Return a grey picture that shows what is not valid too.
+
+        Parameters
+        ----------
+        intensity : array_like of float, shape (H, W)
+            In the unit of ``white``.
+        valid : ndarray of bool, shape (H, W)
+            True = usable.
+
+        Returns
+        -------
+        ndarray of uint8, shape (H, W, 3)
+            BGR; pixels that are not valid are white from ``saturated`` on, and have
+            the grey of their value below.
+        """
+        picture = self.bgr(intensity)
+        if self.saturated is None:
+            return picture
+        return saturated_white(picture, intensity, valid, self.saturated)
