@@ -34,6 +34,7 @@ from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.insitu import learned
 from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.calibration.past import Past
 from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.mosaic import demosaic_valid
@@ -110,7 +111,10 @@ def fuse(
         (x, y, width, height) in sensor pixels; gives the crop of the full result.
     causal : bool
         Use only what had arrived at t: a frame changes the state when its readout
-        ends.  Otherwise it acts from its mid-exposure on.
+        ends.  Otherwise it acts from its mid-exposure on.  ``kalman`` learns the
+        bandwidth and the events' noise 0.5, 1, 2, 4 and 8 s after the first frame,
+        each time from what had arrived by then, and goes on as if it had known them
+        from the beginning.
     thresholds : str or (on, off), optional
         "calibration", "bias", "in-situ", "nominal", or contrast thresholds in
         natural-log units, scalars or (H, W); default: the first available of
@@ -188,7 +192,8 @@ class Fusion:
     shape : (int, int)
         (height, width) of the images.
     provenance : mapping of str to object
-        What produced the images; the same in every PolarFrame.
+        What produces the images, also in every PolarFrame; with ``causal`` the
+        parameters are those learned so far.
     """
 
     def __init__(
@@ -236,6 +241,12 @@ class Fusion:
             method_parameters.setdefault("mode", "causal")
         elif causal and method_parameters.get("offsets") == "redundancy":
             method_parameters.setdefault("lookahead_us", 0)
+        self._past: Past | None = None
+        if self.method == "kalman" and (
+                causal or method_parameters.get("mode") == "causal"):
+            self._past = Past(
+                recording, (on, off), self._calibration, method_parameters)
+            method_parameters = self._past.parameters_at(_BEFORE)
         self._denoise = denoising(denoise)
         everything = (slice(0, info.sensor_size[0]), slice(0, info.sensor_size[1]))
         whole = make_reconstructor(
@@ -264,13 +275,14 @@ class Fusion:
 
         self._fps, self._times = checked_grid(fps, times_us, start_us, stop_us)
         self._start_us, self._stop_us = start_us, stop_us
-        self.provenance: Mapping[str, Any] = MappingProxyType({
+        self._facts: dict[str, Any] = {
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
             "parameters": dict(whole.parameters), "causal": self._causal,
             "layout": str(self.layout), "extinction_ratio": self.extinction_ratio,
             "demosaic": demosaic, "roi": (x, y, width, height),
             "calibration": None if calibration is None else calibration.identity,
-            "source": str(recording.path) if recording.path else info.format})
+            "source": str(recording.path) if recording.path else info.format}
+        self.provenance: Mapping[str, Any] = MappingProxyType(self._facts)
         self._index = 0
         self._t: int | None = None
         self._fed_us: int | None = None
@@ -302,6 +314,10 @@ class Fusion:
         t = self._next_time()
         if t is None:
             return False
+        if self._learn(t):
+            # What has been learned holds for the past too: the images go on as if it
+            # had been known from the beginning.
+            self._start_over()
         self._advance_to(t)
         self._index += 1
         self._t = t
@@ -367,7 +383,7 @@ class Fusion:
         ValueError
             If the snapshot is of another method, shape or parameters.
         """
-        self._begin()
+        self._begin(snapshot.t_us)
         self._current.restore(snapshot.state)
         if self._lagged is not None:
             self._lagged.restore(snapshot.state)
@@ -430,7 +446,17 @@ class Fusion:
 
     # ---- feeding -------------------------------------------------------------
 
-    def _begin(self) -> None:
+    def _begin(self, t_us: int | None = None) -> None:
+        """Go back to before everything, with what is known at t_us."""
+        self._learn(_BEFORE if t_us is None else t_us)
+        self._index, self._t = 0, None
+        self._start_over()
+        self._grid_start = self._start_us
+        if self._fps is None and self._times is None and not self._feed.has_frames:
+            self._fps = Fraction(100)
+
+    def _start_over(self) -> None:
+        """Forget what was fed; the number and time of the last image stay."""
         self._current = self._make()
         # With causal, a second state stays behind at the last frame's mid-exposure:
         # when a frame arrives, it is advanced, and what followed is replayed.
@@ -438,11 +464,22 @@ class Fusion:
             self._make() if self._causal and self.method not in EVENT_METHODS else None)
         self._backlog: deque[NDArray[Any]] = deque()
         self._frames: deque[tuple[int, int]] = deque()
-        self._index, self._t, self._fed_us = 0, None, None
+        self._fed_us = None
         self._feed = Feed(self.recording, by_arrival=self._causal)
-        self._grid_start = self._start_us
-        if self._fps is None and self._times is None and not self._feed.has_frames:
-            self._fps = Fraction(100)
+
+    def _learn(self, t_us: int) -> bool:
+        """Take over what the past of t_us tells; False if nothing is new."""
+        if self._past is None:
+            return False
+        parameters = self._past.parameters_at(t_us)
+        if parameters is self._method_parameters:
+            return False
+        self._method_parameters = parameters
+        told = {key: parameters[key] for key in ("bandwidth", "noise")
+                if key in parameters}
+        self.provenance = MappingProxyType({
+            **self._facts, "parameters": {**self._facts["parameters"], **told}})
+        return True
 
     def _make(self) -> Reconstructor:
         rows, columns = self._window

@@ -6,6 +6,7 @@ while the light changes tell how late the events are.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,7 @@ from pdavis_cv.reconstruct.kalman import NOISE, KalmanFilter
 from pdavis_cv.recording.base import ApsFrame, Recording
 
 __all__ = ["Bandwidth", "ThresholdEstimate", "bandwidth_in_situ", "learned",
-           "thresholds_in_situ"]
+           "receptors", "thresholds_in_situ"]
 
 SIGMA = 0.035
 """Standard deviation of a threshold about its nominal value, natural-log units."""
@@ -30,8 +31,8 @@ LEARNED_SIGMA = 0.003
 """What the filter is told of thresholds learned in situ: it goes on learning."""
 
 TYPICAL_BANDWIDTH = (300.0, 0.0, 0.5)
-"""Of a photoreceptor, Hz, where nothing may be looked at before its time; the relative
-error counts in the variance."""
+"""Of a photoreceptor, Hz, until a recording has told more; the relative error counts
+in the variance."""
 
 # As `KalmanFilter`'s, but what de-blurring leaves is not independent from frame to
 # frame: it counts for more where many frames are added up.
@@ -221,7 +222,8 @@ def learned(
     """Return thresholds and parameters of a method, learned where that was asked for.
 
     ``fuse`` documents the arguments.  For ``kalman`` the bandwidth and the noise of
-    events too are estimated unless they are given; with `causal` nothing is.
+    events too are estimated unless they are given; with `causal` nothing is, and a
+    bandwidth that is not given is "in-situ", which `Past` replaces.
 
     Returns
     -------
@@ -236,21 +238,17 @@ def learned(
     if method == "kalman":
         parameters = _calibrated(parameters, thresholds, calibration)
     late = causal or parameters.get("mode") == "causal"
-    if method == "kalman" and late:
-        parameters.setdefault("bandwidth", TYPICAL_BANDWIDTH)
     wanted = parameters.get("bandwidth", "in-situ")
     ask = method == "kalman" and isinstance(wanted, str)
+    if ask and wanted != "in-situ":
+        raise ValueError(
+            "bandwidth must be 'in-situ', (hz, hz_per_intensity) or None, got "
+            f"{wanted!r}")
     if ask:
-        if wanted != "in-situ":
-            raise ValueError(
-                "bandwidth must be 'in-situ', (hz, hz_per_intensity) or None, got "
-                f"{wanted!r}")
-        if causal:
-            raise ValueError(
-                "bandwidth='in-situ' looks at the recording before the first image, "
-                "which causal=True forbids")
         parameters.pop("bandwidth", None)
     noise_too = method == "kalman" and not late and "noise" not in parameters
+    if ask and late:
+        parameters["bandwidth"], ask = "in-situ", False
     if recording.info.frame_count == 0 or causal or not (ask or learn or noise_too):
         return on, off, parameters
     found: Bandwidth | None = None
@@ -265,18 +263,51 @@ def learned(
         if method == "kalman":
             parameters.setdefault("threshold_sigma", LEARNED_SIGMA)
     else:
-        items = _window(recording, calibration, None, None)
-        sample = _sample(items, recording.info.sensor_size, (on, off))
-        if sample is not None:
-            found = _bandwidth(sample) if ask else None
-            known = parameters.get("bandwidth") or (0.0, 0.0)
-            noise = _noise(sample, found.law if found else known[:2])
+        found, noise = receptors(
+            recording, (on, off), calibration,
+            None if ask else parameters.get("bandwidth") or (0.0, 0.0))
     if noise_too and noise is not None:
         parameters["noise"] = (NOISE[0], noise, NOISE[2])
     if ask:
         parameters["bandwidth"] = None if found is None else (
             *found.law, max(found.sigma, BANDWIDTH_SIGMA))
     return on, off, parameters
+
+
+def receptors(
+    recording: Recording, nominal: tuple[ArrayLike, ArrayLike],
+    calibration: Calibration | None, bandwidth: Sequence[float] | None,
+    by_us: int | None = None,
+) -> tuple[Bandwidth | None, float | None]:
+    """Return the bandwidth, unless it is given, and the noise of the events.
+
+    Parameters
+    ----------
+    recording, nominal, calibration
+        As for `thresholds_in_situ`.
+    bandwidth : sequence of float, or None
+        (hz, hz_per_intensity, ...), of which only the noise is then estimated.
+    by_us : int, optional
+        Only what had arrived by then is looked at.
+
+    Returns
+    -------
+    bandwidth : Bandwidth or None
+        None if it is given, or cannot be told.
+    noise : float or None
+        As in `ThresholdEstimate`.
+    """
+    items = _window(recording, calibration, None, by_us)
+    if by_us is not None:
+        items = [item for item in items if not isinstance(item, ApsFrame)
+                 or item.available_us <= by_us]
+    sample = _sample(items, recording.info.sensor_size, nominal)
+    if sample is None:
+        return None, None
+    if bandwidth is None:
+        found = _bandwidth(sample)
+        return found, _noise(sample, found.law)
+    return None, _noise(sample, (bandwidth[0], bandwidth[1]))
 
 
 def _calibrated(
