@@ -206,7 +206,8 @@ def test_sixteen_bit_frames_and_unknown_types(data_dir):
     with open_recording(data_dir / "unknown_then_gray16.aedat4") as recording:
         with pytest.warns(pdavis_cv.PdavisWarning, match="frame of OpenCV type"):
             _, frames, _, _ = joined(recording.packets())
-        assert len(frames) == 1
+        _, again, _, _ = joined(recording.packets(frames[0].available_us))
+        assert len(frames) == len(again) == 1
 
 
 # Damage ------------------------------------------------------------------------

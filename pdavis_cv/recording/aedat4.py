@@ -333,7 +333,7 @@ class Aedat4Recording(Recording):
             for entry in stream.entries:
                 try:
                     times = self._times(kind, entry)
-                except PayloadError:
+                except (PayloadError, samples.UnknownFrameError):
                     times = None  # told when it is read
                 if times:
                     entry.start_us, entry.stop_us = times
