@@ -10,14 +10,15 @@ from _kernels._math cimport exp_f, log_f
 from _kernels._tracks cimport track_t
 
 # What a pixel remembers of its counts: weight, means relative to now of all events and
-# of ON events, variance of the first and covariance of both.
+# of ON events, their squares and product about the means.
 cdef enum:
     WEIGHT = 0
     MEAN_ALL = 1
     MEAN_ON = 2
     VAR_ALL = 3
     COV_ON = 4
-    BALANCE = 5
+    VAR_ON = 5
+    BALANCE = 6
 
 # Moments of a macropixel: ten products, the weight, samples since the last solution.
 cdef enum:
@@ -35,11 +36,13 @@ cdef inline void remember(double* m, double n_on, double n_off,
     m[WEIGHT] *= keep
     m[VAR_ALL] *= keep
     m[COV_ON] *= keep
+    m[VAR_ON] *= keep
     w = m[WEIGHT] + n
     all_ = -m[MEAN_ALL]
     on = -m[MEAN_ON]
     m[VAR_ALL] += n * m[WEIGHT] / w * all_ * all_
     m[COV_ON] += n * m[WEIGHT] / w * all_ * on
+    m[VAR_ON] += n * m[WEIGHT] / w * on * on
     m[MEAN_ALL] += all_ * n / w
     m[MEAN_ON] += on * n / w
     m[WEIGHT] = w
@@ -49,22 +52,31 @@ cdef inline void rebalance(const double* m, const double* prior, double sigma,
                            double* s) noexcept nogil:
     """Set thresholds (sum as in prior) so that the sum of events has no trend.
 
-    A line through U of travel up errs by about 3 / U^2; sigma is that of ln(on / off)
-    before.
+    sigma is that of ln(on / off) before.  A pixel that is far from the prior is taken
+    for what it is as soon as its events show it.
     """
     cdef double total = prior[0] + prior[1], travel = 0.25 * total * m[WEIGHT]
-    cdef double before = log_f(<float>(prior[0] / prior[1])), part, error, ratio
-    if m[VAR_ALL] <= 0.0 or travel < 1.0:
+    cdef double before, part, swing, error, ratio, believed
+    if m[VAR_ALL] <= 0.0:
         return
+    # A line through N periods is wrong by up to 3 / (2 N)^2.  1 / (2 N) is the swing
+    # of the sum of events by their number: of all of it, or of what the line leaves
+    # once light of a range of e^4 must have turned round.
     part = m[COV_ON] / m[VAR_ALL]
+    swing = prior[1] / total
+    swing = 4.0 * (m[VAR_ON] / m[VAR_ALL] - 2.0 * swing * part + swing * swing)
+    if swing >= 1.0:
+        return
+    error = 4.0 * (m[VAR_ON] / m[VAR_ALL] - part * part)
+    error = error if error > 4.0 / (travel * travel) else 4.0 / (travel * travel)
+    error = 3.0 * (error if error < swing else swing)
     part = part if part > 0.05 else 0.05
     part = part if part < 0.95 else 0.95
-    error = 3.0 / (travel * travel)
+    before = log_f(<float>(prior[0] / prior[1]))
     ratio = log_f(<float>((1.0 - part) / part)) - before
-    ratio *= sigma * sigma / (sigma * sigma + error * error)
-    ratio = ratio if ratio < 4.0 * sigma else 4.0 * sigma
-    ratio = ratio if ratio > -4.0 * sigma else -4.0 * sigma
-    ratio = exp_f(<float>(before + ratio))
+    believed = ratio * ratio - error * error
+    believed = believed if believed > sigma * sigma else sigma * sigma
+    ratio = exp_f(<float>(before + ratio * believed / (believed + error * error)))
     s[1] = total * ratio / (1.0 + ratio)
     s[2] = total - s[1]
 

@@ -36,15 +36,23 @@ class Macropixel:
         w, every, on = np.array(self.curves[i]).T
         total = self.prior[i].sum()
         travel = total * w.sum() / 4
-        centred = every - np.average(every, weights=w)
-        spread = w @ centred**2
-        if spread <= 1e-9 or travel < 1:
+        every = every - np.average(every, weights=w)
+        on = on - np.average(on, weights=w)
+        spread = w @ every**2
+        if spread <= 1e-9:
             return
-        part = np.clip(w @ (centred * on) / spread, 0.05, 0.95)
+        slope = w @ (every * on) / spread
+        level = 2 * (on - every * self.prior[i, 1] / total)
+        swing = w @ level**2 / spread
+        if swing >= 1:
+            return
+        rest = 4 * (w @ (on - slope * every)**2) / spread
+        error = 3 * min(swing, max(rest, 4 / travel**2))
+        part = np.clip(slope, 0.05, 0.95)
         before = np.log(self.prior[i, 0] / self.prior[i, 1])
         shift = np.log((1 - part) / part) - before
-        shift *= self.sigma**2 / (self.sigma**2 + (3 / travel**2) ** 2)
-        ratio = np.exp(before + np.clip(shift, -4 * self.sigma, 4 * self.sigma))
+        believed = max(shift**2 - error**2, self.sigma**2)
+        ratio = np.exp(before + shift * believed / (believed + error**2))
         self.theta[i] = total * ratio / (1 + ratio), total / (1 + ratio)
 
     def solve(self, pull, least):

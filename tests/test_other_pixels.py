@@ -52,6 +52,13 @@ def test_kalman_is_accurate_on_other_pixels_with_nothing_tuned(pixel, rpm):
     assert got["frames"][0] > 10
 
 
+def test_redundancy_finds_thresholds_that_are_far_from_equal():
+    made = recording(v2e_events, 202.6, dolp=DOLP)   # ON and OFF differ by 21 % rms
+    aop, dolp, _, _ = errors(made, 202.6, step_us=5077, **METHODS["events, redundancy"])
+    assert aop < 4.5
+    assert dolp < 0.08
+
+
 if __name__ == "__main__":
     speeds = (30.39, 60.78, 101.3, 202.6, 506.5, 1013.0)
     for name, pixel in PIXELS.items():

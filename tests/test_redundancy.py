@@ -38,7 +38,7 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
     prior = rng.uniform(0.1, 0.3, (*shape, 2))
     state = np.zeros((*shape, 9))
     state[..., 1:3] = prior
-    balance, moments = np.zeros((*shape, 5)), np.zeros((rows, columns, 12))
+    balance, moments = np.zeros((*shape, 6)), np.zeros((rows, columns, 12))
     quality = np.ones((rows, columns, 2), np.float32)
     tracks = np.zeros(shape, TRACK_DTYPE)
 
@@ -75,7 +75,7 @@ def test_kernels_refuse_arrays_that_do_not_fit():
     shape = (4, 4)
     images = [np.zeros(shape, np.float32), np.zeros(shape, np.float32),
               np.zeros((*shape, 2)), TUNING, np.zeros(shape, TRACK_DTYPE),
-              np.zeros((*shape, 9)), np.zeros((*shape, 5)), np.zeros((2, 2, 12))]
+              np.zeros((*shape, 9)), np.zeros((*shape, 6)), np.zeros((2, 2, 12))]
     _kernels.redundancy_sample(*images)
     for i, image in enumerate(images):
         wrong = [*images]

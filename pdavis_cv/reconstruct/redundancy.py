@@ -103,7 +103,7 @@ class EventRedundancy(Reconstructor):
         self._state9[..., 3] = -1
         self._reference = np.zeros(self.shape, np.int64)
         cells = (self.shape[0] // 2, self.shape[1] // 2)
-        self._balance = np.zeros((*self.shape, 5))
+        self._balance = np.zeros((*self.shape, 6))
         self._moments = np.zeros((*cells, 12))
         self._quality = np.ones((*cells, 2), np.float32)
         self._tracks = Tracks(self.shape, self.lookahead_us)

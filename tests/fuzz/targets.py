@@ -98,6 +98,7 @@ def _read(path):
         middle = None if before is None else before // 2
         for _ in recording.packets(middle, before):
             break
+        recording.events(middle, before)
     return count
 
 
