@@ -177,6 +177,20 @@ def test_a_complete_calibration_takes_the_pixels_differences_out(
         scorer.add(image)
     assert scorer.score.aop_error < np.deg2rad(aop_deg)
     assert scorer.score.dolp_error < dolp
+    # With the noise of pixels that differ, 92 to 98 % of the errors were covered.
+    assert 0.55 < scorer.score.aop_coverage < 0.85
+    assert 0.55 < scorer.score.dolp_coverage < 0.85
+
+
+def test_read_and_shot_noise_count_as_often_as_they_are_told_to():
+    frame = ApsFrame(np.full((1, 1), 400.0), 0, 10_000)
+    variances = []
+    for noise in ((0.01, 0.0, 0.0), (0.01, 0.0, 0.0, 0.25)):
+        method = make((1, 1), noise=noise)
+        method.add_frame(frame)
+        variances.append(method.read(100_000).variance[0, 0])
+    of_frame = (2**2 + 400 / 10) / 400**2
+    assert variances[0] - variances[1] == pytest.approx(0.75 * of_frame, rel=1e-4)
 
 
 def test_without_events_variance_grows_at_the_stated_rate():

@@ -18,17 +18,20 @@ from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
 from pdavis_cv.reconstruct.clock import BANDWIDTH_SIGMA
-from pdavis_cv.reconstruct.kalman import NOISE, KalmanFilter
+from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE, KalmanFilter
 from pdavis_cv.recording.base import ApsFrame, Recording
 
 __all__ = ["Bandwidth", "ThresholdEstimate", "bandwidth_in_situ", "learned",
-           "receptors", "thresholds_in_situ"]
+           "noise_of", "receptors", "thresholds_in_situ"]
 
 SIGMA = 0.035
 """Standard deviation of a threshold about its nominal value, natural-log units."""
 
 LEARNED_SIGMA = 0.003
 """What the filter is told of thresholds learned in situ: it goes on learning."""
+
+_KNOWN_SIGMA = 0.0015
+"""The same of a calibration's thresholds that come without an uncertainty."""
 
 TYPICAL_BANDWIDTH = (300.0, 0.0, 0.5)
 """Of a photoreceptor, Hz, until a recording has told more; the relative error counts
@@ -249,6 +252,8 @@ def learned(
     noise_too = method == "kalman" and not late and "noise" not in parameters
     if ask and late:
         parameters["bandwidth"], ask = "in-situ", False
+    if method == "kalman" and not late:
+        parameters.setdefault("noise", noise_of(calibration))
     if recording.info.frame_count == 0 or causal or not (ask or learn or noise_too):
         return on, off, parameters
     found: Bandwidth | None = None
@@ -267,7 +272,7 @@ def learned(
             recording, (on, off), calibration,
             None if ask else parameters.get("bandwidth") or (0.0, 0.0))
     if noise_too and noise is not None:
-        parameters["noise"] = (NOISE[0], noise, NOISE[2])
+        parameters["noise"] = noise_of(calibration, noise)
     if ask:
         parameters["bandwidth"] = None if found is None else (
             *found.law, max(found.sigma, BANDWIDTH_SIGMA))
@@ -310,6 +315,18 @@ def receptors(
     return None, _noise(sample, (bandwidth[0], bandwidth[1]))
 
 
+def noise_of(
+    calibration: Calibration | None, found: float = 0.0
+) -> tuple[float, ...]:
+    """Return the `noise` of `KalmanFilter`, with that of the events as it was found.
+
+    The least that is ever found stands for all that is less.
+    """
+    known_pixels = calibration is not None and calibration.analyser is not None
+    sigma, per_s, *rest = CALIBRATED_NOISE if known_pixels else NOISE
+    return sigma, found if found > _GRID_NOISE[0] else per_s, *rest
+
+
 def _calibrated(
     parameters: dict[str, Any], thresholds: object, calibration: Calibration | None
 ) -> dict[str, Any]:
@@ -322,7 +339,7 @@ def _calibrated(
         known.setdefault("bandwidth", (hz or 0.0, per_dn or 0.0))
     if calibration.theta_on is not None and thresholds in (None, "calibration"):
         on, off = calibration.theta_on_sigma, calibration.theta_off_sigma
-        known.setdefault("threshold_sigma", LEARNED_SIGMA if on is None or off is None
+        known.setdefault("threshold_sigma", _KNOWN_SIGMA if on is None or off is None
                          else float(np.median([on, off])))
     return known
 

@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdavis_cv._feed import first_time
-from pdavis_cv.calibration.insitu import TYPICAL_BANDWIDTH, Bandwidth, receptors
+from pdavis_cv.calibration.insitu import (
+    TYPICAL_BANDWIDTH,
+    Bandwidth,
+    noise_of,
+    receptors,
+)
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.reconstruct.clock import BANDWIDTH_SIGMA, checked_bandwidth
-from pdavis_cv.reconstruct.kalman import NOISE
 from pdavis_cv.recording.base import Recording
 
 __all__ = ["LOOKS_S", "Past"]
@@ -52,6 +56,7 @@ class Past:
         first = dict(parameters)
         self._asked = isinstance(first.get("bandwidth"), str)
         self._noise_too = "noise" not in first
+        first.setdefault("noise", noise_of(calibration))
         if self._asked:
             first["bandwidth"] = TYPICAL_BANDWIDTH
         self._known: list[dict[str, Any]] = [first]
@@ -83,9 +88,8 @@ class Past:
         now = dict(before)
         if found is not None and _is_news(found, known):
             now["bandwidth"] = (*found.law, max(found.sigma, BANDWIDTH_SIGMA))
-        if self._noise_too and noise is not None and (
-                noise != before.get("noise", NOISE)[1]):
-            now["noise"] = (NOISE[0], noise, NOISE[2])
+        if self._noise_too and noise is not None:
+            now["noise"] = noise_of(self._calibration, noise)
         return before if now == before else now
 
 

@@ -28,8 +28,13 @@ NOISE = (0.02, 0.1, 0.0003)
 of the sum of events per second (leak) and per event, in thresholds^2.
 
 Noise events are not in it: one moves the sum by a threshold, which the next frame
-contradicts by many standard deviations, and is taken as a jump.
+contradicts by many standard deviations, and is taken as a jump.  What pixels differ
+in, gains and angles of polarizers above all, is in it.
 """
+
+CALIBRATED_NOISE = (0.009, 0.02, 0.00006, 0.2)
+"""The same where a calibration takes the pixels' differences out: a fifth of the
+variance, and of that of read and shot noise."""
 
 # Of a frame: read noise in DN, and DN per unit of shot noise variance.
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
@@ -67,10 +72,12 @@ class KalmanFilter(Reconstructor):
         Corner frequency of the photoreceptor in Hz, what is added to it per unit of
         intensity (Hz per DN/ms), and the relative error of both, default 0.03, which
         counts in the variance.  Default: no lag.
-    noise : (float, float, float)
+    noise : (float, float, float) or (float, float, float, float)
         What de-blurring leaves in a frame (standard deviation of log intensity), and
         the variance of the sum of events per second and per event, in units of the
-        threshold squared.
+        threshold squared; then what the variance of the frames' read and shot noise
+        is multiplied by, default 1.  `CALIBRATED_NOISE` is for pixels whose responses
+        are known.
     response : array_like of shape (2, 2, 3) or (H, W, 3), optional
         Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
         orthogonal ones on the diagonals.
@@ -106,7 +113,7 @@ class KalmanFilter(Reconstructor):
         mode: str = "buffered", lookahead_us: int | None = None,
         threshold_sigma: ArrayLike = 0.035,
         bandwidth: Sequence[float] | None = None,
-        noise: tuple[float, float, float] = NOISE, response: ArrayLike | None = None,
+        noise: Sequence[float] = NOISE, response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         if mode not in _LOOKAHEADS:
@@ -127,7 +134,7 @@ class KalmanFilter(Reconstructor):
         self._sigma = _checked_sigma(threshold_sigma, self.shape)
         self._bandwidth = checked_bandwidth(bandwidth)
         self._noise = _checked_noise(noise)
-        self._tuning = np.array([*self._noise[1:], *self._bandwidth])
+        self._tuning = np.array([*self._noise[1:3], *self._bandwidth])
         self._prior = np.empty((*self.shape, 2))
         self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
         self._state9 = np.zeros((*self.shape, 9))
@@ -187,7 +194,7 @@ class KalmanFilter(Reconstructor):
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame; it acts when the events that it needs are there."""
         self._clock.check_frame(frame)
-        waiting = _Frame(frame, self._wait_us, self._noise[0])
+        waiting = _Frame(frame, self._wait_us, self._noise)
         self._frames = (*self._frames, waiting)
         self._saturated.add_frame(frame, waiting.sample, waiting.noise > 0)
         longest = int(np.max(np.subtract(frame.exposure_end_us,
@@ -279,12 +286,14 @@ class _Frame:
     __slots__ = ("known_us", "noise", "sample", "times")
 
     def __init__(
-        self, frame: ApsFrame, lookahead_us: int, sigma: float
+        self, frame: ApsFrame, lookahead_us: int,
+        noise: tuple[float, float, float, float],
     ) -> None:
         self.sample, valid = log_samples(frame)
         dn = np.maximum(frame.dn, 1)
-        noise = (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2 + sigma**2
-        self.noise = np.where(valid, noise, 0).astype(np.float32)
+        sigma, _, _, share = noise
+        variance = share * (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2 + sigma**2
+        self.noise = np.where(valid, variance, 0).astype(np.float32)
         width = frame.shape[1]
         self.times = np.empty((3, width), np.int64)
         self.times[0], self.times[2] = frame.exposure_start_us, frame.exposure_end_us
@@ -310,10 +319,11 @@ def _checked_sigma(
     return sigma.copy()
 
 
-def _checked_noise(value: Sequence[float]) -> tuple[float, float, float]:
-    sigma, per_s, per_event = (float(part) for part in value)
-    if not all(np.isfinite(x) and x >= 0 for x in (sigma, per_s, per_event)):
+def _checked_noise(value: Sequence[float]) -> tuple[float, float, float, float]:
+    parts = [float(part) for part in value]
+    if len(parts) not in (3, 4) or not all(np.isfinite(x) and x >= 0 for x in parts):
         raise ValueError(
-            "noise must be three finite numbers that are not negative, got "
+            "noise must be three or four finite numbers that are not negative, got "
             f"{value!r}")
-    return sigma, per_s, per_event
+    sigma, per_s, per_event, share = (*parts, 1.0)[:4]
+    return sigma, per_s, per_event, share
