@@ -30,7 +30,7 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
-from pdavis_cv.tools._images import full_scale
+from pdavis_cv.tools._images import ahead, full_scale
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
 
@@ -168,20 +168,22 @@ class Sheet:
         self.white = float(args.white or _white(first, top))
         self.saturated = math.inf if top is None else top / 2
         # small images are shown large enough to see and to carry a caption
-        self.scale = 1 if args.bare else max(1, -(-240 // first.shape[1]))
+        self._sheet = None if args.bare else render.PanelSheet(
+            [self._panel(name) for name in args.quantities],
+            columns=args.columns or len(args.quantities),
+            scale=max(1, -(-240 // first.shape[1])))
 
     def picture(self, frame: PolarFrame) -> Picture:
-        """Compose the picture of one image."""
+        """Compose the picture of one image; the next one takes its memory."""
         names = self.args.quantities
-        columns = self.args.columns or len(names)
-        if self.args.bare:
+        pictures = [self._colour(frame, name) for name in names]
+        if self._sheet is None:
             return render.tile(
-                [self._colour(frame, name) for name in names], columns=columns, gap=0)
-        panels = [self._panel(frame, name) for name in names]
+                pictures, columns=self.args.columns or len(names), gap=0)
         seconds = (frame.t_us or 0) / 1e6 - self.origin_us / 1e6
         method = frame.provenance["method"]
         line = f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
-        return render.tile(panels, columns=columns, title=line.rstrip())
+        return self._sheet.draw(pictures, line.rstrip())
 
     def _colour(self, frame: PolarFrame, name: str) -> Picture:
         plane = export.plane(frame, name)
@@ -198,7 +200,7 @@ class Sheet:
         return render.saturated_white(
             render.grey_bgr(plane, self.white), plane, frame.valid, self.saturated)
 
-    def _panel(self, frame: PolarFrame, name: str) -> Picture:
+    def _panel(self, name: str) -> render.Panel:
         legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"
         if name == "aop" or name.startswith("dolp"):
             legend, end = name.removesuffix("_debiased"), "1"
@@ -206,9 +208,7 @@ class Sheet:
             end = "52 deg" if name == "sigma_aop" else "1"
         elif name in ("s1", "s2"):
             start = f"-{self.white:.4g}"
-        return render.panel(
-            self._colour(frame, name), _TITLES.get(name, name.upper()),
-            legend=legend, start=start, end=end, scale=self.scale)
+        return render.Panel(_TITLES.get(name, name.upper()), legend, start, end)
 
 
 def _white(frame: PolarFrame, top: float | None) -> float:
@@ -270,8 +270,7 @@ def _write_video(
 ) -> list[str]:
     facts = export.provenance(sheet.provenance, sheet.path)
     with export.VideoFile(args.out, rate, facts) as video:
-        for frame in frames:
-            picture = sheet.picture(frame)
+        for picture in ahead(sheet.picture, frames):
             video.add(picture)
     height, width = picture.shape[:2]
     return [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "

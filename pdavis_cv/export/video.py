@@ -66,6 +66,7 @@ class VideoFile:
         # OpenCV encodes without the GIL: while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: Future[None] | None = None
+        self._held: NDArray[Any] | None = None
 
     @staticmethod
     def _codec(suffix: str) -> str:
@@ -97,8 +98,12 @@ class VideoFile:
                 f"picture must have the first one's shape {self._shape}, got "
                 f"{picture.shape}")
         self._wait()
-        self._waiting = self._encoder.submit(
-            self._write, np.array(even(picture), order="C"))
+        # Fresh memory each time would take longer than the copy.
+        if self._held is None:
+            self._held = np.array(even(picture), order="C")
+        else:
+            np.copyto(self._held, even(picture), casting="no")
+        self._waiting = self._encoder.submit(self._write, self._held)
         self.count += 1
 
     def _write(self, picture: NDArray[Any]) -> None:

@@ -24,11 +24,14 @@ from pdavis_cv.render.layouts import (
     tendon_sheet,
 )
 from pdavis_cv.render.overlay import burn, events_on, faded, reliable, scale_bar
+from pdavis_cv.render.sheet import Panel, PanelSheet
 from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
     "INVALID",
     "Line",
+    "Panel",
+    "PanelSheet",
     "Picture",
     "ToneCurve",
     "aop_bgr",

@@ -146,7 +146,7 @@ def saturated_white(
     Parameters
     ----------
     picture : ndarray of uint8, shape (H, W, 3)
-        Picture of the intensity; changed.
+        Picture of the intensity, C-contiguous; changed.
     intensity : array_like of float, shape (H, W)
         S0 or a channel.
     valid : ndarray of bool, shape (H, W)
@@ -160,8 +160,10 @@ def saturated_white(
     ndarray of uint8, shape (H, W, 3)
         ``picture``.
     """
-    if not valid.all():
-        picture[~valid & (np.asarray(intensity) >= least)] = 255
+    dubious = np.flatnonzero(~valid)
+    if dubious.size:
+        bright = np.asarray(intensity).reshape(-1)[dubious] >= least
+        picture.reshape(-1, 3)[dubious[bright]] = 255
     return picture
 
 
@@ -332,10 +334,15 @@ def even(picture: NDArray[Any]) -> NDArray[Any]:
     ndarray
         The picture itself if both sides are even.
     """
-    pad = [(0, picture.shape[0] % 2), (0, picture.shape[1] % 2)]
-    if pad == [(0, 0), (0, 0)]:
+    height, width, *rest = picture.shape
+    if height % 2 == width % 2 == 0:
         return picture
-    return np.pad(picture, pad + [(0, 0)] * (picture.ndim - 2), mode="edge")
+    # np.pad takes as long as all the rest of a picture.
+    padded = np.empty((height + height % 2, width + width % 2, *rest), picture.dtype)
+    padded[:height, :width] = picture
+    padded[height:, :width] = picture[-1:]
+    padded[:, width:] = padded[:, width - 1:width]
+    return padded
 
 
 def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int:
@@ -416,11 +423,12 @@ def through_table(
     return out.reshape(*plane.shape, 3)
 
 
-_LINE = 20  # height of a line of text
+LINE = 20
+"""Height of a line of text."""
 
 
 def _line(text: str) -> Picture:
-    strip = np.zeros((_LINE, _text_width(text) + 8, 3), np.uint8)
+    strip = np.zeros((LINE, _text_width(text) + 8, 3), np.uint8)
     caption(strip, text, 4, 14)
     return strip
 

@@ -160,14 +160,16 @@ class ToneCurve:
             _kernels.tone_bgr, intensity, valid, (_STEPS - 1) ** 2 / self.white,
             self._table, invalid)
 
-    def seen(self, intensity: ArrayLike, valid: NDArray[np.bool_]) -> Picture:
+    def seen(
+        self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None
+    ) -> Picture:
         """Return a grey picture that shows what is not valid too.
 
         Parameters
         ----------
         intensity : array_like of float, shape (H, W)
             In the unit of ``white``.
-        valid : ndarray of bool, shape (H, W)
+        valid : ndarray of bool, shape (H, W), optional
             True = usable.
 
         Returns
@@ -177,6 +179,6 @@ class ToneCurve:
             the grey of their value below.
         """
         picture = self.bgr(intensity)
-        if self.saturated is None:
+        if self.saturated is None or valid is None:
             return picture
         return saturated_white(picture, intensity, valid, self.saturated)
