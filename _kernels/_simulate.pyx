@@ -1,6 +1,6 @@
 """Event pixels over intervals of light; the mathematics is in _pixel.pxd."""
 from libc.math cimport INFINITY
-from libc.stdint cimport int32_t, uint16_t, uint64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t
 
 from _kernels._double cimport exp64, log64
 from _kernels._pixel cimport (
@@ -10,6 +10,7 @@ from _kernels._pixel cimport (
     begin,
     cell_t,
     config_t,
+    emit,
     end_level,
     interval,
     next_burst,
@@ -23,20 +24,12 @@ from _kernels._types cimport event_t
 
 cdef extern from *:
     """
-    #define NEVER_F 3e38f
-    #define DRIFT 0.03
-    #define MARGIN 4e-6
-    #define ROUNDING 2e-7
     #if defined(__GNUC__)
     #define prefetch(p) __builtin_prefetch(p)
     #else
     #define prefetch(p) ((void)(p))
     #endif
     """
-    const float NEVER_F     # us, beyond any time
-    const double DRIFT      # thresholds that leak may move before a pixel is looked at
-    const double MARGIN     # ln units, for the rounding of levels up to 32
-    const double ROUNDING   # of a time to float, relative
     void prefetch(const void *p) nogil
 
 
@@ -183,17 +176,46 @@ def pixel_events(const double[:, ::1] light not None,
 
 
 cdef extern from "_film.h" nogil:
+    enum:
+        GROUP
+        MORE
+        ON
+        PEACE
     ctypedef struct film_t:
-        float dark, faint, w0, w1, t1
-        int32_t unfiltered
+        float dark, faint, w0, w1, soon
+        int32_t unfiltered, single
+        double t0, h, t1, phi
+    ctypedef struct film_group_t:
+        double *ref
+        double *since
+        double *release
+        double *noise_t
+        double *on
+        double *off
+        double *leak
+        double *level
+        double *last
+        double *v0
+        double *v1
+        double *at
+        int64_t *verdict
+        float *low
+        float *high
+        float *until
+    const double FILM_ROUNDING
     void film_row(const film_t *film, Py_ssize_t n, const float *i0, const float *i45,
                   const float *i90, const float *i135, const float *half,
                   const float *along, const float *across, const float *low,
                   const float *high, const float *until, float *light, float *level,
-                  float *v, float *old_level, float *old_v, int32_t *busy)
+                  float *v, float *old_level, float *old_v, uint8_t *busy)
+    Py_ssize_t film_places(const uint8_t *marks, Py_ssize_t n, int32_t *places)
+    void film_solve(const film_t *film, Py_ssize_t n, film_group_t *group)
+    void film_rest(double ref, double on, double off, double leak, double release,
+                   double noise_t, double t1, float *low, float *high, float *until)
 
 cdef enum:
     ROW = 512               # pixels per call of film_row
+    FRAMES = 16             # intervals per call of video_events
 
 cdef packed struct film_cell_t:
     # What a pixel before a video keeps beside the rows of `watch`.
@@ -206,168 +228,232 @@ cdef packed struct film_cell_t:
     uint64_t counter        # of candidates drawn
 
 
-cdef inline int peaceful(config_t *cfg, cell_t *c, pixel_t_ *p, double v1,
-                         double last) noexcept nogil:
-    """Whether a constant cutoff lets nothing happen until the interval's end.
-
-    The end is between the thresholds, and the level goes one way, or turns by less
-    than the way to either.
-    """
-    cdef double bottom = p.ref - p.off, top = p.ref + p.on, a, b
-    if not bottom < last + c.drift < top:
-        return 0
-    if cfg.unfiltered:
-        return 1
-    a = c.phi * (c.v0 - c.level) + c.drift
-    b = c.phi * (v1 - last) + c.drift
-    if a * b >= 0:
-        return 1
-    a = a if a > 0 else -a
-    b = b if b > 0 else -b
-    a = a if a < b else b
-    top -= a + c.drift
-    return bottom + a < last < top and bottom + a < c.level < top
+cdef struct film_job_t:
+    # What the intervals of a call share; n pixels.
+    Py_ssize_t n, width
+    const float *weights    # (3, n)
+    const uint64_t *keys
+    float *watch            # (5, n)
+    film_cell_t *cells
 
 
-cdef inline void rest(const film_cell_t *cell, double t1, float *low, float *high,
-                      float *until) noexcept nogil:
-    """Write how long, and between which levels, the pixel needs no look from t1 on.
-
-    The margins are wider than the rounding to floats.
-    """
-    cdef double ref = cell.ref - cell.leak * (t1 - cell.since), stop = cell.noise_t
-    if cell.leak * (stop - t1) > DRIFT * cell.on:
-        stop = t1 + DRIFT * cell.on / cell.leak
-    if cell.release > t1 or stop < t1:
-        until[0] = -1
-        return
-    low[0] = <float>(ref - cell.off + MARGIN)
-    high[0] = <float>(ref + cell.on - cell.leak * (stop - t1) - MARGIN)
-    until[0] = <float>(stop * (1 - ROUNDING)) if stop < NEVER else <float>NEVER_F
-
-
-def video_events(const float[:, :, ::1] quad not None,
-                 const float[:, ::1] weights not None,
-                 const float[::1] before not None, float[::1] light not None,
-                 const uint64_t[::1] keys not None,
-                 const double[::1] edges not None,
-                 uint64_t first_edge,
-                 const double[::1] settings not None,
-                 float[:, ::1] watch not None, film_cell_t[::1] cells not None,
-                 Py_ssize_t start, Py_ssize_t stop, event_t[::1] out not None):
-    """Events of one interval that ends with a video frame; else as pixel_events.
-
-    quad (4, H, W): the frame; weights (3, H * W): what each pixel sees of I0 + I45 +
-    I90 + I135, I0 - I90 and I45 - I135.  Log light is linear over the interval, which
-    needs a constant cutoff or none.  before and light (H * W): light at the interval's
-    start, and what receives that at its end.  watch (5, H * W): level, log of light,
-    and the two levels and the time up to which a pixel needs no look.
-    """
-    cdef Py_ssize_t n = keys.shape[0], width = quad.shape[2]
-    cdef Py_ssize_t i, j, k, many, found, saved, edge
-    cdef config_t cfg
-    cdef film_t film
-    cdef cell_t c
+cdef inline void film_more(
+        const film_job_t *job, config_t *cfg, cell_t *c, film_group_t *g, Py_ssize_t k,
+        const double[::1] edges, uint64_t first_edge, film_cell_t *cell, Py_ssize_t i,
+        sink_t *sink) noexcept nogil:
+    """Do an interval of pixel i, k of the group, with anything that can happen."""
     cdef pixel_t_ p
+    cdef double t1 = cfg.t0 + cfg.h, ref, burst_t = NEVER
+    cdef Py_ssize_t edge = 0, saved = sink.n
+    cdef int burst_p = 0, bursts = edges.shape[0] > 0 and cfg.burst_chance > 0
+    cdef int noisy = cell.noise_t < t1 or bursts
+    p.ref = ref = cell.ref - cell.leak * (cfg.t0 - cell.since)
+    p.release = cell.release
+    p.noise_t = cell.noise_t
+    p.on = cell.on
+    p.off = cell.off
+    p.counter = cell.counter
+    p.key = job.keys[i]
+    c.v0 = g.v0[k]
+    c.m0 = g.v1[k] - c.v0
+    c.level = g.level[k]
+    c.drift = cell.leak * cfg.h
+    c.ready = 0
+    if noisy and p.counter == 0:
+        next_noise(&p, cfg)
+    if bursts:
+        burst_t = next_burst(&p, cfg, edges, &edge, first_edge, cfg.t0, &burst_p)
+    if noisy or c.unfiltered:
+        c.i0 = exp64(c.v0)
+        c.i1 = exp64(g.v1[k]) - c.i0
+    interval(&p, cfg, c, cfg.t0, g.last[k], &burst_t, burst_p, sink)
+    if sink.full:
+        sink.n = saved
+        return
+    if p.ref != ref:
+        cell.ref = p.ref - c.drift
+        cell.since = t1
+    cell.release = p.release
+    cell.noise_t = p.noise_t
+    cell.counter = p.counter
+    film_rest(cell.ref - cell.leak * (t1 - cell.since), cell.on, cell.off, cell.leak,
+              cell.release, cell.noise_t, t1, &g.low[k], &g.high[k], &g.until[k])
+
+
+cdef Py_ssize_t film_interval(const film_job_t *job, config_t *cfg, const float *quad,
+                              float *light, const double[::1] edges,
+                              uint64_t first_edge, Py_ssize_t start, Py_ssize_t stop,
+                              sink_t *sink) noexcept nogil:
+    """Do one interval of pixels start..stop; return the first one not done.
+
+    quad (4, n): the frame at its end; light (n) receives what pixels see of it, or is
+    NULL.
+    """
+    cdef Py_ssize_t n = job.n, i, j = start, k, many, found, first, some
+    cdef film_t film
+    cdef film_group_t g
+    cdef cell_t c
     cdef film_cell_t *cell
-    cdef sink_t sink
-    cdef double v1, last, t1, ref, burst_t = NEVER
-    cdef int burst_p = 0, bursts, noisy
+    cdef float *levels = job.watch
+    cdef float *logs = job.watch + n
+    cdef float *low = job.watch + 2 * n
+    cdef float *high = job.watch + 3 * n
+    cdef float *until = job.watch + 4 * n
+    cdef float unseen[ROW]
     cdef float old_level[ROW]
     cdef float old_v[ROW]
-    cdef int32_t busy[ROW]
-    if (quad.shape[0] != 4 or quad.shape[1] * quad.shape[2] != n
-            or weights.shape[0] != 3 or weights.shape[1] != n or light.shape[0] != n
-            or before.shape[0] != n or watch.shape[0] != 5 or watch.shape[1] != n
-            or cells.shape[0] != n or quad.shape[2] > 65536 or quad.shape[1] > 65536
-            or settings.shape[0] != 12 or not 0 <= start <= stop <= n):
-        raise ValueError("video_events: shapes do not fit")
-    if not settings[0] > 0 or settings[4] != 0:
-        raise ValueError("video_events: the interval or the cutoff does not fit")
-    read_config(settings, &cfg)
-    t1 = cfg.t0 + cfg.h
-    bursts = edges.shape[0] > 0 and cfg.burst_chance > 0
+    cdef uint8_t busy[ROW]
+    cdef int32_t places[ROW + 1]
+    cdef int bursts = edges.shape[0] > 0 and cfg.burst_chance > 0
     film.dark = <float>cfg.dark
     film.faint = <float>FAINT
     film.w0 = <float>cfg.w0
     film.w1 = <float>cfg.w1
     film.unfiltered = cfg.unfiltered
+    film.t0 = cfg.t0
+    film.h = cfg.h
+    film.t1 = cfg.t0 + cfg.h
+    film.phi = c.phi = c.cutoff = cfg.cutoff * cfg.h
+    # film_solve divides by phi, and has an exp for up to 700.
+    film.single = not cfg.unfiltered and not cfg.refractory > 0 and 1e-3 < c.phi < 700
     # Every pixel is looked at where frame edges can burst.
-    film.t1 = INFINITY if bursts else <float>(t1 * (1 + ROUNDING))
-    c.i2 = c.i3 = c.b = c.e = c.slope = 0
+    film.soon = INFINITY if bursts else <float>(film.t1 * (1 + FILM_ROUNDING))
+    c.i0 = c.i1 = c.i2 = c.i3 = c.b = c.e = c.slope = 0
     c.unfiltered = cfg.unfiltered
-    c.phi = c.cutoff = cfg.cutoff * cfg.h
     c.series = c.phi < SERIES
+    while j < stop:
+        many = stop - j if stop - j < ROW else ROW
+        for i in range(many, (many + 7) & ~7):
+            busy[i] = 0
+        film_row(&film, many, quad + j, quad + n + j, quad + 2 * n + j,
+                 quad + 3 * n + j, job.weights + j, job.weights + n + j,
+                 job.weights + 2 * n + j, low + j, high + j, until + j,
+                 &unseen[0] if light == NULL else light + j, levels + j, logs + j,
+                 old_level, old_v, busy)
+        found = film_places(busy, many, places)
+        for k in range(found):
+            prefetch(&job.cells[j + places[k]])
+        first = 0
+        while first < found:
+            some = found - first if found - first < GROUP else GROUP
+            for k in range(some):
+                i = places[first + k]
+                cell = &job.cells[j + i]
+                g.ref[k] = cell.ref
+                g.since[k] = cell.since
+                g.release[k] = cell.release
+                # Every pixel that can burst is more than film_solve knows.
+                g.noise_t[k] = -NEVER if bursts else cell.noise_t
+                g.on[k] = cell.on
+                g.off[k] = cell.off
+                g.leak[k] = cell.leak
+                g.level[k] = old_level[i]
+                g.last[k] = levels[j + i]
+                g.v0[k] = old_v[i]
+                g.v1[k] = logs[j + i]
+            film_solve(&film, some, &g)
+            for k in range(some):
+                i = places[first + k]
+                cell = &job.cells[j + i]
+                if g.verdict[k] != PEACE:
+                    sink.x = <uint16_t>(<uint32_t>(j + i) % <uint32_t>job.width)
+                    sink.y = <uint16_t>(<uint32_t>(j + i) // <uint32_t>job.width)
+                    if g.verdict[k] == MORE:
+                        film_more(job, cfg, &c, &g, k, edges, first_edge, cell, j + i,
+                                  sink)
+                    else:
+                        emit(sink, g.at[k], g.verdict[k] == ON)
+                    if sink.full:
+                        first = i
+                        for i in range(first, many):
+                            levels[j + i] = old_level[i]
+                            logs[j + i] = old_v[i]
+                        return j + first
+                    if g.verdict[k] != MORE:
+                        cell.ref = g.ref[k]
+                        cell.since = film.t1
+                i += j
+                low[i] = g.low[k]
+                high[i] = g.high[k]
+                until[i] = g.until[k]
+            first += some
+        j += many
+    return stop
+
+
+def video_events(tuple quads not None, const float[:, ::1] weights not None,
+                 float[:, ::1] light not None, const uint64_t[::1] keys not None,
+                 const double[::1] edges not None, uint64_t first_edge,
+                 const double[:, ::1] settings not None,
+                 float[:, ::1] watch not None, film_cell_t[::1] cells not None,
+                 Py_ssize_t start, Py_ssize_t stop, Py_ssize_t band, Py_ssize_t done,
+                 event_t[::1] out not None):
+    """Events of pixels start..stop in intervals that end with a video's frames.
+
+    quads: a frame (4, H, W) per interval, settings (K, 12) as for pixel_events, K up
+    to 16.  weights (3, H * W): what each pixel sees of I0 + I45 + I90 + I135, I0 - I90
+    and I45 - I135.  Log light is linear over an interval, which needs a constant
+    cutoff or none.  light (K, H * W) receives the light at the intervals' ends;
+    without rows, nobody does.  watch (5, H * W): level, log of light, and the two
+    levels and the time up to which a pixel needs no look.  band pixels go through all
+    intervals before the next, since they fit the cache.
+    Returns (pixel-intervals done, events written): it stops before one whose events
+    do not fit, and goes on after `done`.
+    """
+    cdef Py_ssize_t n = keys.shape[0], frames = len(quads), height, k, at, first, last
+    cdef film_job_t job
+    cdef sink_t sink
+    cdef const float *planes[FRAMES]
+    cdef config_t cfgs[FRAMES]
+    cdef const float[:, :, ::1] quad
+    if (not 0 < frames <= FRAMES or settings.shape[0] != frames
+            or settings.shape[1] != 12 or weights.shape[0] != 3
+            or weights.shape[1] != n or light.shape[0] not in (0, frames)
+            or light.shape[1] != n or watch.shape[0] != 5 or watch.shape[1] != n
+            or cells.shape[0] != n or not 0 <= start <= stop <= n or band < 1
+            or not 0 <= done <= (stop - start) * frames):
+        raise ValueError("video_events: shapes do not fit")
+    if start == stop:
+        return 0, 0
+    for k in range(frames):
+        quad = quads[k]
+        height, job.width = quad.shape[1], quad.shape[2]
+        if (quad.shape[0] != 4 or height * job.width != n or height > 65536
+                or job.width > 65536):
+            raise ValueError("video_events: shapes do not fit")
+        if not settings[k, 0] > 0 or settings[k, 4] != 0:
+            raise ValueError("video_events: the interval or the cutoff does not fit")
+        planes[k] = &quad[0, 0, 0]
+        read_config(settings[k], &cfgs[k])
+    job.n = n
+    job.weights = &weights[0, 0]
+    job.keys = &keys[0]
+    job.watch = &watch[0, 0]
+    job.cells = &cells[0]
     sink.events = &out[0] if out.shape[0] else NULL
     sink.capacity = out.shape[0]
     sink.n = 0
     sink.full = 0
-    j = start
     with nogil:
-        while j < stop:
-            many = stop - j if stop - j < ROW else ROW
-            film_row(&film, many, &quad[0, 0, 0] + j, &quad[1, 0, 0] + j,
-                     &quad[2, 0, 0] + j, &quad[3, 0, 0] + j, &weights[0, j],
-                     &weights[1, j], &weights[2, j], &watch[2, j], &watch[3, j],
-                     &watch[4, j], &light[j], &watch[0, j], &watch[1, j], old_level,
-                     old_v, busy)
-            found = 0
-            for i in range(many):  # the marks become places, in place
-                k = busy[i]
-                busy[found] = <int32_t>i
-                found += k
-            for k in range(found):
-                prefetch(&cells[j + busy[k]])
-            for k in range(found):
-                i = busy[k]
-                cell = &cells[j + i]
-                v1 = watch[1, j + i]
-                last = watch[0, j + i]
-                p.ref = ref = cell.ref - cell.leak * (cfg.t0 - cell.since)
-                p.release = cell.release
-                p.noise_t = cell.noise_t
-                p.on = cell.on
-                p.off = cell.off
-                c.v0 = old_v[i]
-                c.m0 = v1 - c.v0
-                c.level = old_level[i]
-                c.drift = cell.leak * cfg.h
-                if p.noise_t < t1 or p.release > cfg.t0 or bursts or not peaceful(
-                        &cfg, &c, &p, v1, last):
-                    saved = sink.n
-                    noisy = p.noise_t < t1 or bursts
-                    if noisy:
-                        p.counter = cell.counter
-                        p.key = keys[j + i]
-                        if p.counter == 0:
-                            next_noise(&p, &cfg)
-                    if bursts:
-                        edge = 0
-                        burst_t = next_burst(&p, &cfg, edges, &edge, first_edge,
-                                             cfg.t0, &burst_p)
-                    sink.x = <uint16_t>((j + i) % width)
-                    sink.y = <uint16_t>((j + i) // width)
-                    c.i0 = before[j + i]
-                    c.i1 = light[j + i] - c.i0
-                    c.ready = 0
-                    interval(&p, &cfg, &c, cfg.t0, last, &burst_t, burst_p, &sink)
-                    if sink.full:
-                        sink.n = saved
-                        for i in range(i, many):
-                            watch[0, j + i] = old_level[i]
-                            watch[1, j + i] = old_v[i]
-                        break
-                    if p.ref != ref:
-                        cell.ref = p.ref - c.drift
-                        cell.since = t1
-                    cell.release = p.release
-                    if noisy:
-                        cell.noise_t = p.noise_t
-                        cell.counter = p.counter
-                rest(cell, t1, &watch[2, j + i], &watch[3, j + i], &watch[4, j + i])
-            else:
-                j += many
-                continue
-            j += busy[k]
-            break
-    return j, sink.n
+        first = start + done // (band * frames) * band
+        done -= (first - start) * frames
+        while first < stop:
+            last = first + band if first + band < stop else stop
+            k = done // (last - first)
+            at = first + done % (last - first)
+            while k < frames:
+                at = film_interval(
+                    &job, &cfgs[k], planes[k], &light[k, 0] if light.shape[0] else NULL,
+                    edges, first_edge, at, last, &sink)
+                if sink.full:
+                    break
+                at = first
+                k += 1
+            if k < frames:
+                break
+            done = 0
+            first = last
+    # k and at are those of the interval that stopped
+    if first < stop:
+        return (first - start) * frames + k * (last - first) + at - first, sink.n
+    return (stop - start) * frames, sink.n

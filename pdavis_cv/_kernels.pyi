@@ -234,7 +234,8 @@ def voxel_planes(
     height: int, width: int, out: _F32, seen: _U8,
 ) -> int: ...
 def video_events(
-    quad: _F32, weights: _F32, before: _F32, light: _F32, keys: NDArray[np.uint64],
+    quads: tuple[_F32, ...], weights: _F32, light: _F32, keys: NDArray[np.uint64],
     edges: NDArray[np.float64], first_edge: int, settings: NDArray[np.float64],
-    watch: _F32, cells: NDArray[Any], start: int, stop: int, out: NDArray[Any]
+    watch: _F32, cells: NDArray[Any], start: int, stop: int, band: int, done: int,
+    out: NDArray[Any]
 ) -> tuple[int, int]: ...

@@ -195,15 +195,15 @@ def test_the_light_of_a_video_equals_its_twin_bit_for_bit(cutoff_hz):
     weights[0] += 0.5
     pixel = DvsPixel(cutoff_hz=cutoff_hz, dark_dn_ms=0.3)
     pixels = PixelArray(pixel, pixel.maps(0, size, (0, 0)), 0)
-    seen = np.full(n, 7.0, "f4")
-    pixels.settle_film(seen)
+    pixels.settle_film(np.full(n, 7.0, "f4"))
     phi = None if cutoff_hz is None else 2e-3 * np.pi * cutoff_hz
     level, v = pixels._watch[0].copy(), pixels._watch[1].copy()
     for k in range(5):
-        before, seen = seen, np.empty(n, "f4")
-        pixels.advance_film(1000.0 * k, 1000.0, quad[k], weights, before, seen)
+        seen = np.empty((1, n), "f4")
+        pixels.advance_film((1000.0 * k, 1000.0 * k + 1000), quad[k:k + 1], weights,
+                            seen)
         light, level, v = reference.film_step(quad[k], weights, level, v, phi, 0.3)
-        np.testing.assert_array_equal(seen, light)
+        np.testing.assert_array_equal(seen[0], light)
         np.testing.assert_array_equal(pixels._watch[1], v)
         np.testing.assert_array_equal(pixels._watch[0], level)
 
@@ -221,20 +221,84 @@ def test_pixels_that_are_left_in_peace_would_have_made_no_event(dvs):
     found = []
     for look in (False, True):
         pixels = PixelArray(pixel, pixel.maps(3, size, (0, 0)), 3)
-        seen, events, left = np.full(n, 7.0, "f4"), [], 0
-        pixels.settle_film(seen)
+        events, left = [], 0
+        pixels.settle_film(np.full(n, 7.0, "f4"))
         for k, frame in enumerate(quad):
             if look:
                 pixels._watch[4] = -1
             left += np.count_nonzero(pixels._watch[4] > 1000 * (k + 1))
-            before, seen = seen, np.empty(n, "f4")
             edges = np.array([1000.0 * k + 200] if k % 5 == 2 else [])
-            events += pixels.advance_film(1000.0 * k, 1000.0, frame, weights, before,
-                                          seen, edges=edges, first_edge=k // 5)
+            events += [part.copy() for part in pixels.advance_film(
+                (1000.0 * k, 1000.0 * k + 1000), [frame], weights, edges=edges,
+                first_edge=k // 5)]
         found.append(np.concatenate(events))
         assert bool(left) != look
     assert len(found[0]) > 500
     np.testing.assert_array_equal(*found)
+
+
+def noisy_film(dvs, quad, run):
+    """Return what run(pixels, weights) makes of a film by a specimen with noise."""
+    size = quad.shape[2:]
+    n = size[0] * size[1]
+    weights = np.tile([[0.5], [0.3], [0.2]], n).astype("f4")
+    pixel = DvsPixel(theta_on=0.1, theta_off=0.12, mismatch=0.05, leak_hz=3.0, **dvs)
+    pixels = PixelArray(pixel, pixel.maps(3, size, (0, 0)), 3)
+    pixels.settle_film(np.full(n, 7.0, "f4"))
+    return np.concatenate([part.copy() for part in run(pixels, weights)])
+
+
+@pytest.mark.parametrize("cutoff_hz", [3.0, 40.0, 300.0, 4000.0])
+def test_crossings_found_many_at_once_are_those_found_one_by_one(cutoff_hz):
+    quad = film(7, 30, (24, 31)).astype("f4")
+    # A burst that has next to no chance still sends every pixel the general way.
+    dvs = {"cutoff_hz": cutoff_hz, "shot_noise_hz": 5.0, "burst_chance": 1e-300}
+    quick, thorough = (
+        noisy_film(dvs, quad, lambda pixels, weights, edges=edges: pixels.advance_film(
+            1000.0 * np.arange(31), quad, weights, edges=edges))
+        for edges in (np.empty(0), np.zeros(1)))
+    assert len(quick) > 500
+    np.testing.assert_array_equal(quick[["x", "y", "p"]], thorough[["x", "y", "p"]])
+    # Found to .001 us, then rounded.
+    assert np.abs(quick["t"] - thorough["t"]).max() <= 1
+    assert np.count_nonzero(quick["t"] != thorough["t"]) < 0.005 * len(quick)
+
+
+def test_intervals_of_a_film_may_come_together_or_one_by_one_and_in_little_room():
+    quad = film(8, 20, (40, 23)).astype("f4")
+    times = 500.0 * np.arange(21)
+    dvs = {"cutoff_hz": 200.0, "shot_noise_hz": 5.0}
+
+    def together(pixels, weights):
+        return pixels.advance_film(times, quad, weights)
+
+    def one_by_one(pixels, weights):
+        for k in range(20):
+            for rows in (slice(0, 16), slice(16, 40)):
+                yield from pixels.advance_film(times[k:k + 2], quad[k:k + 1], weights,
+                                               rows=rows)
+
+    def cramped(pixels, weights):
+        pixels._buffers |= {(0, k): np.empty(7, EVENT_DTYPE) for k in (0, 16)}
+        return pixels.advance_film(times, quad, weights)
+
+    whole, parts, small = (noisy_film(dvs, quad, run)
+                           for run in (together, one_by_one, cramped))
+    assert len(whole) > 1000
+    np.testing.assert_array_equal(small, whole)
+    for events in (whole, parts):
+        events.sort(order=["y", "x", "t", "p"])
+    np.testing.assert_array_equal(parts, whole)
+
+
+def test_threads_leave_the_events_of_a_film_and_their_order():
+    scene = VideoScene(film(9, 21, (52, 18)), fps=1000.0)
+    camera = Camera.preset("nominal", size=(52, 18), origin=(0, 0), seed=1)
+    found = [np.concatenate([piece.events for piece in camera.stream(
+        scene, 0.02, threads=threads).pieces()]) for threads in (1, 2, 3)]
+    assert len(found[0]) > 1000
+    for events in found[1:]:
+        np.testing.assert_array_equal(events, found[0])
 
 
 def test_video_events_refuse_what_does_not_fit():
@@ -242,24 +306,31 @@ def test_video_events_refuse_what_does_not_fit():
     base = pixel_arguments(n)
     pixels = PixelArray(DvsPixel(), DvsPixel().maps(0, size, (0, 0)), 0)
     pixels.settle_film(np.full(n, 30.0, "f4"))
+    quad = np.ones((4, *size), "f4")
     arguments = {
-        "quad": np.ones((4, *size), "f4"), "weights": np.ones((3, n), "f4"),
-        "before": np.full(n, 30.0, "f4"), "light": np.empty(n, "f4"),
-        **{k: base[k] for k in ("keys", "edges", "first_edge", "settings")},
+        "quads": (quad, quad), "weights": np.ones((3, n), "f4"),
+        "light": np.empty((2, n), "f4"),
+        **{k: base[k] for k in ("keys", "edges", "first_edge")},
+        "settings": np.stack(2 * [base["settings"]]),
         "watch": pixels._watch, "cells": pixels._cells, "start": 0, "stop": n,
-        "out": base["out"]}
-    assert _kernels.video_events(*arguments.values())[0] == n
-    for name, value in (("quad", np.ones((3, *size), "f4")), ("stop", 7),
-                        ("light", np.empty(5, "f4")), ("before", np.empty(5, "f4")),
+        "band": 4, "done": 0, "out": base["out"]}
+    assert _kernels.video_events(*arguments.values())[0] == 2 * n
+    assert _kernels.video_events(*(arguments | {"done": 2 * n}).values()) == (2 * n, 0)
+    for name, value in (("quads", (quad, quad[:3])), ("quads", ()), ("stop", 7),
+                        ("quads", (quad, quad[:, :1].copy())), ("quads", 17 * (quad,)),
+                        ("light", np.empty((1, n), "f4")), ("band", 0),
+                        ("light", np.empty((2, 5), "f4")), ("done", 13), ("done", -1),
+                        ("settings", arguments["settings"][:1]),
                         ("weights", np.ones((4, n), "f4")),
                         ("watch", np.zeros((4, n), "f4")),
                         ("cells", pixels._cells[1:])):
         with pytest.raises(ValueError, match="video_events: shapes do not fit"):
             _kernels.video_events(*(arguments | {name: value}).values())
-    settings = base["settings"].copy()
-    settings[4] = 1.0
-    with pytest.raises(ValueError, match="the interval or the cutoff does not fit"):
-        _kernels.video_events(*(arguments | {"settings": settings}).values())
+    for column, value in ((4, 1.0), (0, 0.0)):
+        settings = arguments["settings"].copy()
+        settings[1, column] = value
+        with pytest.raises(ValueError, match="the interval or the cutoff does not fit"):
+            _kernels.video_events(*(arguments | {"settings": settings}).values())
 
 
 def test_eight_threads_with_eight_states_give_the_same_events():

@@ -3,8 +3,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,10 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
 
-__all__ = ["DvsPixel", "PixelArray"]
+__all__ = ["FILM_ROWS", "DvsPixel", "PixelArray"]
+
+FILM_ROWS = 16  # of a video, done before the next: what they keep fits a cache
+_INTERVALS = 16  # of a video that the kernel takes at once
 
 FloatArray = NDArray[np.float64]
 
@@ -174,7 +178,7 @@ class PixelArray:
             2e-6 * np.pi * pixel.cutoff_hz_per_dn_ms, pixel.refractory_us,
             pixel.shot_noise_bright_factor, pixel.bright_dn_ms, pixel.burst_chance,
             pixel.burst_us, pixel.shot_noise_hz / 1e6, pixel.dark_dn_ms])
-        self._local = threading.local()
+        self._buffers: dict[int | tuple[int, int], NDArray[Any]] = {}
 
     def settle(self, light: FloatArray, rows: slice = slice(None)) -> None:
         """Let the pixels of some rows adapt to light, shape (rows, W), DN per ms."""
@@ -251,37 +255,56 @@ class PixelArray:
             self._cells[name] = self._pixels[:, column]
 
     def advance_film(
-        self, start_us: float, step_us: float, quad: NDArray[np.float32],
-        weights: NDArray[np.float32], before: NDArray[np.float32],
-        seen: NDArray[np.float32], *, rows: slice = slice(None),
-        edges: FloatArray | None = None, first_edge: int = 0,
+        self, times_us: Sequence[float], quads: Sequence[NDArray[np.float32]],
+        weights: NDArray[np.float32], light: NDArray[np.float32] | None = None, *,
+        rows: slice = slice(None), edges: FloatArray | None = None,
+        first_edge: int = 0,
     ) -> list[NDArray[Any]]:
-        """Return the events of one interval over which log light is linear.
+        """Return the events of K intervals over which log light is linear.
 
         Parameters
         ----------
-        start_us, step_us : float
-            Start of the interval and its length.
-        quad : ndarray of float32, shape (4, H, W)
-            Four planes of light at its end, DN per ms.
+        times_us : sequence of float
+            The K + 1 ends of the intervals.
+        quads : sequence of ndarray of float32, shape (4, H, W)
+            Four planes of light at the end of each, DN per ms.
         weights : ndarray of float32, shape (3, H * W)
             Response of each pixel to I0 + I45 + I90 + I135, I0 - I90, I45 - I135.
-        before, seen : ndarray of float32, shape (H * W,)
-            Light on each pixel at the interval's start, dark current included, and
-            what receives that at its end.
-        rows, edges, first_edge
+        light : ndarray of float32, shape (K, H * W), optional
+            Receives the light on each pixel there, dark current included.
+        rows : slice
+            Rows of the sensor that this is about; the first is a multiple of 16, or
+            the order of events of equal time depends on it.
+        edges, first_edge
             As for `advance`.
+
+        Returns
+        -------
+        list of ndarray of EVENT_DTYPE
+            Bands of 16 rows one after the other, in each the intervals, in each of
+            these the pixels; time-ordered within each pixel.  The next call for the
+            same rows overwrites them.
         """
         part = self._part(rows)
-        settings = self._at(start_us, step_us)
+        settings = np.stack([self._at(a, b - a) for a, b in pairwise(times_us)])
         edges = np.empty(0) if edges is None else edges
+        light = np.empty((0, len(self._keys)), np.float32) if light is None else light
+        events: list[NDArray[Any]] = []
+        for k in range(0, len(quads), _INTERVALS):
+            some = slice(k, k + _INTERVALS)
+            frames = tuple(quads[some])
 
-        def run(start: int, buffer: NDArray[Any]) -> tuple[int, int]:
-            return video_events(
-                quad, weights, before, seen, self._keys, edges, first_edge, settings,
-                self._watch, self._cells, start, part.stop, buffer)
+            def run(done: int, buffer: NDArray[Any], some: slice = some,
+                    frames: tuple[NDArray[np.float32], ...] = frames,
+                    ) -> tuple[int, int]:
+                return video_events(
+                    frames, weights, light[some], self._keys, edges, first_edge,
+                    settings[some], self._watch, self._cells, part.start, part.stop,
+                    FILM_ROWS * self.size[1], done, buffer)
 
-        return self._collect(run, part.start, part.stop)
+            events += self._collect(run, 0, (part.stop - part.start) * len(frames),
+                                    (part.start, k))
+        return events
 
     def _at(self, start_us: float, step_us: float) -> FloatArray:
         settings = self._settings.copy()
@@ -289,20 +312,26 @@ class PixelArray:
         return settings
 
     def _collect(
-        self, run: Callable[[int, NDArray[Any]], tuple[int, int]], done: int, stop: int
+        self, run: Callable[[int, NDArray[Any]], tuple[int, int]], done: int, stop: int,
+        place: tuple[int, int] | None = None,
     ) -> list[NDArray[Any]]:
-        """Run a kernel until it has done all pixels; make room where it needs some."""
+        """Run a kernel until it has done everything; make room where it needs some.
+
+        With a place, the events are views of a buffer that the next call for the same
+        place overwrites.
+        """
         parts = []
-        buffer = getattr(self._local, "buffer", None)
+        key = threading.get_ident() if place is None else place
+        buffer = self._buffers.get(key)
         if buffer is None:
             buffer = np.empty(65_536, EVENT_DTYPE)
         while done < stop:
             before = done
             done, n = run(done, buffer)
-            parts.append(buffer[:n].copy())
-            if done == before:
+            parts.append(buffer[:n].copy() if place is None else buffer[:n])
+            if done == before or (done < stop and place is not None):
                 buffer = np.empty(2 * len(buffer), EVENT_DTYPE)
-        self._local.buffer = buffer
+        self._buffers[key] = buffer
         return parts
 
     def _part(self, rows: slice) -> slice:
@@ -313,7 +342,8 @@ class PixelArray:
 def in_time_order(parts: list[NDArray[Any]], start_us: int, stop_us: int,
                   ) -> NDArray[Any]:
     """Merge events with start_us <= t <= stop_us; ties stay in pixel order."""
-    events = np.concatenate(parts) if parts else np.empty(0, EVENT_DTYPE)
+    events = parts[0] if len(parts) == 1 else np.concatenate(
+        [np.empty(0, EVENT_DTYPE), *parts])
     out = np.empty_like(events)
     if sort_events(events, start_us, np.empty(stop_us - start_us + 1, np.int32),
                    out) != len(events):

@@ -26,8 +26,6 @@ class Film:
     ----------
     weights : ndarray of float32, shape (3, H * W)
         Response of each pixel to I0 + I45 + I90 + I135, I0 - I90 and I45 - I135.
-    seen : ndarray of float32, shape (H * W,)
-        Light on each pixel at the last node, DN per ms, dark current included.
     """
 
     def __init__(
@@ -41,7 +39,6 @@ class Film:
                       slice(column, column + width))
         self.weights = np.ascontiguousarray(
             analyser.reshape(-1, 3).T * [[0.5], [1.0], [1.0]], np.float32)
-        self.seen: NDArray[np.float32] = np.empty(height * width, np.float32)
 
     def quad(self, t_us: float) -> NDArray[np.float32]:
         """Return the video's four planes at a time, float32 (4, H, W)."""
@@ -55,9 +52,14 @@ class Film:
             quad[k][self._part] * (1 - part) + quad[k + 1][self._part] * part,
             np.float32)
 
-    def light(self, quad: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the light of four planes on each pixel, float32 (H * W,)."""
+    def light(self, quad: NDArray[np.float32], dark: float) -> NDArray[np.float32]:
+        """Return the light of four planes on each pixel, float32 (H * W,).
+
+        The same bits as the event pixels see; ``dark`` is their dark current in DN
+        per ms.
+        """
         i0, i45, i90, i135 = quad.reshape(4, -1)
         half, along, across = self.weights
-        return np.asarray(half * ((i0 + i90) + (i45 + i135))
-                          + (along * (i0 - i90) + across * (i45 - i135)))
+        return np.asarray(np.maximum(
+            np.float32(dark) + half * ((i0 + i90) + (i45 + i135))
+            + (along * (i0 - i90) + across * (i45 - i135)), np.float32(1e-9)))

@@ -22,7 +22,7 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
 from pdavis_cv.simulation.bus import BusState
-from pdavis_cv.simulation.dvs import PixelArray, in_time_order
+from pdavis_cv.simulation.dvs import FILM_ROWS, PixelArray, in_time_order
 from pdavis_cv.simulation.film import Film
 from pdavis_cv.simulation.patterns import VideoScene
 from pdavis_cv.simulation.scenes import FloatArray, Scene
@@ -179,7 +179,7 @@ class SimulatedRecording(Recording):
         height, width = self.camera.size
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
         if film is not None:
-            step = -(-height // self.threads)
+            step = -(-height // (self.threads * FILM_ROWS)) * FILM_ROWS
             rows = [slice(r, min(r + step, height)) for r in range(0, height, step)]
         elif self.threads == 1 and (self.scene.uniform or self.scene.linear):
             rows = [slice(0, height)]
@@ -225,30 +225,32 @@ class SimulatedRecording(Recording):
         weights: dict[tuple[int, tuple[float, float, int]], FloatArray],
         sums: dict[int, FloatArray], pool: ThreadPoolExecutor, bursts: dict[str, Any],
     ) -> list[NDArray[Any]]:
-        """Do for a video what `_simulate` does, a video frame at a time."""
-        events: list[NDArray[Any]] = []
+        """Do for a video what `_simulate` does, all its frames at once."""
         dark = 0.0 if pixels is None else pixels.pixel.dark_dn_ms
-        for block in blocks:
-            at, step, _ = block
-            if at == 0:
-                film.seen = film.light(film.quad(0)) + np.float32(dark)
-                if pixels is not None:
-                    pixels.settle_film(film.seen)
-            before, film.seen = film.seen, np.empty_like(film.seen)
-            quad = film.quad(at + step)
-            if pixels is None:
-                film.seen = film.light(quad)
-            else:
-                found = map if len(rows) == 1 else pool.map
-                for part in found(functools.partial(
-                        _film_band, pixels, film, quad, before, at, step, bursts),
-                        rows):
-                    events += part
-            for (frame, other), weight in weights.items():
-                if other == block and np.any(weight):
-                    size = sums[frame].shape
-                    sums[frame] += weight[0] * (before.reshape(size) - dark)
-                    sums[frame] += weight[1] * (film.seen.reshape(size) - dark)
+        times = [blocks[0][0], *(at + step for at, step, _ in blocks)]
+        quads = [film.quad(t) for t in times[1:]]
+        seen = None
+        if any(np.any(weight) for weight in weights.values()):
+            seen = np.empty((len(quads), film.weights.shape[1]), np.float32)
+        if pixels is None:
+            events = []
+            if seen is not None:
+                seen[:] = [film.light(quad, dark) for quad in quads]
+        else:
+            if times[0] == 0:
+                pixels.settle_film(film.light(film.quad(0), dark))
+            show = functools.partial(_film_band, pixels, film, times, quads, seen,
+                                     bursts)
+            found = map if len(rows) == 1 else pool.map
+            events = [part for parts in found(show, rows) for part in parts]
+        if seen is not None:
+            nodes = [film.light(film.quad(times[0]), dark), *seen]
+            for (frame, block), weight in weights.items():
+                total = sums[frame]
+                for node, factor in zip(
+                        nodes[blocks.index(block):], weight, strict=False):
+                    if np.any(factor):
+                        total += factor * (node.reshape(total.shape) - dark)
         return events
 
     def _blocks(self, start: int) -> list[tuple[float, float, int]]:
@@ -306,12 +308,11 @@ class SimulatedRecording(Recording):
 
 
 def _film_band(
-    pixels: PixelArray, film: Film, quad: NDArray[np.float32],
-    before: NDArray[np.float32], at: float, step: float, bursts: dict[str, Any],
-    rows: slice,
+    pixels: PixelArray, film: Film, times: list[float],
+    quads: list[NDArray[np.float32]], seen: NDArray[np.float32] | None,
+    bursts: dict[str, Any], rows: slice,
 ) -> list[NDArray[Any]]:
-    return pixels.advance_film(
-        at, step, quad, film.weights, before, film.seen, rows=rows, **bursts)
+    return pixels.advance_film(times, quads, film.weights, seen, rows=rows, **bursts)
 
 
 def _integral(
