@@ -19,6 +19,7 @@ from pdavis_cv.simulation import (
     MalusSweep,
     RotatingPlate,
     RotatingPolarizer,
+    noise,
 )
 
 
@@ -241,6 +242,20 @@ def test_hot_pixels_and_bursts_come_as_often_as_set():
     first = events["t"] - edges[near] <= 201
     assert np.mean(first) > 0.999
     assert len(events) == pytest.approx(2 * 8000, abs=2 * 4 * math.sqrt(8000 * 0.9))
+
+
+def test_chips_differ_in_the_mean_of_a_polarizer_by_chance_alone():
+    index = noise.pixel_index((12, 12), (124, 166))
+    drawn = np.stack([
+        noise.normal(seed, "theta_off", index) - noise.normal(seed, "theta_on", index)
+        for seed in range(1, 1001)])
+    # Differences of the means of 36 pixels each, in their standard deviation.
+    means = drawn.reshape(-1, 6, 2, 6, 2).mean((1, 3)).reshape(-1, 4).T
+    for one, other in ((0, 3), (1, 2), (0, 1)):
+        z = (means[one] - means[other]) / np.sqrt(2 * 2 / 36)
+        assert abs(z.mean()) < 0.13
+        assert abs(z.std() - 1) < 0.09
+        assert np.count_nonzero(abs(z) > 3) <= 10  # 2.7 are to be expected
 
 
 def test_thresholds_spread_as_set():
