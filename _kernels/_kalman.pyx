@@ -88,11 +88,13 @@ cdef inline void propagate(double* s, double n_on, double n_off) noexcept nogil:
 
 
 cdef inline double update(double* s, double h_on, double h_off, double noise,
-                          double error, bint learn, double* chi) noexcept nogil:
+                          double error, bint learn, double per_dn, double* pull,
+                          double* chi) noexcept nogil:
     """Kalman update with measured = b + h_on on + h_off off, innovation error.
 
     Without learn, thresholds stay what they are (Schmidt-Kalman update).  Returns the
-    variance that a jump of the base was given.
+    variance that a jump of the base was given.  pull is how far the base lies off per
+    DN of offset of all frames, by per_dn in this one's log.
     """
     cdef double g0 = s[3] + h_on * s[4] + h_off * s[5]
     cdef double g1 = s[4] + h_on * s[6] + h_off * s[7]
@@ -113,6 +115,7 @@ cdef inline double update(double* s, double h_on, double h_off, double noise,
     k1 = g1 / v
     k2 = g2 / v
     s[0] += k0 * error
+    pull[0] += k0 * (per_dn - pull[0])
     s[3] -= k0 * g0
     s[4] -= k0 * g1
     s[5] -= k0 * g2
@@ -134,6 +137,7 @@ cdef inline double limited(double theta, double prior) noexcept nogil:
 
 def kalman_frame(const float[:, ::1] sample not None,
                  const float[:, ::1] noise not None,
+                 const float[:, ::1] per_dn not None,
                  const int64_t[:, ::1] times not None, int64_t known,
                  const event_t[::1] store not None, const int32_t[::1] link not None,
                  const int32_t[:, ::1] first not None,
@@ -141,13 +145,15 @@ def kalman_frame(const float[:, ::1] sample not None,
                  const double[:, :, ::1] prior not None,
                  const double[::1] tuning not None, track_t[:, ::1] tracks not None,
                  int64_t[:, ::1] reference not None, double[:, :, ::1] state not None,
-                 double[::1] chi not None, int32_t[:, :, ::1] totals not None,
+                 double[:, ::1] pull not None, double[::1] chi not None,
+                 int32_t[:, :, ::1] totals not None,
                  node_t[:, ::1] nodes not None):
     """Use a frame: de-blur it by the stored events up to `known`, update state.
 
     first and link chain the events since the exposure began, old holds the stamps of
     the last two before; those below index `committed` are counted in tracks.  sample
-    is ln intensity, noise its variance, 0 or less where there is no usable sample;
+    is ln intensity, noise its variance, 0 or less where there is no usable sample,
+    per_dn what a DN more adds to it; pull what one in all frames adds to the base.
     times holds start, middle and end of exposure by column.  prior is (row, column,
     (on, off)).  tuning: variance per second and per event in units of theta^2, hz, hz
     per unit of intensity, relative error of both.  chi collects e^2/v (16 at most),
@@ -161,7 +167,8 @@ def kalman_frame(const float[:, ::1] sample not None,
     if (sample.shape[0] != h or sample.shape[1] != w or noise.shape[0] != h
             or noise.shape[1] != w or reference.shape[0] != h
             or reference.shape[1] != w or state.shape[0] != h or state.shape[1] != w
-            or prior.shape[0] != h or prior.shape[1] != w or first.shape[0] != h
+            or per_dn.shape[0] != h or per_dn.shape[1] != w or pull.shape[0] != h
+            or pull.shape[1] != w or prior.shape[0] != h or prior.shape[1] != w or first.shape[0] != h
             or first.shape[1] != w or old.shape[0] != h or old.shape[1] != w
             or old.shape[2] != 2
             or times.shape[0] != 3 or times.shape[1] != w):
@@ -178,11 +185,11 @@ def kalman_frame(const float[:, ::1] sample not None,
             for x in range(w):
                 node.noise = 0.0
                 if noise[y, x] > 0:
-                    use_sample(sample[y, x], noise[y, x], times[0, x], times[1, x],
-                               times[2, x], known, &store[0], &link[0], first[y, x],
+                    use_sample(sample[y, x], noise[y, x], per_dn[y, x], times[0, x],
+                               times[1, x], times[2, x], known, &store[0], &link[0], first[y, x],
                                &old[y, x, 0], <int32_t>committed, &prior[y, x, 0],
                                &tuning[0], &tracks[y, x], &reference[y, x],
-                               &state[y, x, 0], &chi[0], &node)
+                               &state[y, x, 0], &pull[y, x], &chi[0], &node)
                 if keep:
                     if node.noise > 0:
                         totals[y, x, 0] += node.n_on
@@ -192,12 +199,12 @@ def kalman_frame(const float[:, ::1] sample not None,
                     nodes[y, x] = node
 
 
-cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
-                     int64_t end, int64_t known, const event_t* store,
+cdef void use_sample(double sample, double noise, double per_dn, int64_t begin,
+                     int64_t mid, int64_t end, int64_t known, const event_t* store,
                      const int32_t* link, int32_t first, const int64_t* old,
                      int32_t committed, const double* prior, const double* tuning,
                      track_t* track, int64_t* reference, double* s,
-                     double* chi, node_t* node) noexcept nogil:
+                     double* pull, double* chi, node_t* node) noexcept nogil:
     cdef walk_t walk
     cdef sum_t total
     cdef int at_on = 0, at_off = 0, all_on, all_off
@@ -258,7 +265,7 @@ cdef void use_sample(double sample, double noise, int64_t begin, int64_t mid,
     node.noise = <float>noise
     # One or two events are as likely noise, which would teach that thresholds are 0.
     added += update(s, h_on, h_off, noise, sample - s[0] - blur, n_on + n_off >= 3,
-                    chi)
+                    per_dn, pull, chi)
     node.drift = <float>added
     s[1] = limited(s[1], prior[0])
     s[2] = limited(s[2], prior[1])

@@ -127,11 +127,11 @@ def count(
 ) -> int: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def kalman_frame(
-    sample: _F32, noise: _F32, times: NDArray[np.int64], known: int,
+    sample: _F32, noise: _F32, per_dn: _F32, times: NDArray[np.int64], known: int,
     store: NDArray[Any], link: NDArray[np.int32], first: NDArray[np.int32],
     old: NDArray[np.int64], committed: int, prior: _F64, tuning: _F64,
-    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, chi: _F64,
-    totals: NDArray[np.int32], nodes: NDArray[Any],
+    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, pull: _F64,
+    chi: _F64, totals: NDArray[np.int32], nodes: NDArray[Any],
 ) -> None: ...
 def kalman_read(
     t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],

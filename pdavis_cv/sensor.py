@@ -145,6 +145,8 @@ class Sensor:
     mismatch : (float, float, float)
         How pixels differ (standard deviations): relative sensitivity, angle of the
         polarizer in degrees, extinction ratio.
+    offset_dn : float
+        The same of what a frame without light shows after double sampling, DN.
     """
 
     name: str
@@ -154,6 +156,7 @@ class Sensor:
     full_scale_dn: int
     pixel_um: float
     mismatch: tuple[float, float, float] = (0.02, 0.7, 3.0)
+    offset_dn: float = 2.0
 
     PDAVIS: ClassVar[Sensor]
     SONY: ClassVar[Sensor]
@@ -162,7 +165,7 @@ class Sensor:
 # Haessig et al., "Sensor design and fabrication" and Fig. 1; IMX250MZR data sheet.
 Sensor.PDAVIS = Sensor("PDAVIS", (260, 346), Layout.PDAVIS, 40.0, 1023, 18.5)
 Sensor.SONY = Sensor("Sony IMX250MZR", (2048, 2448), Layout.SONY, 350.0, 4095, 3.45,
-                     (0.005, 0.2, 20.0))
+                     (0.005, 0.2, 20.0), 0.5)
 
 
 def resolve_layout(

@@ -106,7 +106,7 @@ class Pixel:
         self.x = np.array([0.0, on, off])
         self.P = np.diag([100.0, sigma**2, sigma**2])
         self.prior, self.since, self.reference = np.array([on, off]), 0, None
-        self.nodes, self.past = [], None
+        self.nodes, self.past, self.pull = [], None, 0.0
 
     def part(self, i, t, known):
         """Thresholds crossed since event i - 1 at t, i the next event."""
@@ -145,7 +145,7 @@ class Pixel:
         return u, theta2 * spread[0], lead_variance(
             u, theta2 * spread[1], off * spread[2], np.exp(log), hz, slope, sigma)
 
-    def frame(self, sample, noise, begin, mid, end, known):
+    def frame(self, sample, noise, begin, mid, end, known, per_dn):
         fresh = self.reference is None
         at = self.next(mid)
         learn = not fresh and at - self.since >= 3
@@ -185,6 +185,7 @@ class Pixel:
         if not learn:
             K[1:] = 0
         self.x = self.x + K * error
+        self.pull += K[0] * (per_dn - self.pull)
         self.P = self.P - np.outer(K, PH) - np.outer(PH, K) + v * np.outer(K, K)
         self.x[1:] = np.clip(self.x[1:], 0.3 * self.prior, 3 * self.prior)
         self.since, self.reference = at, mid
@@ -289,7 +290,7 @@ class Pixel:
 
 
 def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0, 0),
-           lookahead_us=50_000, offline=False):
+           lookahead_us=50_000, offline=False, offset_dn=0.0):
     """Log intensity, variance and validity at t_us, from what acts on it."""
     wait_us = min(lookahead_us, 50_000)
     on, off = np.broadcast_to(on, shape), np.broadcast_to(off, shape)
@@ -309,10 +310,11 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
             if known <= t_us + lookahead_us and usable:
                 noise = (4 + dn / 10) / dn**2 + 0.02**2
                 pixel.frame(np.log(dn) - log, noise, frame.exposure_start_us, mid,
-                            max(end, frame.exposure_start_us + 1), known)
+                            max(end, frame.exposure_start_us + 1), known, 1 / dn)
             if known <= t_us + lookahead_us and offline:
                 pixel.fold(known - lookahead_us)
         read = pixel.smooth if offline else pixel.read
         out[0][at], out[1][at], valid[at] = read(
             t_us, t_us + wait_us)
+        out[1][at] += (offset_dn * pixel.pull) ** 2
     return out[0], out[1], valid

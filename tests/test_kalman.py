@@ -51,21 +51,21 @@ def recordings(draw):
 @given(recordings(), st.sampled_from(["buffered", "causal", "offline"]), st.booleans(),
        st.sampled_from(BANDWIDTHS), st.sampled_from([0.0, 0.035]),
        st.sampled_from([0, 7, 30_000, 49_000, 400_000]),
-       st.sampled_from([30_000, 120_000, 500_000]))
+       st.sampled_from([30_000, 120_000, 500_000]), st.sampled_from([0.0, 2.0]))
 def test_it_equals_float64_evaluation_of_the_equations(
-        stream, mode, maps, bandwidth, sigma, later, ahead):
+        stream, mode, maps, bandwidth, sigma, later, ahead, offset):
     events, frames, stop = stream
     on, off = MAPS if maps else (0.2, 0.25)
     offline = {"lookahead_us": ahead} if mode == "offline" else {}
     mine = make(on=on, off=off, mode=mode, threshold_sigma=sigma, bandwidth=bandwidth,
-                **offline)
+                offset_dn=offset, **offline)
     feed(mine, events, frames)
     t = stop + later - mine.lookahead_us
     estimate = mine.read(t)
     log, variance, valid = reference_kalman.kalman(
         events, frames, SHAPE, on, off, t, sigma=sigma,
         bandwidth=bandwidth or (0, 0, 0), lookahead_us=mine.lookahead_us,
-        offline=mode == "offline")
+        offline=mode == "offline", offset_dn=offset)
     # What events say of pixels without a sample is another matter.
     measured = variance > 0
     for got, want, close in (
@@ -193,6 +193,24 @@ def test_read_and_shot_noise_count_as_often_as_they_are_told_to():
     assert variances[0] - variances[1] == pytest.approx(0.75 * of_frame, rel=1e-4)
 
 
+@pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])
+def test_an_offset_of_all_frames_counts_as_much_as_it_moves_the_result(mode):
+    methods = {off: make((1, 2), mode=mode, offset_dn=0.5) for off in (0.0, 0.5)}
+    for off, method in methods.items():
+        for start in range(0, 500_000, 50_000):
+            dn = np.array([[10.0, 400.0]]) + off
+            method.add_frame(ApsFrame(dn, start, start + 10_000))
+    t = 1_100_000 - method.lookahead_us
+    right, wrong = (method.read(t) for method in methods.values())
+    moved = (wrong.log_intensity - right.log_intensity) ** 2
+    plain = make((1, 2), mode=mode)
+    for start in range(0, 500_000, 50_000):
+        plain.add_frame(ApsFrame(np.array([[10.0, 400.0]]), start, start + 10_000))
+    added = right.variance - plain.read(t).variance
+    np.testing.assert_allclose(added[0, 0], moved[0, 0], rtol=0.1)
+    assert added[0, 1] < added[0, 0] / 100
+
+
 def test_without_events_variance_grows_at_the_stated_rate():
     method = make((1, 1), 0.2, 0.2)
     method.add_frame(ApsFrame(np.full((1, 1), 400.0), 0, 10_000))
@@ -232,6 +250,7 @@ def test_events_outside_or_late_are_refused_by_name():
     ({"threshold_sigma": np.ones(3)}, "threshold_sigma must be a scalar or"),
     ({"bandwidth": (-1, 0)}, "bandwidth must hold"),
     ({"on": 0}, "theta_on must be positive"),
+    ({"offset_dn": -1}, "offset_dn must be finite"),
 ])
 def test_impossible_parameters_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

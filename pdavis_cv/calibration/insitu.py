@@ -20,6 +20,7 @@ from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
 from pdavis_cv.reconstruct.clock import BANDWIDTH_SIGMA
 from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE, KalmanFilter
 from pdavis_cv.recording.base import ApsFrame, Recording
+from pdavis_cv.sensor import Sensor
 
 __all__ = ["Bandwidth", "ThresholdEstimate", "bandwidth_in_situ", "learned",
            "noise_of", "receptors", "thresholds_in_situ"]
@@ -240,6 +241,9 @@ def learned(
     parameters = dict(parameters)
     if method == "kalman":
         parameters = _calibrated(parameters, thresholds, calibration)
+        if calibration is None or calibration.dark is None:
+            sensor = recording.info.sensor or Sensor.PDAVIS
+            parameters.setdefault("offset_dn", sensor.offset_dn)
     late = causal or parameters.get("mode") == "causal"
     wanted = parameters.get("bandwidth", "in-situ")
     ask = method == "kalman" and isinstance(wanted, str)

@@ -78,6 +78,9 @@ class KalmanFilter(Reconstructor):
         threshold squared; then what the variance of the frames' read and shot noise
         is multiplied by, default 1.  `CALIBRATED_NOISE` is for pixels whose responses
         are known.
+    offset_dn : float
+        Standard deviation of what a pixel's frames all are off by, DN; it counts in
+        the variance, where light is dim above all.
     response : array_like of shape (2, 2, 3) or (H, W, 3), optional
         Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
         orthogonal ones on the diagonals.
@@ -113,7 +116,8 @@ class KalmanFilter(Reconstructor):
         mode: str = "buffered", lookahead_us: int | None = None,
         threshold_sigma: ArrayLike = 0.035,
         bandwidth: Sequence[float] | None = None,
-        noise: Sequence[float] = NOISE, response: ArrayLike | None = None,
+        noise: Sequence[float] = NOISE, offset_dn: float = 0.0,
+        response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         if mode not in _LOOKAHEADS:
@@ -134,6 +138,11 @@ class KalmanFilter(Reconstructor):
         self._sigma = _checked_sigma(threshold_sigma, self.shape)
         self._bandwidth = checked_bandwidth(bandwidth)
         self._noise = _checked_noise(noise)
+        if not (np.isfinite(offset_dn) and offset_dn >= 0):
+            raise ValueError(
+                f"offset_dn must be finite and not negative, got {offset_dn}")
+        self._offset_dn = float(offset_dn)
+        self._pull = np.zeros(self.shape)
         self._tuning = np.array([*self._noise[1:3], *self._bandwidth])
         self._prior = np.empty((*self.shape, 2))
         self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
@@ -159,7 +168,8 @@ class KalmanFilter(Reconstructor):
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "mode": self._mode, "lookahead_us": self.lookahead_us,
                 "threshold_sigma": self._sigma, "bandwidth": self._bandwidth,
-                "noise": self._noise, "response": self._saturated.response}
+                "noise": self._noise, "offset_dn": self._offset_dn,
+                "response": self._saturated.response}
 
     @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -225,6 +235,9 @@ class KalmanFilter(Reconstructor):
                 t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
                 recent.tracks, self._reference, self._state9, VALID_VARIANCE,
                 log, variance, valid.view(np.uint8))
+        if self._offset_dn:
+            off = (self._offset_dn * self._pull) ** 2
+            variance += np.where(variance >= 0, off, 0).astype(np.float32)
         if before is not None:
             self._restore(before)
         self._saturated.fill(t, log, variance, valid)
@@ -245,10 +258,10 @@ class KalmanFilter(Reconstructor):
                 nodes, totals = smoother.slot(frame.times[1]), smoother.totals
             recent.chain_since(int(frame.times[0].min()))
             _kernels.kalman_frame(
-                frame.sample, frame.noise, frame.times, frame.known_us, recent.store,
-                recent.link, recent.first, recent.old, recent.committed, self._prior,
-                self._tuning, recent.tracks, self._reference, self._state9, self._chi,
-                totals, nodes)
+                frame.sample, frame.noise, frame.per_dn, frame.times, frame.known_us,
+                recent.store, recent.link, recent.first, recent.old, recent.committed,
+                self._prior, self._tuning, recent.tracks, self._reference,
+                self._state9, self._pull, self._chi, totals, nodes)
             if smoother is not None:
                 smoother.pass_until(
                     frame.known_us - self.lookahead_us, self._state9)
@@ -262,7 +275,7 @@ class KalmanFilter(Reconstructor):
         return {"last_us": self._clock.last_us, "frames": self._frames,
                 "tracks": tracks.state() if whole else tracks.mark(),
                 "reference": self._reference.copy(), "state": self._state9.copy(),
-                "chi": self._chi.copy(),
+                "chi": self._chi.copy(), "pull": self._pull.copy(),
                 "saturated": self._saturated.state() if whole else None, "smoother": (
                     None if smoother is None else
                     smoother.state() if whole else smoother.mark())}
@@ -274,6 +287,7 @@ class KalmanFilter(Reconstructor):
         self._reference[:] = state["reference"]
         self._state9[:] = state["state"]
         self._chi[:] = state["chi"]
+        self._pull[:] = state["pull"]
         if state["saturated"] is not None:
             self._saturated.restore(state["saturated"])
         if self._smoother is not None:
@@ -283,7 +297,7 @@ class KalmanFilter(Reconstructor):
 class _Frame:
     """A frame that waits for the events of its exposure; never changed."""
 
-    __slots__ = ("known_us", "noise", "sample", "times")
+    __slots__ = ("known_us", "noise", "per_dn", "sample", "times")
 
     def __init__(
         self, frame: ApsFrame, lookahead_us: int,
@@ -294,6 +308,7 @@ class _Frame:
         sigma, _, _, share = noise
         variance = share * (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2 + sigma**2
         self.noise = np.where(valid, variance, 0).astype(np.float32)
+        self.per_dn = (1 / dn).astype(np.float32)
         width = frame.shape[1]
         self.times = np.empty((3, width), np.int64)
         self.times[0], self.times[2] = frame.exposure_start_us, frame.exposure_end_us
