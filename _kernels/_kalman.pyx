@@ -168,9 +168,9 @@ def kalman_frame(const float[:, ::1] sample not None,
             or noise.shape[1] != w or reference.shape[0] != h
             or reference.shape[1] != w or state.shape[0] != h or state.shape[1] != w
             or per_dn.shape[0] != h or per_dn.shape[1] != w or pull.shape[0] != h
-            or pull.shape[1] != w or prior.shape[0] != h or prior.shape[1] != w or first.shape[0] != h
-            or first.shape[1] != w or old.shape[0] != h or old.shape[1] != w
-            or old.shape[2] != 2
+            or pull.shape[1] != w or prior.shape[0] != h or prior.shape[1] != w
+            or first.shape[0] != h or first.shape[1] != w or old.shape[0] != h
+            or old.shape[1] != w or old.shape[2] != 2
             or times.shape[0] != 3 or times.shape[1] != w):
         raise ValueError("kalman_frame: all images must have one shape")
     if state.shape[2] != 9 or prior.shape[2] != 2 or tuning.shape[0] != 5:
@@ -186,10 +186,11 @@ def kalman_frame(const float[:, ::1] sample not None,
                 node.noise = 0.0
                 if noise[y, x] > 0:
                     use_sample(sample[y, x], noise[y, x], per_dn[y, x], times[0, x],
-                               times[1, x], times[2, x], known, &store[0], &link[0], first[y, x],
-                               &old[y, x, 0], <int32_t>committed, &prior[y, x, 0],
-                               &tuning[0], &tracks[y, x], &reference[y, x],
-                               &state[y, x, 0], &pull[y, x], &chi[0], &node)
+                               times[1, x], times[2, x], known, &store[0], &link[0],
+                               first[y, x], &old[y, x, 0], <int32_t>committed,
+                               &prior[y, x, 0], &tuning[0], &tracks[y, x],
+                               &reference[y, x], &state[y, x, 0], &pull[y, x],
+                               &chi[0], &node)
                 if keep:
                     if node.noise > 0:
                         totals[y, x, 0] += node.n_on
