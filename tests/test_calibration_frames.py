@@ -102,10 +102,17 @@ def test_a_sweep_gives_extinction_ratio_angle_and_gain_of_every_pixel(swept):
 
 
 def test_standard_errors_of_a_sweep_cover_the_truth(swept):
-    fit, angle, *_ = swept
-    error = (fit.angle - angle + np.pi / 2) % np.pi - np.pi / 2
-    covered = np.mean(np.abs(error) < fit.angle_sigma)
-    assert 0.60 < covered < 0.76
+    fit, angle, ratio, gain, *_ = swept
+    response = fit.analyser[..., 0] / (gain * (1 + 1 / ratio))
+    errors = {
+        "angle": (((fit.angle - angle + np.pi / 2) % np.pi - np.pi / 2),
+                  fit.angle_sigma),
+        "extinction ratio": (fit.extinction_ratio - ratio, fit.extinction_ratio_sigma),
+        "gain": (response / np.mean(response) - 1,
+                 fit.sigma[..., 0] / fit.analyser[..., 0])}
+    for name, (error, sigma) in errors.items():
+        covered = np.mean(np.abs(error) < sigma)
+        assert 0.60 < covered < 0.76, name
 
 
 def test_a_sweep_tells_the_lamp_s_polarization_from_the_pixels(swept):

@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from pdavis_cv import Calibration, fuse, recording_from_arrays
-from pdavis_cv.calibration import bandwidth_in_situ, insitu, thresholds_in_situ
+from pdavis_cv.calibration import (
+    Bandwidth,
+    bandwidth_in_situ,
+    insitu,
+    thresholds_in_situ,
+)
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 NOMINAL = (0.16, 0.18)
@@ -29,8 +34,43 @@ def ratio_error(camera, estimate):
 def test_the_ratio_of_the_thresholds_is_found(nominal, estimate):
     error = ratio_error(nominal[0], estimate)
     assert np.sqrt(np.mean(error**2)) < 0.006
-    assert 0.6 < np.mean(np.abs(error) < estimate.ratio_sigma) < 0.98
     assert estimate.sigma.shape == (2, 8, 8)
+
+
+@pytest.mark.parametrize("rpm", [60, 200, 1000])
+def test_one_sigma_covers_two_thirds_of_the_errors_of_thresholds(rpm):
+    """Over chips and start angles: a part of the error is the same in a whole chip."""
+    covered = []
+    for chip in range(11, 17):
+        camera = Camera.preset("nominal", seed=chip, size=(8, 8))
+        scene = RotatingPolarizer(rpm=rpm * 1.013, start_angle=0.5 * chip)
+        found = thresholds_in_situ(
+            camera.record(scene, 2.0)[0], nominal=NOMINAL,
+            bandwidth=Bandwidth(250, 0, 3, 0.03))
+        errors = (ratio_error(camera, found),
+                  found.theta_on - camera.maps["theta_on"],
+                  found.theta_off - camera.maps["theta_off"])
+        covered.append([np.mean(np.abs(error) < sigma) for error, sigma in zip(
+            errors, (found.ratio_sigma, *found.sigma), strict=True)])
+        assert 0.001 < found.common < 0.02
+        assert np.all(np.linalg.eigvalsh(found.covariance) > 0)
+    ratio, on, off = np.mean(covered, 0)
+    assert 0.58 < ratio < 0.80
+    assert 0.58 < on < 0.82
+    assert 0.58 < off < 0.82
+
+
+def test_a_dark_frame_makes_thresholds_better_known(nominal, estimate):
+    camera, recording, _ = nominal
+    known = Calibration(sensor_size=(8, 8), dark=camera.maps["dark_dn"])
+    calibrated = thresholds_in_situ(
+        recording, nominal=NOMINAL, calibration=known, bandwidth=estimate.bandwidth)
+    errors = [np.abs(found.theta_on - camera.maps["theta_on"])
+              for found in (estimate, calibrated)]
+    assert np.mean(errors[1]) < 0.8 * np.mean(errors[0])
+    sigmas = [found.sigma[0] for found in (estimate, calibrated)]
+    assert np.mean(sigmas[1]) < 0.8 * np.mean(sigmas[0])
+    assert 0.5 < np.mean(errors[1] < sigmas[1]) < 0.85
 
 
 def test_the_bandwidth_is_found(estimate):
@@ -46,6 +86,20 @@ def test_a_bandwidth_in_proportion_to_the_light_is_told_apart():
     found = bandwidth_in_situ(recording, nominal=NOMINAL)
     assert found.hz_per_intensity == pytest.approx(0.42 * 20, rel=0.1)
     assert found.hz < 10
+
+
+def test_the_bandwidth_s_uncertainty_is_as_large_as_its_error():
+    relative, sigmas = [], []
+    for chip, rpm in enumerate((60, 100, 200, 300, 500, 800)):
+        camera = Camera.preset("nominal", seed=21 + chip, size=(6, 6))
+        scene = RotatingPolarizer(rpm=rpm * 1.013, start_angle=0.5 * chip)
+        found = bandwidth_in_situ(camera.record(scene, 2.0)[0], nominal=NOMINAL)
+        there = found.hz + found.hz_per_intensity * found.at_intensity
+        relative.append(np.log(there / 250) / found.sigma)
+        sigmas.append(found.sigma)
+    assert 0.6 < np.sqrt(np.mean(np.square(relative))) < 1.6
+    assert max(sigmas) < 0.3
+    assert np.median(sigmas) < 0.1
 
 
 def test_without_change_the_estimate_is_the_nominal_value(nominal):

@@ -177,7 +177,9 @@ def _sweep(
             off = np.rad2deg((fit.angle[part] - np.deg2rad(angle) + np.pi / 2) % np.pi
                              - np.pi / 2)
             page.say(f"{angle} deg{of}",
-                     f"extinction ratio {np.median(fit.extinction_ratio[part]):.2f}, "
+                     f"extinction ratio {np.median(fit.extinction_ratio[part]):.2f} "
+                     f"(error of one {np.median(fit.extinction_ratio_sigma[part]):.2f}"
+                     "), "
                      f"angle {angle + np.median(off):.2f} +- {np.std(off):.2f} deg "
                      f"(error of one {np.rad2deg(np.median(fit.angle_sigma)):.3f})")
         page.say(f"lamp polarization{of}", f"{100 * np.hypot(*fit.source):.2f} %, "
@@ -262,6 +264,8 @@ def _thresholds(
                  f"{np.std(plane):.4f}, error of one {np.median(error):.4f} ln units")
         page.image(f"{name} threshold", plane)
     page.say("ON/OFF ratio", f"error of one {100 * np.median(found.ratio_sigma):.2f} %")
+    page.say("scale in common", f"error of all {100 * found.common:.2f} %, in the "
+             "above")
     page.histogram("ON/OFF ratio", found.theta_on / found.theta_off)
     values: dict[str, Any] = {
         "theta_on": found.theta_on, "theta_off": found.theta_off,

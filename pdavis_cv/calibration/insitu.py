@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
+from pdavis_cv.calibration.certainty import Doubts, offsets_dn, shrunk
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
-from pdavis_cv.reconstruct.clock import BANDWIDTH_SIGMA
 from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE, KalmanFilter
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Sensor
@@ -43,14 +43,19 @@ in the variance."""
 _NOISE = (0.05, 1.3, 0.005)
 # Of images, variance of the sum of events per second: from quiet pixels to noisy ones.
 _GRID_NOISE = (NOISE[1], 0.4, 1.5, 5.0, 15.0)
-_USUAL_MISMATCH = 0.035
 # Bounds on what is held in memory and looked at.
 _MAX_SECONDS, _MAX_EVENTS = 10.0, 5_000_000
+# The photoreceptors are no low-passes of first order: they pass as far from that as
+# from a corner frequency that is off by this factor.
+_MODEL_FACTOR = 1.6
 # For the bandwidth a sample of pixels is enough.
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
 
 # ln of the corner frequency at bright pixels: what a DAVIS has at usual biases.
 _LN_HZ, _LN_HZ_SIGMA = np.log(300.0), 1.5
+# By how much the misfit's curvature overrates what is known of it, and the relative
+# error by what interpolation has wrong: 20 to 50 us of a lag.  Both measured.
+_ALIKE, _TIMING = 2.5, 0.04
 _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 
 _Items = list["ApsFrame | NDArray[Any]"]
@@ -67,7 +72,8 @@ class Bandwidth:
     hz_per_intensity : float
         Per unit of intensity, Hz per DN/ms.
     at_intensity : float
-        A bright pixel's intensity in DN/ms, at which the sum is known best.
+        Intensity in DN/ms at which the sum is known best: a tenth of a bright pixel's,
+        since log intensity changes fastest where the light is dim.
     sigma : float
         Standard deviation of the log of the corner frequency there.
     """
@@ -93,11 +99,17 @@ class ThresholdEstimate:
         Positive magnitudes, natural-log units.
     covariance : ndarray of float64, shape (H, W, 2, 2)
         Of (theta_on, theta_off); their ratio is known far better than their sum.
+        It holds what no frame of the recording shows: leak events, offsets of the
+        frames, and the common scale.
     bandwidth : Bandwidth or None
         What was assumed or found out about the photoreceptors.
     noise : float or None
         Variance of the sum of events per second, in thresholds^2: leak and noise
         events; None where frames or events are too few.
+    common : float
+        Standard deviation of the log of the scale that all pixels share: a part of
+        the covariance, and the same error in each of them, so that no mean over
+        pixels lessens it.
     """
 
     theta_on: NDArray[np.float64]
@@ -105,6 +117,7 @@ class ThresholdEstimate:
     covariance: NDArray[np.float64]
     bandwidth: Bandwidth | None
     noise: float | None = None
+    common: float = 0.0
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -179,9 +192,15 @@ def thresholds_in_situ(
     chi, _, n = method.misfit
     # The noise was assumed; what is left over says how large it is.
     scale = float(np.clip(chi / n, 1e-3, 4.0)) if n else 1.0
-    theta, covariance = _shrunk(theta, covariance, nominal, sigma, scale)
-    return ThresholdEstimate(theta[0], theta[1], covariance, found,
-                             None if sample is None else _noise(sample, law))
+    doubts = None
+    if sample is not None:
+        doubts = sample.doubts(law, calibration is not None
+                               and calibration.dark is not None)
+    theta, covariance = shrunk(theta, covariance, nominal, sigma, scale, doubts)
+    return ThresholdEstimate(
+        theta[0], theta[1], covariance, found,
+        None if sample is None else _noise(sample, law),
+        0.0 if doubts is None else doubts.common)
 
 
 def bandwidth_in_situ(
@@ -279,7 +298,7 @@ def learned(
         parameters["noise"] = noise_of(calibration, noise)
     if ask:
         parameters["bandwidth"] = None if found is None else (
-            *found.law, max(found.sigma, BANDWIDTH_SIGMA))
+            *found.law, found.sigma)
     return on, off, parameters
 
 
@@ -388,8 +407,9 @@ class _Sample:
     """Some busy pixels, in one row, and how badly a filter fits them."""
 
     def __init__(self, pixels: NDArray[np.intp], items: _Items, shape: tuple[int, int],
-                 nominal: tuple[ArrayLike, ArrayLike]) -> None:
+                 nominal: tuple[ArrayLike, ArrayLike], seen: _Seen) -> None:
         self.items, self.shape = items, (1, len(pixels))
+        self._pixels, self._seen = pixels, seen
         self.on, self.off = (
             np.broadcast_to(np.asarray(value, np.float64), shape).ravel()[pixels][None]
             for value in nominal)
@@ -406,6 +426,47 @@ class _Sample:
         chi, log, n = _run(
             self.items, self.shape, self.on, self.off, SIGMA, law, noise).misfit
         return 0.5 * float(chi + log), float(chi / max(n, 1))
+
+    def doubts(self, law: tuple[float, float], dark: bool) -> Doubts:
+        """Return what does not show in the misfit, for all pixels of the sensor."""
+        seen, as_it_is = self._seen, self._scale(self.items, law)
+        brighter = self._scale(
+            [_brighter(item) if isinstance(item, ApsFrame) else item
+             for item in self.items], law)
+        model = 0.0
+        if law != (0.0, 0.0):
+            off = (law[0] * _MODEL_FACTOR, law[1] * _MODEL_FACTOR)
+            model = abs(self._scale(self.items, off) - as_it_is)
+        low, high = np.maximum(seen.least, 8.0), np.maximum(seen.most, 8.1)
+        low = np.minimum(low, 0.99 * high)
+        # An offset weighs as it bends the log of the frames.
+        bend = (1 / low - 1 / high) / np.log(high / low)
+        here = np.mean(bend.ravel()[self._pixels])
+        return Doubts(seen.events / (2 * max(seen.seconds, 1e-3)),
+                      (brighter - as_it_is) / here * bend, offsets_dn(dark), model)
+
+    def _scale(self, items: _Items, law: tuple[float, float]) -> float:
+        """Return the mean log of the thresholds that the pixels learn."""
+        theta, _ = _run(items, self.shape, self.on, self.off, SIGMA, law).thresholds
+        return float(np.mean(np.log(theta)))
+
+
+@dataclass
+class _Seen:
+    """What every pixel of the sensor did: events, least and most DN of its frames."""
+
+    events: NDArray[np.int64]
+    least: NDArray[np.float32]
+    most: NDArray[np.float32]
+    seconds: float
+
+
+def _brighter(frame: ApsFrame) -> ApsFrame:
+    """Return the frame with a DN more."""
+    return ApsFrame(
+        frame.dn + 1, frame.exposure_start_us, frame.exposure_end_us,
+        valid=frame.valid, available_us=frame.available_us,
+        full_scale_dn=frame.full_scale_dn)
 
 
 def _bandwidth(sample: _Sample) -> Bandwidth:
@@ -427,7 +488,9 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     step = np.array([0.1, 0.0])
     bend = (cost(found.x + step) + cost(found.x - step) - 2 * found.fun) / 0.1**2
     sigma = np.sqrt(max(left, 1e-3) / max(bend, 1 / _LN_HZ_SIGMA**2))
-    return Bandwidth(hz, slope, sample.bright, float(sigma))
+    # Misfits are alike from frame to frame, so that there are fewer than frames.
+    sigma = min(np.hypot(_ALIKE * sigma, _TIMING), _LN_HZ_SIGMA)
+    return Bandwidth(hz, slope, 0.1 * sample.bright, float(sigma))
 
 
 def _noise(sample: _Sample, law: tuple[float, float]) -> float:
@@ -446,65 +509,28 @@ def _law(point: NDArray[np.float64], bright: float) -> tuple[float, float]:
     return hz * (1 - share), hz * share / bright
 
 
-def _shrunk(
-    theta: NDArray[np.float64], covariance: NDArray[np.float64],
-    nominal: tuple[ArrayLike, ArrayLike], sigma: float, scale: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Replace the prior spread `sigma` by the spread that the pixels have.
-
-    Empirical Bayes by expectation-maximisation: what each pixel's own samples say
-    is the filter's result less its prior.  The variance that is left is multiplied by
-    `scale` as far as it comes from the samples.
-    """
-    shape = theta.shape[1:]
-    center = np.stack([np.broadcast_to(value, shape) for value in nominal], -1)
-    shift = np.moveaxis(theta, 0, -1) - center
-    prior = np.eye(2) / sigma**2
-    total = _inverse(covariance)
-    own, pull = total - prior, total @ shift[..., None]
-    # A sample of the pixels tells the spread; it grows from what is usual.
-    some = slice(None, None, max(own[..., 0, 0].size // 4000, 1))
-    few, their = own.reshape(-1, 2, 2)[some], pull.reshape(-1, 2, 1)[some]
-    spread = (_USUAL_MISMATCH * center.mean((0, 1))) ** 2
-    for _ in range(30):
-        after = _inverse(few + np.diag(1 / spread))
-        variance = np.stack([after[:, 0, 0], after[:, 1, 1]], -1)
-        spread = np.mean((after @ their)[..., 0] ** 2 + variance, axis=0)
-        spread = np.clip(spread, (0.01 * sigma) ** 2, sigma**2)
-    shift = (_inverse(own + np.diag(1 / spread)) @ pull)[..., 0]
-    after = _inverse(own / scale + np.diag(1 / spread))
-    limited = np.clip(center + shift, 0.3 * center, 3 * center)
-    return np.moveaxis(limited, -1, 0), np.asarray(after, np.float64)
-
-
-def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Invert symmetric 2 x 2 matrices; ten times as fast as a general solver."""
-    out = np.empty_like(matrix)
-    a, b, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
-    scale = 1 / (a * d - b * b)
-    out[..., 0, 0], out[..., 1, 1] = d * scale, a * scale
-    out[..., 0, 1] = out[..., 1, 0] = -b * scale
-    return out
-
-
 def _sample(
     items: _Items, shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike]
 ) -> _Sample | None:
     """Return some busy pixels, None if frames or events are too few."""
     counts = np.zeros(shape[0] * shape[1], np.int64)
     usable = np.zeros(shape, np.int64)
-    frames = 0
+    least, most = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
+    mids: list[int] = []
     for item in items:
         if isinstance(item, ApsFrame):
             good = item.dn >= 8
             usable += good if item.valid is None else good & item.valid
-            frames += 1
+            np.minimum(least, item.dn, out=least)
+            np.maximum(most, item.dn, out=most)
+            mids.append(item.mid_us)
         else:
             counts += np.bincount(
                 item["y"].astype(np.intp) * shape[1] + item["x"], minlength=len(counts))
-    if frames < 4:
+    if len(mids) < 4:
         return None
-    counts[usable.ravel() < 0.8 * frames] = 0
+    seen = _Seen(counts.reshape(shape).copy(), least, most, (mids[-1] - mids[0]) / 1e6)
+    counts[usable.ravel() < 0.8 * len(mids)] = 0
     if not counts.any():
         return None
     # The busiest without hot pixels: of those within a factor of two of the 95 % level.
@@ -540,4 +566,4 @@ def _sample(
             full_scale_dn=item.full_scale_dn))
     if pending:
         part.append(np.concatenate(pending))
-    return _Sample(pixels, part, shape, nominal)
+    return _Sample(pixels, part, shape, nominal, seen)

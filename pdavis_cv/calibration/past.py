@@ -15,7 +15,7 @@ from pdavis_cv.calibration.insitu import (
     receptors,
 )
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.reconstruct.clock import BANDWIDTH_SIGMA, checked_bandwidth
+from pdavis_cv.reconstruct.clock import checked_bandwidth
 from pdavis_cv.recording.base import Recording
 
 __all__ = ["LOOKS_S", "Past"]
@@ -87,7 +87,7 @@ class Past:
             None if self._asked else known, by_us=t_us)
         now = dict(before)
         if found is not None and _is_news(found, known):
-            now["bandwidth"] = (*found.law, max(found.sigma, BANDWIDTH_SIGMA))
+            now["bandwidth"] = (*found.law, found.sigma)
         if self._noise_too and noise is not None:
             now["noise"] = noise_of(self._calibration, noise)
         return before if now == before else now
@@ -97,8 +97,8 @@ def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
     """Tell whether a bandwidth is better known than before, and another one."""
     if found.sigma > known[2]:
         return False
-    level = found.at_intensity * np.array([0.1, 1.0])
+    level = found.at_intensity * np.array([1.0, 10.0])
     change = np.log((found.hz + found.hz_per_intensity * level)
                     / (known[0] + known[1] * level))
     return bool(np.abs(change).max() > _WORTHWHILE
-                or max(found.sigma, BANDWIDTH_SIGMA) < known[2] / 2)
+                or found.sigma < known[2] / 2)

@@ -44,8 +44,8 @@ class SweepFit:
     ----------
     analyser : ndarray of float32, shape (H, W, 3)
         Responses to S0, S1, S2, scaled so that the median response to S0 is 1/2.
-    sigma : ndarray of float32, shape (H, W, 3)
-        Standard errors.
+    covariance : ndarray of float32, shape (H, W, 3, 3)
+        Of the three responses of a pixel.
     usable : ndarray of bool, shape (H, W)
         False where the fit is impossible or its residual far above the others'.
     scale_dn : float
@@ -61,12 +61,18 @@ class SweepFit:
     """
 
     analyser: NDArray[np.float32]
-    sigma: NDArray[np.float32]
+    covariance: NDArray[np.float32]
     usable: NDArray[np.bool_]
     scale_dn: float
     source: tuple[float, float]
     wander: tuple[float, float]
     residual: NDArray[np.float32]
+
+    @property
+    def sigma(self) -> NDArray[np.float32]:
+        """Standard errors of the responses, (H, W, 3)."""
+        return np.asarray(
+            np.sqrt(np.einsum("...ii->...i", self.covariance)), np.float32)
 
     @property
     def extinction_ratio(self) -> NDArray[np.float64]:
@@ -84,10 +90,25 @@ class SweepFit:
     @property
     def angle_sigma(self) -> NDArray[np.float64]:
         """Standard error of ``angle``, radians, (H, W)."""
-        a, s = self.analyser.astype(np.float64), self.sigma.astype(np.float64)
-        swing = np.hypot(a[..., 1], a[..., 2])
-        across = np.hypot(a[..., 2] * s[..., 1], a[..., 1] * s[..., 2])
-        return np.asarray(across / np.maximum(2 * swing**2, 1e-12))
+        a = self.analyser.astype(np.float64)
+        double = 2 * np.maximum(a[..., 1]**2 + a[..., 2]**2, 1e-12)
+        return self._sigma_along(
+            np.stack([0 * double, -a[..., 2] / double, a[..., 1] / double], -1))
+
+    @property
+    def extinction_ratio_sigma(self) -> NDArray[np.float64]:
+        """Standard error of ``extinction_ratio``, (H, W)."""
+        a = self.analyser.astype(np.float64)
+        swing = np.maximum(np.hypot(a[..., 1], a[..., 2]), 1e-12)
+        least = np.maximum(a[..., 0] - swing, 1e-9)
+        along = 2 * a[..., 0] / swing / least**2
+        return self._sigma_along(np.stack(
+            [-2 * swing / least**2, along * a[..., 1], along * a[..., 2]], -1))
+
+    def _sigma_along(self, slope: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Propagate to what has these derivatives by the responses, (H, W, 3)."""
+        return np.asarray(np.sqrt(np.einsum(
+            "...i,...ij,...j->...", slope, self.covariance.astype(np.float64), slope)))
 
 
 def read_sweep(
@@ -209,7 +230,7 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
     typical = float(np.median(residual[usable]))
     usable &= residual < 6 * typical
     scale = 2 * float(np.median(response[0][usable]))
-    sigma = np.sqrt(covariance) * max(typical, 1e-9)
+    covariance *= (max(typical, 1e-9) / scale) ** 2
     shape = sweep.dn.shape[1:]
 
     def plane(values: NDArray[Any]) -> NDArray[np.float32]:
@@ -217,7 +238,8 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
 
     padded = [*light, 0.0, 0.0]
     return SweepFit(
-        plane(response), plane(sigma), usable.reshape(shape), scale,
+        plane(response), covariance.reshape(*shape, 3, 3).astype(np.float32),
+        usable.reshape(shape), scale,
         (float(padded[0]), float(padded[1])), (float(padded[2]), float(padded[3])),
         residual.reshape(shape).astype(np.float32))
 
@@ -225,14 +247,14 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
 def _solve(
     design: NDArray[np.float64], dn: NDArray[Any], weight: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Weighted least squares of every column; return solution and its variances."""
+    """Weighted least squares of every column: solution (3, P), covariance (P, 3, 3)."""
     products = design[:, :, None] * design[:, None, :]
     normal = np.tensordot(weight, products, ([0], [0])).astype(float)
     normal[:, range(3), range(3)] += 1e-12
     right = np.tensordot(weight * dn, design, ([0], [0])).astype(float)
     inverse = np.linalg.inv(normal)
     solution = np.einsum("pij,pj->ip", inverse, right)
-    return solution, np.einsum("pii->ip", inverse)
+    return solution, inverse
 
 
 def steps_in_time(

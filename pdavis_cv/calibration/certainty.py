@@ -1,0 +1,155 @@
+"""Thresholds that pixels learned, put together: their spread and how well known.
+
+A recording tells the ratio of a pixel's thresholds by the drift of its events against
+its frames, and their scale by the contrast of its frames.  What frames and events have
+wrong in common, always in the same way, no innovation shows; it is counted here.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["LEAK_HZ", "Doubts", "offsets_dn", "shrunk"]
+
+LEAK_HZ = 0.33
+"""Leak events of a pixel per second, which pass for a larger ratio of its thresholds:
+what they add up to in each period is the same."""
+
+_Symmetric = tuple[
+    NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+_OFFSETS_DN, _DARK_DN = (1.4, 0.4), (0.2, 0.1)
+_USUAL_MISMATCH = 0.035
+
+
+@dataclass(frozen=True, eq=False)
+class Doubts:
+    """What a recording's own innovations do not show.
+
+    Parameters
+    ----------
+    on_per_s : ndarray of float64, shape (H, W)
+        ON events per second.
+    per_dn : ndarray of float64, shape (H, W)
+        Relative change of both thresholds if every frame is a DN brighter.
+    offset_dn : (float, float)
+        Standard deviation of the offset of frames, a pixel's own and the common one.
+    model : float
+        Relative error of the scale by what the model of the photoreceptor lacks.
+    """
+
+    on_per_s: NDArray[np.float64]
+    per_dn: NDArray[np.float64]
+    offset_dn: tuple[float, float]
+    model: float
+
+    @property
+    def common(self) -> float:
+        """Relative error of the scale that all pixels share."""
+        return float(np.hypot(
+            self.model, self.offset_dn[1] * np.sqrt(np.mean(self.per_dn**2))))
+
+
+def offsets_dn(dark: bool) -> tuple[float, float]:
+    """Return the standard deviation of frames' offsets, own and common, in DN.
+
+    Of what double sampling leaves, or of what is left when a dark frame was taken off.
+    """
+    return _DARK_DN if dark else _OFFSETS_DN
+
+
+def shrunk(
+    theta: NDArray[np.float64], covariance: NDArray[np.float64],
+    nominal: tuple[ArrayLike, ArrayLike], sigma: float, scale: float,
+    doubts: Doubts | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Replace the prior spread `sigma` by the spread that the pixels have.
+
+    Empirical Bayes by expectation-maximisation: what each pixel's own samples say
+    is the filter's result less its prior.
+
+    Parameters
+    ----------
+    theta, covariance : ndarray of float64, shapes (2, H, W) and (H, W, 2, 2)
+        What a filter says whose prior is `nominal` with the standard deviation `sigma`.
+    nominal : (on, off)
+        Scalars or (H, W).
+    sigma : float
+    scale : float
+        Mean of e^2 / v over the innovations: how far their variance was overrated.
+        Drift of the events shows in them; what de-blurring leaves does not wholly,
+        since it is alike from frame to frame, so that the scale of the thresholds
+        gains nothing by it.
+    doubts : Doubts or None
+        What is added to the covariance.
+
+    Returns
+    -------
+    theta, covariance : ndarray of float64, the same shapes
+    """
+    on, off = (np.asarray(value, np.float64) for value in nominal)
+    total = _inverse(covariance[..., 0, 0], covariance[..., 0, 1],
+                     covariance[..., 1, 1])
+    # What the samples say: precision, and precision times shift from the center.
+    own = (total[0] - 1 / sigma**2, total[1], total[2] - 1 / sigma**2)
+    pull = _times(total, (theta[0] - on, theta[1] - off))
+    # A sample of the pixels tells the spread; it grows from what is usual.
+    some = slice(None, None, max(theta[0].size // 4000, 1))
+    few, their = ([part.ravel()[some] for part in parts] for parts in (own, pull))
+    means = np.array([on.mean(), off.mean()])
+    least, spread = (0.01 * sigma) ** 2, (_USUAL_MISMATCH * means) ** 2
+    for _ in range(30):
+        after = _inverse(few[0] + 1 / spread[0], few[1], few[2] + 1 / spread[1])
+        first, second = _times(after, (their[0], their[1]))
+        spread = np.clip([np.mean(first**2 + after[0]),
+                          np.mean(second**2 + after[2])], least, sigma**2)
+    whole = _inverse(own[0] + 1 / spread[0], own[1], own[2] + 1 / spread[1])
+    shift = _times(whole, pull)
+    out = np.stack([np.clip(center + by, 0.3 * center, 3 * center)
+                    for center, by in zip((on, off), shift, strict=True)])
+    scaled = _inverse(own[0] / scale + 1 / spread[0], own[1] / scale,
+                      own[2] / scale + 1 / spread[1])
+    ratio, _, _ = _relative(scaled, out)
+    before, size, mixed = _relative(scaled if scale > 1 else whole, out)
+    mixed /= np.sqrt(before)
+    if doubts is not None:
+        # As far as the recording, not the prior, says what the ratio is.
+        at_first = float(np.sum(spread / means**2))
+        told = np.clip(1 - ratio / at_first, 0, 1)
+        leak = LEAK_HZ * told / np.maximum(doubts.on_per_s, 1e-6)
+        ratio = np.maximum(ratio, np.minimum(leak**2, at_first))
+        size += (doubts.offset_dn[0] * doubts.per_dn) ** 2 + doubts.common**2
+    mixed *= np.sqrt(ratio)
+    ratio /= 4
+    together = np.empty((*theta.shape[1:], 2, 2))
+    together[..., 0, 0] = out[0]**2 * (size + ratio + mixed)
+    together[..., 1, 1] = out[1]**2 * (size + ratio - mixed)
+    together[..., 0, 1] = together[..., 1, 0] = out[0] * out[1] * (size - ratio)
+    return out, together
+
+
+def _relative(
+    covariance: _Symmetric, theta: NDArray[np.float64]
+) -> _Symmetric:
+    """Return the variances of ln(on / off) and of ln(on off) / 2, their covariance."""
+    first, last = covariance[0] / theta[0]**2, covariance[2] / theta[1]**2
+    cross = 2 * covariance[1] / (theta[0] * theta[1])
+    both = first + last
+    return both - cross, (both + cross) / 4, (first - last) / 2
+
+
+def _times(
+    matrix: _Symmetric, vector: tuple[NDArray[np.float64], NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    a, b, d = matrix
+    return a * vector[0] + b * vector[1], b * vector[0] + d * vector[1]
+
+
+def _inverse(
+    a: NDArray[np.float64], b: NDArray[np.float64], d: NDArray[np.float64]
+) -> _Symmetric:
+    """Invert symmetric 2 x 2 matrices; much faster than a general solver."""
+    scale = 1 / (a * d - b * b)
+    return d * scale, -b * scale, a * scale
