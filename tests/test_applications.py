@@ -169,6 +169,32 @@ def test_tendon_finds_the_load_and_writes_everything(
                      "loop.csv", "lockin.npz", "tendon.mp4", "report.html"}
 
 
+def test_tendon_takes_the_usual_bandwidth_where_frames_are_locked_to_the_load(
+        tmp_path, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    scene = Tendon(hz=10.0)
+    recording, _ = Camera.preset("nominal", seed=5, size=(20, 24)).record(scene, 2.2)
+    load_csv(tmp_path / "load.csv", scene)
+    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording}))
+    error = {}
+    for name, options, hz in (("usual", [], 300), ("stated", ["240,0"], 240)):
+        given = [f"--set=bandwidth={text}" for text in options]
+        assert tendon.main([
+            "a", "-o", str(tmp_path), "--no-video", "--start", "0.15", "--load",
+            str(tmp_path / "load.csv"), "--offset", "0.2", "--within", "0.04",
+            *given]) == 0
+        said = capsys.readouterr()
+        assert ("locked to the load's phase" in said.err) is (not options)
+        zero = re.search(r"its zero lies at ([\d.]+) s \(\+- ([\d.]+) ms", said.out)
+        assert float(zero.group(2)) >= 1  # of a cycle, a hundredth
+        error[name] = float(zero.group(1)) + recording.info.start_us / 1e6 - 0.2
+        with np.load(tmp_path / "lockin.npz") as maps:
+            facts = json.loads(str(maps["provenance"]))
+        assert facts["parameters"]["bandwidth"][:2] == [hz, 0]
+    assert abs(error["usual"]) < 1e-3
+    assert error["stated"] < error["usual"]  # more lag is taken out
+
+
 def test_tendon_takes_the_clock_from_triggers(tmp_path, pulled, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     recording, _, scene = pulled

@@ -14,6 +14,7 @@ from pdavis_cv.analysis import (
     cycle_drift,
     dominant_tone,
     fit_tone,
+    phase_locked,
     retardance,
     subtract_background,
 )
@@ -108,6 +109,15 @@ def test_the_apparent_frequency_is_what_sampling_shows(load, rate):
         np.cos(2 * np.pi * abs(load - rate * round(load / rate)) * k), atol=1e-6)
     assert apparent == pytest.approx(
         abs(load - rate * round(load / rate)), rel=0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize(("load", "rate", "locked"), [
+    (10.0, 20.003, True), (20.0, 20.003, True), (10.0, 10.0, True), (5.0, 20.0, False),
+    (1.0, 20.0, False), (9.7, 20.0, False), (10.0, 15.0, False)])
+def test_samples_at_one_phase_or_at_opposite_ones_are_locked(load, rate, locked):
+    t = np.rint(7_000 + np.arange(80) * 1e6 / rate).astype(np.int64)
+    assert phase_locked(t, load) is locked
+    assert phase_locked(t[:2], load)
 
 
 def test_lock_in_equals_the_fit_of_each_pixel():

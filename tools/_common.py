@@ -146,8 +146,8 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
              "polarizer, and hot pixels")
     group.add_argument(
         "--set", action="append", default=[], type=_setting, metavar="NAME=VALUE",
-        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6 "
-                              "or mode=offline")
+        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6, "
+                              "bandwidth=250,0 or mode=offline")
 
 
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
@@ -237,10 +237,15 @@ def _setting(text: str) -> tuple[str, Any]:
     words = {"true": True, "false": False, "none": None}
     if value.lower() in words:
         return name, words[value.lower()]
-    for kind in (int, float):
+    for kind in (int, float, _several):
         try:
             return name, kind(value)
         except ValueError:
             continue
     return name, value
+
+
+def _several(text: str) -> tuple[float, ...]:
+    """Parse numbers with commas between them, such as bandwidth=250,0."""
+    return tuple(float(part) for part in text.split(","))
 

@@ -8,10 +8,10 @@ holds all figures and needs nothing else.
 from __future__ import annotations
 
 import argparse
+import math
 import warnings
-from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import (
-    EVENT_DTYPE,
     AnalysisWarning,
     PolarFrame,
     Recording,
@@ -30,6 +29,7 @@ from pdavis_cv import (
     open_recording,
     render,
 )
+from pdavis_cv.calibration.insitu import USUAL_BANDWIDTH
 from pdavis_cv.tools._common import (
     Parser,
     UsageError,
@@ -39,7 +39,8 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
-from pdavis_cv.tools._images import facts_of, grid_times, held_at, of_frames, tone_of
+from pdavis_cv.tools._images import facts_of, grid_times, held_at, of_frames
+from pdavis_cv.tools._tendon_video import TendonSheet
 
 __all__ = ["Findings", "main", "measure"]
 
@@ -145,8 +146,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--load-hz", type=float, metavar="HZ",
                         help="frequency of the load; default: the strongest in DoLP")
     parser.add_argument(
-        "--smooth", type=int, choices=(1, 3, 5, 7), default=5, metavar="N",
-        help="average the maps over N x N pixels: 1, 3, 5 or 7; default 5")
+        "--smooth", type=int, choices=(1, 3, 5, 7), default=7, metavar="N",
+        help="average the maps over N x N pixels: 1, 3, 5 or 7; default 7")
     parser.add_argument("--background", metavar="FILE",
                         help="a recording of the light without the sample: its S1/S0 "
                              "and S2/S0 are subtracted")
@@ -216,23 +217,35 @@ def measure(
     names = [roi.name for roi in regions]
     if len(set(names)) < len(names):
         raise UsageError(f"regions must have different names, got {', '.join(names)}")
-    facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
-    recorder = analysis.TraceRecorder(
-        regions, estimate=args.estimate, background=background)
-    busiest = _busiest(recording, regions, background) if load is not None else None
-    for image in progress(fuse(recording, **options), len(times), "images"):
-        recorder.add(image)
-        if busiest is not None:
-            busiest.add(image)
-    fused, frames = recorder.traces(recording), None
+    counts = None if load is None else _counts(recording)
+    busy = [] if counts is None or not counts.any() else [
+        _Busiest(roi.name, roi.rings, roi.rectangle, counts) for roi in regions]
+    fused, busiest = _traces(args, recording, options, regions, busy, background)
+    assert fused is not None  # there is a time on the grid
+    frames = None
     if recording.info.frame_count != 0:
-        recorder = analysis.TraceRecorder(
-            regions, estimate=args.estimate, background=background)
-        for image in fuse(recording, **held):
-            recorder.add(image)
-        frames = recorder.traces(recording) if recorder.count else None
-    found = _evaluate(args, recording, fused, frames, facts, fps)
-    found.busiest = None if busiest is None else busiest.traces()
+        frames, _ = _traces(args, recording, held, regions, [], background)
+    tones = _tones(args, fused)
+    messages: list[str] = []
+    locked = frames is not None and analysis.phase_locked(
+        frames.t_us, _load_hz(args, tones))
+    if locked and _asks_for_bandwidth(args, recording, options):
+        options["bandwidth"] = USUAL_BANDWIDTH
+        fused, busiest = _traces(args, recording, options, regions, busy, background)
+        assert fused is not None
+        tones = _tones(args, fused)
+        messages.append(
+            "the frames are locked to the load's phase and say nothing of the lag of "
+            f"the pixels' bandwidth: {USUAL_BANDWIDTH[0]:g} Hz is taken, as usual; "
+            "--set bandwidth=HZ,0 states another")
+    facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
+    frame_hz = np.nan
+    if frames is not None and len(frames.t_us) > 1:
+        frame_hz = float(1e6 / np.median(np.diff(frames.t_us)))
+    found = Findings(
+        start_of(recording), facts, fused, frames, tones, _load_hz(args, tones),
+        frame_hz, messages=messages, busiest=busiest)
+    _evaluate(args, found, fps)
     if load is not None:
         said = len(found.messages)
         _align(args, recording, found, load)
@@ -266,18 +279,52 @@ def _whole(recording: Recording, args: argparse.Namespace) -> analysis.Roi:
     return analysis.Roi.from_rectangle(x, y, w, h, "all")
 
 
-def _busiest(
-    recording: Recording, regions: Sequence[analysis.Roi], background: Any
-) -> analysis.TraceRecorder | None:
-    """Record the busiest pixels of each region, if there are events."""
+def _counts(recording: Recording) -> NDArray[np.float64]:
+    """Return the events of each pixel."""
     counts = np.zeros(recording.info.sensor_size)
     for packet in recording.packets():
         counts += accumulate(packet.events, recording.info.sensor_size).sum(0)
-    if not counts.any():
-        return None
-    return analysis.TraceRecorder(
-        [_Busiest(roi.name, roi.rings, roi.rectangle, counts) for roi in regions],
-        background=background)
+    return counts
+
+
+def _traces(
+    args: argparse.Namespace, recording: Recording, options: dict[str, Any],
+    regions: Sequence[analysis.Roi], busy: Sequence[_Busiest], background: Any,
+) -> tuple[analysis.Traces | None, analysis.Traces | None]:
+    """Record the regions, and the busiest pixels of each if they are asked for."""
+    recorder = analysis.TraceRecorder(
+        regions, estimate=args.estimate, background=background)
+    busiest = analysis.TraceRecorder(busy, background=background) if busy else None
+    times = options["times_us"]
+    for image in progress(fuse(recording, **options),
+                          None if times is None else len(times), "images"):
+        recorder.add(image)
+        if busiest is not None:
+            busiest.add(image)
+    return (recorder.traces(recording) if recorder.count else None,
+            None if busiest is None else busiest.traces())
+
+
+def _tones(args: argparse.Namespace, fused: analysis.Traces) -> list[analysis.Tone]:
+    """Return DoLP's periodic component in each region."""
+    if args.load_hz is not None:
+        return [analysis.fit_tone(fused.t_us, row["dolp"], args.load_hz)
+                for row in fused.table]
+    return [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
+
+
+def _load_hz(args: argparse.Namespace, tones: Sequence[analysis.Tone]) -> float:
+    best = min(tones, key=lambda tone: tone.hz_se / tone.hz)
+    return float(args.load_hz or best.hz)
+
+
+def _asks_for_bandwidth(
+    args: argparse.Namespace, recording: Recording, options: dict[str, Any]
+) -> bool:
+    """Return whether fuse() estimates the bandwidth from frames and events."""
+    first = next(fuse(recording, **{**options, "times_us": options["times_us"][:1]}))
+    return (first.provenance["method"] == "kalman" and not args.causal
+            and "bandwidth" not in options)
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
@@ -296,24 +343,11 @@ def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
     return planes / n
 
 
-def _evaluate(
-    args: argparse.Namespace, recording: Recording, fused: analysis.Traces,
-    frames: analysis.Traces | None, facts: dict[str, Any], fps: float,
-) -> Findings:
+def _evaluate(args: argparse.Namespace, found: Findings, fps: float) -> None:
+    """Add what follows from the traces."""
+    fused, facts = found.fused, found.facts
+    load_hz, frame_hz = found.load_hz, found.frame_hz
     t = fused.t_us
-    tones = []
-    for row in fused.table:
-        if args.load_hz is not None:
-            tones.append(analysis.fit_tone(t, row["dolp"], args.load_hz))
-        else:
-            tones.append(analysis.dominant_tone(t, row["dolp"]))
-    best = min(tones, key=lambda tone: tone.hz_se / tone.hz)
-    load_hz = args.load_hz or best.hz
-    frame_hz = np.nan
-    if frames is not None and len(frames.t_us) > 1:
-        frame_hz = float(1e6 / np.median(np.diff(frames.t_us)))
-    found = Findings(start_of(recording), facts, fused, frames, tones, float(load_hz),
-                     frame_hz)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", AnalysisWarning)
         only_frames = facts.get("method") == "frames"
@@ -330,7 +364,7 @@ def _evaluate(
                 delta, thickness_um=args.thickness_um,
                 wavelength_nm=args.wavelength_nm)
     found.messages += [str(warning.message) for warning in caught]
-    for tone, roi in zip(tones, fused.rois, strict=True):
+    for tone, roi in zip(found.tones, fused.rois, strict=True):
         if tone.false_alarm > 0.01:
             found.messages.append(
                 f"{roi.name}: no periodic signal stands out of the noise "
@@ -340,7 +374,6 @@ def _evaluate(
     for row in fused.table:
         found.cycles.append(analysis.cycle_average(t, row["dolp"], load_hz))
         found.drifts.append(analysis.cycle_drift(t, row["dolp"], load_hz))
-    return found
 
 
 def _align(
@@ -419,7 +452,9 @@ def _correlated(
     found.messages.append(
         "load file: aligned with the fused images, which may lag by 1 % of a cycle, as "
         "the frames alone do not fix its offset")
-    return aligned(found.busiest or found.fused)
+    clock = aligned(found.busiest or found.fused)
+    error = math.hypot(clock.offset_se_s, 0.01 / found.load_hz)
+    return replace(clock, offset_se_s=error)
 
 
 def _maps_and_video(
@@ -435,7 +470,7 @@ def _maps_and_video(
             lock = lock or analysis.LockIn(image.shape, found.load_hz, int(times[0]))
             lock.add(int(image.t_us or 0), image.dolp, image.valid)
     else:
-        sheet = _Sheet(args, recording, found, {**options, "times_us": times})
+        sheet = TendonSheet(args, recording, found, {**options, "times_us": times})
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1e4
         # Of frames there may be none; then the fused images stand in.
         frames: Iterator[PolarFrame] = held_at(
@@ -455,92 +490,6 @@ def _maps_and_video(
                 video.add(picture)
     assert lock is not None
     found.maps = lock.maps().smoothed(args.smooth)
-
-
-class _Sheet:
-    """Composes the pictures of the video; what is fixed is fixed here."""
-
-    def __init__(
-        self, args: argparse.Namespace, recording: Recording, found: Findings,
-        options: dict[str, Any],
-    ) -> None:
-        self.args, self.found = args, found
-        self.tone = tone_of(recording, options, "S0")
-        dolp = found.fused.table["dolp"]
-        low, high = float(np.nanmin(dolp)), float(np.nanmax(dolp))
-        margin = 0.1 * (high - low) or 0.01
-        self.limits = (low - margin, high + margin)
-        self.top = float(np.ceil(min(1.0, 1.6 * high) * 20) / 20)
-        self._packets = recording.packets()
-        self._events: deque[Any] = deque()
-        self._source = recording.path.name if recording.path else "recording"
-        times = options["times_us"]
-        self._window = int(np.median(np.diff(times))) if len(times) > 1 else 10_000
-        self._fps = 1e6 / self._window
-
-    def _events_until(self, t_us: int) -> Any:
-        while not self._events or self._events[-1]["t"][-1] < t_us:
-            packet = next(self._packets, None)
-            if packet is None:
-                break
-            if len(packet.events):
-                self._events.append(packet.events)
-        while self._events and self._events[0]["t"][-1] < t_us - self._window:
-            self._events.popleft()
-        if not self._events:
-            return np.empty(0, EVENT_DTYPE)
-        events = np.concatenate(self._events)
-        return events[(events["t"] >= t_us - self._window) & (events["t"] < t_us)]
-
-    def picture(self, frame: PolarFrame, image: PolarFrame) -> render.Picture:
-        """Compose one picture."""
-        found, t = self.found, int(image.t_us or 0)
-        scale = 2 if image.provenance.get("demosaic") == "superpixel" else 1
-        left, top = (int(v) for v in image.provenance.get("roi", (0, 0))[:2])
-        shape = (image.shape[0] * scale, image.shape[1] * scale)
-        events = render.events_on(shape, self._events_until(t), origin=(left, top))
-        events = events[::scale, ::scale]
-        now = (t - found.origin_us) / 1e6
-        second = found.seconds(found.fused.t_us)
-        span = max(2.5 / found.load_hz, 1.0)
-        begin = min(max(second[0], now - 0.7 * span), max(second[0], second[-1] - span))
-        lines = []
-        for i, table in enumerate(found.fused.table):
-            colour = _COLOURS[i % len(_COLOURS)]
-            lines.append(render.Line(
-                second, table["dolp"], colour, found.fused.rois[i].name,
-                table["dolp_se"]))
-            if found.frames is not None:
-                lines.append(render.Line(
-                    found.seconds(found.frames.t_us), found.frames.table["dolp"][i],
-                    (150, 150, 150), "frames" if i == 0 else "", dots=True))
-        wide = 3 * (image.shape[1] * self.args.scale + 8) + 8
-        below = render.chart(
-            lines, (160, max(wide, 480)), span_s=(begin, begin + span),
-            limits=self.limits, now_s=now, title="DoLP")
-        title = (f"{self._source}   t = {now:.3f} s   load {found.load_hz:.3g} Hz   "
-                 f"{self.args.slow:g} x slower   {self._fps:g} images/s")
-        return render.tendon_sheet(
-            frame, events, image, below, grey=self.tone.seen, top=self.top,
-            scale=self.args.scale, title=title, marks=self._mark(left, top, scale))
-
-    def _mark(self, left: int, top: int, scale: int) -> Any:
-        def mark(picture: render.Picture) -> render.Picture:
-            cv2 = render.opencv()
-            size = self.args.scale / scale
-            picture = np.ascontiguousarray(picture)
-            for i, roi in enumerate(self.found.fused.rois):
-                rings = [np.rint((ring - (left, top)) * size).astype(np.int32)
-                         for ring in roi.rings]
-                cv2.polylines(picture, rings, True, _COLOURS[i % len(_COLOURS)], 1)
-            if self.args.pixel_um is not None:
-                picture = render.scale_bar(picture, self.args.pixel_um * scale,
-                                           scale=self.args.scale)
-            return picture
-        return mark
-
-
-_COLOURS = ((80, 220, 255), (255, 180, 80), (120, 255, 120), (255, 120, 220))
 
 
 def _write(args: argparse.Namespace, found: Findings) -> list[str]:

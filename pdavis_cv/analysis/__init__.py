@@ -24,6 +24,7 @@ from pdavis_cv.analysis.spectrum import (
     cycle_drift,
     dominant_tone,
     fit_tone,
+    phase_locked,
 )
 from pdavis_cv.analysis.traces import (
     TRACE_DTYPE,
@@ -67,6 +68,7 @@ __all__ = [
     "fit_tone",
     "hysteresis",
     "parse_roi",
+    "phase_locked",
     "pixel_intervals",
     "read_load",
     "read_rois",

@@ -18,6 +18,7 @@ __all__ = [
     "cycle_drift",
     "dominant_tone",
     "fit_tone",
+    "phase_locked",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -438,3 +439,29 @@ def alias_warning(
         f"{apparent:.3g} Hz and its amplitude means nothing")
     warnings.warn(message, AnalysisWarning, stacklevel=2)
     return message
+
+
+def phase_locked(t_us: ArrayLike, hz: float) -> bool:
+    """Return whether samples meet a load at one phase only, or at opposite ones.
+
+    They then cannot tell its amplitude from its phase.
+
+    Parameters
+    ----------
+    t_us : array_like of int, shape (N,)
+        Times of the samples.
+    hz : float
+        Frequency of the load.
+
+    Returns
+    -------
+    bool
+        True also for fewer than three samples.
+    """
+    t = np.asarray(t_us, np.int64)
+    if len(t) < 3:
+        return True
+    angle = 2 * np.pi * hz * 1e-6 * (t - t[0])
+    turn = np.stack((np.cos(angle), np.sin(angle)))
+    # 0.5 and 0.5 where all phases are met alike.
+    return bool(np.linalg.eigvalsh(np.cov(turn, bias=True))[0] < 0.05)

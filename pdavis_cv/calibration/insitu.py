@@ -22,8 +22,8 @@ from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE, KalmanFilter
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["Bandwidth", "ThresholdEstimate", "bandwidth_in_situ", "learned",
-           "noise_of", "receptors", "thresholds_in_situ"]
+__all__ = ["USUAL_BANDWIDTH", "Bandwidth", "ThresholdEstimate", "bandwidth_in_situ",
+           "learned", "noise_of", "receptors", "thresholds_in_situ"]
 
 SIGMA = 0.035
 """Standard deviation of a threshold about its nominal value, natural-log units."""
@@ -51,8 +51,10 @@ _MODEL_FACTOR = 1.6
 # For the bandwidth a sample of pixels is enough.
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
 
-# ln of the corner frequency at bright pixels: what a DAVIS has at usual biases.
-_LN_HZ, _LN_HZ_SIGMA = np.log(300.0), 1.5
+# Corner frequency at bright pixels that a DAVIS has at usual biases, and the standard
+# deviation of its ln.
+USUAL_BANDWIDTH = (300.0, 0.0, 1.5)
+_LN_HZ, _LN_HZ_SIGMA = np.log(USUAL_BANDWIDTH[0]), USUAL_BANDWIDTH[2]
 # By how much the misfit's curvature overrates what is known of it, and the relative
 # error by what interpolation has wrong: 20 to 50 us of a lag.  Both measured.
 _ALIKE, _TIMING = 2.5, 0.04
