@@ -105,6 +105,40 @@ def test_fan_sector_shows_its_polarizer_turned_with_the_wheel():
     assert not scene.lit(*scene.centre)
 
 
+def test_fan_between_its_sectors_is_their_smooth_mixture():
+    scene = Fan(rpm=-200.0, start_angle=7.0, edge=5.0)
+    rng = np.random.default_rng(0)
+    t, r, where = rng.uniform((0, 30, 0), (1e6, 110, 2 * np.pi), (2000, 3)).T
+    s0, s1, s2 = scene.stokes(t, scene.centre[0] + r * np.cos(where),
+                              scene.centre[1] - r * np.sin(where))
+    turned = 7.0 - 2 * np.pi * 200 / 60e6 * t
+    place = (where - turned) * 3 / np.pi
+    u = (place - np.rint(place)) * r * np.pi / 3 / 5.0
+    weight = np.where(u < 0, 0.0, 1.0)
+    inside = abs(u) < 0.5
+    v = u[inside] + 0.5
+    weight[inside] = 6 * v**5 - 15 * v**4 + 10 * v**3
+    before, after = (np.exp(1j * (2 * turned + np.pi / 3 * (np.rint(place) + k)))
+                     for k in (-1, 0))
+    assert 50 < np.count_nonzero(inside) < 1000
+    np.testing.assert_allclose(s1 + 1j * s2, s0 * (before + weight * (after - before)),
+                               rtol=1e-9, atol=1e-9 * scene.s0 * 2000)
+
+
+@pytest.mark.parametrize("scene", [
+    Fan(rpm=203.0, centre=(9.0, 6.0), radius=11.0, hub=2.0), Texture(seed=3),
+    Texture(seed=3) + Fan(rpm=-1000.0, centre=(9.0, 6.0), radius=11.0, hub=2.0)])
+def test_light_on_a_grid_is_the_light_at_each_of_its_places(scene):
+    t, y, x = np.meshgrid(np.arange(0, 40_000, 3_000.0), np.arange(14), np.arange(19),
+                          indexing="ij")
+    one_by_one = np.stack(scene.stokes(t.ravel(), x.ravel(), y.ravel()))
+    grid = np.stack(scene.stokes(t[:, :1, :1], x[0, :1], y[0, :, :1]))
+    still = np.stack(scene.stokes(t[3, 0, 0], x[0, :1], y[0, :, :1]))
+    close = {"rtol": 1e-10, "atol": 1e-10 * one_by_one[0].max()}
+    np.testing.assert_allclose(grid.reshape(3, -1), one_by_one, **close)
+    np.testing.assert_allclose(still, grid[:, 3], **close)
+
+
 def test_malus_sweep_holds_and_moves_smoothly():
     scene = MalusSweep(step=math.radians(5), hold_us=100_000, move_us=10_000)
     truth = Truth(scene, (2, 2))

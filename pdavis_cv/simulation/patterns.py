@@ -23,9 +23,10 @@ from pdavis_cv.simulation.scenes import (
 __all__ = ["Fan", "FunctionScene", "Tendon", "Texture", "VideoScene"]
 
 _MIDDLE = ((Sensor.PDAVIS.size[1] - 1) / 2, (Sensor.PDAVIS.size[0] - 1) / 2)
-_SECTORS = np.stack((np.cos(np.arange(6) * (np.pi / 3)),
-                     np.sin(np.arange(6) * (np.pi / 3))))
+# From 12 sectors before the first on: a place less a turn is never further back.
+_SECTORS = np.exp(1j * (np.pi / 3) * (np.arange(18) % 6))
 _EDGE_SAMPLES = 16  # while an edge passes
+_WAVE_ROWS = 16  # of plane waves at once: they stay in a cache
 
 
 def smooth_edge(u: FloatArray) -> FloatArray:
@@ -83,19 +84,46 @@ class Fan(Scene):
         r = np.hypot(u, v)
         t = np.asarray(t_us, np.float64)
         turned = self.start_angle + rad_per_us(self.rpm) * t
-        place = (np.arctan2(v, u) - turned) * (3 / np.pi)  # in sectors
-        nearest = np.rint(place)
-        weight = smooth_edge((place - nearest) * (r * (np.pi / 3 / self.edge)))
-        sector = np.mod(nearest, 6).astype(np.intp)
+        place = np.arctan2(v, u) * (3 / np.pi)  # in sectors, of a wheel at rest
+        turns = np.mod(turned * (3 / np.pi), 6)
+        steep = r * (np.pi / 3 / self.edge)
         light = self.s0 * (1 + (self.bright - 1) * smooth_edge(-u / self.edge))
         seen = smooth_edge((r - self.hub) / self.edge) * smooth_edge(
             (self.radius - r) / self.edge)
-        before, after = _SECTORS[:, sector - 1], _SECTORS[:, sector]
-        cos, sin = before + weight * (after - before)
         s0 = light * (seen + (1 - seen) * self.opaque)
-        light, ct, st = light * seen, np.cos(2 * turned), np.sin(2 * turned)
-        s1, s2 = light * (ct * cos - st * sin), light * (st * cos + ct * sin)
-        return np.broadcast_to(s0, s1.shape), s1, s2
+        light = light * seen
+        rotation = np.exp(2j * turned)
+        shape = np.broadcast_shapes(t.shape, r.shape)
+        s1, s2 = np.empty(shape), np.empty(shape)
+        if t.shape == (*shape[:1], 1, 1):  # one time after the other fits a cache
+            for k in range(len(t)):
+                polarized = self._polarized(
+                    place - turns[k], steep, _SECTORS * rotation[k, 0])
+                np.multiply(light, polarized.real, out=s1[k])
+                np.multiply(light, polarized.imag, out=s2[k])
+        else:
+            polarized = rotation * self._polarized(place - turns, steep, _SECTORS)
+            np.multiply(light, polarized.real, out=s1)
+            np.multiply(light, polarized.imag, out=s2)
+        return np.broadcast_to(s0, shape), s1, s2
+
+    @staticmethod
+    def _polarized(
+        place: FloatArray, steep: FloatArray, sectors: NDArray[np.complex128]
+    ) -> NDArray[np.complex128]:
+        """s1 + i s2 at places -9..3; steep: sectors per width of an edge there."""
+        first = np.floor(place)
+        part = place - first
+        seen = sectors.take(first.astype(np.intp) + 12)
+        edge = np.minimum(part, 1 - part) * steep < 0.5
+        if edge.any():
+            place = place[edge]
+            nearest = np.rint(place)
+            weight = smooth_edge(
+                (place - nearest) * np.broadcast_to(steep, edge.shape)[edge])
+            k = nearest.astype(np.intp) + 12
+            seen[edge] = sectors[k - 1] + weight * (sectors[k] - sectors[k - 1])
+        return seen
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Tell the wheel between hub and rim, soft edges excluded."""
@@ -201,6 +229,24 @@ class Tendon(Scene):
         return step_of(cycle * phase) * 2
 
 
+def _plane_waves(
+    weight: FloatArray, across: FloatArray, down: FloatArray
+) -> FloatArray:
+    """Sum of weight cos(across + down) over waves; (n,), (n, W), (n, H) -> (H, W)."""
+    cos, sin = np.cos(across), np.sin(across)
+    cos_down = (weight[:, None] * np.cos(down))[..., None]
+    sin_down = (weight[:, None] * np.sin(down))[..., None]
+    total = np.zeros((down.shape[1], across.shape[1]))
+    for k in range(0, len(total), _WAVE_ROWS):
+        rows = slice(k, k + _WAVE_ROWS)
+        part = total[rows]
+        wave = np.empty_like(part)
+        for i in range(len(weight)):
+            part += np.multiply(cos_down[i, rows], cos[i], out=wave)
+            part -= np.multiply(sin_down[i, rows], sin[i], out=wave)
+    return total
+
+
 @dataclass(frozen=True, kw_only=True)
 class Texture(Scene):
     """A moving random texture with fields of AoP and DoLP, spectrum 1/f.
@@ -249,8 +295,10 @@ class Texture(Scene):
                 self.dolp_spread <= self.dolp <= 1 - self.dolp_spread,
                 "stay in 0..1 within dolp_spread")
 
-    def _field(self, name: str, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Return a field of mean 0 and rms 1 at places u, v."""
+    def _field(
+        self, name: str, t: FloatArray, x: FloatArray, y: FloatArray
+    ) -> FloatArray:
+        """Return a field of mean 0 and rms 1."""
         index = np.arange(self.waves)
 
         def draw(what: str) -> FloatArray:
@@ -261,23 +309,31 @@ class Texture(Scene):
             (index + draw("wavelength")) / self.waves)
         direction, phase = 2 * np.pi * draw("direction"), 2 * np.pi * draw("phase")
         k = 2 * np.pi / wavelength
-        total = np.zeros(np.broadcast_shapes(u.shape, v.shape))
+        kx, ky = k * np.cos(direction), k * np.sin(direction)
         weight = wavelength / math.sqrt(float(np.sum(wavelength**2)) / 2)
+        rate = kx * self.velocity[0] + ky * self.velocity[1]
+        shape = np.broadcast_shapes(t.shape, x.shape, y.shape)
+        rest = np.broadcast_shapes(t.shape, y.shape)
+        if x.size > 1 and x.shape[-1:] == (x.size,) and rest[-1:] == (1,):
+            # cos(a + b) by columns and rows: no cosine per pixel.
+            across = kx[:, None] * x.ravel()
+            down = (ky[:, None] * np.broadcast_to(y, rest).ravel() + phase[:, None]
+                    - rate[:, None] * np.broadcast_to(t, rest).ravel())
+            return _plane_waves(weight, across, down).reshape(shape)
+        total = np.zeros(shape)
         for i in index:
-            total += weight[i] * np.cos(
-                k[i] * math.cos(direction[i]) * u + k[i] * math.sin(direction[i]) * v
-                + phase[i])
+            total += weight[i] * np.cos(kx[i] * x + ky[i] * y + phase[i] - rate[i] * t)
         return total
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms."""
-        t = np.asarray(t_us, np.float64) * 1e-6
-        u = np.asarray(x, np.float64) - self.velocity[0] * t
-        v = np.asarray(y, np.float64) - self.velocity[1] * t
-        s0 = self.s0 * np.exp(self.contrast * self._field("intensity", u, v))
-        dolp = self.dolp + self.dolp_spread * np.sin(self._field("dolp", u, v))
-        aop = self.aop + self.aop_spread * self._field("aop", u, v)
-        return s0, s0 * dolp * np.cos(2 * aop), s0 * dolp * np.sin(2 * aop)
+        at = (np.asarray(t_us, np.float64) * 1e-6, np.asarray(x, np.float64),
+              np.asarray(y, np.float64))
+        s0 = self.s0 * np.exp(self.contrast * self._field("intensity", *at))
+        dolp = self.dolp + self.dolp_spread * np.sin(self._field("dolp", *at))
+        aop = 2 * (self.aop + self.aop_spread * self._field("aop", *at))
+        linear = s0 * dolp
+        return s0, linear * np.cos(aop), linear * np.sin(aop)
 
     @property
     def step_us(self) -> float:
