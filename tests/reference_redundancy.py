@@ -14,6 +14,7 @@ class Macropixel:
         self.counts = np.zeros((4, 2))
         self.M, self.n = np.zeros((4, 4)), 0.0
         self.ratio = self.least = 1.0
+        self.definite = True    # rounding decided nothing so far
 
     def sample(self, log, on, off):
         if not (on + off).any():
@@ -62,6 +63,7 @@ class Macropixel:
         R = self.M / np.outer(scale, scale) + pull * (np.eye(4) - 0.25)
         values, vectors = np.linalg.eigh(R)
         gain = vectors[:, 0] * np.sign(vectors[:, 0].sum())
+        self.definite &= values[1] - values[0] > 0.05 and abs(gain.min() - 0.02) > 0.01
         if gain.min() < 0.02:
             self.ratio = self.least = 1.0
             return

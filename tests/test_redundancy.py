@@ -64,6 +64,8 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
             for twin in twins.values():
                 twin.solve(PULL, LEAST)
     for at, twin in twins.items():
+        if not twin.definite:
+            continue
         mine = of(state, *at)
         np.testing.assert_allclose(mine[:, 0], twin.base, atol=3e-4)
         np.testing.assert_allclose(mine[:, 1:3], twin.theta, rtol=1e-5)
