@@ -115,6 +115,27 @@ def test_standard_errors_of_a_sweep_cover_the_truth(swept):
         assert 0.60 < covered < 0.76, name
 
 
+def test_an_error_of_the_dark_frame_counts_in_extinction_ratios():
+    rng = np.random.default_rng(3)
+    ratio = 40 + 3 * rng.normal(size=SIZE)
+    angles = np.deg2rad(np.arange(0, 180, 10))
+
+    def expose(a):
+        dn = 300 * (1 + 1 / ratio + (1 - 1 / ratio) * np.cos(
+            2 * (a - np.deg2rad(LAYOUT_DEG))))
+        return frames(dn, 10, rng, np.sqrt(dn / 20 + 1.5**2))
+
+    steps = [(a, list(expose(a))) for a in angles]
+    dark = np.float32(0.5) * rng.normal(size=SIZE).astype(np.float32)
+    covered = []
+    for sigma in (0.0, 0.5):
+        fit = fit_sweep(read_sweep(steps, dark=dark, dark_sigma=sigma))
+        covered.append(np.mean(
+            np.abs(fit.extinction_ratio - ratio) < fit.extinction_ratio_sigma))
+    assert covered[0] < 0.55
+    assert 0.60 < covered[1] < 0.76
+
+
 def test_a_sweep_tells_the_lamp_s_polarization_from_the_pixels(swept):
     fit, *_, wander, _, _ = swept
     assert fit.source == pytest.approx((0.03, -0.02), abs=3e-4)

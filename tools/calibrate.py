@@ -206,7 +206,10 @@ def _sweep(
 
 
 def _fit(steps: Any, known: Calibration) -> SweepFit:
-    return fit_sweep(read_sweep(steps, dark=known.dark, gain=known.gain))
+    # The file does not say of how many frames the dark values are: the paper's number.
+    error = 0.0 if known.dark_noise is None else known.dark_noise / np.sqrt(100)
+    return fit_sweep(read_sweep(
+        steps, dark=known.dark, gain=known.gain, dark_sigma=error))
 
 
 def _condition(fit: SweepFit, layout: Layout) -> float:
@@ -255,7 +258,8 @@ def _layout(
 def _thresholds(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
-    found = thresholds_in_situ(recordings[0], nominal=args.nominal)
+    found = thresholds_in_situ(
+        recordings[0], nominal=args.nominal, calibration=known)
     sigma = found.sigma
     page = Page("Contrast thresholds")
     for name, plane, error in (("ON", found.theta_on, sigma[0]),

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.sensor import Sensor
+
 __all__ = ["LEAK_HZ", "Doubts", "offsets_dn", "shrunk"]
 
 LEAK_HZ = 0.33
@@ -20,7 +22,9 @@ what they add up to in each period is the same."""
 _Symmetric = tuple[
     NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
-_OFFSETS_DN, _DARK_DN = (1.4, 0.4), (0.2, 0.1)
+# Of the sensor's `offset_dn`, a pixel's own part (what dims dim samples lets them count
+# for less) and the common one; in DN, where a dark frame was taken off.
+_OFFSET_SHARES, _DARK_DN = (0.7, 0.2), (0.2, 0.1)
 _USUAL_MISMATCH = 0.035
 
 
@@ -52,12 +56,13 @@ class Doubts:
             self.model, self.offset_dn[1] * np.sqrt(np.mean(self.per_dn**2))))
 
 
-def offsets_dn(dark: bool) -> tuple[float, float]:
+def offsets_dn(sensor: Sensor | None, dark: bool) -> tuple[float, float]:
     """Return the standard deviation of frames' offsets, own and common, in DN.
 
     Of what double sampling leaves, or of what is left when a dark frame was taken off.
     """
-    return _DARK_DN if dark else _OFFSETS_DN
+    left = (sensor or Sensor.PDAVIS).offset_dn
+    return _DARK_DN if dark else (left * _OFFSET_SHARES[0], left * _OFFSET_SHARES[1])
 
 
 def shrunk(

@@ -196,8 +196,8 @@ def thresholds_in_situ(
     scale = float(np.clip(chi / n, 1e-3, 4.0)) if n else 1.0
     doubts = None
     if sample is not None:
-        doubts = sample.doubts(law, calibration is not None
-                               and calibration.dark is not None)
+        dark = calibration is not None and calibration.dark is not None
+        doubts = sample.doubts(law, offsets_dn(recording.info.sensor, dark))
     theta, covariance = shrunk(theta, covariance, nominal, sigma, scale, doubts)
     return ThresholdEstimate(
         theta[0], theta[1], covariance, found,
@@ -429,7 +429,9 @@ class _Sample:
             self.items, self.shape, self.on, self.off, SIGMA, law, noise).misfit
         return 0.5 * float(chi + log), float(chi / max(n, 1))
 
-    def doubts(self, law: tuple[float, float], dark: bool) -> Doubts:
+    def doubts(
+        self, law: tuple[float, float], offset_dn: tuple[float, float]
+    ) -> Doubts:
         """Return what does not show in the misfit, for all pixels of the sensor."""
         seen, as_it_is = self._seen, self._scale(self.items, law)
         brighter = self._scale(
@@ -445,7 +447,7 @@ class _Sample:
         bend = (1 / low - 1 / high) / np.log(high / low)
         here = np.mean(bend.ravel()[self._pixels])
         return Doubts(seen.events / (2 * max(seen.seconds, 1e-3)),
-                      (brighter - as_it_is) / here * bend, offsets_dn(dark), model)
+                      (brighter - as_it_is) / here * bend, offset_dn, model)
 
     def _scale(self, items: _Items, law: tuple[float, float]) -> float:
         """Return the mean log of the thresholds that the pixels learn."""
@@ -478,11 +480,18 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
         prior = 0.5 * ((point[0] - _LN_HZ) / _LN_HZ_SIGMA) ** 2
         return sample.misfit(_law(point, sample.bright))[0] + float(prior)
 
-    grid = [np.array([np.log(hz), share]) for share in (0.0, 1.0) for hz in _GRID_HZ]
-    best = min(grid, key=cost)
+    # Between the grid's points the misfit may be far less than at them.
+    tried: list[tuple[float, NDArray[np.float64]]] = []
+    for share in (0.0, 1.0):
+        points = [np.array([np.log(hz), share]) for hz in _GRID_HZ]
+        tried += (costs := [(cost(point), point) for point in points])
+        ln_hz = _vertex(np.log(_GRID_HZ), [each for each, _ in costs])
+        point = np.array([ln_hz, share])
+        tried.append((cost(point), point))
+    _, best = min(tried, key=lambda each: each[0])
     toward = np.diag([0.3, 0.3 - 0.6 * best[1]])
     found = minimize(cost, best, method="Nelder-Mead", options={
-        "maxfev": 24, "xatol": 0.01, "fatol": 0.1, "initial_simplex": [
+        "maxfev": 22, "xatol": 0.01, "fatol": 0.1, "initial_simplex": [
             best, best + toward[0], best + toward[1]]})
     # The curvature of the misfit, for the noise that it says there is.
     hz, slope = _law(found.x, sample.bright)
@@ -493,6 +502,15 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     # Misfits are alike from frame to frame, so that there are fewer than frames.
     sigma = min(np.hypot(_ALIKE * sigma, _TIMING), _LN_HZ_SIGMA)
     return Bandwidth(hz, slope, 0.1 * sample.bright, float(sigma))
+
+
+def _vertex(x: NDArray[np.float64], y: Sequence[float]) -> float:
+    """Return where the parabola through the least y and its neighbours is least."""
+    at = int(np.clip(np.argmin(y), 1, len(y) - 2))
+    near = slice(at - 1, at + 2)
+    bend, slope, _ = np.polyfit(x[near] - x[at], y[near], 2)
+    by = -slope / (2 * bend) if bend > 0 else 0.0
+    return float(x[at] + np.clip(by, x[at - 1] - x[at], x[at + 1] - x[at]))
 
 
 def _noise(sample: _Sample, law: tuple[float, float]) -> float:

@@ -29,11 +29,14 @@ class Sweep:
         Mean DN after dark and gain; NaN where nothing was valid.
     variance : ndarray of float32, shape (N, H, W)
         Variance of those means.
+    offset_sigma : ndarray of float32, shape (H, W), or float
+        Standard deviation of an offset of a pixel in all of them, DN.
     """
 
     angles: NDArray[np.float64]
     dn: NDArray[np.float32]
     variance: NDArray[np.float32]
+    offset_sigma: NDArray[np.float32] | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +119,7 @@ def read_sweep(
     *,
     dark: NDArray[np.float32] | None = None,
     gain: NDArray[np.float32] | None = None,
+    dark_sigma: ArrayLike = 0.0,
 ) -> Sweep:
     """Average the frames at each angle of a sweep.
 
@@ -125,6 +129,9 @@ def read_sweep(
         Angle in radians, and what was recorded at it.
     dark, gain : ndarray of float32, shape (H, W), optional
         Of the camera.
+    dark_sigma : float or array_like of shape (H, W)
+        Standard error of `dark`, DN.  It is the same at all angles, and with many
+        frames the largest part of an extinction ratio's error.
 
     Raises
     ------
@@ -148,7 +155,9 @@ def read_sweep(
     if distinct < 5:
         raise ValueError(
             f"a sweep needs at least five different angles, got {distinct}")
-    return Sweep(np.array(angles), np.stack(means), np.stack(variances))
+    offset = np.asarray(
+        np.asarray(dark_sigma) * (1.0 if gain is None else gain), np.float32)
+    return Sweep(np.array(angles), np.stack(means), np.stack(variances), offset)
 
 
 def _error(mean: Mean) -> NDArray[np.float64]:
@@ -230,7 +239,10 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
     typical = float(np.median(residual[usable]))
     usable &= residual < 6 * typical
     scale = 2 * float(np.median(response[0][usable]))
-    covariance *= (max(typical, 1e-9) / scale) ** 2
+    covariance *= max(typical, 1e-9) ** 2
+    # An offset passes for response to unpolarized light, which hardly varies.
+    covariance[:, 0, 0] += np.ravel(sweep.offset_sigma) ** 2
+    covariance /= scale**2
     shape = sweep.dn.shape[1:]
 
     def plane(values: NDArray[Any]) -> NDArray[np.float32]:
