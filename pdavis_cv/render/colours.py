@@ -146,7 +146,7 @@ def saturated_white(
     Parameters
     ----------
     picture : ndarray of uint8, shape (H, W, 3)
-        Picture of the intensity, C-contiguous; changed.
+        Picture of the intensity; changed.
     intensity : array_like of float, shape (H, W)
         S0 or a channel.
     valid : ndarray of bool, shape (H, W)
@@ -160,10 +160,10 @@ def saturated_white(
     ndarray of uint8, shape (H, W, 3)
         ``picture``.
     """
-    dubious = np.flatnonzero(~valid)
-    if dubious.size:
-        bright = np.asarray(intensity).reshape(-1)[dubious] >= least
-        picture.reshape(-1, 3)[dubious[bright]] = 255
+    saturated = np.asarray(intensity) >= least
+    saturated &= ~valid
+    if saturated.any():
+        picture[saturated] = 255
     return picture
 
 
