@@ -266,6 +266,8 @@ def integral_weights(
     intervals: int, linear: bool,
 ) -> FloatArray:
     """Weights of node values in the integral from start to end; see `weights`."""
+    if np.all(end <= origin_us) or np.all(start >= origin_us + step_us * intervals):
+        return np.zeros((intervals + (1 if linear else 5), len(start)))
     left = np.clip((start - origin_us) / step_us - np.arange(intervals)[:, None], 0, 1)
     right = np.clip((end - origin_us) / step_us - np.arange(intervals)[:, None], 0, 1)
 

@@ -339,7 +339,8 @@ def _packets(piece: Piece) -> Iterator[Packet]:
         while end - at > MAX_PACKET_EVENTS:
             yield Packet(events[at:at + MAX_PACKET_EVENTS].copy())
             at += MAX_PACKET_EVENTS
-        yield Packet(events[at:end].copy(), () if frame is None else (frame,))
+        part = events if end - at == len(events) else events[at:end].copy()
+        yield Packet(part, () if frame is None else (frame,))
         at = end
 
 
