@@ -159,9 +159,10 @@ cdef inline part_t ahead(int64_t t_prev, int p_prev, int64_t t0, int p0,
                          double t) noexcept nogil:
     """Part crossed at t from the last two events alone, nothing known beyond t.
 
-    The mean of the part as a function of the time since the last event over the last
-    interval, for intensities that turn smoothly: on at the same rate up to 0.76, then
-    more and more likely to have turned.
+    Means and variances of the part and of its slope, as functions of the time since
+    the last event over the last interval, for turning polarizers of any degree seen by
+    a low-pass pixel: on at nearly the same rate, then more and more likely to have
+    turned.  After a turn it goes on fast, unless one of the events was noise.
     """
     cdef part_t part
     cdef double gap = <double>(t0 - t_prev), u
@@ -175,32 +176,41 @@ cdef inline part_t ahead(int64_t t_prev, int p_prev, int64_t t0, int p0,
         return part
     if gap < 200.0:
         gap = 200.0
-    part.var = 0.05
-    part.rate_var = 0.3e12 / (gap * gap)
     u = (t - <double>t0) / gap
     if p_prev == p0:
         part.fall = 0.0 if p0 else 1e6 / gap
-        if u < 0.85:
-            part.fraction = u * 0.894
-            part.rate = 1e6 / gap
-        elif u < 1.05:
-            part.fraction = 0.76
-        elif u < 4.0:
-            part.fraction = 0.76 - 0.41 * (u - 1.05)
-            part.rate = -0.3e6 / gap
+        part.var = 0.1 * u * u + 0.005 if u < 1.5 else 0.23
+        part.rate_var = 0.04 + 0.25 * u if u < 1.0 else 0.29
+        if u < 0.8:
+            part.fraction = 0.86 * u
+            part.rate = 0.93 - 0.18 * u
+        elif u < 1.2:
+            part.fraction = 0.688 if u < 1.1 else 0.688 - 0.57 * (u - 1.1)
+            part.rate = 0.786 - 1.59 * (u - 0.8)
+        elif u < 5.0:
+            part.fraction = (0.688 - 0.57 * (u - 1.1) if u < 1.45
+                             else 0.488 - 0.26 * (u - 1.45))
+            part.rate = 0.15 - 0.7 * (u - 1.2) if u < 2.25 else -0.585
         else:
-            part.fraction = -0.45
-    elif u < 0.12:
-        part.fraction = 6.0 * u
-        part.rate = 2e6 / gap
-    elif u < 0.25:
-        part.fraction = 0.72
-    elif u < 0.6:
-        part.fraction = 0.72 - 0.571 * (u - 0.25)
-    elif u < 2.0:
-        part.fraction = 0.52 - 0.157 * (u - 0.6)
+            part.fraction = -0.435
     else:
-        part.fraction = 0.3
+        part.var = 0.05
+        part.rate_var = 1.7
+        if u < 0.15:
+            part.fraction = 4.5 * u
+            part.rate = 4.7
+        elif u < 0.3:
+            part.fraction = 0.675 + 1.1 * (u - 0.15)
+            part.rate = 4.7 - 8.8 * (u - 0.15)
+        elif u < 0.6:
+            part.fraction = 0.84 - 0.97 * (u - 0.3)
+            part.rate = 3.38 - 11.27 * (u - 0.3)
+        elif u < 2.0:
+            part.fraction = 0.549 - 0.178 * (u - 0.6)
+        else:
+            part.fraction = 0.3
+    part.rate *= 1e6 / gap
+    part.rate_var *= 1e12 / (gap * gap)
     return part
 
 

@@ -43,15 +43,27 @@ def ahead(before, t0, p0, t):
     gap = max(t0 - before[0], 200)
     u = (t - t0) / gap
     if before[1] == p0:
-        pieces = [(0.85, 0.894 * u, 1), (1.05, 0.76, 0),
-                  (4.0, 0.76 - 0.41 * (u - 1.05), -0.3), (np.inf, -0.45, 0)]
+        fraction = np.interp(u, [0, 0.8], [0, 0.688]) if u < 1.1 else np.select(
+            [u < 1.45, u < 5], [0.688 - 0.57 * (u - 1.1), 0.488 - 0.26 * (u - 1.45)],
+            -0.435)
+        rate = np.select(
+            [u < 0.8, u < 1.2, u < 2.25, u < 5],
+            [0.93 - 0.18 * u, 0.786 - 1.59 * (u - 0.8), 0.15 - 0.7 * (u - 1.2),
+             -0.585], 0)
+        spread = (0.1 * u**2 + 0.005 if u < 1.5 else 0.23), min(
+            0.04 + 0.25 * u, 0.29)
     else:
-        pieces = [(0.12, 6 * u, 2), (0.25, 0.72, 0),
-                  (0.6, 0.72 - 0.571 * (u - 0.25), 0),
-                  (2.0, 0.52 - 0.157 * (u - 0.6), 0), (np.inf, 0.3, 0)]
-    fraction, rate = next((f, r) for limit, f, r in pieces if u < limit)
+        fraction = np.select(
+            [u < 0.15, u < 0.3, u < 0.6, u < 2],
+            [4.5 * u, 0.675 + 1.1 * (u - 0.15), 0.84 - 0.97 * (u - 0.3),
+             0.549 - 0.178 * (u - 0.6)], 0.3)
+        rate = np.select(
+            [u < 0.15, u < 0.3, u < 0.6],
+            [4.7, 4.7 - 8.8 * (u - 0.15), 3.38 - 11.27 * (u - 0.3)], 0)
+        spread = 0.05, 1.7
     fall = 1e6 / gap if before[1] == p0 == 0 else 0.0
-    return p0, fraction, rate * 1e6 / gap, 0.05, 0.3 * (1e6 / gap) ** 2, fall
+    return (p0, fraction, rate * 1e6 / gap, spread[0], spread[1] * (1e6 / gap) ** 2,
+            fall)
 
 
 def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
