@@ -6,6 +6,7 @@ wrong in common, always in the same way, no innovation shows; it is counted here
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["LEAK_HZ", "Doubts", "offsets_dn", "shrunk"]
+__all__ = ["LEAK_HZ", "Doubts", "offsets_dn", "shrunk", "vertex"]
 
-LEAK_HZ = 0.33
+LEAK_HZ = 0.36
 """Leak events of a pixel per second, which pass for a larger ratio of its thresholds:
 what they add up to in each period is the same."""
 
@@ -25,6 +26,9 @@ _Symmetric = tuple[
 # Of the sensor's `offset_dn`, a pixel's own part (what dims dim samples lets them count
 # for less) and the common one; in DN, where a dark frame was taken off.
 _OFFSET_SHARES, _DARK_DN = (0.7, 0.2), (0.2, 0.1)
+# However well frames fit, this part of the variance that they were assumed to have is
+# alike from frame to frame, and stays in the scale of the thresholds.
+_ALIKE = 0.5
 _USUAL_MISMATCH = 0.035
 
 
@@ -65,6 +69,15 @@ def offsets_dn(sensor: Sensor | None, dark: bool) -> tuple[float, float]:
     return _DARK_DN if dark else (left * _OFFSET_SHARES[0], left * _OFFSET_SHARES[1])
 
 
+def vertex(x: NDArray[np.float64], y: Sequence[float]) -> float:
+    """Return where the parabola through the least y and its neighbours is least."""
+    at = int(np.clip(np.argmin(y), 1, len(y) - 2))
+    near = slice(at - 1, at + 2)
+    bend, slope, _ = np.polyfit(x[near] - x[at], y[near], 2)
+    by = -slope / (2 * bend) if bend > 0 else 0.0
+    return float(x[at] + np.clip(by, x[at - 1] - x[at], x[at + 1] - x[at]))
+
+
 def shrunk(
     theta: NDArray[np.float64], covariance: NDArray[np.float64],
     nominal: tuple[ArrayLike, ArrayLike], sigma: float, scale: float,
@@ -85,8 +98,8 @@ def shrunk(
     scale : float
         Mean of e^2 / v over the innovations: how far their variance was overrated.
         Drift of the events shows in them; what de-blurring leaves does not wholly,
-        since it is alike from frame to frame, so that the scale of the thresholds
-        gains nothing by it.
+        since it is alike from frame to frame: to the scale of the thresholds a part
+        of it always counts.
     doubts : Doubts or None
         What is added to the covariance.
 
@@ -114,10 +127,14 @@ def shrunk(
     shift = _times(whole, pull)
     out = np.stack([np.clip(center + by, 0.3 * center, 3 * center)
                     for center, by in zip((on, off), shift, strict=True)])
-    scaled = _inverse(own[0] / scale + 1 / spread[0], own[1] / scale,
-                      own[2] / scale + 1 / spread[1])
-    ratio, _, _ = _relative(scaled, out)
-    before, size, mixed = _relative(scaled if scale > 1 else whole, out)
+
+    def left(share: float) -> _Symmetric:
+        return _relative(_inverse(
+            own[0] / share + 1 / spread[0], own[1] / share,
+            own[2] / share + 1 / spread[1]), out)
+
+    ratio, _, _ = left(scale)
+    before, size, mixed = left(max(scale, _ALIKE))
     mixed /= np.sqrt(before)
     if doubts is not None:
         # As far as the recording, not the prior, says what the ratio is.

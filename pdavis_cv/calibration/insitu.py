@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
-from pdavis_cv.calibration.certainty import Doubts, offsets_dn, shrunk
+from pdavis_cv.calibration.certainty import Doubts, offsets_dn, shrunk, vertex
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
@@ -446,8 +446,8 @@ class _Sample:
         # An offset weighs as it bends the log of the frames.
         bend = (1 / low - 1 / high) / np.log(high / low)
         here = np.mean(bend.ravel()[self._pixels])
-        return Doubts(seen.events / (2 * max(seen.seconds, 1e-3)),
-                      (brighter - as_it_is) / here * bend, offset_dn, model)
+        per_dn = (brighter - as_it_is) / here * bend
+        return Doubts(seen.per_s / 2, per_dn, offset_dn, model)
 
     def _scale(self, items: _Items, law: tuple[float, float]) -> float:
         """Return the mean log of the thresholds that the pixels learn."""
@@ -457,12 +457,15 @@ class _Sample:
 
 @dataclass
 class _Seen:
-    """What every pixel of the sensor did: events, least and most DN of its frames."""
+    """What every pixel of the sensor did.
 
-    events: NDArray[np.int64]
+    Events per second, those between frames counting as often as there are; least and
+    most DN of its frames.
+    """
+
+    per_s: NDArray[np.float64]
     least: NDArray[np.float32]
     most: NDArray[np.float32]
-    seconds: float
 
 
 def _brighter(frame: ApsFrame) -> ApsFrame:
@@ -485,7 +488,7 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     for share in (0.0, 1.0):
         points = [np.array([np.log(hz), share]) for hz in _GRID_HZ]
         tried += (costs := [(cost(point), point) for point in points])
-        ln_hz = _vertex(np.log(_GRID_HZ), [each for each, _ in costs])
+        ln_hz = vertex(np.log(_GRID_HZ), [each for each, _ in costs])
         point = np.array([ln_hz, share])
         tried.append((cost(point), point))
     _, best = min(tried, key=lambda each: each[0])
@@ -502,15 +505,6 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     # Misfits are alike from frame to frame, so that there are fewer than frames.
     sigma = min(np.hypot(_ALIKE * sigma, _TIMING), _LN_HZ_SIGMA)
     return Bandwidth(hz, slope, 0.1 * sample.bright, float(sigma))
-
-
-def _vertex(x: NDArray[np.float64], y: Sequence[float]) -> float:
-    """Return where the parabola through the least y and its neighbours is least."""
-    at = int(np.clip(np.argmin(y), 1, len(y) - 2))
-    near = slice(at - 1, at + 2)
-    bend, slope, _ = np.polyfit(x[near] - x[at], y[near], 2)
-    by = -slope / (2 * bend) if bend > 0 else 0.0
-    return float(x[at] + np.clip(by, x[at - 1] - x[at], x[at + 1] - x[at]))
 
 
 def _noise(sample: _Sample, law: tuple[float, float]) -> float:
@@ -533,10 +527,20 @@ def _sample(
     items: _Items, shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike]
 ) -> _Sample | None:
     """Return some busy pixels, None if frames or events are too few."""
-    counts = np.zeros(shape[0] * shape[1], np.int64)
+    counts, squares = np.zeros((2, shape[0] * shape[1]), np.int64)
     usable = np.zeros(shape, np.int64)
     least, most = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
     mids: list[int] = []
+    where: list[NDArray[np.intp]] = []
+    done = 0
+
+    def count(since: int) -> int:
+        if since < len(where):
+            here = np.bincount(np.concatenate(where[since:]), minlength=len(counts))
+            np.add(counts, here, out=counts)
+            np.add(squares, here * here, out=squares)
+        return len(where)
+
     for item in items:
         if isinstance(item, ApsFrame):
             good = item.dn >= 8
@@ -544,12 +548,15 @@ def _sample(
             np.minimum(least, item.dn, out=least)
             np.maximum(most, item.dn, out=most)
             mids.append(item.mid_us)
+            done = count(done)
         else:
-            counts += np.bincount(
-                item["y"].astype(np.intp) * shape[1] + item["x"], minlength=len(counts))
+            where.append(item["y"].astype(np.intp) * shape[1] + item["x"])
+    count(done)
     if len(mids) < 4:
         return None
-    seen = _Seen(counts.reshape(shape).copy(), least, most, (mids[-1] - mids[0]) / 1e6)
+    seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
+    seen = _Seen((squares / np.maximum(counts * seconds, 1e-9)).reshape(shape), least,
+                 most)
     counts[usable.ravel() < 0.8 * len(mids)] = 0
     if not counts.any():
         return None
@@ -564,9 +571,10 @@ def _sample(
     part: _Items = []
     frames = 0
     pending: list[NDArray[Any]] = []
+    places = iter(where)
     for item in items:
         if not isinstance(item, ApsFrame):
-            at = place[item["y"].astype(np.intp) * shape[1] + item["x"]]
+            at = place[next(places)]
             mine = item[at >= 0].copy()
             mine["x"], mine["y"] = at[at >= 0], 0
             pending.append(mine)
