@@ -140,6 +140,13 @@ def pixel_events(const double[:, ::1] light not None,
                     d0 = d1
                     known = 0
                     continue
+                if light1 == p.light and d0 == 0 and d1 == 0 and still and (
+                        p.level == p.v and not direct):
+                    # Settled in constant light: only the leak is at work.
+                    c.drift = p.leak * cfg.h
+                    if p.ref - p.off < p.level + c.drift < p.ref + p.on:
+                        p.ref -= c.drift
+                        continue
                 v1 = log64(light1)
                 if not known:
                     p.level = p.v = log64(p.light)

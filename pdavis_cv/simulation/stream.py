@@ -284,8 +284,8 @@ class SimulatedRecording(Recording):
             y = np.arange(rows.start, rows.stop)[:, None] + row
             x = np.arange(camera.size[1])[None, :] + column
             s0, s1, s2 = self.scene.stokes(t[:, None, None], x, y)
-            light = (analyser[..., 0] * s0 + analyser[..., 1] * s1
-                     + analyser[..., 2] * s2).reshape(len(t), -1)
+            a0, a1, a2 = np.ascontiguousarray(np.moveaxis(analyser, -1, 0))
+            light = (a0 * s0 + a1 * s1 + a2 * s2).reshape(len(t), -1)
             seen = None
         light = np.ascontiguousarray(light)
         slope = np.empty((0, light.shape[1])) if self.scene.linear else (
