@@ -453,8 +453,15 @@ def _correlated(
         "load file: aligned with the fused images, which may lag by 1 % of a cycle, as "
         "the frames alone do not fix its offset")
     clock = aligned(found.busiest or found.fused)
-    error = math.hypot(clock.offset_se_s, 0.01 / found.load_hz)
+    error = math.hypot(
+        clock.offset_se_s, 0.01 / found.load_hz, _lag_error(found.facts))
     return replace(clock, offset_se_s=error)
+
+
+def _lag_error(facts: dict[str, Any]) -> float:
+    """Return by how many seconds the pixels may lag more than the filter takes out."""
+    hz, _, relative = facts.get("parameters", {}).get("bandwidth") or (0.0, 0.0, 0.0)
+    return math.expm1(relative) / (2 * math.pi * hz) if hz > 0 else 0.0
 
 
 def _maps_and_video(
