@@ -18,7 +18,8 @@ def full():
         sensor_size=SIZE, chip="Davis346", serial="00000042", layout=Layout.SONY,
         theta_on=plane, theta_off=plane + 0.1, dark=-plane, dark_noise=plane,
         gain=plane + 1, analyser=rng.normal(size=(*SIZE, 3)), usable=plane > 0.15,
-        clip_dn=900.0, bandwidth_hz=250.0, notes={"wavelength_nm": 500})
+        clip_dn=900.0, bandwidth_hz=250.0, bandwidth_sigma=0.1,
+        notes={"wavelength_nm": 500})
 
 
 def test_a_file_gives_back_what_was_saved(tmp_path):
@@ -30,6 +31,18 @@ def test_a_file_gives_back_what_was_saved(tmp_path):
     for name in one.parts:
         np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
     assert [path.name for path in tmp_path.iterdir()] == ["camera.npz"]
+
+
+def test_a_file_of_an_earlier_version_has_no_uncertainty_of_the_bandwidth(tmp_path):
+    path = full().save(tmp_path / "camera.npz")
+    with np.load(path) as data:
+        arrays = dict(data)
+    head = json.loads(str(arrays.pop("head")))
+    del head["bandwidth_sigma"]
+    np.savez(path, head=np.array(json.dumps(head)), **arrays)
+    other = Calibration.load(path)
+    assert other.bandwidth_sigma is None
+    assert other.bandwidth_hz == 250.0
 
 
 def test_arrays_are_copies_and_read_only():

@@ -214,3 +214,11 @@ def test_noise_of_events_is_told_from_how_badly_frames_agree_with_them(
         noisy, None, NOMINAL, None, {"bandwidth": (250, 0)}, "kalman", causal=False)
     assert low <= learned["noise"][1] <= high
     assert learned["bandwidth"] == (250, 0)
+
+
+@pytest.mark.parametrize("sigma", [None, 0.11])
+def test_a_calibration_s_bandwidth_comes_with_its_uncertainty(nominal, sigma):
+    known = Calibration(sensor_size=(8, 8), bandwidth_hz=240.0, bandwidth_sigma=sigma)
+    fusion = fuse(nominal[1], method="kalman", calibration=known)
+    usual = 0.03
+    assert fusion.provenance["parameters"]["bandwidth"] == (240.0, 0.0, sigma or usual)

@@ -281,6 +281,7 @@ def _thresholds(
                  f"{found.bandwidth.at_intensity:.1f} DN/ms")
         values["bandwidth_hz"] = hz if hz > 0 else None
         values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
+        values["bandwidth_sigma"] = found.bandwidth.sigma
     return values, page
 
 

@@ -361,7 +361,9 @@ def _calibrated(
     known = dict(parameters)
     hz, per_dn = calibration.bandwidth_hz, calibration.bandwidth_hz_per_dn
     if hz is not None or per_dn is not None:
-        known.setdefault("bandwidth", (hz or 0.0, per_dn or 0.0))
+        sigma = calibration.bandwidth_sigma
+        known.setdefault("bandwidth", (
+            hz or 0.0, per_dn or 0.0, *(() if sigma is None else (sigma,))))
     if calibration.theta_on is not None and thresholds in (None, "calibration"):
         on, off = calibration.theta_on_sigma, calibration.theta_off_sigma
         known.setdefault("threshold_sigma", _KNOWN_SIGMA if on is None or off is None

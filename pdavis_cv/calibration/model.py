@@ -27,7 +27,7 @@ _POSITIVE = ("theta_on", "theta_off", "gain")
 _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
     "gain", "analyser", "analyser_sigma", "usable", "background")
-_NUMBERS = ("clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn")
+_NUMBERS = ("clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn", "bandwidth_sigma")
 # Parts that only make sense together.
 _TOGETHER = (("theta_on", "theta_off"),)
 
@@ -71,6 +71,8 @@ class Calibration:
         Corner frequency of the event pixels' photoreceptor, where it is constant.
     bandwidth_hz_per_dn : float, optional
         Corner frequency per DN per ms, where it is proportional to intensity.
+    bandwidth_sigma : float, optional
+        Relative error of both, one standard deviation.
     notes : mapping of str to object
         Provenance and conditions, JSON values: wavelength in nm, f-number,
         temperature, how each part was measured.
@@ -100,6 +102,7 @@ class Calibration:
     clip_dn: float | None = None
     bandwidth_hz: float | None = None
     bandwidth_hz_per_dn: float | None = None
+    bandwidth_sigma: float | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -272,6 +275,7 @@ class Calibration:
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
             layout = head["layout"]
+            head.setdefault("bandwidth_sigma", None)     # earlier files do not say
             return cls(
                 sensor_size=tuple(head["sensor_size"]), chip=head["chip"],
                 serial=head["serial"], notes=head["notes"],
