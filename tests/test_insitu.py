@@ -77,6 +77,8 @@ def test_the_bandwidth_is_found(estimate):
     assert estimate.bandwidth.hz == pytest.approx(250, rel=0.1)
     share = estimate.bandwidth.hz_per_intensity * estimate.bandwidth.at_intensity
     assert share < 0.1 * estimate.bandwidth.hz
+    # Nothing tells that it follows the light, which would reach far beyond the frames.
+    assert estimate.bandwidth.hz_per_intensity == 0
     assert 0 < estimate.bandwidth.sigma < 0.1
 
 

@@ -59,6 +59,9 @@ _LN_HZ, _LN_HZ_SIGMA = np.log(USUAL_BANDWIDTH[0]), USUAL_BANDWIDTH[2]
 # error by what interpolation has wrong: 20 to 50 us of a lag.  Both measured.
 _ALIKE, _TIMING = 2.5, 0.04
 _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
+# How much likelier, in ln, a bandwidth that follows the light must be than a constant
+# one; and how near a coarse look must come for the constant one to have a chance.
+_EVIDENCE, _NEAR = 3.0, 100.0
 
 _Items = list["ApsFrame | NDArray[Any]"]
 
@@ -479,7 +482,7 @@ def _brighter(frame: ApsFrame) -> ApsFrame:
 
 
 def _bandwidth(sample: _Sample) -> Bandwidth:
-    from scipy.optimize import minimize  # slow to load, seldom needed
+    from scipy.optimize import minimize, minimize_scalar  # slow to load
 
     def cost(point: NDArray[np.float64]) -> float:
         prior = 0.5 * ((point[0] - _LN_HZ) / _LN_HZ_SIGMA) ** 2
@@ -498,6 +501,16 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     found = minimize(cost, best, method="Nelder-Mead", options={
         "maxfev": 22, "xatol": 0.01, "fatol": 0.1, "initial_simplex": [
             best, best + toward[0], best + toward[1]]})
+    near, (ln_hz, _) = min((each for each in tried if each[1][1] == 0),
+                           key=lambda each: each[0])
+    if found.x[1] > 0 and near < found.fun + _NEAR:
+        # A law of the light is followed beyond the light that told it, as where frames
+        # saturate: without evidence for it the bandwidth is constant.
+        constant = minimize_scalar(
+            lambda at: cost(np.array([at, 0.0])), method="bounded",
+            bounds=(ln_hz - 0.3, ln_hz + 0.3), options={"maxiter": 10})
+        if constant.fun < found.fun + _EVIDENCE:
+            found.x, found.fun = np.array([constant.x, 0.0]), constant.fun
     # The curvature of the misfit, for the noise that it says there is.
     hz, slope = _law(found.x, sample.bright)
     _, left = sample.misfit((hz, slope))
