@@ -7,7 +7,7 @@ import pytest
 from pdavis_cv import fuse, recording_from_arrays
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.calibration import bandwidth_in_situ
-from pdavis_cv.calibration.insitu import TYPICAL_BANDWIDTH
+from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH
 from pdavis_cv.calibration.past import LOOKS_S, Past
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.reconstruct.kalman import NOISE

@@ -1,7 +1,7 @@
 """What is known about one specimen of a camera, and how it is measured."""
+from pdavis_cv.calibration.bandwidth import Bandwidth
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, mean_frame
 from pdavis_cv.calibration.insitu import (
-    Bandwidth,
     ThresholdEstimate,
     bandwidth_in_situ,
     thresholds_in_situ,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
+from pdavis_cv.calibration.bandwidth import Bandwidth
 from pdavis_cv.calibration.certainty import Doubts, offsets_dn, shrunk, vertex
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
@@ -22,7 +23,7 @@ from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE, KalmanFilter
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["USUAL_BANDWIDTH", "Bandwidth", "ThresholdEstimate", "bandwidth_in_situ",
+__all__ = ["USUAL_BANDWIDTH", "ThresholdEstimate", "bandwidth_in_situ",
            "learned", "noise_of", "receptors", "thresholds_in_situ"]
 
 SIGMA = 0.035
@@ -33,10 +34,6 @@ LEARNED_SIGMA = 0.003
 
 _KNOWN_SIGMA = 0.0015
 """The same of a calibration's thresholds that come without an uncertainty."""
-
-TYPICAL_BANDWIDTH = (300.0, 0.0, 0.5)
-"""Of a photoreceptor, Hz, until a recording has told more; the relative error counts
-in the variance."""
 
 # As `KalmanFilter`'s, but what de-blurring leaves is not independent from frame to
 # frame: it counts for more where many frames are added up.
@@ -64,34 +61,6 @@ _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 _EVIDENCE, _NEAR = 3.0, 100.0
 
 _Items = list["ApsFrame | NDArray[Any]"]
-
-
-@dataclass(frozen=True)
-class Bandwidth:
-    """Corner frequency of the photoreceptors: ``hz + hz_per_intensity * I``.
-
-    Parameters
-    ----------
-    hz : float
-        Part that does not depend on the light.
-    hz_per_intensity : float
-        Per unit of intensity, Hz per DN/ms.
-    at_intensity : float
-        Intensity in DN/ms at which the sum is known best: a tenth of a bright pixel's,
-        since log intensity changes fastest where the light is dim.
-    sigma : float
-        Standard deviation of the log of the corner frequency there.
-    """
-
-    hz: float
-    hz_per_intensity: float
-    at_intensity: float
-    sigma: float
-
-    @property
-    def law(self) -> tuple[float, float]:
-        """(hz, hz_per_intensity), what `KalmanFilter` takes."""
-        return self.hz, self.hz_per_intensity
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdavis_cv._feed import first_time
-from pdavis_cv.calibration.insitu import (
-    TYPICAL_BANDWIDTH,
-    Bandwidth,
-    noise_of,
-    receptors,
-)
+from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth
+from pdavis_cv.calibration.insitu import noise_of, receptors
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.reconstruct.clock import checked_bandwidth
 from pdavis_cv.recording.base import Recording
