@@ -156,6 +156,9 @@ def _cells_with(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels of whole macropixels with a marked one."""
     rows, columns = (side // 2 for side in marked.shape)
     out = np.zeros(marked.shape, np.bool_)
-    part = marked[:2 * rows, :2 * columns].reshape(rows, 2, columns, 2)
-    out[:2 * rows, :2 * columns] = part.any((1, 3)).repeat(2, 0).repeat(2, 1)
+    even = marked[:2 * rows, :2 * columns]
+    if even.any():
+        pairs = even[::2] | even[1::2]
+        cells = pairs[:, ::2] | pairs[:, 1::2]
+        out[:2 * rows, :2 * columns] = cells.repeat(2, 0).repeat(2, 1)
     return out
