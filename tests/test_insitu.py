@@ -8,7 +8,7 @@ from pdavis_cv.calibration import (
     insitu,
     thresholds_in_situ,
 )
-from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.simulation import Camera, Fan, RotatingPolarizer
 
 NOMINAL = (0.16, 0.18)
 
@@ -80,6 +80,14 @@ def test_the_bandwidth_is_found(estimate):
     # Nothing tells that it follows the light, which would reach far beyond the frames.
     assert estimate.bandwidth.hz_per_intensity == 0
     assert 0 < estimate.bandwidth.sigma < 0.1
+
+
+def test_a_fan_s_steps_do_not_pass_for_a_bandwidth_that_follows_the_light():
+    camera = Camera.preset("nominal", size=(8, 32), origin=(54, 156))
+    recording, _ = camera.record(Fan(rpm=1013.0), 1.3)
+    found = bandwidth_in_situ(recording, nominal=NOMINAL)
+    assert found.hz == pytest.approx(250, rel=0.1)
+    assert found.hz_per_intensity == 0
 
 
 def test_a_bandwidth_in_proportion_to_the_light_is_told_apart():

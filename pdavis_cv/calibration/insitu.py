@@ -478,7 +478,10 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
         constant = minimize_scalar(
             lambda at: cost(np.array([at, 0.0])), method="bounded",
             bounds=(ln_hz - 0.3, ln_hz + 0.3), options={"maxiter": 10})
-        if constant.fun < found.fun + _EVIDENCE:
+        # A larger variance can be likelier without a smaller misfit.
+        _, left = sample.misfit(_law(found.x, sample.bright))
+        _, other = sample.misfit((float(np.exp(constant.x)), 0.0))
+        if constant.fun < found.fun + _EVIDENCE or other <= left:
             found.x, found.fun = np.array([constant.x, 0.0]), constant.fun
     # The curvature of the misfit, for the noise that it says there is.
     hz, slope = _law(found.x, sample.bright)
