@@ -1,10 +1,9 @@
 """What the tools that make videos share: times, tone curves, provenance."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator
 from fractions import Fraction
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ from pdavis_cv._feed import first_time
 from pdavis_cv.tools._common import UsageError
 
 __all__ = [
-    "ahead",
     "facts_of",
     "full_scale",
     "grid_times",
@@ -22,25 +20,6 @@ __all__ = [
     "of_frames",
     "tone_of",
 ]
-
-Item = TypeVar("Item")
-Made = TypeVar("Made")
-
-
-def ahead(make: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
-    """Make something of each item in a thread, while the next item comes about.
-
-    ``make`` is called again only when the consumer is through with what it made
-    before, so it may use its memory again.
-    """
-    with ThreadPoolExecutor(1) as thread:
-        waiting: Future[Made] | None = None
-        for item in items:
-            if waiting is not None:
-                yield waiting.result()
-            waiting = thread.submit(make, item)
-        if waiting is not None:
-            yield waiting.result()
 
 
 def grid_times(

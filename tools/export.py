@@ -30,7 +30,7 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
-from pdavis_cv.tools._images import ahead, full_scale
+from pdavis_cv.tools._images import full_scale
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
 
@@ -270,8 +270,9 @@ def _write_video(
 ) -> list[str]:
     facts = export.provenance(sheet.provenance, sheet.path)
     with export.VideoFile(args.out, rate, facts) as video:
-        for picture in ahead(sheet.picture, frames):
-            video.add(picture)
+        for frame in frames:
+            picture = sheet.picture(frame)
+            video.add(picture)  # encodes while the next one comes about
     height, width = picture.shape[:2]
     return [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
             f"{rate:g} per second; white is {sheet.white:g} DN/ms"]
