@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
-from pdavis_cv.calibration.bandwidth import Bandwidth
+from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth
 from pdavis_cv.calibration.certainty import Doubts, offsets_dn, shrunk, vertex
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
@@ -50,7 +50,7 @@ _SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
 
 # Corner frequency at bright pixels that a DAVIS has at usual biases, and the standard
 # deviation of its ln.
-USUAL_BANDWIDTH = (300.0, 0.0, 1.5)
+USUAL_BANDWIDTH = (TYPICAL_BANDWIDTH[0], 0.0, 1.5)
 _LN_HZ, _LN_HZ_SIGMA = np.log(USUAL_BANDWIDTH[0]), USUAL_BANDWIDTH[2]
 # By how much the misfit's curvature overrates what is known of it, and the relative
 # error by what interpolation has wrong: 20 to 50 us of a lag.  Both measured.
