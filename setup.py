@@ -41,6 +41,7 @@ SHARED = (
     "_double.pxd",
     "_film.h",
     "_math.pxd",
+    "_picture.h",
     "_pixel.pxd",
     "_rows.pxd",
     "_stencil.h",

@@ -83,21 +83,29 @@ def unpack_in_pairs(data, bits, n):
     return np.array(out, int)
 
 
-def hue_bgr(plane, valid, scale, table, invalid):
+def hue_bgr(plane, valid, scale, least, table):
     value = np.where(np.isfinite(plane), plane, 0).astype(float) * scale
-    index = np.floor((value + 0.5) % len(table)).astype(int)
-    return np.where((valid & np.isfinite(plane))[..., None], table[index], invalid)
+    index = np.floor((value + 0.5) % (len(table) - 2)).astype(int)
+    return coloured(plane, valid, least, table, index, np.isfinite(plane))
 
 
-def ramp_bgr(plane, valid, scale, table, invalid):
+def ramp_bgr(plane, valid, scale, least, table):
     value = np.where(np.isnan(plane), 0, plane).astype(float) * scale
-    index = (np.clip(value, 0, len(table) - 1) + 0.5).astype(int)
-    return np.where((valid & ~np.isnan(plane))[..., None], table[index], invalid)
+    index = (np.clip(value, 0, len(table) - 3) + 0.5).astype(int)
+    return coloured(plane, valid, least, table, index, ~np.isnan(plane))
 
 
-def tone_bgr(plane, valid, scale, table, invalid):
-    return ramp_bgr(np.where(np.isnan(plane), plane, np.sqrt(np.maximum(
-        np.asarray(plane, float) * scale, 0))), valid, 1.0, table, invalid)
+def tone_bgr(plane, valid, scale, least, table):
+    value = np.where(np.isnan(plane), 0, plane).astype(float) * scale
+    root = np.sqrt(np.maximum(value, 0))
+    index = (np.minimum(root, len(table) - 3) + 0.5).astype(int)
+    return coloured(plane, valid, least, table, index, ~np.isnan(plane))
+
+
+def coloured(plane, valid, least, table, index, has_colour):
+    index = np.where(has_colour, index, len(table) - 2)
+    index = np.where(~valid & (plane >= least), len(table) - 1, index)
+    return table[index, :3]
 
 
 def count(events, shape, start_us, stop_us):

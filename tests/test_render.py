@@ -1,6 +1,7 @@
 import builtins
 import colorsys
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -96,42 +97,92 @@ def test_an_infinite_angle_is_none_and_an_infinite_intensity_is_white():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_colour_kernels_match_reference(name, dtype):
     rng = np.random.default_rng(0)
-    table = rng.integers(0, 256, (1530, 3), np.uint8)
-    invalid = np.array([1, 2, 3], np.uint8)
+    table = rng.integers(0, 256, (1532, 4), np.uint8)
     kernel, twin = getattr(_kernels, name), getattr(reference, name)
-    for size in (0, 1, 7, 5000):
-        plane = rng.normal(20, 30, size).astype(dtype)
-        plane[:5] = [np.nan, np.inf, -np.inf, -0.0, 1e30][:size]
-        valid = rng.random(size) < 0.9
-        out = np.empty((size, 3), np.uint8)
-        plane.flags.writeable = valid.flags.writeable = False
-        for mask in (valid, np.ones(size, bool)):
-            given = mask.view(np.uint8) if mask is valid else np.empty(0, np.uint8)
-            kernel(plane, given, 37.5, table, invalid, out)
-            want = twin(plane, mask, 37.5, table, invalid)
-            if name == "hue_bgr":   # 1e30: some colour, and no crash
-                out[4:5] = want[4:5]
-            np.testing.assert_array_equal(out, want)
+    # beyond 256 pixels a row goes by blocks
+    for shape in ((0, 0), (0, 3), (3, 0), (1, 1), (1, 7), (3, 256), (2, 257), (5, 700)):
+        plane = rng.normal(20, 30, shape).astype(dtype)
+        odd = np.array([np.nan, np.inf, -np.inf, -0.0, 1e30], dtype)
+        plane.reshape(-1)[:5] = odd[:plane.size]
+        valid = rng.random(shape) < 0.9
+        valid.reshape(-1)[:2] = False
+        plane.flags.writeable = valid.flags.writeable = table.flags.writeable = False
+        for mask in (valid, np.ones(shape, bool)):
+            given = mask.view(np.uint8) if mask is valid else np.empty((0, 0), np.uint8)
+            for least in (-np.inf, 12.5, np.inf):
+                sheet = np.full((shape[0] + 2, shape[1] + 2, 3), 77, np.uint8)
+                out = sheet[1:-1, 1:-1]
+                kernel(plane, given, 37.5, least, table, out)
+                want = twin(plane, mask, 37.5, least, table)
+                if name == "hue_bgr":   # 1e30: some colour, and no crash
+                    far = plane == dtype(1e30)
+                    out[far] = want[far]
+                np.testing.assert_array_equal(out, want)
+                out[:] = 77
+                assert (sheet == 77).all()  # nothing around it was written
 
 
 @pytest.mark.parametrize("name", ["hue_bgr", "ramp_bgr", "tone_bgr"])
 @pytest.mark.parametrize(("change", "message"), [
-    ({1: np.zeros(5, np.uint8)}, "valid must be empty or as long"),
-    ({3: np.zeros((0, 3), np.uint8)}, r"table must be \(n, 3\)"),
-    ({3: np.zeros((9, 4), np.uint8)}, r"table must be \(n, 3\)"),
-    ({4: np.zeros(2, np.uint8)}, "invalid must hold 3"),
-    ({5: np.zeros((5, 3), np.uint8)}, "out must be"),
-    ({5: np.zeros((6, 4), np.uint8)}, "out must be"),
+    ({1: np.zeros((2, 5), np.uint8)}, "valid must be empty or have the size"),
+    ({1: np.zeros((3, 3), np.uint8)}, "valid must be empty or have the size"),
+    ({4: np.zeros((2, 4), np.uint8)}, r"table must be \(n \+ 2, 4\)"),
+    ({4: np.zeros((9, 3), np.uint8)}, r"table must be \(n \+ 2, 4\)"),
+    ({5: np.zeros((2, 2, 3), np.uint8)}, "out must be"),
+    ({5: np.zeros((1, 3, 3), np.uint8)}, "out must be"),
+    ({5: np.zeros((2, 3, 4), np.uint8)}, "out must be"),
+    ({5: np.zeros((2, 3, 4), np.uint8)[..., :3]}, "out must be"),
+    ({5: np.zeros((2, 3, 3), np.uint8)[..., ::-1]}, "out must be"),
 ])
 def test_colour_kernels_check_sizes_themselves(name, change, message):
-    arguments = [np.zeros(6, np.float32), np.empty(0, np.uint8), 1.0,
-                 np.zeros((9, 3), np.uint8), np.zeros(3, np.uint8),
-                 np.empty((6, 3), np.uint8)]
+    arguments = [np.zeros((2, 3), np.float32), np.empty((0, 0), np.uint8), 1.0, 0.0,
+                 np.zeros((9, 4), np.uint8), np.empty((2, 3, 3), np.uint8)]
     getattr(_kernels, name)(*arguments)
     for place, other in change.items():
         arguments[place] = other
     with pytest.raises(ValueError, match=message):
         getattr(_kernels, name)(*arguments)
+
+
+@pytest.mark.parametrize("colour", [
+    render.aop_bgr, render.dolp_bgr, render.cyclic_bgr,
+    lambda value, **more: render.grey_bgr(value, 2.0, **more)])
+def test_colours_can_be_drawn_into_a_part_of_a_picture(colour):
+    rng = np.random.default_rng(1)
+    value, valid = rng.random((20, 30)) * 3, rng.random((20, 30)) < 0.8
+    sheet = np.zeros((40, 50, 3), np.uint8)
+    place = sheet[7:27, 11:41]
+    assert colour(value, valid=valid, out=place) is place
+    np.testing.assert_array_equal(sheet[7:27, 11:41], colour(value, valid=valid))
+    place[:] = 0
+    assert not sheet.any()
+    with pytest.raises(TypeError, match="out must be uint8, got float32"):
+        colour(value, out=np.zeros((20, 30, 3), np.float32))
+    with pytest.raises(ValueError, match=r"out must have shape \(20, 30, 3\), "):
+        colour(value, out=sheet)
+    with pytest.raises(ValueError, match="the pixels of a row contiguous, got strides"):
+        colour(value, out=np.zeros((30, 20, 3), np.uint8).transpose(1, 0, 2))
+    sheet.flags.writeable = False
+    with pytest.raises(ValueError, match="out must be writeable"):
+        colour(value, out=sheet[7:27, 11:41])
+
+
+def test_eight_threads_draw_into_one_sheet():
+    value = np.random.default_rng(2).random((260, 346)) * np.pi
+    want = render.aop_bgr(value)
+    sheet = np.zeros((260, 8 * 346, 3), np.uint8)
+    places = [sheet[:, 346 * i:346 * (i + 1)] for i in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda place: render.aop_bgr(value, out=place), places))
+    np.testing.assert_array_equal(sheet, np.tile(want, (1, 8, 1)))
+
+
+def test_what_saturates_is_white_and_what_is_too_dark_is_shown():
+    value = np.array([[1.0, 30.0, 30.0, np.nan]], np.float32)
+    valid = np.array([[False, False, True, False]])
+    seen = render.grey_bgr(value, 60.0, valid, saturated=18.0)[0]
+    assert seen[:3, 0].tolist() == [4, 255, 128]
+    assert seen[3].tolist() == list(render.INVALID)
 
 
 @pytest.mark.parametrize("shape", [(2, 4), (3, 4, 3), (1, 1), (173, 131, 3)])

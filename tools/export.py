@@ -176,7 +176,9 @@ class Sheet:
     def picture(self, frame: PolarFrame) -> Picture:
         """Compose the picture of one image; the next one takes its memory."""
         names = self.args.quantities
-        pictures = [self._colour(frame, name) for name in names]
+        places = (None,) * len(names) if self._sheet is None else self._sheet.places
+        pictures = [self._colour(frame, name, place)
+                    for name, place in zip(names, places, strict=True)]
         if self._sheet is None:
             return render.tile(
                 pictures, columns=self.args.columns or len(names), gap=0)
@@ -185,20 +187,23 @@ class Sheet:
         line = f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
         return self._sheet.draw(pictures, line.rstrip())
 
-    def _colour(self, frame: PolarFrame, name: str) -> Picture:
+    def _colour(
+        self, frame: PolarFrame, name: str, out: Picture | None
+    ) -> Picture:
         plane = export.plane(frame, name)
         if name == "aop":
-            return render.aop_bgr(plane, frame.valid)
+            return render.aop_bgr(plane, frame.valid, out)
         if name.startswith("dolp"):
-            return render.dolp_bgr(plane, frame.valid)
+            return render.dolp_bgr(plane, frame.valid, out=out)
         if name == "quality" or name.startswith("sigma"):
-            return render.grey_bgr(plane, _UNIFORM if name == "sigma_aop" else 1.0)
+            return render.grey_bgr(
+                plane, _UNIFORM if name == "sigma_aop" else 1.0, out=out)
         # An intensity that is not valid is too dark or too bright to measure, and
         # may still be seen.
         if name in ("s1", "s2"):  # mid-grey is 0
-            return render.grey_bgr(plane + self.white, 2 * self.white)
-        return render.saturated_white(
-            render.grey_bgr(plane, self.white), plane, frame.valid, self.saturated)
+            return render.grey_bgr(plane + self.white, 2 * self.white, out=out)
+        return render.grey_bgr(
+            plane, self.white, frame.valid, saturated=self.saturated, out=out)
 
     def _panel(self, name: str) -> render.Panel:
         legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"

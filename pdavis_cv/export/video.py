@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -18,6 +19,7 @@ from pdavis_cv.render import even, opencv
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
+_AHEAD = 2  # pictures that wait: one is encoded, one evens out what takes longer
 _CODECS = {".mp4": "mp4v", ".m4v": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 
 
@@ -65,8 +67,8 @@ class VideoFile:
         self._shape: tuple[int, ...] = ()
         # OpenCV encodes without the GIL: while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
-        self._waiting: Future[None] | None = None
-        self._held: NDArray[Any] | None = None
+        self._waiting: deque[Future[None]] = deque()
+        self._held: list[NDArray[Any]] = []
 
     @staticmethod
     def _codec(suffix: str) -> str:
@@ -97,13 +99,15 @@ class VideoFile:
             raise ValueError(
                 f"picture must have the first one's shape {self._shape}, got "
                 f"{picture.shape}")
-        self._wait()
+        if len(self._waiting) == _AHEAD:
+            self._waiting.popleft().result()
         # Fresh memory each time would take longer than the copy.
-        if self._held is None:
-            self._held = np.array(even(picture), order="C")
+        if len(self._held) < _AHEAD:
+            self._held.append(np.array(even(picture), order="C"))
         else:
-            np.copyto(self._held, even(picture), casting="no")
-        self._waiting = self._encoder.submit(self._write, self._held)
+            np.copyto(self._held[self.count % _AHEAD], even(picture), casting="no")
+        held = self._held[self.count % _AHEAD]
+        self._waiting.append(self._encoder.submit(self._write, held))
         self.count += 1
 
     def _write(self, picture: NDArray[Any]) -> None:
@@ -111,9 +115,8 @@ class VideoFile:
             self._writer.write(picture)
 
     def _wait(self) -> None:
-        if self._waiting is not None:
-            self._waiting.result()
-            self._waiting = None
+        while self._waiting:
+            self._waiting.popleft().result()
 
     def _open(self, shape: tuple[int, ...]) -> None:
         cv2 = self._cv2

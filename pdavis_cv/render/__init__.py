@@ -12,7 +12,6 @@ from pdavis_cv.render.colours import (
     even,
     grey_bgr,
     panel,
-    saturated_white,
     stack,
     tile,
 )
@@ -53,7 +52,6 @@ __all__ = [
     "panel",
     "quad_picture",
     "reliable",
-    "saturated_white",
     "scale_bar",
     "stack",
     "tendon_sheet",

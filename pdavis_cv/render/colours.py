@@ -7,6 +7,7 @@ text is drawn by OpenCV.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -28,7 +29,6 @@ __all__ = [
     "grey_bgr",
     "opencv",
     "panel",
-    "saturated_white",
     "stack",
     "tile",
 ]
@@ -57,14 +57,42 @@ def _hue_table() -> Picture:
     return table
 
 
-_HUE_TABLE = _hue_table()
-_GREY_TABLE = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
-_DOLP_TABLE = np.stack([
+def table_of(
+    colours: NDArray[np.uint8], none: tuple[int, int, int] = INVALID,
+    invalid: tuple[int, int, int] = INVALID,
+) -> NDArray[np.uint8]:
+    """Return colours as the kernels take them.
+
+    Parameters
+    ----------
+    colours : ndarray of uint8, shape (N, 3)
+        BGR.
+    none, invalid : (int, int, int)
+        Colours of NaN and of what is not valid.
+
+    Returns
+    -------
+    ndarray of uint8, shape (N + 2, 4)
+        The last byte of each is not used.
+    """
+    table = np.zeros((len(colours) + 2, 4), np.uint8)
+    table[:-2, :3], table[-2, :3], table[-1, :3] = colours, none, invalid
+    return table
+
+
+_GREYS = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+_HUE_TABLE = table_of(_hue_table())
+_GREY_TABLE = table_of(_GREYS)
+_SEEN_TABLE = table_of(_GREYS, invalid=(255, 255, 255))
+_DOLP_TABLE = table_of(np.stack([
     np.rint(np.interp(np.linspace(0, 16, 256), np.arange(17), _VIRIDIS[:, c]))
-    for c in (2, 1, 0)], axis=1).astype(np.uint8)
+    for c in (2, 1, 0)], axis=1).astype(np.uint8))
 
 
-def aop_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
+def aop_bgr(
+    aop: ArrayLike, valid: NDArray[np.bool_] | None = None,
+    out: Picture | None = None,
+) -> Picture:
     """Colour an angle of polarization: hue = AoP / 180 degrees of a full turn.
 
     Parameters
@@ -74,17 +102,21 @@ def aop_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
         at 135.
     valid : ndarray of bool, shape (H, W), optional
         Pixels that are False become `INVALID`.
+    out : ndarray of uint8, shape (H, W, 3), optional
+        Overwritten and returned; may be a part of a larger picture.
 
     Returns
     -------
     ndarray of uint8, shape (H, W, 3)
         BGR at full saturation and value.
     """
-    return through_table(_kernels.hue_bgr, aop, valid, _HUES / np.pi, _HUE_TABLE)
+    return through_table(
+        _kernels.hue_bgr, aop, valid, _HUES / np.pi, _HUE_TABLE, out=out)
 
 
 def dolp_bgr(
-    dolp: ArrayLike, valid: NDArray[np.bool_] | None = None, *, top: float = 1.0
+    dolp: ArrayLike, valid: NDArray[np.bool_] | None = None, *, top: float = 1.0,
+    out: Picture | None = None,
 ) -> Picture:
     """Colour a degree of linear polarization, dark blue at 0 to yellow at `top`.
 
@@ -96,17 +128,21 @@ def dolp_bgr(
         Pixels that are False become `INVALID`.
     top : float
         DoLP of the brightest colour.
+    out : ndarray of uint8, shape (H, W, 3), optional
+        As for `aop_bgr`.
 
     Returns
     -------
     ndarray of uint8, shape (H, W, 3)
         BGR.
     """
-    return through_table(_kernels.ramp_bgr, dolp, valid, 255 / top, _DOLP_TABLE)
+    return through_table(
+        _kernels.ramp_bgr, dolp, valid, 255 / top, _DOLP_TABLE, out=out)
 
 
 def grey_bgr(
-    intensity: ArrayLike, white: float, valid: NDArray[np.bool_] | None = None
+    intensity: ArrayLike, white: float, valid: NDArray[np.bool_] | None = None, *,
+    saturated: float | None = None, out: Picture | None = None,
 ) -> Picture:
     """Show an intensity in grey, linear from 0 to `white`.
 
@@ -117,7 +153,13 @@ def grey_bgr(
     white : float
         Intensity that becomes 255, in the same unit; above it stays 255.
     valid : ndarray of bool, shape (H, W), optional
-        Pixels that are False become `INVALID`.
+        Pixels that are False become `INVALID`, unless `saturated` is given.
+    saturated : float, optional
+        Pixels that are not valid are white from this intensity on, which is a lower
+        bound of light too bright to be measured and may look darker than what was
+        measured beside it; below, they are too dark, and shown.
+    out : ndarray of uint8, shape (H, W, 3), optional
+        As for `aop_bgr`.
 
     Returns
     -------
@@ -132,39 +174,8 @@ def grey_bgr(
     if not white > 0:
         raise ValueError(f"white must be positive, got {white}")
     return through_table(
-        _kernels.ramp_bgr, intensity, valid, 255 / white, _GREY_TABLE)
-
-
-def saturated_white(
-    picture: Picture, intensity: ArrayLike, valid: NDArray[np.bool_], least: float
-) -> Picture:
-    """Whiten the pixels that are too bright to be measured.
-
-    Their intensity is a lower bound, and may look darker than a light beside them
-    that was measured.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (H, W, 3)
-        Picture of the intensity; changed.
-    intensity : array_like of float, shape (H, W)
-        S0 or a channel.
-    valid : ndarray of bool, shape (H, W)
-        True = usable.
-    least : float
-        Of the pixels that are not valid, those from here on saturate; the others are
-        too dark.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        ``picture``.
-    """
-    saturated = np.asarray(intensity) >= least
-    saturated &= ~valid
-    if saturated.any():
-        picture[saturated] = 255
-    return picture
+        _kernels.ramp_bgr, intensity, valid, 255 / white,
+        _GREY_TABLE if saturated is None else _SEEN_TABLE, saturated, out)
 
 
 def aop_legend(
@@ -378,7 +389,8 @@ def _text_width(text: str) -> int:
 
 def through_table(
     kernel: Callable[..., None], value: ArrayLike, valid: NDArray[np.bool_] | None,
-    scale: float, table: Picture, invalid: tuple[int, int, int] = INVALID,
+    scale: float, table: NDArray[np.uint8], least: float | None = None,
+    out: Picture | None = None,
 ) -> Picture:
     """Colour values by a table; not a NumPy chain, which takes ten times as long.
 
@@ -392,10 +404,12 @@ def through_table(
         True = usable.
     scale : float
         What the kernel multiplies values with.
-    table : ndarray of uint8, shape (N, 3)
-        BGR.
-    invalid : (int, int, int)
-        Colour of what is not valid, and of NaN.
+    table : ndarray of uint8, shape (N + 2, 4)
+        See `table_of`.
+    least : float, optional
+        What is not valid and below it has the colour of its value; default: nothing.
+    out : ndarray of uint8, shape (H, W, 3), optional
+        Overwritten and returned; pixels of a row must be contiguous.
 
     Returns
     -------
@@ -404,23 +418,42 @@ def through_table(
 
     Raises
     ------
+    TypeError
+        If `out` is not uint8.
     ValueError
-        If `valid` has another shape.
+        If `valid` or `out` has another shape, or `out` cannot be written to.
     """
     plane = np.asarray(value)
     if plane.dtype != np.float32:
         plane = plane.astype(np.float64, copy=False)
-    out = np.empty((plane.size, 3), np.uint8)
-    good = np.empty(0, np.uint8)
+    rows = plane.shape if plane.ndim == 2 else (1, plane.size)
+    good: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
     if valid is not None:
         mask = np.asarray(valid, np.bool_)
         if mask.shape != plane.shape:
             raise ValueError(
                 f"valid must have shape {plane.shape}, got {mask.shape}")
-        good = np.ascontiguousarray(mask).reshape(-1).view(np.uint8)
-    kernel(np.ascontiguousarray(plane).reshape(-1), good, float(scale), table,
-           np.array(invalid, np.uint8), out)
-    return out.reshape(*plane.shape, 3)
+        good = np.ascontiguousarray(mask).reshape(rows).view(np.uint8)
+    picture = _canvas(out, (*plane.shape, 3))
+    kernel(np.ascontiguousarray(plane).reshape(rows), good, float(scale),
+           -math.inf if least is None else float(least), table,
+           picture.reshape(*rows, 3))
+    return picture
+
+
+def _canvas(out: Picture | None, shape: tuple[int, ...]) -> Picture:
+    """Return out after checking it, or a new picture when it is None."""
+    if out is None:
+        return np.empty(shape, np.uint8)
+    if out.dtype != np.uint8:
+        raise TypeError(f"out must be uint8, got {out.dtype}")
+    if out.shape != shape or len(shape) != 3:
+        raise ValueError(f"out must have shape {shape}, (H, W, 3), got {out.shape}")
+    if out.strides[1:] != (3, 1) or not out.flags.writeable:
+        raise ValueError(
+            "out must be writeable, the pixels of a row contiguous, got strides "
+            f"{out.strides}, writeable {out.flags.writeable}")
+    return out
 
 
 LINE = 20

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.render.colours import Picture, aop_legend, through_table
+from pdavis_cv.render.colours import Picture, aop_legend, table_of, through_table
 
 __all__ = ["cyclic_bgr", "cyclic_legend"]
 
@@ -19,7 +19,7 @@ _LIGHTNESS, _CHROMA = 0.75, 0.124
 _START = np.deg2rad(29.23)  # Oklab hue of sRGB red, as HSV has it at 0
 
 
-def _table() -> Picture:
+def _table() -> NDArray[np.uint8]:
     hue = _START + 2 * np.pi * np.arange(_STEPS) / _STEPS
     a, b = _CHROMA * np.cos(hue), _CHROMA * np.sin(hue)
     root = np.stack((
@@ -33,14 +33,16 @@ def _table() -> Picture:
     linear = np.clip(blue_green_red @ root**3, 0, 1)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear,
                        1.055 * np.power(linear, 1 / 2.4) - 0.055)
-    table: Picture = np.ascontiguousarray(np.rint(255 * encoded.T), np.uint8)
-    return table
+    return table_of(np.rint(255 * encoded.T).astype(np.uint8))
 
 
 _TABLE = _table()
 
 
-def cyclic_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Picture:
+def cyclic_bgr(
+    aop: ArrayLike, valid: NDArray[np.bool_] | None = None,
+    out: Picture | None = None,
+) -> Picture:
     """Colour an angle of polarization so that equal steps look equal.
 
     Parameters
@@ -49,13 +51,16 @@ def cyclic_bgr(aop: ArrayLike, valid: NDArray[np.bool_] | None = None) -> Pictur
         Radians; 0 and pi have the same colour, a reddish one.
     valid : ndarray of bool, shape (H, W), optional
         Pixels that are False become `INVALID`.
+    out : ndarray of uint8, shape (H, W, 3), optional
+        As for `aop_bgr`.
 
     Returns
     -------
     ndarray of uint8, shape (H, W, 3)
         BGR of constant lightness.
     """
-    return through_table(_kernels.hue_bgr, aop, valid, _STEPS / np.pi, _TABLE)
+    return through_table(
+        _kernels.hue_bgr, aop, valid, _STEPS / np.pi, _TABLE, out=out)
 
 
 def cyclic_legend(radius: int, background: int = 0) -> Picture:

@@ -53,13 +53,24 @@ class PanelSheet:
         self._sizes: list[tuple[int, ...]] = []
         self._width = 0
 
+    @property
+    def places(self) -> Sequence[Picture | None]:
+        """Where the pictures stand in the sheet.
+
+        A picture made in its place need not be copied there.  None before the first
+        sheet, and where each pixel becomes several.
+        """
+        if self._slots and self.scale == 1:
+            return self._slots
+        return (None,) * len(self.panels)
+
     def draw(self, pictures: Sequence[Picture], title: str) -> Picture:
         """Compose a sheet.
 
         Parameters
         ----------
         pictures : sequence of ndarray of uint8, shape (H, W, 3)
-            BGR, one per panel.
+            BGR, one per panel; each may have been drawn into its of `places`.
         title : str
             One line over all of them.
 
@@ -77,6 +88,8 @@ class PanelSheet:
         caption(self._sheet, title, 4, 14)
         step = self.scale
         for slot, picture in zip(self._slots, pictures, strict=True):
+            if picture is slot:
+                continue
             for down in range(step):
                 for right in range(step):
                     slot[down::step, right::step] = picture

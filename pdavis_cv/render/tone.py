@@ -14,7 +14,7 @@ from pdavis_cv import _kernels
 from pdavis_cv.render.colours import (
     INVALID,
     Picture,
-    saturated_white,
+    table_of,
     through_table,
 )
 
@@ -111,7 +111,7 @@ class ToneCurve:
         return cls(1.1 * float(high), float(low), saturated=saturated)
 
     @functools.cached_property
-    def _table(self) -> Picture:
+    def _colours(self) -> NDArray[np.uint8]:
         """Colours over the square root of x: fine steps where the light is dim."""
         x = (np.arange(_STEPS) / (_STEPS - 1)) ** 2
         if self.knee is not None:
@@ -156,9 +156,7 @@ class ToneCurve:
         ndarray of uint8, shape (H, W, 3)
             BGR.
         """
-        return through_table(
-            _kernels.tone_bgr, intensity, valid, (_STEPS - 1) ** 2 / self.white,
-            self._table, invalid)
+        return self._through(intensity, valid, invalid, invalid)
 
     def seen(
         self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None
@@ -178,7 +176,23 @@ class ToneCurve:
             BGR; pixels that are not valid are white from ``saturated`` on, and have
             the grey of their value below.
         """
-        picture = self.bgr(intensity)
-        if self.saturated is None or valid is None:
-            return picture
-        return saturated_white(picture, intensity, valid, self.saturated)
+        if self.saturated is None:
+            return self.bgr(intensity)
+        return self._through(
+            intensity, valid, INVALID, (255, 255, 255), self.saturated)
+
+    def _through(
+        self, intensity: ArrayLike, valid: NDArray[np.bool_] | None,
+        none: tuple[int, int, int], invalid: tuple[int, int, int],
+        least: float | None = None,
+    ) -> Picture:
+        return through_table(
+            _kernels.tone_bgr, intensity, valid, (_STEPS - 1) ** 2 / self.white,
+            _table(self, none, invalid), least)
+
+
+@functools.lru_cache(16)
+def _table(
+    curve: ToneCurve, none: tuple[int, int, int], invalid: tuple[int, int, int]
+) -> NDArray[np.uint8]:
+    return table_of(curve._colours, none, invalid)

@@ -1,0 +1,79 @@
+/* Rows of values to rows of BGR pixels, through a table of colours.
+
+   A block of values first becomes indices, without branches so that it fills vectors;
+   then each pixel is one load and one store of four bytes, of which the next pixel
+   overwrites the fourth.  The table has `size` colours and two more: of a value without
+   colour, and of one that is not valid. */
+#ifndef PDAVIS_CV_PICTURE_H
+#define PDAVIS_CV_PICTURE_H
+
+#include "_clones.h"
+
+#define PDAVIS_PIXELS 256
+
+/* An angle that is not within the first turn: rare, and NaN. */
+static int32_t far_hue(double value, int32_t size)
+{
+    if (value - value != 0)
+        return size;
+    value -= size * floor(value / size);
+    return value >= 0 && value < size ? (int32_t)value : 0; /* rounding; no turn left */
+}
+
+#define PDAVIS_HUE(VALUE)                                                            \
+    double value = (double)(VALUE) * scale + 0.5;                                    \
+    int32_t line = (int32_t)(value >= 0 && value < size ? value : -1.0);
+#define PDAVIS_RAMP(VALUE)                                                           \
+    double value = (double)(VALUE) * scale;                                          \
+    double upon = value < 0 ? 0 : value > top ? top : value;                         \
+    int32_t line = (int32_t)(value == value ? upon + 0.5 : size);
+#define PDAVIS_TONE(VALUE)                                                           \
+    double value = (double)(VALUE) * scale;                                          \
+    double root = sqrt(value > 0 ? value : 0);                                       \
+    int32_t line = (int32_t)(value == value ? (root > top ? top : root) + 0.5 : size);
+
+/* valid may be NULL; what is not valid and below least has the colour of its value. */
+#define PDAVIS_PAINT(NAME, T, INDEX)                                                 \
+    PDAVIS_CLONES PDAVIS_UNUSED static void NAME(                                    \
+        const T *restrict row, const uint8_t *restrict valid, ptrdiff_t n,           \
+        double scale, double least, const uint8_t *restrict table, int32_t size,     \
+        uint8_t *restrict out)                                                       \
+    {                                                                                \
+        int32_t lines[PDAVIS_PIXELS];                                                \
+        const double top = size - 1;                                                 \
+        const T bound = (T)least;                                                    \
+        (void)top;                                                                   \
+        for (; n > 0; row += PDAVIS_PIXELS, n -= PDAVIS_PIXELS) {                    \
+            ptrdiff_t i, m = n < PDAVIS_PIXELS ? n : PDAVIS_PIXELS;                  \
+            int32_t far = 0;                                                         \
+            for (i = 0; i < m; i++) {                                                \
+                INDEX(row[i])                                                        \
+                lines[i] = line;                                                     \
+            }                                                                        \
+            for (i = 0; i < m; i++)                                                  \
+                far |= lines[i];                                                     \
+            if (far < 0)                                                             \
+                for (i = 0; i < m; i++)                                              \
+                    if (lines[i] < 0)                                                \
+                        lines[i] = far_hue((double)row[i] * scale + 0.5, size);      \
+            if (valid) {                                                             \
+                for (i = 0; i < m; i++)                                              \
+                    lines[i] = (valid[i] == 0) & (row[i] >= bound)                   \
+                        ? size + 1 : lines[i];                                       \
+                valid += PDAVIS_PIXELS;                                              \
+            }                                                                        \
+            for (i = 0; i < m - 1; i++)                                              \
+                memcpy(out + 3 * i, table + 4 * (ptrdiff_t)lines[i], 4);             \
+            memcpy(out + 3 * i, table + 4 * (ptrdiff_t)lines[i], 3);                 \
+            out += 3 * m;                                                            \
+        }                                                                            \
+    }
+
+PDAVIS_PAINT(hue_row_f32, float, PDAVIS_HUE)
+PDAVIS_PAINT(hue_row_f64, double, PDAVIS_HUE)
+PDAVIS_PAINT(ramp_row_f32, float, PDAVIS_RAMP)
+PDAVIS_PAINT(ramp_row_f64, double, PDAVIS_RAMP)
+PDAVIS_PAINT(tone_row_f32, float, PDAVIS_TONE)
+PDAVIS_PAINT(tone_row_f64, double, PDAVIS_TONE)
+
+#endif
