@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["LEAK_HZ", "Doubts", "offsets_dn", "shrunk", "vertex"]
+__all__ = ["LEAK_HZ", "Doubts", "offsets_dn", "settled", "shrunk", "vertex"]
 
-LEAK_HZ = 0.36
+LEAK_HZ = 0.295
 """Leak events of a pixel per second, which pass for a larger ratio of its thresholds:
 what they add up to in each period is the same."""
 
@@ -28,8 +28,10 @@ _Symmetric = tuple[
 _OFFSET_SHARES, _DARK_DN = (0.7, 0.2), (0.2, 0.1)
 # However well frames fit, this part of the variance that they were assumed to have is
 # alike from frame to frame, and stays in the scale of the thresholds.
-_ALIKE = 0.5
+_ALIKE = 0.45
 _USUAL_MISMATCH = 0.035
+# So many pixels tell what scatter they have.
+_TELLING = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,7 @@ def vertex(x: NDArray[np.float64], y: Sequence[float]) -> float:
 
 def shrunk(
     theta: NDArray[np.float64], covariance: NDArray[np.float64],
-    nominal: tuple[ArrayLike, ArrayLike], sigma: float, scale: float,
+    nominal: tuple[ArrayLike, ArrayLike], sigma: float, scales: tuple[float, float],
     doubts: Doubts | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Replace the prior spread `sigma` by the spread that the pixels have.
@@ -95,11 +97,12 @@ def shrunk(
     nominal : (on, off)
         Scalars or (H, W).
     sigma : float
-    scale : float
-        Mean of e^2 / v over the innovations: how far their variance was overrated.
-        Drift of the events shows in them; what de-blurring leaves does not wholly,
-        since it is alike from frame to frame: to the scale of the thresholds a part
-        of it always counts.
+    scales : (float, float)
+        What the variance of the ratio of both thresholds, and that of their scale, is
+        multiplied by: how far it was overrated (see `settled`), and the mean of e^2 / v
+        over the innovations.  Drift of the events shows in them; what de-blurring
+        leaves does not wholly, since it is alike from frame to frame: to the scale of
+        the thresholds a part of it always counts.
     doubts : Doubts or None
         What is added to the covariance.
 
@@ -113,6 +116,7 @@ def shrunk(
     # What the samples say: precision, and precision times shift from the center.
     own = (total[0] - 1 / sigma**2, total[1], total[2] - 1 / sigma**2)
     pull = _times(total, (theta[0] - on, theta[1] - off))
+    own, pull = _rated(own, pull, theta, scales)
     # A sample of the pixels tells the spread; it grows from what is usual.
     some = slice(None, None, max(theta[0].size // 4000, 1))
     few, their = ([part.ravel()[some] for part in parts] for parts in (own, pull))
@@ -127,21 +131,14 @@ def shrunk(
     shift = _times(whole, pull)
     out = np.stack([np.clip(center + by, 0.3 * center, 3 * center)
                     for center, by in zip((on, off), shift, strict=True)])
-
-    def left(share: float) -> _Symmetric:
-        return _relative(_inverse(
-            own[0] / share + 1 / spread[0], own[1] / share,
-            own[2] / share + 1 / spread[1]), out)
-
-    ratio, _, _ = left(scale)
-    before, size, mixed = left(max(scale, _ALIKE))
-    mixed /= np.sqrt(before)
+    ratio, size, mixed = _relative(whole, out)
+    mixed /= np.sqrt(ratio)
     if doubts is not None:
         # As far as the recording, not the prior, says what the ratio is.
         at_first = float(np.sum(spread / means**2))
         told = np.clip(1 - ratio / at_first, 0, 1)
         leak = LEAK_HZ * told / np.maximum(doubts.on_per_s, 1e-6)
-        ratio = np.maximum(ratio, np.minimum(leak**2, at_first))
+        ratio = ratio + np.minimum(leak**2, at_first)
         size += (doubts.offset_dn[0] * doubts.per_dn) ** 2 + doubts.common**2
     mixed *= np.sqrt(ratio)
     ratio /= 4
@@ -150,6 +147,62 @@ def shrunk(
     together[..., 1, 1] = out[1]**2 * (size + ratio - mixed)
     together[..., 0, 1] = together[..., 1, 0] = out[0] * out[1] * (size - ratio)
     return out, together
+
+
+def settled(
+    early: tuple[NDArray[np.float64], NDArray[np.float64]],
+    late: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> float | None:
+    """Return how far the variance of ln(on / off) was overrated, by how it settles.
+
+    What half of a recording said differs from what all of it says, over the pixels, by
+    as much as the variances differ, if they are right.  Innovations tell less: they
+    hold what does not add up from frame to frame.
+
+    Parameters
+    ----------
+    early, late : (theta, covariance)
+        After half of the recording and after all of it, shapes (2, H, W) and
+        (H, W, 2, 2), of one filter.
+
+    Returns
+    -------
+    float or None
+        The factor that makes them right; None where too few pixels tell.
+    """
+    (then, before), (now, after) = (
+        (np.log(theta[0] / theta[1]), _relative(
+            (matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]), theta)[0])
+        for theta, matrix in (early, late))
+    told = (after < 0.7 * before) & (after > 0)
+    if np.count_nonzero(told) < _TELLING:
+        return None
+    z = (then[told] - now[told]) / np.sqrt(before[told] - after[told])
+    # What all pixels have in common is leak, which is counted by itself.
+    z = np.abs(z - np.median(z))
+    return float(np.mean(np.minimum(z, 3 * np.median(z) / 0.6745) ** 2))
+
+
+def _rated(
+    own: _Symmetric, pull: tuple[NDArray[np.float64], NDArray[np.float64]],
+    theta: NDArray[np.float64], scales: tuple[float, float],
+) -> tuple[_Symmetric, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return what samples say with the weight that their scatter gives them.
+
+    In relative terms the variances of on - off and of on + off are multiplied, that of
+    the latter by no less than a half; where samples say nothing that stays so.
+    """
+    for_ratio, for_size = scales[0]**-0.5, max(scales[1], _ALIKE)**-0.5
+    same, other = (for_size + for_ratio) / 2, (for_size - for_ratio) / 2
+    on, off = theta
+    least = 1e-9 * (own[0] + own[2]) + 1e-30
+    shift = _times(_inverse(own[0] + least, own[1], own[2] + least), pull)
+    a, b, d = own[0] * on**2, own[1] * on * off, own[2] * off**2
+    # (same, other; other, same) on both sides of the precision.
+    rated = ((same * same * a + 2 * same * other * b + other * other * d) / on**2,
+             ((same * same + other * other) * b + same * other * (a + d)) / (on * off),
+             (other * other * a + 2 * same * other * b + same * same * d) / off**2)
+    return rated, _times(rated, (shift[0], shift[1]))
 
 
 def _relative(

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
 from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth
-from pdavis_cv.calibration.certainty import Doubts, offsets_dn, shrunk, vertex
+from pdavis_cv.calibration.certainty import Doubts, offsets_dn, settled, shrunk, vertex
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
@@ -42,11 +42,12 @@ _NOISE = (0.05, 1.3, 0.005)
 _GRID_NOISE = (NOISE[1], 0.4, 1.5, 5.0, 15.0)
 # Bounds on what is held in memory and looked at.
 _MAX_SECONDS, _MAX_EVENTS = 10.0, 5_000_000
-# The photoreceptors are no low-passes of first order: they pass as far from that as
-# from a corner frequency that is off by this factor.
-_MODEL_FACTOR = 1.6
+# What the model of the photoreceptors has wrong, as a part of what it changes.
+_MODEL_SHARE = 0.55
 # For the bandwidth a sample of pixels is enough.
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
+# How far, in ln, the balance of their events may be from that of most.
+_TYPICAL = 0.5
 
 # Corner frequency at bright pixels that a DAVIS has at usual biases, and the standard
 # deviation of its ln.
@@ -162,16 +163,22 @@ def thresholds_in_situ(
     if sample is not None and isinstance(bandwidth, str):
         found = _bandwidth(sample)
     law = (0.0, 0.0) if found is None else found.law
-    method = _run(items, shape, *nominal, sigma, law)
+    at = [i for i, item in enumerate(items) if isinstance(item, ApsFrame)]
+    half = at[len(at) // 2] if at else 0
+    method = _run(items[:half], shape, *nominal, sigma, law)
+    early = method.thresholds
+    _feed(method, items[half:])
     theta, covariance = method.thresholds
     chi, _, n = method.misfit
     # The noise was assumed; what is left over says how large it is.
     scale = float(np.clip(chi / n, 1e-3, 4.0)) if n else 1.0
+    of_ratio = settled(early, (theta, covariance))
+    scales = (scale if of_ratio is None else float(np.clip(of_ratio, 1e-4, 4.0)), scale)
     doubts = None
     if sample is not None:
         dark = calibration is not None and calibration.dark is not None
         doubts = sample.doubts(law, offsets_dn(recording.info.sensor, dark))
-    theta, covariance = shrunk(theta, covariance, nominal, sigma, scale, doubts)
+    theta, covariance = shrunk(theta, covariance, nominal, sigma, scales, doubts)
     return ThresholdEstimate(
         theta[0], theta[1], covariance, found,
         None if sample is None else _noise(sample, law),
@@ -372,12 +379,16 @@ def _run(
 ) -> KalmanFilter:
     method = KalmanFilter(shape, theta_on=on, theta_off=off, threshold_sigma=sigma,
                           bandwidth=bandwidth, noise=noise)
+    _feed(method, items)
+    return method
+
+
+def _feed(method: KalmanFilter, items: _Items) -> None:
     for item in items:
         if isinstance(item, ApsFrame):
             method.add_frame(item)
         else:
             method.add_events(item)
-    return method
 
 
 class _Sample:
@@ -414,8 +425,7 @@ class _Sample:
              for item in self.items], law)
         model = 0.0
         if law != (0.0, 0.0):
-            off = (law[0] * _MODEL_FACTOR, law[1] * _MODEL_FACTOR)
-            model = abs(self._scale(self.items, off) - as_it_is)
+            model = _MODEL_SHARE * abs(self._scale(self.items, (0.0, 0.0)) - as_it_is)
         low, high = np.maximum(seen.least, 8.0), np.maximum(seen.most, 8.1)
         low = np.minimum(low, 0.99 * high)
         # An offset weighs as it bends the log of the frames.
@@ -512,7 +522,8 @@ def _sample(
     items: _Items, shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike]
 ) -> _Sample | None:
     """Return some busy pixels, None if frames or events are too few."""
-    counts, squares = np.zeros((2, shape[0] * shape[1]), np.int64)
+    polarities = np.zeros((shape[0] * shape[1], 2), np.int64)
+    squares = np.zeros(len(polarities), np.int64)
     usable = np.zeros(shape, np.int64)
     least, most = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
     mids: list[int] = []
@@ -521,9 +532,10 @@ def _sample(
 
     def count(since: int) -> int:
         if since < len(where):
-            here = np.bincount(np.concatenate(where[since:]), minlength=len(counts))
-            np.add(counts, here, out=counts)
-            np.add(squares, here * here, out=squares)
+            here = np.bincount(np.concatenate(where[since:]),
+                               minlength=polarities.size).reshape(-1, 2)
+            np.add(polarities, here, out=polarities)
+            np.add(squares, here.sum(1) ** 2, out=squares)
         return len(where)
 
     for item in items:
@@ -535,8 +547,10 @@ def _sample(
             mids.append(item.mid_us)
             done = count(done)
         else:
-            where.append(item["y"].astype(np.intp) * shape[1] + item["x"])
+            pixel = item["y"].astype(np.intp) * shape[1] + item["x"]
+            where.append(2 * pixel + item["p"])
     count(done)
+    counts = polarities.sum(1)
     if len(mids) < 4:
         return None
     seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
@@ -548,6 +562,9 @@ def _sample(
     # The busiest without hot pixels: of those within a factor of two of the 95 % level.
     level = np.quantile(counts[counts > 0], 0.95)
     pixels = np.flatnonzero((counts >= 0.5 * level) & (counts <= 2 * level))
+    # One whose thresholds are far from the others' fits no bandwidth, and would decide.
+    balance = np.subtract(*np.log(np.maximum(polarities[pixels], 0.5)).T)
+    pixels = pixels[np.abs(balance - np.median(balance)) <= _TYPICAL]
     n = int(np.clip(_SAMPLE_EVENTS / level, 16, _SAMPLE_PIXELS))
     pixels = np.sort(np.random.default_rng(0).permutation(pixels)[:n])
     place = np.full(len(counts), -1, np.int64)
@@ -559,7 +576,7 @@ def _sample(
     places = iter(where)
     for item in items:
         if not isinstance(item, ApsFrame):
-            at = place[next(places)]
+            at = place[next(places) >> 1]
             mine = item[at >= 0].copy()
             mine["x"], mine["y"] = at[at >= 0], 0
             pending.append(mine)
