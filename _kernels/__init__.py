@@ -28,7 +28,7 @@ from ._leaky import (
 )
 from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
-from ._picture import hue_bgr, ramp_bgr, tone_bgr
+from ._picture import hue_bgr, polar_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._redundancy import redundancy_sample, redundancy_solve
 from ._simulate import pixel_events, video_events
@@ -69,6 +69,7 @@ __all__ = [
     "pack_aedat2_events",
     "pack_aedat4_events",
     "pixel_events",
+    "polar_bgr",
     "polarize",
     "ramp_bgr",
     "read_out",

@@ -44,6 +44,7 @@ __all__ = [
     "pack_aedat2_events",
     "pack_aedat4_events",
     "pixel_events",
+    "polar_bgr",
     "polarize",
     "ramp_bgr",
     "read_out",
@@ -217,6 +218,11 @@ def sort_events(
 ) -> int: ...
 def hue_bgr(
     plane: NDArray[Any], valid: _U8, scale: float, least: float, table: _U8, out: _U8
+) -> None: ...
+def polar_bgr(
+    quad: _F32, valid: _U8, gain: float, scratch: _F32, s0_scale: float, least: float,
+    s0_table: _U8, aop_scale: float, aop_table: _U8, dolp_scale: float,
+    dolp_table: _U8, s0: _U8, aop: _U8, dolp: _U8,
 ) -> None: ...
 def ramp_bgr(
     plane: NDArray[Any], valid: _U8, scale: float, least: float, table: _U8, out: _U8

@@ -268,6 +268,11 @@ class PolarFrame:
         return self._usable
 
     @property
+    def given_valid(self) -> NDArray[np.bool_] | None:
+        """`valid` before S0 > 0 is asked for; None if everything was."""
+        return self._valid
+
+    @property
     def sigma_aop(self) -> NDArray[np.float32] | None:
         """Standard deviation of AoP in radians, shape (H, W); None without variance.
 

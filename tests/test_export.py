@@ -1,3 +1,4 @@
+import contextlib
 import json
 
 import cv2
@@ -147,6 +148,24 @@ def test_pictures_of_a_video_keep_one_shape(tmp_path):
         with export.VideoFile(tmp_path / "x.mp4", 25) as video:
             video.add(np.zeros((32, 32, 3), np.uint8))
             video.add(np.zeros((34, 32, 3), np.uint8))
+
+
+def test_videos_written_at_once_give_opencv_its_log_level_back(tmp_path):
+    logging = cv2.utils.logging
+    before = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_INFO)
+    try:
+        with contextlib.ExitStack() as first, contextlib.ExitStack() as second:
+            one = first.enter_context(export.VideoFile(tmp_path / "one.mp4", 25))
+            two = second.enter_context(export.VideoFile(tmp_path / "two.mp4", 25))
+            for video in (one, two):
+                video.add(np.zeros((32, 48, 3), np.uint8))
+            first.close()
+            assert logging.getLogLevel() == logging.LOG_LEVEL_SILENT
+            second.close()
+            assert logging.getLogLevel() == logging.LOG_LEVEL_INFO
+    finally:
+        logging.setLogLevel(before)
 
 
 @pytest.mark.parametrize("limit", [0, 3_000, 20_000, 60_000])

@@ -45,6 +45,7 @@ _TITLES = {"s0": "intensity S0", "aop": "angle of polarization",
 _UNIFORM = math.pi / math.sqrt(12)  # sigma of an angle of which nothing is known
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
+_AT_ONCE = ("s0", "aop", "dolp")
 _COLOUR, _PLANE = (".mp4", ".m4v", ".mkv", ".avi"), (".mkv", ".avi")
 
 
@@ -177,7 +178,11 @@ class Sheet:
         """Compose the picture of one image; the next one takes its memory."""
         names = self.args.quantities
         places = (None,) * len(names) if self._sheet is None else self._sheet.places
-        pictures = [self._colour(frame, name, place)
+        at_once = {name: place for name, place in zip(names, places, strict=True)
+                   if name in _AT_ONCE}
+        drawn = render.draw_polarization(
+            frame, at_once, white=self.white, saturated=self.saturated)
+        pictures = [drawn[name] if name in drawn else self._colour(frame, name, place)
                     for name, place in zip(names, places, strict=True)]
         if self._sheet is None:
             return render.tile(
@@ -191,17 +196,15 @@ class Sheet:
         self, frame: PolarFrame, name: str, out: Picture | None
     ) -> Picture:
         plane = export.plane(frame, name)
-        if name == "aop":
-            return render.aop_bgr(plane, frame.valid, out)
-        if name.startswith("dolp"):
+        if name == "dolp_debiased":
             return render.dolp_bgr(plane, frame.valid, out=out)
         if name == "quality" or name.startswith("sigma"):
             return render.grey_bgr(
                 plane, _UNIFORM if name == "sigma_aop" else 1.0, out=out)
-        # An intensity that is not valid is too dark or too bright to measure, and
-        # may still be seen.
         if name in ("s1", "s2"):  # mid-grey is 0
             return render.grey_bgr(plane + self.white, 2 * self.white, out=out)
+        # An intensity that is not valid is too dark or too bright to measure, and
+        # may still be seen.
         return render.grey_bgr(
             plane, self.white, frame.valid, saturated=self.saturated, out=out)
 

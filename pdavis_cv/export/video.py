@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,6 +26,8 @@ _CODECS = {".mp4": "mp4v", ".m4v": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 
 class VideoFile:
     """A colour video, written picture by picture.
+
+    While it is open, OpenCV logs nothing.
 
     Parameters
     ----------
@@ -65,6 +68,8 @@ class VideoFile:
             raise
         self._writer: Any = None
         self._shape: tuple[int, ...] = ()
+        # Once per file, not per picture: each call waits for the GIL.
+        self._stack.enter_context(_silent(self._cv2))
         # OpenCV encodes without the GIL: while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: deque[Future[None]] = deque()
@@ -107,12 +112,8 @@ class VideoFile:
         else:
             np.copyto(self._held[self.count % _AHEAD], even(picture), casting="no")
         held = self._held[self.count % _AHEAD]
-        self._waiting.append(self._encoder.submit(self._write, held))
+        self._waiting.append(self._encoder.submit(self._writer.write, held))
         self.count += 1
-
-    def _write(self, picture: NDArray[Any]) -> None:
-        with _silent(self._cv2):
-            self._writer.write(picture)
 
     def _wait(self) -> None:
         while self._waiting:
@@ -141,13 +142,12 @@ class VideoFile:
         if not _ended(self._part):
             return False  # FFmpeg would say so in a line of its own
         cv2 = self._cv2
-        with _silent(cv2):
-            reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
-            whole: bool = (
-                round(reader.get(cv2.CAP_PROP_FRAME_COUNT)) == self.count
-                and reader.set(cv2.CAP_PROP_POS_FRAMES, self.count - 1)
-                and reader.grab() and not reader.grab())
-            reader.release()
+        reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
+        whole: bool = (
+            round(reader.get(cv2.CAP_PROP_FRAME_COUNT)) == self.count
+            and reader.set(cv2.CAP_PROP_POS_FRAMES, self.count - 1)
+            and reader.grab() and not reader.grab())
+        reader.release()
         return whole
 
     def _finish(self) -> None:
@@ -183,15 +183,33 @@ class VideoFile:
         self._stack.__exit__(kind, error, traceback)
 
 
-@contextlib.contextmanager
-def _silent(cv2: Any) -> Iterator[None]:
-    """Keep OpenCV from a line of its own for each failure; one of ours says it."""
-    logging = cv2.utils.logging
-    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        logging.setLogLevel(level)
+class _Silence:
+    """Keeps OpenCV from a line of its own for each failure; one of ours says it.
+
+    For several videos at a time too: OpenCV's level returns with the end of the last.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._count, self._level = 0, 0
+
+    @contextlib.contextmanager
+    def __call__(self, cv2: Any) -> Iterator[None]:
+        logging = cv2.utils.logging
+        with self._lock:
+            if self._count == 0:
+                self._level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+            self._count += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._count -= 1
+                if self._count == 0:
+                    logging.setLogLevel(self._level)
+
+
+_silent = _Silence()
 
 
 def _ended(path: Path) -> bool:

@@ -23,6 +23,7 @@ from pdavis_cv.render.layouts import (
     tendon_sheet,
 )
 from pdavis_cv.render.overlay import burn, events_on, faded, reliable, scale_bar
+from pdavis_cv.render.polar import draw_polarization
 from pdavis_cv.render.sheet import Panel, PanelSheet
 from pdavis_cv.render.tone import ToneCurve
 
@@ -42,6 +43,7 @@ __all__ = [
     "cyclic_bgr",
     "cyclic_legend",
     "dolp_bgr",
+    "draw_polarization",
     "even",
     "events_on",
     "faded",

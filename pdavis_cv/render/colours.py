@@ -40,6 +40,7 @@ INVALID = (96, 96, 96)
 
 # A full turn of hue at full saturation and value: every such uint8 colour once.
 _HUES = 6 * 255
+AOP_SCALE = _HUES / np.pi
 
 # matplotlib's viridis (CC0) at sixteenths, RGB; linear between, within 6 of 255.
 _VIRIDIS = np.array([
@@ -81,10 +82,10 @@ def table_of(
 
 
 _GREYS = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
-_HUE_TABLE = table_of(_hue_table())
-_GREY_TABLE = table_of(_GREYS)
-_SEEN_TABLE = table_of(_GREYS, invalid=(255, 255, 255))
-_DOLP_TABLE = table_of(np.stack([
+HUE_TABLE = table_of(_hue_table())
+GREY_TABLE = table_of(_GREYS)
+SEEN_TABLE = table_of(_GREYS, invalid=(255, 255, 255))
+DOLP_TABLE = table_of(np.stack([
     np.rint(np.interp(np.linspace(0, 16, 256), np.arange(17), _VIRIDIS[:, c]))
     for c in (2, 1, 0)], axis=1).astype(np.uint8))
 
@@ -111,7 +112,7 @@ def aop_bgr(
         BGR at full saturation and value.
     """
     return through_table(
-        _kernels.hue_bgr, aop, valid, _HUES / np.pi, _HUE_TABLE, out=out)
+        _kernels.hue_bgr, aop, valid, AOP_SCALE, HUE_TABLE, out=out)
 
 
 def dolp_bgr(
@@ -137,7 +138,7 @@ def dolp_bgr(
         BGR.
     """
     return through_table(
-        _kernels.ramp_bgr, dolp, valid, 255 / top, _DOLP_TABLE, out=out)
+        _kernels.ramp_bgr, dolp, valid, 255 / top, DOLP_TABLE, out=out)
 
 
 def grey_bgr(
@@ -175,7 +176,7 @@ def grey_bgr(
         raise ValueError(f"white must be positive, got {white}")
     return through_table(
         _kernels.ramp_bgr, intensity, valid, 255 / white,
-        _GREY_TABLE if saturated is None else _SEEN_TABLE, saturated, out)
+        GREY_TABLE if saturated is None else SEEN_TABLE, saturated, out)
 
 
 def aop_legend(
@@ -434,14 +435,14 @@ def through_table(
             raise ValueError(
                 f"valid must have shape {plane.shape}, got {mask.shape}")
         good = np.ascontiguousarray(mask).reshape(rows).view(np.uint8)
-    picture = _canvas(out, (*plane.shape, 3))
+    picture = canvas(out, (*plane.shape, 3))
     kernel(np.ascontiguousarray(plane).reshape(rows), good, float(scale),
            -math.inf if least is None else float(least), table,
            picture.reshape(*rows, 3))
     return picture
 
 
-def _canvas(out: Picture | None, shape: tuple[int, ...]) -> Picture:
+def canvas(out: Picture | None, shape: tuple[int, ...]) -> Picture:
     """Return out after checking it, or a new picture when it is None."""
     if out is None:
         return np.empty(shape, np.uint8)
