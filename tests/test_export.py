@@ -48,6 +48,24 @@ def test_video_holds_every_picture_whole(tmp_path, suffix, shape):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
+@pytest.mark.parametrize("lend", [True, False, "now and then"])
+def test_pictures_that_are_lent_are_those_that_are_written(tmp_path, lend):
+    path, wanted = tmp_path / "clip.mp4", pictures(11, (64, 96))
+    with export.VideoFile(path, 25) as video:
+        memory = [np.empty_like(wanted[0]) for _ in range(video.ahead + 1)]
+        for i, picture in enumerate(wanted):
+            own = memory[i % len(memory)]
+            own[:] = picture
+            copy = not lend if isinstance(lend, bool) else i % 3 != 1
+            video.add(own, copy=copy)
+            if copy:
+                own[:] = 255
+    got = read_video(path)
+    assert len(got) == 11
+    for a, b in zip(got, wanted, strict=True):
+        assert np.abs(a.astype(int) - b).mean() < 6
+
+
 @pytest.mark.parametrize("suffix", [".mkv", ".avi"])
 @pytest.mark.parametrize("shape", [(32, 48), (33, 47)])
 def test_plane_video_returns_its_codes_exactly(tmp_path, suffix, shape):

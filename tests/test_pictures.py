@@ -183,18 +183,19 @@ def test_sheets_of_odd_images_have_even_sides():
         assert sheet.shape[0] % 2 == sheet.shape[1] % 2 == 0
 
 
+@pytest.mark.parametrize("keep", [1, 3])
 @pytest.mark.parametrize("columns", [1, 2, 3])
 @pytest.mark.parametrize("scale", [1, 3])
 @pytest.mark.parametrize("shape", [(30, 41), (131, 86)])
 def test_a_sheet_that_keeps_its_memory_shows_what_tile_and_panel_show(
-        columns, scale, shape):
+        columns, scale, shape, keep):
     rng = np.random.default_rng(0)
     panels = [render.Panel("S0", "grey", "0", "36 DN/ms"), render.Panel("AoP", "aop"),
               render.Panel("a title that is wider than its picture", None)]
-    sheet = render.PanelSheet(panels, columns=columns, scale=scale)
-    kept = []
-    for title in ("t = 0.1 s", "t = 0.2 s", "", "t = 9 s", "much longer " * 20,
-                  "as long now " * 20, "t = 10 s"):
+    sheet = render.PanelSheet(panels, columns=columns, scale=scale, keep=keep)
+    kept, wanted = [], []
+    for title in ("t = 0.1 s", "t = 0.2 s", "t = 0.3 s", "t = 0.4 s", "", "t = 9 s",
+                  "much longer " * 20, "as long now " * 20, "t = 10 s"):
         pictures = [rng.integers(0, 256, (*shape, 3), np.uint8) for _ in panels]
         want = render.tile([
             render.panel(picture, panel.title, legend=panel.legend, start=panel.start,
@@ -210,7 +211,10 @@ def test_a_sheet_that_keeps_its_memory_shows_what_tile_and_panel_show(
         got = sheet.draw(given, title)
         np.testing.assert_array_equal(got, want)
         kept.append(got)
-    assert kept[0] is kept[1]
+        wanted.append(want)
+        for old, as_it_was in zip(kept[-keep:], wanted[-keep:], strict=True):
+            np.testing.assert_array_equal(old, as_it_was)
+    assert kept[0] is kept[keep]
 
 
 def test_the_fan_sheet_shows_the_angle_of_each_row():

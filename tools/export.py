@@ -172,10 +172,14 @@ class Sheet:
         self._sheet = None if args.bare else render.PanelSheet(
             [self._panel(name) for name in args.quantities],
             columns=args.columns or len(args.quantities),
-            scale=max(1, -(-240 // first.shape[1])))
+            scale=max(1, -(-240 // first.shape[1])),
+            keep=export.VideoFile.ahead + 1)
 
     def picture(self, frame: PolarFrame) -> Picture:
-        """Compose the picture of one image; the next one takes its memory."""
+        """Compose the picture of one image.
+
+        Its memory is used again, but not before a video is through with it.
+        """
         names = self.args.quantities
         places = (None,) * len(names) if self._sheet is None else self._sheet.places
         at_once = {name: place for name, place in zip(names, places, strict=True)
@@ -280,7 +284,7 @@ def _write_video(
     with export.VideoFile(args.out, rate, facts) as video:
         for frame in frames:
             picture = sheet.picture(frame)
-            video.add(picture)  # encodes while the next one comes about
+            video.add(picture, copy=False)  # encodes while the next one comes about
     height, width = picture.shape[:2]
     return [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
             f"{rate:g} per second; white is {sheet.white:g} DN/ms"]

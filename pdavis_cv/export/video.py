@@ -20,7 +20,6 @@ from pdavis_cv.render import even, opencv
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
-_AHEAD = 2  # pictures that wait: one is encoded, one evens out what takes longer
 _CODECS = {".mp4": "mp4v", ".m4v": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 
 
@@ -45,6 +44,9 @@ class VideoFile:
     OSError
         When writing, if the codec cannot write there.
     """
+
+    ahead = 2
+    """Pictures that wait: one is encoded, one evens out what takes longer."""
 
     _grey = False
 
@@ -73,7 +75,7 @@ class VideoFile:
         # OpenCV encodes without the GIL: while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: deque[Future[None]] = deque()
-        self._held: list[NDArray[Any]] = []
+        self._held: deque[NDArray[Any]] = deque()
 
     @staticmethod
     def _codec(suffix: str) -> str:
@@ -82,13 +84,15 @@ class VideoFile:
                 f"video file must end in {', '.join(_CODECS)}, got {suffix!r}")
         return _CODECS[suffix]
 
-    def add(self, picture: NDArray[Any]) -> None:
+    def add(self, picture: NDArray[Any], *, copy: bool = True) -> None:
         """Append a picture.
 
         Parameters
         ----------
         picture : ndarray of uint8, shape (H, W, 3)
-            BGR; the same shape each time.  It is copied.
+            BGR; the same shape each time.
+        copy : bool
+            False: the caller does not change it before `ahead` more were added.
 
         Raises
         ------
@@ -104,16 +108,22 @@ class VideoFile:
             raise ValueError(
                 f"picture must have the first one's shape {self._shape}, got "
                 f"{picture.shape}")
-        if len(self._waiting) == _AHEAD:
+        if len(self._waiting) == self.ahead:
             self._waiting.popleft().result()
-        # Fresh memory each time would take longer than the copy.
-        if len(self._held) < _AHEAD:
-            self._held.append(np.array(even(picture), order="C"))
-        else:
-            np.copyto(self._held[self.count % _AHEAD], even(picture), casting="no")
-        held = self._held[self.count % _AHEAD]
-        self._waiting.append(self._encoder.submit(self._writer.write, held))
+        whole = np.ascontiguousarray(even(picture))
+        if copy:
+            whole = self._copied(whole)
+        self._waiting.append(self._encoder.submit(self._writer.write, whole))
         self.count += 1
+
+    def _copied(self, picture: NDArray[Any]) -> NDArray[Any]:
+        # Fresh memory each time would take longer than the copy.
+        if len(self._held) < self.ahead:
+            self._held.append(picture.copy())
+        else:
+            self._held.rotate(-1)
+            np.copyto(self._held[-1], picture, casting="no")
+        return self._held[-1]
 
     def _wait(self) -> None:
         while self._waiting:
@@ -305,7 +315,7 @@ class PlaneVideo(VideoFile):
         code = (plane.astype(np.float64) - self.low) * (65534 / (self.high - self.low))
         self.clipped += int(np.count_nonzero(usable & ((code < 0) | (code > 65534))))
         code = np.rint(np.clip(np.where(usable, code, 0), 0, 65534)) + 1
-        self.add(np.where(usable, code, 0).astype(np.uint16))
+        self.add(np.where(usable, code, 0).astype(np.uint16), copy=False)
 
 
 def write_png(

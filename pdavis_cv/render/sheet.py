@@ -1,6 +1,7 @@
 """Sheets of panels of which only the pictures and the title change."""
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,26 +43,29 @@ class PanelSheet:
         How many stand in a row.
     scale : int
         Each pixel of a picture becomes a square of this side.
+    keep : int
+        Sheets that stay as they were drawn, the last one among them.
     """
 
     def __init__(
-        self, panels: Sequence[Panel], *, columns: int, scale: int = 1
+        self, panels: Sequence[Panel], *, columns: int, scale: int = 1, keep: int = 1
     ) -> None:
         self.panels, self.columns, self.scale = tuple(panels), columns, scale
-        self._sheet: Picture | None = None
-        self._slots: list[Picture] = []
+        self.keep = keep
+        # Sheets and where the pictures stand in them, the next one first.
+        self._ring: deque[tuple[Picture, list[Picture]]] = deque()
         self._sizes: list[tuple[int, ...]] = []
         self._width = 0
 
     @property
     def places(self) -> Sequence[Picture | None]:
-        """Where the pictures stand in the sheet.
+        """Where the pictures stand in the next sheet.
 
         A picture made in its place need not be copied there.  None before the first
         sheet, and where each pixel becomes several.
         """
-        if self._slots and self.scale == 1:
-            return self._slots
+        if self._ring and self.scale == 1:
+            return self._ring[0][1]
         return (None,) * len(self.panels)
 
     def draw(self, pictures: Sequence[Picture], title: str) -> Picture:
@@ -77,23 +81,25 @@ class PanelSheet:
         Returns
         -------
         ndarray of uint8, shape (H', W', 3)
-            BGR of even size; the next call writes into it again.
+            BGR of even size; the `keep`-th call from here writes into it again.
         """
         sizes = [picture.shape for picture in pictures]
         width = max(_text_width(title) + 8, self._width)
-        if self._sheet is None or not title or sizes != self._sizes or (
-                width + width % 2 != self._sheet.shape[1]):
+        if not title or not self._ring or sizes != self._sizes or (
+                width + width % 2 != self._ring[0][0].shape[1]):
             return self._composed(pictures, title)
-        self._sheet[:LINE] = 0
-        caption(self._sheet, title, 4, 14)
+        sheet, slots = self._ring[0]
+        sheet[:LINE] = 0
+        caption(sheet, title, 4, 14)
         step = self.scale
-        for slot, picture in zip(self._slots, pictures, strict=True):
+        for slot, picture in zip(slots, pictures, strict=True):
             if picture is slot:
                 continue
             for down in range(step):
                 for right in range(step):
                     slot[down::step, right::step] = picture
-        return self._sheet
+        self._ring.rotate(-1)
+        return sheet
 
     def _composed(self, pictures: Sequence[Picture], title: str) -> Picture:
         panels = [
@@ -103,15 +109,21 @@ class PanelSheet:
         sheet = tile(panels, columns=self.columns, title=title, gap=_GAP)
         if not title:
             return sheet
-        self._sheet, self._slots = sheet, []
         self._sizes = [picture.shape for picture in pictures]
         height = max(part.shape[0] for part in panels) + _GAP
         width = max(part.shape[1] for part in panels) + _GAP
         self._width = min(self.columns, len(panels)) * width + _GAP
-        for i, (part, picture) in enumerate(zip(panels, pictures, strict=True)):
+        corners = []
+        for i, part in enumerate(panels):
             row, column = divmod(i, min(self.columns, len(panels)))
-            top = LINE + _GAP + row * height + LINE
-            left = _GAP + column * width + (width - _GAP - part.shape[1]) // 2
-            self._slots.append(sheet[top:top + picture.shape[0] * self.scale,
-                                     left:left + picture.shape[1] * self.scale])
+            corners.append((
+                LINE + _GAP + row * height + LINE,
+                _GAP + column * width + (width - _GAP - part.shape[1]) // 2))
+        self._ring.clear()
+        for kept in (sheet, *(sheet.copy() for _ in range(self.keep - 1))):
+            self._ring.append((kept, [
+                kept[top:top + picture.shape[0] * self.scale,
+                     left:left + picture.shape[1] * self.scale]
+                for (top, left), picture in zip(corners, pictures, strict=True)]))
+        self._ring.rotate(-1)
         return sheet
