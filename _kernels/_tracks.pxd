@@ -104,7 +104,7 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
         gap = 100.0
     s = (t - <double>walk.t) / gap
     part.var = 0.001
-    part.rate_var = 0.01
+    part.rate_var = 0.002
     if walk.p == p1:
         part.fraction = s
         part.rate = 1e6 / gap
@@ -115,7 +115,7 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
             part.rate_var = 1.0
         else:
             part.var = 0.003
-            part.rate_var = 0.05
+            part.rate_var = 0.02
             q = <double>(walk.t - walk.t_prev)
             q = q if q > 100.0 else 100.0
             part.fall = 1e6 / q if p1 else 0.0

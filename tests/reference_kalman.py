@@ -17,13 +17,13 @@ def between(before, t0, p0, t1, p1, ratio, t):
     gap = max(t1 - t0, 100)
     s, hz = (t - t0) / gap, 1e6 / gap
     if p0 == p1:
-        return p1, s, hz, 0.001, 0.01 * hz**2, 0.0 if p1 else hz
+        return p1, s, hz, 0.001, 0.002 * hz**2, 0.0 if p1 else hz
     turn, spread, fall = 0.366, (0.05, 1.0), 0.0
     if before is not None and before[1] == p0:
         q = max(t0 - before[0], 100) / gap
         fall = hz / q if p1 else 0.0
         turn = np.clip((ratio - q**2) / (2 * (ratio + q)), 0, 0.414)
-        spread = (0.003, 0.05)
+        spread = (0.003, 0.02)
     # Through 0 at s = 0 and 1 at s = 1, its extremum at s = turn.
     return (p1, s * (s - 2 * turn) / (1 - 2 * turn),
             (2 * s - 2 * turn) / (1 - 2 * turn) * hz, spread[0], spread[1] * hz**2,

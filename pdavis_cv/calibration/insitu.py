@@ -32,7 +32,7 @@ SIGMA = 0.035
 LEARNED_SIGMA = 0.003
 """What the filter is told of thresholds learned in situ: it goes on learning."""
 
-_KNOWN_SIGMA = 0.0015
+_KNOWN_SIGMA = 0.0005
 """The same of a calibration's thresholds that come without an uncertainty."""
 
 # As `KalmanFilter`'s, but what de-blurring leaves is not independent from frame to
