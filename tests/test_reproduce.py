@@ -171,6 +171,24 @@ def test_a_recording_without_truth_is_scored_against_its_own_fit(tmp_path, capsy
         0.020 * 60.78 * 6, rel=0.1)  # half a frame of 20 ms, and half an exposure
 
 
+def test_denoising_is_measured_and_leaves_little_noise_and_most_of_the_light(
+        tmp_path, capsys):
+    stem = tmp_path / "denoise"
+    assert reproduce.main(["denoise", "-o", str(stem), "--rpm", "30", "1000",
+                           "--seconds", "1.8", "--seeds", "4"]) == 0
+    slow, fast = rows_of(stem)
+    assert float(fast["true_hz"]) / float(slow["true_hz"]) == pytest.approx(
+        1000 / 30, rel=0.1)
+    for row in (slow, fast):
+        assert float(row["noise_hz"]) > 2
+        assert 0 < float(row["left_hz"]) < 0.1
+        assert 0.95 < float(row["kept"]) <= 1
+    page = capsys.readouterr().out
+    assert page.strip() == (tmp_path / "denoise.md").read_text().strip()
+    assert f"| 30 | {float(slow['noise_hz']):.2f} | {float(slow['left_hz']):.3f} |" in (
+        page)
+
+
 def test_a_recording_that_cannot_be_fitted_is_one_line(tmp_path, capsys):
     path = tmp_path / "still.aedat4"
     pdavis_cv.write_aedat4(path, Camera.preset("nominal").record(FlatLight(), 1.5)[0])

@@ -17,6 +17,7 @@ import numpy as np
 from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
+from pdavis_cv.tools import _reproduce_denoise as denoise
 from pdavis_cv.tools import _reproduce_network as network
 from pdavis_cv.tools import _reproduce_range as light
 from pdavis_cv.tools import _reproduce_rotation as rotation
@@ -128,6 +129,14 @@ def _networks(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, lines), []  # its rows have columns of their own
 
 
+def _denoising(figure: str, stem: Path, settings: Settings) -> Result:
+    """Noise that denoising leaves, and true events that it keeps."""
+    rows = list(denoise.denoise_cases(settings))
+    write_csv(beside_stem(stem, ".csv"), denoise.columns(),
+              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
+    return write_page(stem, denoise.denoise_page(rows)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -157,6 +166,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
     "all": ("all of these, as STEM-fig2 and so on, and a table of them", _all),
+    "denoise": ("noise left and true events kept by denoising", _denoising),
     "network": ("networks on events alone, on these and on moving textures", _networks),
 }
 """Name -> what it is, and (name, stem, settings) -> the page written, and its rows."""
