@@ -1,4 +1,5 @@
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -30,6 +31,9 @@ def test_every_method_is_scored_and_written(tmp_path, capsys):
     assert rows["Sony 50 fps"]["events_per_pixel_s"] == ""
     page = (tmp_path / "fig.2.md").read_text()
     assert "Beside the paper" in page
+    left, before = re.search(
+        r"([\d.]+) Hz under constant light, before denoising ([\d.]+)", page).groups()
+    assert 0 < float(left) < 0.2 < 0.5 < float(before)
     assert page.strip() in capsys.readouterr().out
     with open(f"{stem}-traces.csv") as file:
         traces = list(csv.DictReader(file))
