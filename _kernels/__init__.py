@@ -17,6 +17,7 @@ from ._elementwise import exp, mismatch, reconcile
 from ._events import count, surface, voxel
 from ._floor import floor_sum
 from ._kalman import kalman_frame, kalman_read
+from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
     cf_frame_literal,
@@ -60,6 +61,8 @@ __all__ = [
     "hue_bgr",
     "kalman_frame",
     "kalman_read",
+    "lamp_push",
+    "lamp_wave",
     "leak_events",
     "leak_events_map",
     "leak_read",

@@ -7,11 +7,16 @@ A frame is de-blurred by the events of its exposure (event-based double integral
 """
 from libc.stdint cimport int32_t, int64_t
 
+from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
 from _kernels._tracks cimport (
     ahead, between, drift, lead, lead_variance, node_t, part_t, quiet, start, step,
     track_t, walk_t)
 from _kernels._types cimport event_t
+
+cdef enum:
+    # A part of a lamp's period that two points are enough for.
+    FINE_US = 1500
 
 cdef struct sum_t:
     # Integrals over the exposure of exp(part), and of it times counts.
@@ -21,16 +26,17 @@ cdef struct sum_t:
 
 
 cdef inline double at(const walk_t* walk, const event_t* store, int64_t known,
-                      double t, double on, double off, double level, double hz,
-                      double hz_per_level, double* n_on,
+                      double t, double on, double off, double level,
+                      const double* tuning, const lamp_t* lamp, double* n_on,
                       double* n_off) noexcept nogil:
     """Log intensity less level at t, between walk and its next event; the counts."""
     cdef double y, theta
     cdef part_t part
     if walk.next >= 0 and store[walk.next].t <= known:
-        part = between(walk, store[walk.next].t, store[walk.next].p, on, off, t)
+        part = between(walk, store[walk.next].t, store[walk.next].p, on, off, lamp,
+                       t)
     else:
-        part = quiet(walk.t, walk.p, <double>known, t)
+        part = quiet(walk.t, walk.p, <double>known, lamp, t)
     n_on[0] = walk.n_on
     n_off[0] = walk.n_off
     if part.p:
@@ -39,21 +45,22 @@ cdef inline double at(const walk_t* walk, const event_t* store, int64_t known,
     else:
         n_off[0] += part.fraction
         theta = -off
-    y = on * n_on[0] - off * n_off[0]
-    return y + lead(theta * part.rate, level + y, hz, hz_per_level)
+    y = on * n_on[0] - off * n_off[0] + part.ripple
+    return y + lead(theta * part.rate + part.ripple_rate, level + y, tuning[2],
+                    tuning[3])
 
 
 cdef inline void add_segment(sum_t* total, const walk_t* walk, const event_t* store,
                              int64_t known, double begin, double end, double on,
-                             double off, double level, double hz,
-                             double hz_per_level) noexcept nogil:
+                             double off, double level, const double* tuning,
+                             const lamp_t* lamp) noexcept nogil:
     """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
     cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
     cdef double node = half * 0.5773502691896258, y, n_on, n_off
     cdef int k
     for k in range(2):
         y = at(walk, store, known, middle + node if k else middle - node, on, off,
-               level, hz, hz_per_level, &n_on, &n_off)
+               level, tuning, lamp, &n_on, &n_off)
         y = half * exp_f(<float>y)
         total.whole += y
         total.on += y * n_on
@@ -62,16 +69,22 @@ cdef inline void add_segment(sum_t* total, const walk_t* walk, const event_t* st
 
 cdef void integrate(sum_t* total, walk_t* walk, const event_t* store,
                     const int32_t* link, int64_t begin, int64_t end, int64_t known,
-                    double on, double off, double level, double hz,
-                    double hz_per_level) noexcept nogil:
+                    double on, double off, double level, const double* tuning,
+                    const lamp_t* lamp) noexcept nogil:
+    """Integrate from begin to end, event by event, in parts that the lamp allows."""
     cdef double now = <double>begin, until
+    cdef bint flickers = lit(lamp, now, <double>end)
     while True:
         until = <double>end
         if walk.next >= 0 and store[walk.next].t < end:
             until = <double>store[walk.next].t
+        while flickers and until > now + FINE_US:
+            add_segment(total, walk, store, known, now, now + FINE_US, on, off, level,
+                        tuning, lamp)
+            now += FINE_US
         if until > now:
-            add_segment(total, walk, store, known, now, until, on, off, level, hz,
-                        hz_per_level)
+            add_segment(total, walk, store, known, now, until, on, off, level, tuning,
+                        lamp)
             now = until
         if walk.next < 0 or store[walk.next].t >= end:
             break
@@ -143,7 +156,9 @@ def kalman_frame(const float[:, ::1] sample not None,
                  const int32_t[:, ::1] first not None,
                  const int64_t[:, :, ::1] old not None, Py_ssize_t committed,
                  const double[:, :, ::1] prior not None,
-                 const double[::1] tuning not None, track_t[:, ::1] tracks not None,
+                 const double[::1] tuning not None,
+                 const double[:, ::1] waves not None, int64_t lit_us,
+                 track_t[:, ::1] tracks not None,
                  int64_t[:, ::1] reference not None, double[:, :, ::1] state not None,
                  double[:, ::1] pull not None, double[::1] chi not None,
                  int32_t[:, :, ::1] totals not None,
@@ -156,12 +171,14 @@ def kalman_frame(const float[:, ::1] sample not None,
     per_dn what a DN more adds to it; pull what one in all frames adds to the base.
     times holds start, middle and end of exposure by column.  prior is (row, column,
     (on, off)).  tuning: variance per second and per event in units of theta^2, hz, hz
-    per unit of intensity, relative error of both.  chi collects e^2/v (16 at most),
+    per unit of intensity, relative error of both.  waves (turns per us, cosine, sine)
+    are the lamp's, a row per block from lit_us on.  chi collects e^2/v (16 at most),
     ln v and their number.  nodes receives what a smoother needs, totals counts all
     events up to the last sample; both may be empty.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
+    cdef lamp_t lamp
     cdef bint keep = nodes.shape[0] > 0
     cdef node_t node
     if (sample.shape[0] != h or sample.shape[1] != w or noise.shape[0] != h
@@ -175,11 +192,14 @@ def kalman_frame(const float[:, ::1] sample not None,
         raise ValueError("kalman_frame: all images must have one shape")
     if state.shape[2] != 9 or prior.shape[2] != 2 or tuning.shape[0] != 5:
         raise ValueError("kalman_frame: state, prior or tuning has a wrong length")
+    if waves.shape[1] != 3:
+        raise ValueError("kalman_frame: waves must be (blocks, 3)")
     if chi.shape[0] != 3 or link.shape[0] != n or n == 0:
         raise ValueError("kalman_frame: chi, store or link has a wrong length")
     if keep and (nodes.shape[0] != h or nodes.shape[1] != w or totals.shape[0] != h
                  or totals.shape[1] != w or totals.shape[2] != 2):
         raise ValueError("kalman_frame: nodes must be (h, w), totals (h, w, 2)")
+    lamp = lamp_of(waves, lit_us)
     with nogil:
         for y in range(h):
             for x in range(w):
@@ -188,7 +208,7 @@ def kalman_frame(const float[:, ::1] sample not None,
                     use_sample(sample[y, x], noise[y, x], per_dn[y, x], times[0, x],
                                times[1, x], times[2, x], known, &store[0], &link[0],
                                first[y, x], &old[y, x, 0], <int32_t>committed,
-                               &prior[y, x, 0], &tuning[0], &tracks[y, x],
+                               &prior[y, x, 0], &tuning[0], &lamp, &tracks[y, x],
                                &reference[y, x], &state[y, x, 0], &pull[y, x],
                                &chi[0], &node)
                 if keep:
@@ -204,7 +224,7 @@ cdef void use_sample(double sample, double noise, double per_dn, int64_t begin,
                      int64_t mid, int64_t end, int64_t known, const event_t* store,
                      const int32_t* link, int32_t first, const int64_t* old,
                      int32_t committed, const double* prior, const double* tuning,
-                     track_t* track, int64_t* reference, double* s,
+                     const lamp_t* lamp, track_t* track, int64_t* reference, double* s,
                      double* pull, double* chi, node_t* node) noexcept nogil:
     cdef walk_t walk
     cdef sum_t total
@@ -244,17 +264,18 @@ cdef void use_sample(double sample, double noise, double per_dn, int64_t begin,
         end = begin + 1
     while walk.next >= 0 and store[walk.next].t <= begin:
         step(&walk, store, link)
-    if walk.next < 0 or store[walk.next].t >= end:
+    if (walk.next < 0 or store[walk.next].t >= end) and not lit(
+            lamp, <double>begin, <double>end):
         # Less than a threshold over the whole exposure: its middle says it all.
         blur = at(&walk, store, known, 0.5 * (<double>begin + <double>end), s[1], s[2],
-                  level, tuning[2], tuning[3], &h_on, &h_off)
+                  level, tuning, lamp, &h_on, &h_off)
         h_off = -h_off
     else:
         total.whole = 0.0
         total.on = 0.0
         total.off = 0.0
         integrate(&total, &walk, store, link, begin, end, known, s[1], s[2], level,
-                  tuning[2], tuning[3])
+                  tuning, lamp)
         blur = log_f(<float>(total.whole / <double>(end - begin)))
         h_on = total.on / total.whole
         h_off = -total.off / total.whole
@@ -279,6 +300,7 @@ def kalman_read(int64_t t, int64_t known, const event_t[::1] store not None,
                 const int32_t[::1] link not None,
                 const int32_t[:, ::1] first not None,
                 const double[::1] tuning not None,
+                const double[:, ::1] waves not None, int64_t lit_us,
                 const track_t[:, ::1] tracks not None,
                 const int64_t[:, ::1] reference not None,
                 const double[:, :, ::1] state not None, double most,
@@ -288,31 +310,36 @@ def kalman_read(int64_t t, int64_t known, const event_t[::1] store not None,
 
     first and link chain the events that are not counted in tracks yet.
 
+    waves are as in kalman_frame.
     variance is -1 where no frame was used yet; out then counts from 0.  valid is 1
     where it is at most `most`, not counting that of the lag.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
+    cdef lamp_t lamp
     if (reference.shape[0] != h or reference.shape[1] != w or state.shape[0] != h
             or state.shape[1] != w or out.shape[0] != h or out.shape[1] != w
             or variance.shape[0] != h or variance.shape[1] != w
             or valid.shape[0] != h or valid.shape[1] != w
             or first.shape[0] != h or first.shape[1] != w):
         raise ValueError("kalman_read: all images must have one shape")
-    if state.shape[2] != 9 or tuning.shape[0] != 5 or link.shape[0] != n or n == 0:
-        raise ValueError("kalman_read: state, tuning, store or link has a wrong length")
+    if (state.shape[2] != 9 or tuning.shape[0] != 5 or waves.shape[1] != 3
+            or link.shape[0] != n or n == 0):
+        raise ValueError(
+            "kalman_read: state, tuning, waves, store or link has a wrong length")
+    lamp = lamp_of(waves, lit_us)
     with nogil:
         for y in range(h):
             for x in range(w):
                 read_pixel(t, known, &store[0], &link[0], first[y, x], &tuning[0],
-                           &tracks[y, x], reference[y, x], &state[y, x, 0], most,
+                           &lamp, &tracks[y, x], reference[y, x], &state[y, x, 0], most,
                            &out[y, x], &variance[y, x], &valid[y, x])
 
 
 cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
                      const int32_t* link, int32_t first, const double* tuning,
-                     const track_t* track, int64_t reference, const double* s,
-                     double most, float* out, float* variance,
+                     const lamp_t* lamp, const track_t* track, int64_t reference,
+                     const double* s, double most, float* out, float* variance,
                      unsigned char* valid) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
@@ -324,11 +351,11 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         step(&walk, store, link)
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
-                       <double>t)
+                       lamp, <double>t)
     elif known > t:
-        part = quiet(walk.t, walk.p, <double>known, <double>t)
+        part = quiet(walk.t, walk.p, <double>known, lamp, <double>t)
     else:
-        part = ahead(walk.t_prev, walk.p_prev, walk.t, walk.p, <double>t)
+        part = ahead(&walk, s[1], s[2], lamp, <double>t)
     n_on = walk.n_on
     n_off = walk.n_off
     theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
@@ -338,8 +365,8 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
     else:
         n_off += part.fraction
         theta = -s[2]
-    level = s[0] + s[1] * n_on - s[2] * n_off
-    u = lead(theta * part.rate, level, tuning[2], tuning[3])
+    level = s[0] + s[1] * n_on - s[2] * n_off + part.ripple
+    u = lead(theta * part.rate + part.ripple_rate, level, tuning[2], tuning[3])
     out[0] = <float>(level + u)
     if s[3] < 0:
         variance[0] = -1.0

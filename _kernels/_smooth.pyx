@@ -6,6 +6,7 @@ is filtered; base + theta_on n_on - theta_off n_off is known up to it.
 """
 from libc.stdint cimport int32_t, int64_t
 
+from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._tracks cimport (
     between, drift, lead, lead_variance, node_t, part_t, quiet, start, step, track_t,
     walk_t)
@@ -139,6 +140,7 @@ def smooth_read(int64_t t, int64_t known, const event_t[::1] store not None,
                 const int32_t[::1] link not None,
                 const int32_t[:, ::1] first not None,
                 const double[::1] tuning not None,
+                const double[:, ::1] waves not None, int64_t lit_us,
                 const track_t[:, ::1] tracks not None,
                 const gap_t[:, ::1] gaps not None,
                 const double[:, :, ::1] state not None, double most,
@@ -149,29 +151,34 @@ def smooth_read(int64_t t, int64_t known, const event_t[::1] store not None,
     tracks counts all events up to some time before t, first and link chain those
     after it.  variance is -1 where there is no frame on either side; out then counts
     from 0.  valid is 1 where it is at most `most`, not counting that of the lag.
+    waves (turns per us, cosine, sine) are the lamp's, a row per block from lit_us on.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
+    cdef lamp_t lamp
     if (gaps.shape[0] != h or gaps.shape[1] != w or state.shape[0] != h
             or state.shape[1] != w or out.shape[0] != h or out.shape[1] != w
             or variance.shape[0] != h or variance.shape[1] != w
             or valid.shape[0] != h or valid.shape[1] != w
             or first.shape[0] != h or first.shape[1] != w):
         raise ValueError("smooth_read: all images must have one shape")
-    if state.shape[2] != 9 or tuning.shape[0] != 5 or link.shape[0] != n or n == 0:
-        raise ValueError("smooth_read: state, tuning, store or link has a wrong length")
+    if (state.shape[2] != 9 or tuning.shape[0] != 5 or waves.shape[1] != 3
+            or link.shape[0] != n or n == 0):
+        raise ValueError(
+            "smooth_read: state, tuning, waves, store or link has a wrong length")
+    lamp = lamp_of(waves, lit_us)
     with nogil:
         for y in range(h):
             for x in range(w):
                 read_pixel(t, known, &store[0], &link[0], first[y, x], &tuning[0],
-                           &tracks[y, x], &gaps[y, x], &state[y, x, 0], most,
+                           &lamp, &tracks[y, x], &gaps[y, x], &state[y, x, 0], most,
                            &out[y, x], &variance[y, x], &valid[y, x])
 
 
 cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
                      const int32_t* link, int32_t first, const double* tuning,
-                     const track_t* track, const gap_t* gap, const double* s,
-                     double most, float* out, float* variance,
+                     const lamp_t* lamp, const track_t* track, const gap_t* gap,
+                     const double* s, double most, float* out, float* variance,
                      unsigned char* valid) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
@@ -184,9 +191,9 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         step(&walk, store, link)
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
-                       <double>t)
+                       lamp, <double>t)
     else:
-        part = quiet(walk.t, walk.p, <double>known, <double>t)
+        part = quiet(walk.t, walk.p, <double>known, lamp, <double>t)
     theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
     # Thresholds crossed since the sample before, and until the one after.
     if gap.before.var >= 0:
@@ -223,8 +230,8 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         v = -1.0
     # What is crossed of the next threshold, and the lag of the photoreceptor.
     theta = s[1] if part.p else -s[2]
-    level += theta * part.fraction
-    u = lead(theta * part.rate, level, tuning[2], tuning[3])
+    level += theta * part.fraction + part.ripple
+    u = lead(theta * part.rate + part.ripple_rate, level, tuning[2], tuning[3])
     out[0] = <float>(level + u)
     if v < 0:
         variance[0] = -1.0

@@ -4,6 +4,7 @@ A stamp is an event's time times two, plus its polarity.
 """
 from libc.stdint cimport int32_t, int64_t
 
+from _kernels._lamp cimport lamp_t, ripple
 from _kernels._math cimport exp_f
 from _kernels._types cimport event_t
 
@@ -24,6 +25,10 @@ cdef packed struct node_t:
     int32_t n_on            # all events up to the middle
     int32_t n_off
 
+cdef enum:
+    # What the lamp did at an event so long ago is not remembered.
+    STALE_US = 10000000
+
 cdef struct walk_t:
     # A place in a pixel's events: the last two passed, the next index, counts passed.
     int64_t t_prev
@@ -37,13 +42,16 @@ cdef struct walk_t:
 cdef struct part_t:
     # What has been crossed of a threshold since the last event: fraction * theta[p],
     # down if p is 0, and its change per second; variances in theta^2, of both.  fall:
-    # thresholds per second that the intensity last fell by, 0 if it rose.
+    # thresholds per second that the intensity last fell by, 0 if it rose.  ripple: what
+    # the lamp adds to the part, in log intensity, and its change per second.
     int p
     double fraction
     double rate
     double var
     double rate_var
     double fall
+    double ripple
+    double ripple_rate
 
 
 cdef inline bint never(int64_t t) noexcept nogil:
@@ -76,28 +84,40 @@ cdef inline void start(walk_t* walk, int64_t prev, int64_t last,
     walk.n_off = 0
 
 
+cdef inline part_t nothing(int p) noexcept nogil:
+    """Return the part of a pixel of which too little is known."""
+    cdef part_t part
+    part.p = p
+    part.fraction = 0.0
+    part.rate = 0.0
+    part.var = 0.3
+    part.rate_var = 0.0
+    part.fall = 0.0
+    part.ripple = 0.0
+    part.ripple_rate = 0.0
+    return part
+
+
 cdef inline double drift(int64_t dt, double n, const double* tuning) noexcept nogil:
     """Variance in theta^2 that dt microseconds and n events add."""
     return tuning[0] * 1e-6 * <double>dt + tuning[1] * n
 
 
 cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
-                           double off, double t) noexcept nogil:
+                           double off, const lamp_t* lamp, double t) noexcept nogil:
     """Part crossed at t, between walk and its next event, of polarity p1 at t1.
 
     Linear where the signs agree.  Else a parabola through both and the event before,
     which crossed the same way as the last; on and off are the thresholds.  It
     cannot turn before the last event nor a threshold beyond it; without an event
     before, half a threshold.  The variances are those of turning polarizers and plates.
+    Under a lamp that flickers this holds for the light less its ripple.
     """
-    cdef part_t part
+    cdef part_t part = nothing(p1)
     cdef double gap = <double>(t1 - walk.t), s, q, turn = 0.366, last, next
-    part.p = p1
-    part.fraction = 0.0
-    part.rate = 0.0
-    part.var = 0.3
-    part.rate_var = 0.0
-    part.fall = 0.0
+    cdef double here = 0.0, now, change = 0.0, _
+    cdef bint same = walk.p == p1
+    cdef bint flickers = lamp.blocks > 0 and t1 - walk.t < STALE_US
     if never(walk.t):
         return part
     if gap < 100.0:
@@ -105,7 +125,16 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     s = (t - <double>walk.t) / gap
     part.var = 0.001
     part.rate_var = 0.002
-    if walk.p == p1:
+    last = on if walk.p else -off
+    next = on if p1 else -off
+    if flickers:
+        here = ripple(lamp, <double>walk.t, &_)
+        change = ripple(lamp, <double>t1, &_) - here
+        next -= change
+        if walk.t - walk.t_prev < STALE_US:
+            last -= here - ripple(lamp, <double>walk.t_prev, &_)
+        same = last * next >= 0.0
+    if same:
         part.fraction = s
         part.rate = 1e6 / gap
         part.fall = 0.0 if p1 else part.rate
@@ -120,31 +149,30 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
             q = q if q > 100.0 else 100.0
             part.fall = 1e6 / q if p1 else 0.0
             q /= gap
-            last = off if p1 else on
-            next = on if p1 else off
+            last = last if last > 0.0 else -last
+            next = next if next > 0.0 else -next
             turn = (last - q * q * next) / (2.0 * (last + q * next) + 1e-30)
             turn = 0.0 if turn < 0.0 else 0.414 if turn > 0.414 else turn
         q = 1.0 / (1.0 - 2.0 * turn)
         part.fraction = s * (s - 2.0 * turn) * q
         part.rate = (2.0 * s - 2.0 * turn) * q * 1e6 / gap
     part.rate_var *= 1e12 / (gap * gap)
+    if flickers:
+        now = ripple(lamp, t, &part.ripple_rate)
+        part.ripple = now - here - part.fraction * change
+        part.ripple_rate -= part.rate * change
     return part
 
 
-cdef inline part_t quiet(int64_t t0, int p0, double known, double t) noexcept nogil:
+cdef inline part_t quiet(int64_t t0, int p0, double known, const lamp_t* lamp,
+                         double t) noexcept nogil:
     """Part crossed at t when no event follows t0 up to the time known, which is > t.
 
     A parabola that goes on by half a threshold and is back at the time known: within
     0.1 of the mean over turning and slowing pixels.
     """
-    cdef part_t part
+    cdef part_t part = nothing(p0)
     cdef double gap = known - <double>t0, s
-    part.p = p0
-    part.fraction = 0.0
-    part.rate = 0.0
-    part.var = 0.3
-    part.rate_var = 0.0
-    part.fall = 0.0
     if never(t0):
         return part
     part.var = 0.08
@@ -152,33 +180,54 @@ cdef inline part_t quiet(int64_t t0, int p0, double known, double t) noexcept no
     s = (t - <double>t0) / gap
     part.fraction = 2.0 * s * (1.0 - s)
     part.rate = (2.0 - 4.0 * s) * 1e6 / gap
+    add_ripple(&part, lamp, t0, t)
     return part
 
 
-cdef inline part_t ahead(int64_t t_prev, int p_prev, int64_t t0, int p0,
-                         double t) noexcept nogil:
+cdef inline void add_ripple(part_t* part, const lamp_t* lamp, int64_t t0,
+                            double t) noexcept nogil:
+    """Let what is expected after the last event, at t0, be beside the lamp's ripple."""
+    cdef double _
+    if lamp.blocks > 0 and t - <double>t0 < STALE_US:
+        part.ripple = (ripple(lamp, t, &part.ripple_rate)
+                       - ripple(lamp, <double>t0, &_))
+
+
+cdef inline part_t ahead(const walk_t* walk, double on, double off,
+                         const lamp_t* lamp, double t) noexcept nogil:
     """Part crossed at t from the last two events alone, nothing known beyond t.
 
     Means and variances of the part and of its slope, as functions of the time since
     the last event over the last interval, for turning polarizers of any degree seen by
     a low-pass pixel: on at nearly the same rate, then more and more likely to have
-    turned.  After a turn it goes on fast, unless one of the events was noise.
+    turned.  After a turn it goes on fast, unless one of the events was noise.  Under a
+    lamp that flickers this holds for the light less its ripple.
     """
-    cdef part_t part
-    cdef double gap = <double>(t0 - t_prev), u
-    part.p = p0
-    part.fraction = 0.0
-    part.rate = 0.0
-    part.var = 0.3
-    part.rate_var = 0.0
-    part.fall = 0.0
-    if never(t_prev):
+    cdef part_t part = nothing(walk.p)
+    cdef double gap = <double>(walk.t - walk.t_prev), u, change, room = 1.0, _
+    cdef bint same = walk.p_prev == walk.p
+    if never(walk.t_prev):
         return part
+    if lamp.blocks > 0 and t - <double>walk.t_prev < STALE_US:
+        # In how long the light alone crosses a threshold, and which way.
+        change = (ripple(lamp, <double>walk.t, &_)
+                  - ripple(lamp, <double>walk.t_prev, &_))
+        if change != 0.0:
+            change = (on if walk.p else -off) - change
+            part.p = change > 0.0
+            change = change / on if change > 0.0 else -change / off
+            # Less than half a threshold is no turn.
+            same = walk.p_prev == part.p or change < 0.5
+            gap /= change if change > 0.1 else 0.1
+        # How much of it the light may have crossed without an event.
+        room = ripple(lamp, t, &_) - ripple(lamp, <double>walk.t, &_)
+        room = 1.0 - room / on if part.p else 1.0 + room / off
+        room = 0.3 if room < 0.3 else 2.0 if room > 2.0 else room
     if gap < 200.0:
         gap = 200.0
-    u = (t - <double>t0) / gap
-    if p_prev == p0:
-        part.fall = 0.0 if p0 else 1e6 / gap
+    u = (t - <double>walk.t) / (gap * room)
+    if same:
+        part.fall = 0.0 if part.p else 1e6 / gap
         part.var = 0.1 * u * u + 0.005 if u < 1.5 else 0.23
         part.rate_var = 0.04 + 0.25 * u if u < 1.0 else 0.29
         if u < 0.8:
@@ -209,8 +258,10 @@ cdef inline part_t ahead(int64_t t_prev, int p_prev, int64_t t0, int p0,
             part.fraction = 0.549 - 0.178 * (u - 0.6)
         else:
             part.fraction = 0.3
+    part.fraction *= room
     part.rate *= 1e6 / gap
     part.rate_var *= 1e12 / (gap * gap)
+    add_ripple(&part, lamp, walk.t, t)
     return part
 
 

@@ -1,6 +1,7 @@
 """Checks of what `fuse` is asked for."""
 from __future__ import annotations
 
+import math
 import operator
 import weakref
 from collections.abc import Mapping
@@ -131,6 +132,29 @@ def part_of(
     """Return the part of thresholds that belongs to a window."""
     return theta if isinstance(theta, float) else np.ascontiguousarray(
         theta[rows, columns])
+
+
+def events_of(
+    events: NDArray[Any], window: tuple[slice, slice], size: tuple[int, int]
+) -> NDArray[Any]:
+    """Return the events of a window of a sensor, in its coordinates."""
+    (rows, columns), (height, width) = window, size
+    if (rows.start, rows.stop, columns.start, columns.stop) == (0, height, 0, width):
+        return events
+    x, y = events["x"], events["y"]
+    inside: NDArray[Any] = events[(x >= columns.start) & (x < columns.stop)
+                                  & (y >= rows.start) & (y < rows.stop)]
+    inside["x"] -= columns.start
+    inside["y"] -= rows.start
+    return inside
+
+
+def mismatch_of(sensor: Sensor | None) -> tuple[float, float, float]:
+    """Return the spread of gain, angle (radians) and contrast of a sensor's pixels."""
+    sensor = sensor or Sensor.PDAVIS
+    gain, angle_deg, ratio = sensor.mismatch
+    contrast = 2 * ratio / (sensor.extinction_ratio + 1) ** 2
+    return gain, math.radians(angle_deg), contrast
 
 
 def denoising(value: bool | Mapping[str, Any]) -> dict[str, Any] | None:

@@ -35,6 +35,8 @@ __all__ = [
     "hue_bgr",
     "kalman_frame",
     "kalman_read",
+    "lamp_push",
+    "lamp_wave",
     "leak_events",
     "leak_events_map",
     "leak_read",
@@ -131,15 +133,20 @@ def kalman_frame(
     sample: _F32, noise: _F32, per_dn: _F32, times: NDArray[np.int64], known: int,
     store: NDArray[Any], link: NDArray[np.int32], first: NDArray[np.int32],
     old: NDArray[np.int64], committed: int, prior: _F64, tuning: _F64,
-    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, pull: _F64,
-    chi: _F64, totals: NDArray[np.int32], nodes: NDArray[Any],
+    waves: _F64, lit_us: int, tracks: NDArray[Any], reference: NDArray[np.int64],
+    state: _F64, pull: _F64, chi: _F64, totals: NDArray[np.int32], nodes: NDArray[Any],
 ) -> None: ...
 def kalman_read(
     t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
-    first: NDArray[np.int32], tuning: _F64, tracks: NDArray[Any],
-    reference: NDArray[np.int64], state: _F64, most: float, out: _F32,
-    variance: _F32, valid: _U8,
+    first: NDArray[np.int32], tuning: _F64, waves: _F64, lit_us: int,
+    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, most: float,
+    out: _F32, variance: _F32, valid: _U8,
 ) -> None: ...
+def lamp_push(
+    events: NDArray[Any], at: int, until: int, h: int, w: int, shift: int, on: float,
+    off: float, even_us: _F64, stamps: _I64, sums: _F64,
+) -> int: ...
+def lamp_wave(sums: _F64, t: int, out: _F64) -> None: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
 ) -> int: ...
@@ -176,9 +183,9 @@ def smooth_past(
 ) -> None: ...
 def smooth_read(
     t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
-    first: NDArray[np.int32], tuning: _F64, tracks: NDArray[Any],
-    gaps: NDArray[Any], state: _F64, most: float, out: _F32, variance: _F32,
-    valid: _U8,
+    first: NDArray[np.int32], tuning: _F64, waves: _F64, lit_us: int,
+    tracks: NDArray[Any], gaps: NDArray[Any], state: _F64, most: float, out: _F32,
+    variance: _F32, valid: _U8,
 ) -> None: ...
 def store_commit(
     store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any]

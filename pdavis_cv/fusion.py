@@ -1,7 +1,6 @@
 """fuse(): polarization images at any time; the one place that orders time."""
 from __future__ import annotations
 
-import math
 import warnings
 from bisect import bisect_left
 from collections import deque
@@ -24,6 +23,8 @@ from pdavis_cv._arguments import (
     choose_method,
     chosen_layout,
     denoising,
+    events_of,
+    mismatch_of,
     part_of,
     resolved_extinction_ratio,
     response_of,
@@ -40,9 +41,10 @@ from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.mosaic import demosaic_valid
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
+from pdavis_cv.reconstruct.lamp import LampTracker, Wave
 from pdavis_cv.reconstruct.methods import EVENT_METHODS, make_reconstructor
 from pdavis_cv.recording.base import ApsFrame, Recording
-from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.sensor import Layout
 
 __all__ = ["DEFAULT_METHOD", "Fusion", "FusionSnapshot", "fuse"]
 
@@ -168,6 +170,8 @@ class FusionSnapshot:
         Mid-exposure and arrival of the latest frames fed.
     reached_us : int
         Time of the last sample read, which may lie before `fed_us`.
+    lamp : mapping of str to object, or None
+        State of the `LampTracker`, which has seen all events up to the last image.
     """
 
     index: int
@@ -176,6 +180,7 @@ class FusionSnapshot:
     state: Snapshot
     frames: tuple[tuple[int, int], ...]
     reached_us: int
+    lamp: Mapping[str, Any] | None
 
 
 class Fusion:
@@ -260,13 +265,14 @@ class Fusion:
         rows, columns = self._window
         self._lookahead_us = whole.lookahead_us
         self._thresholds = (part_of(on, rows, columns), part_of(off, rows, columns))
+        self._typical = float(np.mean(on)), float(np.mean(off))
         self._method_parameters = method_parameters
         self._window_layout = self.layout.crop(columns.start, rows.start)
         self._response = response_of(
             self._window_layout, self._calibration, rows, columns)
         self._crop = self._crop_of_window()
         self._analyser = self._window_analyser()
-        self._mismatch = _mismatch(info.sensor)
+        self._mismatch = mismatch_of(info.sensor)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
         x, y, width, height = self._roi
@@ -373,7 +379,7 @@ class Fusion:
         state = (self._lagged or self._current).snapshot()
         return FusionSnapshot(
             self._index, self._fed_us, self._t, state, tuple(self._frames),
-            self._feed.reached_us)
+            self._feed.reached_us, None if self._lamp is None else self._lamp.state())
 
     def restore(self, snapshot: FusionSnapshot) -> None:
         """Go back to a snapshot of an equal Fusion.
@@ -387,6 +393,8 @@ class Fusion:
         self._current.restore(snapshot.state)
         if self._lagged is not None:
             self._lagged.restore(snapshot.state)
+        if self._lamp is not None and snapshot.lamp is not None:
+            self._lamp.restore(snapshot.lamp)
         self._frames.extend(snapshot.frames)
         self._index, self._fed_us = snapshot.index, snapshot.fed_us
         self._feed = Feed(
@@ -462,6 +470,10 @@ class Fusion:
         # when a frame arrives, it is advanced, and what followed is replayed.
         self._lagged = (
             self._make() if self._causal and self.method not in EVENT_METHODS else None)
+        # Over the whole sensor, so that an image of a region is the crop.
+        self._lamp = LampTracker(
+            self.recording.info.sensor_size, *self._typical
+        ) if self._current.follows_lamp else None
         self._backlog: deque[NDArray[Any]] = deque()
         self._frames: deque[tuple[int, int]] = deque()
         self._fed_us = None
@@ -496,6 +508,9 @@ class Fusion:
                 self._add_frame(item)
             else:
                 self._add_events(item)
+        if self._lamp is not None and target is not None:
+            for wave in self._lamp.advance(target):
+                self._add_wave(wave)
         if self._lagged is None:
             self._fed_us = _AFTER if target is None else target
         while len(self._frames) > 1 and self._frames[1][1] <= t:
@@ -504,13 +519,20 @@ class Fusion:
     def _add_events(self, events: NDArray[Any]) -> None:
         if self.method == "frames":
             return
-        events = self._window_events(events)
+        for wave in self._lamp.push(events) if self._lamp is not None else ():
+            self._add_wave(wave)
+        events = events_of(events, self._window, self.recording.info.sensor_size)
         if not len(events):
             return
         self._current.add_events(events)
         if self._lagged is not None:
             self._backlog.append(events)
             self._advance_lagged(int(events["t"][-1]) - _LONGEST_DELAY_US)
+
+    def _add_wave(self, wave: Wave) -> None:
+        self._current.add_wave(wave)
+        if self._lagged is not None:
+            self._lagged.add_wave(wave)
 
     def _add_frame(self, frame: ApsFrame) -> None:
         self._frames.append((frame.mid_us, frame.available_us))
@@ -553,19 +575,6 @@ class Fusion:
 
     # ---- the window that is computed, and the calibration of it ----------------
 
-    def _window_events(self, events: NDArray[Any]) -> NDArray[Any]:
-        rows, columns = self._window
-        height, width = self.recording.info.sensor_size
-        if (rows.start, rows.stop, columns.start, columns.stop) == (
-                0, height, 0, width):
-            return events
-        x, y = events["x"], events["y"]
-        inside: NDArray[Any] = events[(x >= columns.start) & (x < columns.stop)
-                        & (y >= rows.start) & (y < rows.stop)]
-        inside["x"] -= columns.start
-        inside["y"] -= rows.start
-        return inside
-
     def _crop_of_window(self) -> tuple[slice, slice] | None:
         """Return the part of the window that the region is; None = all of it."""
         (rows, columns), (x, y, width, height) = self._window, self._roi
@@ -589,11 +598,3 @@ class Fusion:
         if self._crop is not None:
             response = response[:, :, self._crop[0], self._crop[1]]
         return Analyser(response)
-
-
-def _mismatch(sensor: Sensor | None) -> tuple[float, float, float]:
-    """Spread of gain, angle (radians) and contrast of a sensor's pixels."""
-    sensor = sensor or Sensor.PDAVIS
-    gain, angle_deg, ratio = sensor.mismatch
-    contrast = 2 * ratio / (sensor.extinction_ratio + 1) ** 2
-    return gain, math.radians(angle_deg), contrast

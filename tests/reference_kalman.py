@@ -5,18 +5,51 @@ from dataclasses import dataclass
 import numpy as np
 
 US = 1e-6
+BLOCK, STALE, FINE = 100_000, 10_000_000, 1_500
 
 
-def between(before, t0, p0, t1, p1, ratio, t):
+def ripple_of(waves):
+    """Return (ripple of log intensity, its change per second) as a function of time."""
+    blocks = {wave.start_us // BLOCK: wave for wave in waves}
+
+    def ripple(t):
+        wave = blocks.get(t // BLOCK)
+        if wave is None or wave.hz == 0:
+            return 0.0, 0.0
+        turn = 2 * np.pi * wave.hz
+        phasor = (wave.cosine - 1j * wave.sine) * np.exp(
+            1j * turn * US * (t - wave.start_us))
+        return phasor.real, -turn * phasor.imag
+
+    return ripple
+
+
+def steady(t):
+    return 0.0, 0.0
+
+
+def between(before, t0, p0, t1, p1, steps, r, t):
     """Polarity, fraction of its threshold crossed, per second, variances of both, fall.
 
-    The last is the thresholds per second that the intensity last fell by.
+    fall is the thresholds per second that the intensity last fell by.  Then what the
+    lamp adds, and per second; steps are (on, -off), r its ripple and rate at a time.
     """
     if t0 is None:
-        return p1, 0.0, 0.0, 0.3, 0.0, 0.0
+        return p1, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0
+    r = r if t1 - t0 < STALE else steady
+    change = r(t1)[0] - r(t0)[0]
+    since = r(t0)[0] - r(before[0])[0] if before and t0 - before[0] < STALE else 0
+    last, next = steps[1 - p0] - since, steps[1 - p1] - change
+    part = line(before, t0, p0, t1, p1, abs(last / next), last * next >= 0, t)
+    _, fraction, rate, *_ = part
+    now, slope = r(t)
+    return *part, now - r(t0)[0] - fraction * change, slope - rate * change
+
+
+def line(before, t0, p0, t1, p1, ratio, same, t):
     gap = max(t1 - t0, 100)
     s, hz = (t - t0) / gap, 1e6 / gap
-    if p0 == p1:
+    if same:
         return p1, s, hz, 0.001, 0.002 * hz**2, 0.0 if p1 else hz
     turn, spread, fall = 0.366, (0.05, 1.0), 0.0
     if before is not None and before[1] == p0:
@@ -30,19 +63,37 @@ def between(before, t0, p0, t1, p1, ratio, t):
             fall)
 
 
-def quiet(t0, p0, known, t):
+def after(t0, r, t):
+    """What the lamp has added since the last event, and per second."""
+    if t - t0 >= STALE:
+        return 0.0, 0.0
+    return r(t)[0] - r(t0)[0], r(t)[1]
+
+
+def quiet(t0, p0, known, r, t):
     if t0 is None:
-        return p0, 0.0, 0.0, 0.3, 0.0, 0.0
+        return p0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0
     s, hz = (t - t0) / (known - t0), 1e6 / (known - t0)
-    return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, 0.08, 0.3 * hz**2, 0.0
+    return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, 0.08, 0.3 * hz**2, 0.0, *after(
+        t0, r, t)
 
 
-def ahead(before, t0, p0, t):
+def ahead(before, t0, p0, steps, r, t):
     if before is None:
-        return p0, 0.0, 0.0, 0.3, 0.0, 0.0
-    gap = max(t0 - before[0], 200)
-    u = (t - t0) / gap
-    if before[1] == p0:
+        return p0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0
+    gap, p, same, room = t0 - before[0], p0, before[1] == p0, 1.0
+    if t - before[0] < STALE:
+        change = r(t0)[0] - r(before[0])[0]
+        if change != 0:
+            light = steps[1 - p0] - change
+            p = int(light > 0)
+            crossed = light / steps[1 - p]
+            same = before[1] == p or crossed < 0.5
+            gap = gap / max(crossed, 0.1)
+        room = np.clip(1 - (r(t)[0] - r(t0)[0]) / steps[1 - p], 0.3, 2)
+    gap = max(gap, 200)
+    u = (t - t0) / (gap * room)
+    if same:
         fraction = np.interp(u, [0, 0.8], [0, 0.688]) if u < 1.1 else np.select(
             [u < 1.45, u < 5], [0.688 - 0.57 * (u - 1.1), 0.488 - 0.26 * (u - 1.45)],
             -0.435)
@@ -61,9 +112,9 @@ def ahead(before, t0, p0, t):
             [u < 0.15, u < 0.3, u < 0.6],
             [4.7, 4.7 - 8.8 * (u - 0.15), 3.38 - 11.27 * (u - 0.3)], 0)
         spread = 0.05, 1.7
-    fall = 1e6 / gap if before[1] == p0 == 0 else 0.0
-    return (p0, fraction, rate * 1e6 / gap, spread[0], spread[1] * (1e6 / gap) ** 2,
-            fall)
+    fall = 1e6 / gap if same and p == 0 else 0.0
+    return (p, fraction * room, rate * 1e6 / gap, spread[0],
+            spread[1] * (1e6 / gap) ** 2, fall, *after(t0, r, t))
 
 
 def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
@@ -113,8 +164,8 @@ class Node:
 class Pixel:
     """One pixel's events (t, p) and the state (base, on, off) with covariance."""
 
-    def __init__(self, on, off, sigma, bandwidth):
-        self.events, self.bandwidth = [], bandwidth
+    def __init__(self, on, off, sigma, bandwidth, ripple=steady):
+        self.events, self.bandwidth, self.ripple = [], bandwidth, ripple
         self.x = np.array([0.0, on, off])
         self.P = np.diag([100.0, sigma**2, sigma**2])
         self.prior, self.since, self.reference = np.array([on, off]), 0, None
@@ -124,13 +175,12 @@ class Pixel:
         """Thresholds crossed since event i - 1 at t, i the next event."""
         last = self.events[i - 1] if i else (None, 0)
         before = self.events[i - 2] if i > 1 else None
+        steps = self.x[1], -self.x[2]
         if i < len(self.events) and self.events[i][0] <= known:
-            _, on, off = self.x
-            return between(before, *last, *self.events[i],
-                           off / on if self.events[i][1] else on / off, t)
+            return between(before, *last, *self.events[i], steps, self.ripple, t)
         if known > t:
-            return quiet(*last, known, t)
-        return ahead(before, *last, t)
+            return quiet(*last, known, self.ripple, t)
+        return ahead(before, *last, steps, self.ripple, t)
 
     def next(self, t):
         return sum(time <= t for time, _ in self.events)
@@ -142,20 +192,20 @@ class Pixel:
     def value(self, t, known, since, level):
         i = self.next(t)
         n = (self.counts(since, i) if i >= since else -self.counts(i, since))
-        p, fraction, rate, *spread = self.part(i, t, known)
+        p, fraction, rate, *spread, ripple, slope = self.part(i, t, known)
         n[0 if p else 1] += fraction
         _, on, off = self.x
-        y = on * n[0] - off * n[1]
-        return n, y, *self.lag(p, rate, spread, level + y)
+        y = on * n[0] - off * n[1] + ripple
+        return n, y, *self.lag(p, rate, slope, spread, level + y)
 
-    def lag(self, p, rate, spread, log):
+    def lag(self, p, rate, slope, spread, log):
         """What the photoreceptor's lag adds; the variance of it and of the part."""
         _, on, off = self.x
         theta2 = self.x[1:].mean() ** 2
-        hz, slope, sigma = self.bandwidth
-        u = lead((on if p else -off) * rate, np.exp(log), hz, slope)
+        hz, per_level, sigma = self.bandwidth
+        u = lead((on if p else -off) * rate + slope, np.exp(log), hz, per_level)
         return u, theta2 * spread[0], lead_variance(
-            u, theta2 * spread[1], off * spread[2], np.exp(log), hz, slope, sigma)
+            u, theta2 * spread[1], off * spread[2], np.exp(log), hz, per_level, sigma)
 
     def frame(self, sample, noise, begin, mid, end, known, per_dn):
         fresh = self.reference is None
@@ -174,9 +224,13 @@ class Pixel:
         level = sample if fresh else self.x[0]
         inner = sorted({t for t, _ in self.events if begin < t < end})
         cuts = [begin, *inner, end]
+        lit = self.ripple(begin) != (0, 0) or self.ripple(end) != (0, 0)
+        if lit:
+            cuts = [cut for a, b in itertools.pairwise(cuts)
+                    for cut in np.arange(a, b, FINE)] + [end]
         whole, weighted = 0.0, np.zeros(2)
         for a, b in itertools.pairwise(cuts):
-            for node in (-1, 1) if inner else (0, 0):
+            for node in (-1, 1) if inner or lit else (0, 0):
                 t = (a + b) / 2 + node * (b - a) / np.sqrt(12)
                 n, y, u, *_ = self.value(t, known, at, level)
                 whole += (b - a) / 2 * np.exp(y + u)
@@ -275,7 +329,7 @@ class Pixel:
                 sides.append(self.path(i1, i))
                 link = len(equations)
                 equations.append(({here: 1, k: -1}, sides[-1] @ theta, parts[1]))
-        p, fraction, rate, *spread = self.part(i, t, known)
+        p, fraction, rate, *spread, ripple, slope = self.part(i, t, known)
         sign = np.array([1, 0]) if p else np.array([0, -1])
         if here:
             a, z = np.zeros((len(equations), here + 1)), np.zeros(len(equations))
@@ -291,8 +345,8 @@ class Pixel:
                 sides[0] + gain[link] * (sides[1] - sides[0]))
         else:
             level = self.path(0, i) @ theta
-        level += fraction * (sign @ theta)
-        u, spread, lag = self.lag(p, rate, spread, level)
+        level += fraction * (sign @ theta) + ripple
+        u, spread, lag = self.lag(p, rate, slope, spread, level)
         if not here:
             return level + u, 0.0, False
         m = m + fraction * sign
@@ -302,7 +356,7 @@ class Pixel:
 
 
 def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0, 0),
-           lookahead_us=50_000, offline=False, offset_dn=0.0):
+           lookahead_us=50_000, offline=False, offset_dn=0.0, waves=()):
     """Log intensity, variance and validity at t_us, from what acts on it."""
     wait_us = min(lookahead_us, 50_000)
     on, off = np.broadcast_to(on, shape), np.broadcast_to(off, shape)
@@ -310,7 +364,7 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
     valid = np.zeros(shape, bool)
     log_ms = [np.log(f.exposure_ms) if f.exposure_ms else 0.0 for f in frames]
     for at in np.ndindex(*shape):
-        pixel = Pixel(on[at], off[at], sigma, bandwidth)
+        pixel = Pixel(on[at], off[at], sigma, bandwidth, ripple_of(waves))
         mine = events[(events["y"] == at[0]) & (events["x"] == at[1])]
         pixel.events = [(int(t), int(p)) for t, p in zip(mine["t"], mine["p"],
                                                         strict=True)]

@@ -179,7 +179,7 @@ def test_a_window_of_the_recording_is_enough(nominal):
 
 def test_the_window_is_bounded(nominal, monkeypatch):
     monkeypatch.setattr(insitu, "_MAX_EVENTS", 2000)
-    items = insitu._window(nominal[1], None, None, None)
+    items = insitu._window(nominal[1], NOMINAL, None, None, None)
     assert sum(len(i) for i in items if isinstance(i, np.ndarray)) < 6000
 
 

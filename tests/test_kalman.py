@@ -16,6 +16,7 @@ from pdavis_cv import (
     fuse,
 )
 from pdavis_cv.analysis import Scorer
+from pdavis_cv.reconstruct.lamp import BLOCK_US, Wave
 from pdavis_cv.reconstruct.smooth import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
 from pdavis_cv.reconstruct.tracks import TRACK_DTYPE
 from pdavis_cv.simulation import Camera, RotatingPolarizer, ideal
@@ -44,7 +45,13 @@ def recordings(draw):
     events = random_events(draw(st.integers(0, 300)), SHAPE, start_us=origin,
                            stop_us=stop, seed=seed)
     mids = sorted(draw(st.sets(st.integers(origin, stop - 1), max_size=12)))
-    return events, [random_frame(SHAPE, t, seed=i) for i, t in enumerate(mids)], stop
+    first = origin // BLOCK_US + draw(st.integers(-2, 3))
+    rng = np.random.default_rng(seed)
+    waves = [Wave((first + k) * BLOCK_US, *(
+        (rng.choice([100, 120.3]), *rng.uniform(-0.2, 0.2, 2)) if rng.random() < 0.8
+        else ())) for k in range(draw(st.sampled_from([0, 0, 1, 5, 40])))]
+    frames = [random_frame(SHAPE, t, seed=i) for i, t in enumerate(mids)]
+    return events, frames, waves, stop
 
 
 @settings(max_examples=90, deadline=None)
@@ -54,18 +61,20 @@ def recordings(draw):
        st.sampled_from([30_000, 120_000, 500_000]), st.sampled_from([0.0, 2.0]))
 def test_it_equals_float64_evaluation_of_the_equations(
         stream, mode, maps, bandwidth, sigma, later, ahead, offset):
-    events, frames, stop = stream
+    events, frames, waves, stop = stream
     on, off = MAPS if maps else (0.2, 0.25)
     offline = {"lookahead_us": ahead} if mode == "offline" else {}
     mine = make(on=on, off=off, mode=mode, threshold_sigma=sigma, bandwidth=bandwidth,
                 offset_dn=offset, **offline)
+    for wave in waves:
+        mine.add_wave(wave)
     feed(mine, events, frames)
     t = stop + later - mine.lookahead_us
     estimate = mine.read(t)
     log, variance, valid = reference_kalman.kalman(
         events, frames, SHAPE, on, off, t, sigma=sigma,
         bandwidth=bandwidth or (0, 0, 0), lookahead_us=mine.lookahead_us,
-        offline=mode == "offline", offset_dn=offset)
+        offline=mode == "offline", offset_dn=offset, waves=waves)
     # What events say of pixels without a sample is another matter.
     measured = variance > 0
     for got, want, close in (
@@ -316,7 +325,8 @@ def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
         _kernels.smooth_read: dict(
             t=0, known=1, store=np.zeros(1, EVENT_DTYPE), link=np.zeros(1, np.int32),
             first=np.full((2, 2), -1, np.int32), tuning=np.zeros(5),
-            tracks=np.zeros((2, 2), TRACK_DTYPE), gaps=gaps, state=state, most=0.25,
+            waves=np.zeros((0, 3)), lit_us=0, tracks=np.zeros((2, 2), TRACK_DTYPE),
+            gaps=gaps, state=state, most=0.25,
             out=np.zeros((2, 2), np.float32), variance=np.zeros((2, 2), np.float32),
             valid=np.zeros((2, 2), np.uint8)),
     }[kernel]

@@ -208,7 +208,8 @@ def test_a_recording_that_cannot_be_fitted_is_one_line(tmp_path, capsys):
 
 @pytest.mark.parametrize("arguments", [
     ["fig9", "-o", "x"], ["fig2"], ["fig2", "-o", "x", "--seconds", "1"],
-    ["fig2", "-o", "x", "--methods", "magic"], ["fig2", "-o", "x", "--rpm", "0"]])
+    ["fig2", "-o", "x", "--methods", "magic"], ["fig2", "-o", "x", "--rpm", "0"],
+    ["fig2", "-o", "."]])
 def test_a_mistake_is_one_line(arguments, capsys):
     assert reproduce.main(arguments) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

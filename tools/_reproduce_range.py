@@ -210,7 +210,7 @@ def flicker_page(rows: Sequence[Row], settings: Settings) -> list[str]:
             columns = ("aop_error_deg", "dolp_error")
             speeds = sorted({row.rpm for row in steady})
             ratios = [[name, *(" / ".join(
-                f"{_at(lit, name, rpm, c) / _at(steady, name, rpm, c):.2f}"
+                _times(_at(lit, name, rpm, c), _at(steady, name, rpm, c))
                 for c in columns) for rpm in speeds)]
                 for name in METHODS if any(row.method == name for row in steady)]
             lines += [f"## {scene}, `{camera}` camera", "", "Steady lamp.", "",
@@ -219,6 +219,10 @@ def flicker_page(rows: Sequence[Row], settings: Settings) -> list[str]:
                       "Error with flicker over error without.", "",
                       *table(("method", *(f"{rpm:g}" for rpm in speeds)), ratios)]
     return lines
+
+
+def _times(error: float, without: float) -> str:
+    return "-" if math.isnan(error / without) else f"{error / without:.2f}"
 
 
 def _at(rows: Sequence[Row], method: str, rpm: float, column: str) -> float:

@@ -177,6 +177,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Simulate, score, write; return 0."""
     args = _parser().parse_args(argv)
     settings = _settings(args)
+    if args.output.name in ("", ".."):
+        raise UsageError(f"-o must name what files begin with, got '{args.output}'")
     if args.recording is None:
         page, _ = EXPERIMENTS[args.figure][1](args.figure, args.output, settings)
     elif args.figure == "fig2":

@@ -20,6 +20,7 @@ from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
 from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE, KalmanFilter
+from pdavis_cv.reconstruct.lamp import LampTracker, Wave
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Sensor
 
@@ -62,7 +63,7 @@ _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 # coarse look must come for the constant one to have a chance.
 _EVIDENCE, _NEAR = 8.0, 100.0
 
-_Items = list["ApsFrame | NDArray[Any]"]
+_Items = list["ApsFrame | Wave | NDArray[Any]"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,7 @@ def thresholds_in_situ(
         raise ValueError(
             f"bandwidth must be 'in-situ', a Bandwidth or None, got {bandwidth!r}")
     shape = recording.info.sensor_size
-    items = _window(recording, calibration, start_us, stop_us)
+    items = _window(recording, nominal, calibration, start_us, stop_us)
     sample = _sample(items, shape, nominal)
     found = bandwidth if isinstance(bandwidth, Bandwidth) else None
     if sample is not None and isinstance(bandwidth, str):
@@ -209,7 +210,7 @@ def bandwidth_in_situ(
     Bandwidth or None
         None where frames or events are too few to tell anything.
     """
-    items = _window(recording, calibration, start_us, stop_us)
+    items = _window(recording, nominal, calibration, start_us, stop_us)
     sample = _sample(items, recording.info.sensor_size, nominal)
     return None if sample is None else _bandwidth(sample)
 
@@ -307,7 +308,7 @@ def receptors(
     noise : float or None
         As in `ThresholdEstimate`.
     """
-    items = _window(recording, calibration, None, by_us)
+    items = _window(recording, nominal, calibration, None, by_us)
     if by_us is not None:
         items = [item for item in items if not isinstance(item, ApsFrame)
                  or item.available_us <= by_us]
@@ -352,11 +353,12 @@ def _calibrated(
 
 
 def _window(
-    recording: Recording, calibration: Calibration | None, start_us: int | None,
-    stop_us: int | None,
+    recording: Recording, nominal: tuple[ArrayLike, ArrayLike],
+    calibration: Calibration | None, start_us: int | None, stop_us: int | None,
 ) -> _Items:
-    """Return frames and events in order of time, from start_us, bounded."""
+    """Return frames, events and the lamp in order of time, from start_us, bounded."""
     items: _Items = []
+    lamp = LampTracker(recording.info.sensor_size, *nominal)
     events = 0
     begin: int | None = None
     feed = Feed(recording, None if start_us is None else start_us - 1,
@@ -366,9 +368,11 @@ def _window(
         begin = t if begin is None else begin
         if t - begin > _MAX_SECONDS * 1e6 or events > _MAX_EVENTS:
             break
-        items.append(corrected(item, calibration) if isinstance(item, ApsFrame)
-                     else item)
-        events += 0 if isinstance(item, ApsFrame) else len(item)
+        if isinstance(item, ApsFrame):
+            items.append(corrected(item, calibration))
+        else:
+            items += [*lamp.push(item), item]
+            events += len(item)
     return items
 
 
@@ -387,6 +391,8 @@ def _feed(method: KalmanFilter, items: _Items) -> None:
     for item in items:
         if isinstance(item, ApsFrame):
             method.add_frame(item)
+        elif isinstance(item, Wave):
+            method.add_wave(item)
         else:
             method.add_events(item)
 
@@ -546,7 +552,7 @@ def _sample(
             np.maximum(most, item.dn, out=most)
             mids.append(item.mid_us)
             done = count(done)
-        else:
+        elif not isinstance(item, Wave):
             pixel = item["y"].astype(np.intp) * shape[1] + item["x"]
             where.append(2 * pixel + item["p"])
     count(done)
@@ -575,6 +581,9 @@ def _sample(
     pending: list[NDArray[Any]] = []
     places = iter(where)
     for item in items:
+        if isinstance(item, Wave):
+            part.append(item)
+            continue
         if not isinstance(item, ApsFrame):
             at = place[next(places) >> 1]
             mine = item[at >= 0].copy()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["Estimate", "Reconstructor", "Snapshot"]
@@ -71,6 +72,9 @@ class Reconstructor(ABC):
     margin: int = 0
     """How many pixels around a pixel its result depends on."""
 
+    follows_lamp: bool = False
+    """Whether it makes use of `add_wave`."""
+
     shape: tuple[int, int]
     """(height, width)."""
 
@@ -98,6 +102,12 @@ class Reconstructor(ABC):
         ------
         ValueError
             If the frame has another shape or lies before the last time seen.
+        """
+
+    def add_wave(self, wave: Wave) -> None:  # noqa: B027
+        """Tell how the lamp flickers in a block that no sample fed before lies in.
+
+        A `LampTracker` that sees the whole sensor says so; the blocks come in order.
         """
 
     @abstractmethod

@@ -12,6 +12,7 @@ from pdavis_cv._checks import positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.clock import Clock
+from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["Denoised", "EventDenoiser"]
@@ -165,6 +166,7 @@ class Denoised(Reconstructor):
         self.lookahead_us = method.lookahead_us
         # A pixel's supporters may be hot by what their own neighbours do.
         self.margin = method.margin + 4
+        self.follows_lamp = method.follows_lamp
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -183,6 +185,10 @@ class Denoised(Reconstructor):
     def add_frame(self, frame: ApsFrame) -> None:
         """Feed the frame."""
         self._inner.add_frame(frame)
+
+    def add_wave(self, wave: Wave) -> None:
+        """Tell how the lamp flickers."""
+        self._inner.add_wave(wave)
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the method's estimate (see `Reconstructor.read`)."""

@@ -13,6 +13,7 @@ from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.clock import Clock, checked_bandwidth, checked_threshold
 from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.smooth import NODE_DTYPE, Smoother
 from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
@@ -50,7 +51,9 @@ class KalmanFilter(Reconstructor):
     Events move the log intensity; each frame, de-blurred by the events of its own
     exposure, corrects it and the thresholds by their covariance.  Between two events
     of a pixel the intensity is interpolated, and the lag of the photoreceptor is taken
-    out if its bandwidth is given.
+    out if its bandwidth is given.  What a lamp on the mains adds (`add_wave`) is taken
+    out of the events before and put back after: less than a threshold of it shows in
+    the events of some pixels only.
 
     Parameters
     ----------
@@ -109,6 +112,7 @@ class KalmanFilter(Reconstructor):
     """
 
     method = "kalman"
+    follows_lamp = True
     lookahead_us: int
 
     def __init__(
@@ -159,6 +163,7 @@ class KalmanFilter(Reconstructor):
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
             self._bandwidth)
         self._clock = Clock(self.shape)
+        self._lamp = Lamplight()
         self._frames: tuple[_Frame, ...] = ()
         self._chi = np.zeros(3)
 
@@ -213,6 +218,10 @@ class KalmanFilter(Reconstructor):
         keep = self._tracks
         keep.keep_us = max(keep.keep_us, 2 * longest, 2 * delay)
 
+    def add_wave(self, wave: Wave) -> None:
+        """Tell how the lamp flickers (see `Reconstructor.add_wave`)."""
+        self._lamp.add(wave)
+
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
         t, ahead = int(t_us), self.lookahead_us
@@ -228,13 +237,13 @@ class KalmanFilter(Reconstructor):
         if self._smoother is not None:
             self._smoother.read(
                 t, t + self._wait_us, recent, self._tuning,
-                self._state9, VALID_VARIANCE, log, variance, valid)
+                self._lamp, self._state9, VALID_VARIANCE, log, variance, valid)
         else:
             recent.chain_pending()
             _kernels.kalman_read(
                 t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
-                recent.tracks, self._reference, self._state9, VALID_VARIANCE,
-                log, variance, valid.view(np.uint8))
+                self._lamp.waves, self._lamp.start_us, recent.tracks, self._reference,
+                self._state9, VALID_VARIANCE, log, variance, valid.view(np.uint8))
         if self._offset_dn:
             off = (self._offset_dn * self._pull) ** 2
             variance += np.where(variance >= 0, off, 0).astype(np.float32)
@@ -260,11 +269,13 @@ class KalmanFilter(Reconstructor):
             _kernels.kalman_frame(
                 frame.sample, frame.noise, frame.per_dn, frame.times, frame.known_us,
                 recent.store, recent.link, recent.first, recent.old, recent.committed,
-                self._prior, self._tuning, recent.tracks, self._reference,
-                self._state9, self._pull, self._chi, totals, nodes)
+                self._prior, self._tuning, self._lamp.waves, self._lamp.start_us,
+                recent.tracks, self._reference, self._state9, self._pull, self._chi,
+                totals, nodes)
             if smoother is not None:
                 smoother.pass_until(
                     frame.known_us - self.lookahead_us, self._state9)
+        self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
     def _state(self) -> Mapping[str, Any]:
         return self._kept(whole=True)
@@ -276,6 +287,7 @@ class KalmanFilter(Reconstructor):
                 "tracks": tracks.state() if whole else tracks.mark(),
                 "reference": self._reference.copy(), "state": self._state9.copy(),
                 "chi": self._chi.copy(), "pull": self._pull.copy(),
+                "lamp": self._lamp.state(),
                 "saturated": self._saturated.state() if whole else None, "smoother": (
                     None if smoother is None else
                     smoother.state() if whole else smoother.mark())}
@@ -288,6 +300,7 @@ class KalmanFilter(Reconstructor):
         self._state9[:] = state["state"]
         self._chi[:] = state["chi"]
         self._pull[:] = state["pull"]
+        self._lamp.restore(state["lamp"])
         if state["saturated"] is not None:
             self._saturated.restore(state["saturated"])
         if self._smoother is not None:

@@ -13,6 +13,7 @@ from pdavis_cv._checks import output, positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.clock import Clock, checked_bandwidth, checked_threshold
+from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
@@ -76,6 +77,7 @@ class EventRedundancy(Reconstructor):
     """
 
     method = "events"
+    follows_lamp = True
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
@@ -108,6 +110,7 @@ class EventRedundancy(Reconstructor):
         self._quality = np.ones((*cells, 2), np.float32)
         self._tracks = Tracks(self.shape, self.lookahead_us)
         self._clock = Clock(self.shape)
+        self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
         self._unsolved = False
         self._shown = self._quality     # as of the last time read
@@ -150,6 +153,10 @@ class EventRedundancy(Reconstructor):
         self._clock.check_frame(frame)
         self._compare(self._clock.last_us - self.lookahead_us - 1)
 
+    def add_wave(self, wave: Wave) -> None:
+        """Tell how the lamp flickers (see `Reconstructor.add_wave`)."""
+        self._lamp.add(wave)
+
     def _compare(self, until_us: int) -> None:
         """Make the comparisons, and solutions, up to until_us inclusive.
 
@@ -179,6 +186,7 @@ class EventRedundancy(Reconstructor):
                 _kernels.redundancy_solve(
                     PULL, LEAST, self._moments, self._state9, self._quality)
                 self._unsolved = False
+        self._lamp.forget(until_us - MEMORY_US)
 
     def _log(
         self, t: int, out: NDArray[np.float32] | None = None
@@ -189,7 +197,8 @@ class EventRedundancy(Reconstructor):
         tracks.chain_pending()
         _kernels.kalman_read(
             t, t + self.lookahead_us, tracks.store, tracks.link, tracks.first,
-            self._lag, tracks.tracks, self._reference, self._state9, 0.0, log, variance,
+            self._lag, self._lamp.waves, self._lamp.start_us, tracks.tracks,
+            self._reference, self._state9, 0.0, log, variance,
             np.empty(self.shape, np.uint8))
         return log, variance
 
@@ -217,7 +226,8 @@ class EventRedundancy(Reconstructor):
                 "tracks": self._tracks.state() if whole else self._tracks.mark(),
                 "state": self._state9.copy(), "balance": self._balance.copy(),
                 "moments": self._moments.copy(), "quality": self._quality.copy(),
-                "next": self._next, "unsolved": self._unsolved}
+                "next": self._next, "unsolved": self._unsolved,
+                "lamp": self._lamp.state()}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us = state["last_us"]
@@ -227,6 +237,7 @@ class EventRedundancy(Reconstructor):
         self._moments[:] = state["moments"]
         self._quality[:] = state["quality"]
         self._next, self._unsolved = state["next"], state["unsolved"]
+        self._lamp.restore(state["lamp"])
 
 
 def null_of(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv.reconstruct.lamp import Lamplight
 from pdavis_cv.reconstruct.tracks import Tracks, as_bytes
 
 __all__ = ["GAP_DTYPE", "NODE_DTYPE", "PAST_DTYPE", "Smoother"]
@@ -96,8 +97,9 @@ class Smoother:
 
     def read(
         self, t_us: int, known_us: int, tracks: Tracks, tuning: NDArray[np.float64],
-        state: NDArray[np.float64], most: float, log: NDArray[np.float32],
-        variance: NDArray[np.float32], valid: NDArray[np.bool_],
+        lamp: Lamplight, state: NDArray[np.float64], most: float,
+        log: NDArray[np.float32], variance: NDArray[np.float32],
+        valid: NDArray[np.bool_],
     ) -> None:
         """Write log intensity and variance at t_us (see ``smooth_read``).
 
@@ -112,8 +114,8 @@ class Smoother:
         tracks.chain_late(known_us)
         _kernels.smooth_read(
             t_us, known_us, tracks.store, tracks.link, tracks.first, tuning,
-            tracks.late, self._gap, state, most, log, variance,
-            valid.view(np.uint8))
+            lamp.waves, lamp.start_us, tracks.late, self._gap, state, most, log,
+            variance, valid.view(np.uint8))
 
     def mark(self) -> Mapping[str, Any]:
         """Return copies of what adding and folding frames changes.

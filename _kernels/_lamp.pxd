@@ -1,0 +1,76 @@
+"""What a lamp's flicker adds to all log intensities at a time.  Inline only.
+
+Time is cut into blocks of BLOCK_US from a start; each has a wave of its own: turns per
+microsecond, cosine and sine amplitude, phase 0 at the block's beginning.
+"""
+from libc.stdint cimport int64_t
+
+cdef enum:
+    BLOCK_US = 100000
+
+cdef struct lamp_t:
+    const double* waves     # three numbers a block
+    int64_t blocks
+    int64_t start
+
+
+cdef extern from *:
+    """
+    #include <stdint.h>
+
+    /* cos(2 pi u) to 1e-9, the same bits on every CPU; |u| below 2^62. */
+    static inline double pd_cos_turns(double u) {
+        double x, x2;
+        u -= (double)(int64_t)(u + (u >= 0 ? 0.5 : -0.5));
+        x = 6.283185307179586 * (0.25 - (u < 0 ? -u : u));
+        x2 = x * x;
+        return x * (1 + x2 * (-1 / 6.0 + x2 * (1 / 120.0 + x2 * (-1 / 5040.0
+               + x2 * (1 / 362880.0 + x2 * (-1 / 39916800.0
+               + x2 * (1 / 6227020800.0)))))));
+    }
+    """
+    double cos_turns "pd_cos_turns"(double u) noexcept nogil
+
+
+cdef inline lamp_t lamp_of(const double[:, ::1] waves,
+                           int64_t start) noexcept nogil:
+    """Return the lamp of waves (blocks, 3), which must outlive it."""
+    cdef lamp_t lamp
+    lamp.blocks = waves.shape[0]
+    lamp.waves = &waves[0, 0] if lamp.blocks > 0 else NULL
+    lamp.start = start
+    return lamp
+
+
+cdef inline const double* wave_at(const lamp_t* lamp, double t) noexcept nogil:
+    """Return the wave of the block of t, NULL if there is none."""
+    cdef double since = t - <double>lamp.start
+    cdef int64_t block
+    if lamp.blocks == 0 or since < 0.0:
+        return NULL
+    block = <int64_t>(since / BLOCK_US)
+    return lamp.waves + 3 * block if block < lamp.blocks else NULL
+
+
+cdef inline bint lit(const lamp_t* lamp, double begin, double end) noexcept nogil:
+    """Tell whether the lamp flickers at either time."""
+    cdef const double* wave = wave_at(lamp, begin)
+    if wave != NULL and wave[0] > 0.0:
+        return True
+    wave = wave_at(lamp, end)
+    return wave != NULL and wave[0] > 0.0
+
+
+cdef inline double ripple(const lamp_t* lamp, double t, double* rate) noexcept nogil:
+    """Return the ripple in log intensity at t, and its change per second."""
+    cdef const double* wave = wave_at(lamp, t)
+    cdef double turns, c, s
+    rate[0] = 0.0
+    if wave == NULL or wave[0] <= 0.0:
+        return 0.0
+    turns = t - <double>lamp.start
+    turns = wave[0] * (turns - BLOCK_US * <double>(<int64_t>(turns / BLOCK_US)))
+    c = cos_turns(turns)
+    s = cos_turns(turns - 0.25)
+    rate[0] = 6283185.307179586 * wave[0] * (wave[2] * c - wave[1] * s)
+    return wave[1] * c + wave[2] * s

@@ -1,0 +1,189 @@
+"""The lamp: what it adds to all log intensities as it flickers, from events alone."""
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._checks import sensor_shape
+
+__all__ = ["BLOCK_US", "LampTracker", "Lamplight", "Wave"]
+
+BLOCK_US = 100_000
+"""A wave holds for this long, and comes from what was seen before."""
+
+MEMORY_US = 30_000_000
+"""How long waves are kept: for longer than kernels look back at them."""
+
+# How far back the tracker looks: mains keep their frequency for so long.
+_BLOCKS = 10
+# Of so many pixels every one is looked at; of more, as many as that.
+_PIXELS = 4096
+# Over so long a light may change evenly: the shorter, the less does motion disturb the
+# wave; it is taken if it explains so many times the variance that is left.
+_EVEN_US, _ENOUGH = np.array([1000.0, 4000.0, 15000.0]), 4000.0
+# Any wave must explain so many times, leave less than this part of that to waves of the
+# four places of a macropixel (that of a polarizer's fourth harmonic is the same in all
+# of them, but that of its third is not), and be so large.
+_EVIDENCE, _APART, _LEAST = 200.0, 0.5, 0.02
+
+_STAMP = 2 * -(2**62)
+
+
+class Wave(NamedTuple):
+    """Ripple of the log intensity of all pixels in one block of `BLOCK_US`.
+
+    Parameters
+    ----------
+    start_us : int
+        A multiple of `BLOCK_US`.
+    hz : float
+        0 = a steady lamp.
+    cosine, sine : float
+        Amplitudes in natural-log units, phase 0 at start_us.
+    """
+
+    start_us: int
+    hz: float = 0.0
+    cosine: float = 0.0
+    sine: float = 0.0
+
+
+class Lamplight:
+    """The waves of the last blocks, as kernels take them.
+
+    Attributes
+    ----------
+    waves : ndarray of float64, shape (blocks, 3)
+        Turns per us, cosine and sine; none if the lamp is steady.
+    start_us : int
+        Beginning of the first of them.
+    """
+
+    def __init__(self) -> None:
+        self._all, self.start_us = np.empty((0, 3)), 0
+        self.waves = self._all
+
+    def add(self, wave: Wave) -> None:
+        """Take the wave of the next block, or of a first one."""
+        if wave.start_us != self.start_us + len(self._all) * BLOCK_US:
+            self._all, self.start_us = self._all[:0], wave.start_us
+        row = 1e-6 * wave.hz, wave.cosine, wave.sine
+        self._show(np.concatenate([self._all, [row]]))
+
+    def forget(self, before_us: int) -> None:
+        """Drop the blocks that end before a time."""
+        n = min((before_us - self.start_us) // BLOCK_US, len(self._all))
+        if n > 0:
+            self.start_us += n * BLOCK_US
+            self._show(self._all[n:].copy())
+
+    def _show(self, waves: NDArray[np.float64]) -> None:
+        self._all = waves
+        self.waves = waves if waves[:, 0].any() else waves[:0]
+
+    def state(self) -> tuple[int, NDArray[np.float64]]:
+        """Return what there is; the array is never changed."""
+        return self.start_us, self._all
+
+    def restore(self, state: tuple[int, NDArray[np.float64]]) -> None:
+        """Take over what `state` returned."""
+        self.start_us, waves = state
+        self._show(waves)
+
+
+class LampTracker:
+    """Finds the flicker of a lamp on the mains (100 or 120 Hz) in the events.
+
+    The sensor is looked at as a whole.  What flickers by less than a threshold makes
+    no events where the light rests; where it changes, the ripple shifts them.  Of three
+    events of a pixel the middle one lies beside the straight line between the others
+    by what the lamp did: a least-squares fit of one wave over the last second, whose
+    frequency may be 0.6 Hz off.  What is not the same behind all four polarizers is
+    not the lamp.  Of a lamp whose light is no sine, the first harmonic is found.
+    Events show a lamp as the photoreceptors pass it on, which is taken to be alike.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width) of the sensor.
+    theta_on, theta_off : array_like
+        Contrast thresholds, natural-log units; their mean counts.
+    """
+
+    def __init__(
+        self, shape: Sequence[int], theta_on: ArrayLike, theta_off: ArrayLike
+    ) -> None:
+        self._shape = height, width = sensor_shape(shape)
+        self._on, self._off = (float(np.mean(np.asarray(theta)))
+                               for theta in (theta_on, theta_off))
+        self._shift = 0
+        while height * width >> 2 * self._shift > _PIXELS:
+            self._shift += 1
+        step = 2 << self._shift
+        self._stamps = np.full(
+            (2 * -(-height // step), 2 * -(-width // step), 2), _STAMP, np.int64)
+        self._now = np.zeros((len(_EVEN_US), 4, 4, 7))
+        self._sums: tuple[NDArray[np.float64], ...] = ()
+        self._block: int | None = None
+        self._seen_us = -(2**62)
+
+    def push(self, events: NDArray[Any]) -> Iterator[Wave]:
+        """Take events in order of time; yield the waves of the blocks they begin.
+
+        Events at times that `advance` passed are left out.
+        """
+        i = 0
+        if len(events) and events["t"][0] <= self._seen_us:
+            i = bisect_right(events["t"], self._seen_us)
+        while i < len(events):
+            yield from self._enter(int(events["t"][i]) // BLOCK_US)
+            assert self._block is not None
+            i = _kernels.lamp_push(
+                events, i, (self._block + 1) * BLOCK_US, *self._shape, self._shift,
+                self._on, self._off, _EVEN_US, self._stamps, self._now)
+
+    def advance(self, t_us: int) -> Iterator[Wave]:
+        """Pass to t_us: all events up to it have been there."""
+        self._seen_us = max(self._seen_us, t_us)
+        if self._block is not None:
+            yield from self._enter(t_us // BLOCK_US)
+
+    def _enter(self, block: int) -> Iterator[Wave]:
+        if self._block is None or (block - self._block) * BLOCK_US > MEMORY_US:
+            self._block, self._sums = block, ()
+            self._now[:] = 0
+            yield Wave(block * BLOCK_US)
+        while self._block < block:
+            self._sums = (*self._sums, self._now.copy())[-_BLOCKS:]
+            self._now[:] = 0
+            self._block += 1
+            yield self._wave(self._block * BLOCK_US)
+
+    def _wave(self, start_us: int) -> Wave:
+        sums = np.array(self._sums)
+        out = np.empty(8)
+        for span in range(len(_EVEN_US)):
+            _kernels.lamp_wave(np.ascontiguousarray(sums[:, span]), start_us, out)
+            turns, cosine, sine, common, apart, left, n, below = out
+            if common > _ENOUGH * left / max(n, 1.0):
+                break
+        lamp = (common > _EVIDENCE * left / max(n, 1.0)
+                and max(apart, below) < _APART * common
+                and cosine**2 + sine**2 > _LEAST**2)
+        return Wave(start_us, 1e6 * turns, cosine, sine) if lamp else Wave(start_us)
+
+    def state(self) -> Mapping[str, Any]:
+        """Return copies of everything that events change."""
+        return {"stamps": self._stamps.copy(), "now": self._now.copy(),
+                "sums": self._sums, "block": self._block, "seen_us": self._seen_us}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over copies of what `state` returned."""
+        self._stamps[:], self._now[:] = state["stamps"], state["now"]
+        self._sums, self._block = state["sums"], state["block"]
+        self._seen_us = state["seen_us"]
