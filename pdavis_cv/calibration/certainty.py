@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["LEAK_HZ", "Doubts", "offsets_dn", "settled", "shrunk", "vertex"]
+__all__ = ["LEAK_HZ", "Doubts", "Seen", "brighter", "offsets_dn", "settled",
+           "shrunk", "vertex"]
 
 LEAK_HZ = 0.295
 """Leak events of a pixel per second, which pass for a larger ratio of its thresholds:
@@ -32,6 +34,27 @@ _ALIKE = 0.45
 _USUAL_MISMATCH = 0.035
 # So many pixels tell what scatter they have.
 _TELLING = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What every pixel of the sensor did.
+
+    Events per second, those between frames counting as often as there are; least and
+    most DN of its frames.
+    """
+
+    per_s: NDArray[np.float64]
+    least: NDArray[np.float32]
+    most: NDArray[np.float32]
+
+
+def brighter(frame: ApsFrame) -> ApsFrame:
+    """Return the frame with a DN more."""
+    return ApsFrame(
+        frame.dn + 1, frame.exposure_start_us, frame.exposure_end_us,
+        valid=frame.valid, available_us=frame.available_us,
+        full_scale_dn=frame.full_scale_dn)
 
 
 @dataclass(frozen=True, eq=False)

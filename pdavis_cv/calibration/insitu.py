@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
 from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth
-from pdavis_cv.calibration.certainty import Doubts, offsets_dn, settled, shrunk, vertex
+from pdavis_cv.calibration.certainty import (
+    Doubts,
+    Seen,
+    brighter,
+    offsets_dn,
+    settled,
+    shrunk,
+    vertex,
+)
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
@@ -401,7 +409,7 @@ class _Sample:
     """Some busy pixels, in one row, and how badly a filter fits them."""
 
     def __init__(self, pixels: NDArray[np.intp], items: _Items, shape: tuple[int, int],
-                 nominal: tuple[ArrayLike, ArrayLike], seen: _Seen) -> None:
+                 nominal: tuple[ArrayLike, ArrayLike], seen: Seen) -> None:
         self.items, self.shape = items, (1, len(pixels))
         self._pixels, self._seen = pixels, seen
         self.on, self.off = (
@@ -426,8 +434,8 @@ class _Sample:
     ) -> Doubts:
         """Return what does not show in the misfit, for all pixels of the sensor."""
         seen, as_it_is = self._seen, self._scale(self.items, law)
-        brighter = self._scale(
-            [_brighter(item) if isinstance(item, ApsFrame) else item
+        brightened = self._scale(
+            [brighter(item) if isinstance(item, ApsFrame) else item
              for item in self.items], law)
         model = 0.0
         if law != (0.0, 0.0):
@@ -437,34 +445,13 @@ class _Sample:
         # An offset weighs as it bends the log of the frames.
         bend = (1 / low - 1 / high) / np.log(high / low)
         here = np.mean(bend.ravel()[self._pixels])
-        per_dn = (brighter - as_it_is) / here * bend
+        per_dn = (brightened - as_it_is) / here * bend
         return Doubts(seen.per_s / 2, per_dn, offset_dn, model)
 
     def _scale(self, items: _Items, law: tuple[float, float]) -> float:
         """Return the mean log of the thresholds that the pixels learn."""
         theta, _ = _run(items, self.shape, self.on, self.off, SIGMA, law).thresholds
         return float(np.mean(np.log(theta)))
-
-
-@dataclass
-class _Seen:
-    """What every pixel of the sensor did.
-
-    Events per second, those between frames counting as often as there are; least and
-    most DN of its frames.
-    """
-
-    per_s: NDArray[np.float64]
-    least: NDArray[np.float32]
-    most: NDArray[np.float32]
-
-
-def _brighter(frame: ApsFrame) -> ApsFrame:
-    """Return the frame with a DN more."""
-    return ApsFrame(
-        frame.dn + 1, frame.exposure_start_us, frame.exposure_end_us,
-        valid=frame.valid, available_us=frame.available_us,
-        full_scale_dn=frame.full_scale_dn)
 
 
 def _bandwidth(sample: _Sample) -> Bandwidth:
@@ -560,7 +547,7 @@ def _sample(
     if len(mids) < 4:
         return None
     seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
-    seen = _Seen((squares / np.maximum(counts * seconds, 1e-9)).reshape(shape), least,
+    seen = Seen((squares / np.maximum(counts * seconds, 1e-9)).reshape(shape), least,
                  most)
     counts[usable.ravel() < 0.8 * len(mids)] = 0
     if not counts.any():
