@@ -4,7 +4,7 @@ import pickle
 import numpy as np
 import pytest
 
-from pdavis_cv import fuse, recording_from_arrays
+from pdavis_cv import Calibration, fuse, recording_from_arrays
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.calibration import bandwidth_in_situ
 from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH
@@ -47,6 +47,18 @@ def test_the_law_is_found_from_the_past(realistic):
     assert (hz + slope * 20) == pytest.approx(0.42 * 20 * 20, rel=0.1)
     assert hz < 30
     assert sigma < 0.2
+
+
+def test_a_calibration_s_bandwidth_holds_until_the_past_tells_more(realistic):
+    recording, _ = realistic
+    known = Calibration(sensor_size=(8, 8), bandwidth_hz_per_dn=10.0,
+                        bandwidth_sigma=0.1)
+    learned = Past(recording, NOMINAL, known, {"bandwidth": "in-situ"})
+    assert learned.parameters_at(400_000)["bandwidth"] == (0.0, 10.0, 0.1)
+    hz, slope, sigma = learned.parameters_at(1_500_000)["bandwidth"]
+    alone = past(recording).parameters_at(1_500_000)["bandwidth"]
+    assert (alone[0] + alone[1]) < hz + slope < 10.0
+    assert sigma < min(0.1, alone[2])
 
 
 def test_what_holds_does_not_depend_on_the_order_of_questions(realistic):

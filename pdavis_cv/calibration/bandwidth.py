@@ -1,9 +1,11 @@
 """How fast photoreceptors are."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-__all__ = ["TYPICAL_BANDWIDTH", "Bandwidth"]
+__all__ = ["TYPICAL_BANDWIDTH", "Bandwidth", "combined"]
 
 TYPICAL_BANDWIDTH = (300.0, 0.0, 0.5)
 """Of a photoreceptor, Hz, until a recording has told more; the relative error counts
@@ -36,3 +38,42 @@ class Bandwidth:
     def law(self) -> tuple[float, float]:
         """(hz, hz_per_intensity), what `KalmanFilter` takes."""
         return self.hz, self.hz_per_intensity
+
+
+# So many standard deviations apart, a calibration is of other biases.
+_STALE = 3.0
+
+
+def combined(stated: Sequence[float], found: Bandwidth) -> Bandwidth:
+    """Put together what a calibration states and what a recording tells.
+
+    Means are of the logs, by their variances; whether it follows the light is taken
+    from what is known better.  One recording errs this way at one speed and that way
+    at another, so both together are better than each.  Where they cannot both be
+    right, the recording is.
+
+    Parameters
+    ----------
+    stated : (hz, hz_per_intensity, sigma)
+    found : Bandwidth
+
+    Returns
+    -------
+    Bandwidth
+    """
+    hz, slope, sigma = stated
+    at = found.at_intensity
+    there = found.hz + found.hz_per_intensity * at
+    if not (hz + slope * at > 0 and there > 0):
+        return found
+    apart = math.log((hz + slope * at) / there)
+    both = math.hypot(sigma, found.sigma)
+    if abs(apart) > _STALE * both or both == 0:
+        return found
+    share = (found.sigma / both) ** 2  # of what is stated
+    best = found
+    if sigma < found.sigma:
+        best, apart, share = Bandwidth(hz, slope, at, sigma), -apart, 1 - share
+    by = math.exp(share * apart)
+    return replace(best, hz=best.hz * by, hz_per_intensity=best.hz_per_intensity * by,
+                   sigma=sigma * found.sigma / both)

@@ -6,6 +6,7 @@ while the light changes tell how late the events are.
 """
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
-from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth
+from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth, combined
 from pdavis_cv.calibration.certainty import (
     Doubts,
     Seen,
@@ -25,24 +26,22 @@ from pdavis_cv.calibration.certainty import (
     vertex,
 )
 from pdavis_cv.calibration.corrected import corrected
+from pdavis_cv.calibration.known import calibrated, noise_of, stated_bandwidth
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
-from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE, KalmanFilter
+from pdavis_cv.reconstruct.kalman import NOISE, KalmanFilter
 from pdavis_cv.reconstruct.lamp import LampTracker, Wave
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Sensor
 
 __all__ = ["USUAL_BANDWIDTH", "ThresholdEstimate", "bandwidth_in_situ",
-           "learned", "noise_of", "receptors", "thresholds_in_situ"]
+           "learned", "receptors", "thresholds_in_situ"]
 
 SIGMA = 0.035
 """Standard deviation of a threshold about its nominal value, natural-log units."""
 
 LEARNED_SIGMA = 0.003
 """What the filter is told of thresholds learned in situ: it goes on learning."""
-
-_KNOWN_SIGMA = 0.0005
-"""The same of a calibration's thresholds that come without an uncertainty."""
 
 # As `KalmanFilter`'s, but what de-blurring leaves is not independent from frame to
 # frame: it counts for more where many frames are added up.
@@ -62,9 +61,10 @@ _TYPICAL = 0.5
 # deviation of its ln.
 USUAL_BANDWIDTH = (TYPICAL_BANDWIDTH[0], 0.0, 1.5)
 _LN_HZ, _LN_HZ_SIGMA = np.log(USUAL_BANDWIDTH[0]), USUAL_BANDWIDTH[2]
-# By how much the misfit's curvature overrates what is known of it, and the relative
-# error by what interpolation has wrong: 20 to 50 us of a lag.  Both measured.
-_ALIKE, _TIMING = 2.5, 0.04
+# By how much the misfit's curvature overrates what is known of it; what is wrong with
+# the law, and seconds of a lag by which interpolation errs, this way at one speed and
+# that way at another.  All measured.
+_ALIKE, _LAW, _TIMING_S = 2.5, 0.04, 38e-6
 _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 # How much likelier, in ln, a bandwidth that follows the light must be than a constant
 # one (a fan's steps make it 2 to 5, pixels that do follow 9 or more); and how near a
@@ -236,7 +236,8 @@ def learned(
     """Return thresholds and parameters of a method, learned where that was asked for.
 
     ``fuse`` documents the arguments.  For ``kalman`` the bandwidth and the noise of
-    events too are estimated unless they are given; with `causal` nothing is, and a
+    events too are estimated unless they are given; what the calibration states of the
+    bandwidth with an uncertainty is where that begins.  With `causal` nothing is, and a
     bandwidth that is not given is "in-situ", which `Past` replaces.
 
     Returns
@@ -250,7 +251,7 @@ def learned(
         recording, None if learn else thresholds, nominal, calibration)
     parameters = dict(parameters)
     if method == "kalman":
-        parameters = _calibrated(parameters, thresholds, calibration)
+        parameters = calibrated(parameters, thresholds, calibration)
         if calibration is None or calibration.dark is None:
             sensor = recording.info.sensor or Sensor.PDAVIS
             parameters.setdefault("offset_dn", sensor.offset_dn)
@@ -261,8 +262,9 @@ def learned(
         raise ValueError(
             "bandwidth must be 'in-situ', (hz, hz_per_intensity) or None, got "
             f"{wanted!r}")
+    stated = stated_bandwidth(calibration) if ask else None
     if ask:
-        parameters.pop("bandwidth", None)
+        parameters["bandwidth"] = stated
     noise_too = method == "kalman" and not late and "noise" not in parameters
     if ask and late:
         parameters["bandwidth"], ask = "in-situ", False
@@ -287,9 +289,9 @@ def learned(
             None if ask else parameters.get("bandwidth") or (0.0, 0.0))
     if noise_too and noise is not None:
         parameters["noise"] = noise_of(calibration, noise)
-    if ask:
-        parameters["bandwidth"] = None if found is None else (
-            *found.law, found.sigma)
+    if ask and found is not None:
+        found = found if stated is None else combined(stated, found)
+        parameters["bandwidth"] = (*found.law, found.sigma)
     return on, off, parameters
 
 
@@ -327,37 +329,6 @@ def receptors(
         found = _bandwidth(sample)
         return found, _noise(sample, found.law)
     return None, _noise(sample, (bandwidth[0], bandwidth[1]))
-
-
-def noise_of(
-    calibration: Calibration | None, found: float = 0.0
-) -> tuple[float, ...]:
-    """Return the `noise` of `KalmanFilter`, with that of the events as it was found.
-
-    The least that is ever found stands for all that is less.
-    """
-    known_pixels = calibration is not None and calibration.analyser is not None
-    sigma, per_s, *rest = CALIBRATED_NOISE if known_pixels else NOISE
-    return sigma, found if found > _GRID_NOISE[0] else per_s, *rest
-
-
-def _calibrated(
-    parameters: dict[str, Any], thresholds: object, calibration: Calibration | None
-) -> dict[str, Any]:
-    """Return the parameters with what the calibration says and the caller does not."""
-    if calibration is None:
-        return parameters
-    known = dict(parameters)
-    hz, per_dn = calibration.bandwidth_hz, calibration.bandwidth_hz_per_dn
-    if hz is not None or per_dn is not None:
-        sigma = calibration.bandwidth_sigma
-        known.setdefault("bandwidth", (
-            hz or 0.0, per_dn or 0.0, *(() if sigma is None else (sigma,))))
-    if calibration.theta_on is not None and thresholds in (None, "calibration"):
-        on, off = calibration.theta_on_sigma, calibration.theta_off_sigma
-        known.setdefault("threshold_sigma", _KNOWN_SIGMA if on is None or off is None
-                         else float(np.median([on, off])))
-    return known
 
 
 def _window(
@@ -491,8 +462,10 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     bend = (cost(found.x + step) + cost(found.x - step) - 2 * found.fun) / 0.1**2
     sigma = np.sqrt(max(left, 1e-3) / max(bend, 1 / _LN_HZ_SIGMA**2))
     # Misfits are alike from frame to frame, so that there are fewer than frames.
-    sigma = min(np.hypot(_ALIKE * sigma, _TIMING), _LN_HZ_SIGMA)
-    return Bandwidth(hz, slope, 0.1 * sample.bright, float(sigma))
+    at = 0.1 * sample.bright
+    timing = 2 * np.pi * (hz + slope * at) * _TIMING_S
+    sigma = min(math.hypot(_ALIKE * sigma, _LAW, timing), _LN_HZ_SIGMA)
+    return Bandwidth(hz, slope, at, sigma)
 
 
 def _noise(sample: _Sample, law: tuple[float, float]) -> float:

@@ -72,7 +72,8 @@ class Calibration:
     bandwidth_hz_per_dn : float, optional
         Corner frequency per DN per ms, where it is proportional to intensity.
     bandwidth_sigma : float, optional
-        Relative error of both, one standard deviation.
+        Relative error of both, one standard deviation.  With it ``kalman`` learns
+        onwards from each recording; without, the bandwidth is taken as it is.
     notes : mapping of str to object
         Provenance and conditions, JSON values: wavelength in nm, f-number,
         temperature, how each part was measured.

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdavis_cv._feed import first_time
-from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth
-from pdavis_cv.calibration.insitu import noise_of, receptors
+from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth, combined
+from pdavis_cv.calibration.insitu import receptors
+from pdavis_cv.calibration.known import noise_of, stated_bandwidth
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.reconstruct.clock import checked_bandwidth
 from pdavis_cv.recording.base import Recording
@@ -28,8 +29,9 @@ class Past:
 
     At a few times, ever further apart, the bandwidth of the photoreceptors and the
     noise of their events are estimated from what had arrived by then, as
-    `bandwidth_in_situ` does; until the first of them the bandwidth is the usual one,
-    with the uncertainty that this has.  So what holds at t depends on t alone.
+    `bandwidth_in_situ` does; until the first of them the bandwidth is the calibration's
+    or the usual one, with the uncertainty that this has.  So what holds at t depends on
+    t alone.
 
     Parameters
     ----------
@@ -53,8 +55,9 @@ class Past:
         self._asked = isinstance(first.get("bandwidth"), str)
         self._noise_too = "noise" not in first
         first.setdefault("noise", noise_of(calibration))
+        self._stated = stated_bandwidth(calibration)
         if self._asked:
-            first["bandwidth"] = TYPICAL_BANDWIDTH
+            first["bandwidth"] = self._stated or TYPICAL_BANDWIDTH
         self._known: list[dict[str, Any]] = [first]
         self._looks: tuple[int, ...] | None = None
 
@@ -81,6 +84,8 @@ class Past:
         found, noise = receptors(
             self._recording, self._thresholds, self._calibration,
             None if self._asked else known, by_us=t_us)
+        if found is not None and self._stated is not None:
+            found = combined(self._stated, found)
         now = dict(before)
         if found is not None and _is_news(found, known):
             now["bandwidth"] = (*found.law, found.sigma)
