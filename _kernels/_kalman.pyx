@@ -10,8 +10,8 @@ from libc.stdint cimport int32_t, int64_t
 from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
 from _kernels._tracks cimport (
-    ahead, between, drift, lead, lead_variance, node_t, part_t, quiet, start, step,
-    track_t, walk_t)
+    ahead, between, corner, drift, lead, lead_variance, node_t, part_t, quiet, start,
+    step, track_t, walk_t)
 from _kernels._types cimport event_t
 
 cdef enum:
@@ -32,11 +32,13 @@ cdef inline double at(const walk_t* walk, const event_t* store, int64_t known,
     """Log intensity less level at t, between walk and its next event; the counts."""
     cdef double y, theta
     cdef part_t part
+    cdef double hz = corner(lamp, tuning[2], tuning[3],
+                            level + on * walk.n_on - off * walk.n_off)
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(walk, store[walk.next].t, store[walk.next].p, on, off, lamp,
-                       t)
+                       hz, t)
     else:
-        part = quiet(walk.t, walk.p, <double>known, lamp, t)
+        part = quiet(walk.t, walk.p, <double>known, lamp, hz, t)
     n_on[0] = walk.n_on
     n_off[0] = walk.n_off
     if part.p:
@@ -171,10 +173,10 @@ def kalman_frame(const float[:, ::1] sample not None,
     per_dn what a DN more adds to it; pull what one in all frames adds to the base.
     times holds start, middle and end of exposure by column.  prior is (row, column,
     (on, off)).  tuning: variance per second and per event in units of theta^2, hz, hz
-    per unit of intensity, relative error of both.  waves (turns per us, cosine, sine)
-    are the lamp's, a row per block from lit_us on.  chi collects e^2/v (16 at most),
-    ln v and their number.  nodes receives what a smoother needs, totals counts all
-    events up to the last sample; both may be empty.
+    per unit of intensity, relative error of both.  waves (turns per us, cosine, sine,
+    1 if of the light) are the lamp's, a row per block from lit_us on.  chi collects
+    e^2/v (16 at most), ln v and their number.  nodes receives what a smoother needs,
+    totals counts all events up to the last sample; both may be empty.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
@@ -192,8 +194,8 @@ def kalman_frame(const float[:, ::1] sample not None,
         raise ValueError("kalman_frame: all images must have one shape")
     if state.shape[2] != 9 or prior.shape[2] != 2 or tuning.shape[0] != 5:
         raise ValueError("kalman_frame: state, prior or tuning has a wrong length")
-    if waves.shape[1] != 3:
-        raise ValueError("kalman_frame: waves must be (blocks, 3)")
+    if waves.shape[1] != 4:
+        raise ValueError("kalman_frame: waves must be (blocks, 4)")
     if chi.shape[0] != 3 or link.shape[0] != n or n == 0:
         raise ValueError("kalman_frame: chi, store or link has a wrong length")
     if keep and (nodes.shape[0] != h or nodes.shape[1] != w or totals.shape[0] != h
@@ -323,7 +325,7 @@ def kalman_read(int64_t t, int64_t known, const event_t[::1] store not None,
             or valid.shape[0] != h or valid.shape[1] != w
             or first.shape[0] != h or first.shape[1] != w):
         raise ValueError("kalman_read: all images must have one shape")
-    if (state.shape[2] != 9 or tuning.shape[0] != 5 or waves.shape[1] != 3
+    if (state.shape[2] != 9 or tuning.shape[0] != 5 or waves.shape[1] != 4
             or link.shape[0] != n or n == 0):
         raise ValueError(
             "kalman_read: state, tuning, waves, store or link has a wrong length")
@@ -343,21 +345,22 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
                      unsigned char* valid) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
-    cdef double n_on, n_off, theta, theta2, level, v, u
+    cdef double n_on, n_off, theta, theta2, level, v, u, hz
     start(&walk, track.prev, track.last, first)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
     while walk.next >= 0 and store[walk.next].t <= t:
         step(&walk, store, link)
-    if walk.next >= 0 and store[walk.next].t <= known:
-        part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
-                       lamp, <double>t)
-    elif known > t:
-        part = quiet(walk.t, walk.p, <double>known, lamp, <double>t)
-    else:
-        part = ahead(&walk, s[1], s[2], lamp, <double>t)
     n_on = walk.n_on
     n_off = walk.n_off
+    hz = corner(lamp, tuning[2], tuning[3], s[0] + s[1] * n_on - s[2] * n_off)
+    if walk.next >= 0 and store[walk.next].t <= known:
+        part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
+                       lamp, hz, <double>t)
+    elif known > t:
+        part = quiet(walk.t, walk.p, <double>known, lamp, hz, <double>t)
+    else:
+        part = ahead(&walk, s[1], s[2], lamp, hz, <double>t)
     theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
     if part.p:
         n_on += part.fraction

@@ -1,7 +1,9 @@
 """What a lamp's flicker adds to all log intensities at a time.  Inline only.
 
 Time is cut into blocks of BLOCK_US from a start; each has a wave of its own: turns per
-microsecond, cosine and sine amplitude, phase 0 at the block's beginning.
+microsecond, cosine and sine amplitude, phase 0 at the block's beginning, and whether
+it is that of the light, which a pixel passes on by its own corner frequency, or what
+all pixels pass on.
 """
 from libc.stdint cimport int64_t
 
@@ -9,7 +11,7 @@ cdef enum:
     BLOCK_US = 100000
 
 cdef struct lamp_t:
-    const double* waves     # three numbers a block
+    const double* waves     # four numbers a block
     int64_t blocks
     int64_t start
 
@@ -34,7 +36,7 @@ cdef extern from *:
 
 cdef inline lamp_t lamp_of(const double[:, ::1] waves,
                            int64_t start) noexcept nogil:
-    """Return the lamp of waves (blocks, 3), which must outlive it."""
+    """Return the lamp of waves (blocks, 4), which must outlive it."""
     cdef lamp_t lamp
     lamp.blocks = waves.shape[0]
     lamp.waves = &waves[0, 0] if lamp.blocks > 0 else NULL
@@ -49,7 +51,7 @@ cdef inline const double* wave_at(const lamp_t* lamp, double t) noexcept nogil:
     if lamp.blocks == 0 or since < 0.0:
         return NULL
     block = <int64_t>(since / BLOCK_US)
-    return lamp.waves + 3 * block if block < lamp.blocks else NULL
+    return lamp.waves + 4 * block if block < lamp.blocks else NULL
 
 
 cdef inline bint lit(const lamp_t* lamp, double begin, double end) noexcept nogil:
@@ -61,10 +63,14 @@ cdef inline bint lit(const lamp_t* lamp, double begin, double end) noexcept nogi
     return wave != NULL and wave[0] > 0.0
 
 
-cdef inline double ripple(const lamp_t* lamp, double t, double* rate) noexcept nogil:
-    """Return the ripple in log intensity at t, and its change per second."""
+cdef inline double ripple(const lamp_t* lamp, double hz, double t,
+                          double* rate) noexcept nogil:
+    """Return the ripple in log intensity at t, and its change per second.
+
+    As a pixel passes it on whose corner frequency is hz; 0: as it is.
+    """
     cdef const double* wave = wave_at(lamp, t)
-    cdef double turns, c, s
+    cdef double turns, c, s, lag, share
     rate[0] = 0.0
     if wave == NULL or wave[0] <= 0.0:
         return 0.0
@@ -72,5 +78,12 @@ cdef inline double ripple(const lamp_t* lamp, double t, double* rate) noexcept n
     turns = wave[0] * (turns - BLOCK_US * <double>(<int64_t>(turns / BLOCK_US)))
     c = cos_turns(turns)
     s = cos_turns(turns - 0.25)
+    if hz > 0.0 and wave[3] > 0.0:
+        # Of e^(i w t), the low-pass leaves e^(i w t) / (1 + i lag).
+        lag = 1e6 * wave[0] / hz
+        share = 1.0 / (1.0 + lag * lag)
+        turns = share * (c + lag * s)
+        s = share * (s - lag * c)
+        c = turns
     rate[0] = 6283185.307179586 * wave[0] * (wave[2] * c - wave[1] * s)
     return wave[1] * c + wave[2] * s

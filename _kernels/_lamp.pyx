@@ -34,7 +34,8 @@ cdef struct normal_t:
 
 def lamp_push(const event_t[::1] events not None, Py_ssize_t at, int64_t until,
               Py_ssize_t h, Py_ssize_t w, int shift, double on, double off,
-              const double[::1] even_us not None, int64_t[:, :, ::1] stamps not None,
+              const double[::1] even_us not None, const float[:, ::1] hz not None,
+              int64_t[:, :, ::1] stamps not None,
               double[:, :, :, ::1] sums not None):
     """Add the events from index at on, t < until, to the sums; return the next index.
 
@@ -42,17 +43,18 @@ def lamp_push(const event_t[::1] events not None, Py_ssize_t at, int64_t until,
     counts.  stamps holds their pixels' last two events (2 t + p).  sums is (span,
     frequency, place in the macropixel, `normal_t`), phase 0 at t = 0: of 100 and 120
     Hz, then three quarters of them; even_us the time over which the light changes
-    evenly, by span.
+    evenly, by span; hz the pixels' corner frequencies, 0: they pass on all there is.
     """
-    cdef Py_ssize_t n = events.shape[0], i, y, x
+    cdef Py_ssize_t n = events.shape[0], i, y, x, row, column
     cdef int mask = (1 << shift) - 1
     cdef int64_t* last
     if at < 0 or shift < 0 or shift > 15:
         raise ValueError("lamp_push: at and shift must not be negative")
     if (((((h + 1) >> 1) + mask) >> shift) * 2 > stamps.shape[0]
             or ((((w + 1) >> 1) + mask) >> shift) * 2 > stamps.shape[1]
-            or stamps.shape[2] != 2):
-        raise ValueError("lamp_push: stamps must have room for the macropixels")
+            or stamps.shape[2] != 2 or hz.shape[0] != stamps.shape[0]
+            or hz.shape[1] != stamps.shape[1]):
+        raise ValueError("lamp_push: stamps, hz must have room for the macropixels")
     if (even_us.shape[0] != SPANS or sums.shape[0] != SPANS or sums.shape[1] != RATES
             or sums.shape[2] != 4 or sums.shape[3] != SUMS):
         raise ValueError("lamp_push: sums must be (3, 4, 4, 7), even_us (3,)")
@@ -62,10 +64,12 @@ def lamp_push(const event_t[::1] events not None, Py_ssize_t at, int64_t until,
             y = events[i].y
             x = events[i].x
             if not ((y >> 1 | x >> 1) & mask) and y < h and x < w:
-                last = &stamps[(y >> 1 + shift) * 2 + (y & 1),
-                               (x >> 1 + shift) * 2 + (x & 1), 0]
+                row = (y >> 1 + shift) * 2 + (y & 1)
+                column = (x >> 1 + shift) * 2 + (x & 1)
+                last = &stamps[row, column, 0]
                 add_triple(last[0], last[1], 2 * events[i].t + events[i].p, on, off,
-                           &even_us[0], &sums[0, 0, 2 * (y & 1) + (x & 1), 0])
+                           hz[row, column], &even_us[0],
+                           &sums[0, 0, 2 * (y & 1) + (x & 1), 0])
                 last[0] = last[1]
                 last[1] = 2 * events[i].t + events[i].p
             i += 1
@@ -73,7 +77,7 @@ def lamp_push(const event_t[::1] events not None, Py_ssize_t at, int64_t until,
 
 
 cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double on,
-                            double off, const double* even_us,
+                            double off, double hz, const double* even_us,
                             double* sums) noexcept nogil:
     cdef int64_t a = first >> 1, b = second >> 1, c = third >> 1
     cdef double s, e, gap, span
@@ -88,8 +92,8 @@ cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double
         span = gap / even_us[i]
         weight[i] = 1.0 / (1.0 + span * span * span * span)
     for i in range(RATES):
-        add_equation(turns_of(i), modulo(a, WHOLE_US), b - a, c - a, s, e, weight,
-                     sums + i * 4 * SUMS)
+        add_equation(turns_of(i), modulo(a, WHOLE_US), b - a, c - a, s, e, hz,
+                     weight, sums + i * 4 * SUMS)
 
 
 cdef inline double turns_of(Py_ssize_t which) noexcept nogil:
@@ -104,7 +108,7 @@ cdef inline int64_t modulo(int64_t t, int64_t period) noexcept nogil:
 
 
 cdef inline void add_equation(double turns, int64_t a, int64_t b, int64_t c, double s,
-                              double e, const double* weight,
+                              double e, double hz, const double* weight,
                               double* sums) noexcept nogil:
     cdef normal_t* to
     cdef double x = turns * <double>a, y = turns * <double>(a + b)
@@ -112,7 +116,14 @@ cdef inline void add_equation(double turns, int64_t a, int64_t b, int64_t c, dou
     cdef double h = cos_turns(y) - (1.0 - s) * cos_turns(x) - s * cos_turns(z)
     cdef double g = (cos_turns(y - 0.25) - (1.0 - s) * cos_turns(x - 0.25)
                      - s * cos_turns(z - 0.25))
+    cdef double lag, share
     cdef int i
+    if hz > 0.0:
+        lag = 1e6 * turns / hz
+        share = 1.0 / (1.0 + lag * lag)
+        x = share * (h + lag * g)
+        g = share * (g - lag * h)
+        h = x
     for i in range(SPANS):
         to = <normal_t*>(sums + i * (RATES * 4 * SUMS))
         to.cc += weight[i] * h * h

@@ -8,8 +8,8 @@ from libc.stdint cimport int32_t, int64_t
 
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._tracks cimport (
-    between, drift, lead, lead_variance, node_t, part_t, quiet, start, step, track_t,
-    walk_t)
+    between, corner, drift, lead, lead_variance, node_t, part_t, quiet, start, step,
+    track_t, walk_t)
 from _kernels._types cimport event_t
 
 cdef packed struct past_t:
@@ -151,7 +151,8 @@ def smooth_read(int64_t t, int64_t known, const event_t[::1] store not None,
     tracks counts all events up to some time before t, first and link chain those
     after it.  variance is -1 where there is no frame on either side; out then counts
     from 0.  valid is 1 where it is at most `most`, not counting that of the lag.
-    waves (turns per us, cosine, sine) are the lamp's, a row per block from lit_us on.
+    waves (turns per us, cosine, sine, 1 if of the light) are the lamp's, a row per
+    block from lit_us on.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
     cdef Py_ssize_t y, x
@@ -162,7 +163,7 @@ def smooth_read(int64_t t, int64_t known, const event_t[::1] store not None,
             or valid.shape[0] != h or valid.shape[1] != w
             or first.shape[0] != h or first.shape[1] != w):
         raise ValueError("smooth_read: all images must have one shape")
-    if (state.shape[2] != 9 or tuning.shape[0] != 5 or waves.shape[1] != 3
+    if (state.shape[2] != 9 or tuning.shape[0] != 5 or waves.shape[1] != 4
             or link.shape[0] != n or n == 0):
         raise ValueError(
             "smooth_read: state, tuning, waves, store or link has a wrong length")
@@ -183,17 +184,12 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
     cdef walk_t walk
     cdef part_t part
     cdef double m_on = 0.0, m_off = 0.0, theta, theta2, level = 0.0, v, u
-    cdef double a = 0.0, b = 0.0, left, whole, share
+    cdef double a = 0.0, b = 0.0, left, whole, share, hz
     start(&walk, track.prev, track.last, first)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
     while walk.next >= 0 and store[walk.next].t <= t:
         step(&walk, store, link)
-    if walk.next >= 0 and store[walk.next].t <= known:
-        part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
-                       lamp, <double>t)
-    else:
-        part = quiet(walk.t, walk.p, <double>known, lamp, <double>t)
     theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
     # Thresholds crossed since the sample before, and until the one after.
     if gap.before.var >= 0:
@@ -229,6 +225,12 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         level = s[1] * walk.n_on - s[2] * walk.n_off
         v = -1.0
     # What is crossed of the next threshold, and the lag of the photoreceptor.
+    hz = corner(lamp, tuning[2], tuning[3], level)
+    if walk.next >= 0 and store[walk.next].t <= known:
+        part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
+                       lamp, hz, <double>t)
+    else:
+        part = quiet(walk.t, walk.p, <double>known, lamp, hz, <double>t)
     theta = s[1] if part.p else -s[2]
     level += theta * part.fraction + part.ripple
     u = lead(theta * part.rate + part.ripple_rate, level, tuning[2], tuning[3])

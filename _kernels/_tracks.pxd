@@ -103,15 +103,25 @@ cdef inline double drift(int64_t dt, double n, const double* tuning) noexcept no
     return tuning[0] * 1e-6 * <double>dt + tuning[1] * n
 
 
+cdef inline double corner(const lamp_t* lamp, double hz, double hz_per_level,
+                          double level) noexcept nogil:
+    """Corner frequency of a pixel that shows level, where a lamp asks for it."""
+    if lamp.blocks == 0:
+        return 0.0
+    return hz if hz_per_level <= 0.0 else hz + hz_per_level * exp_f(<float>level)
+
+
 cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
-                           double off, const lamp_t* lamp, double t) noexcept nogil:
+                           double off, const lamp_t* lamp, double hz,
+                           double t) noexcept nogil:
     """Part crossed at t, between walk and its next event, of polarity p1 at t1.
 
     Linear where the signs agree.  Else a parabola through both and the event before,
     which crossed the same way as the last; on and off are the thresholds.  It
     cannot turn before the last event nor a threshold beyond it; without an event
     before, half a threshold.  The variances are those of turning polarizers and plates.
-    Under a lamp that flickers this holds for the light less its ripple.
+    Under a lamp that flickers this holds for the light less its ripple, as a pixel of
+    hz passes it on.
     """
     cdef part_t part = nothing(p1)
     cdef double gap = <double>(t1 - walk.t), s, q, turn = 0.366, last, next
@@ -128,11 +138,11 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     last = on if walk.p else -off
     next = on if p1 else -off
     if flickers:
-        here = ripple(lamp, <double>walk.t, &_)
-        change = ripple(lamp, <double>t1, &_) - here
+        here = ripple(lamp, hz, <double>walk.t, &_)
+        change = ripple(lamp, hz, <double>t1, &_) - here
         next -= change
         if walk.t - walk.t_prev < STALE_US:
-            last -= here - ripple(lamp, <double>walk.t_prev, &_)
+            last -= here - ripple(lamp, hz, <double>walk.t_prev, &_)
         same = last * next >= 0.0
     if same:
         part.fraction = s
@@ -158,14 +168,14 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
         part.rate = (2.0 * s - 2.0 * turn) * q * 1e6 / gap
     part.rate_var *= 1e12 / (gap * gap)
     if flickers:
-        now = ripple(lamp, t, &part.ripple_rate)
+        now = ripple(lamp, hz, t, &part.ripple_rate)
         part.ripple = now - here - part.fraction * change
         part.ripple_rate -= part.rate * change
     return part
 
 
 cdef inline part_t quiet(int64_t t0, int p0, double known, const lamp_t* lamp,
-                         double t) noexcept nogil:
+                         double hz, double t) noexcept nogil:
     """Part crossed at t when no event follows t0 up to the time known, which is > t.
 
     A parabola that goes on by half a threshold and is back at the time known: within
@@ -180,21 +190,21 @@ cdef inline part_t quiet(int64_t t0, int p0, double known, const lamp_t* lamp,
     s = (t - <double>t0) / gap
     part.fraction = 2.0 * s * (1.0 - s)
     part.rate = (2.0 - 4.0 * s) * 1e6 / gap
-    add_ripple(&part, lamp, t0, t)
+    add_ripple(&part, lamp, hz, t0, t)
     return part
 
 
-cdef inline void add_ripple(part_t* part, const lamp_t* lamp, int64_t t0,
+cdef inline void add_ripple(part_t* part, const lamp_t* lamp, double hz, int64_t t0,
                             double t) noexcept nogil:
     """Let what is expected after the last event, at t0, be beside the lamp's ripple."""
     cdef double _
     if lamp.blocks > 0 and t - <double>t0 < STALE_US:
-        part.ripple = (ripple(lamp, t, &part.ripple_rate)
-                       - ripple(lamp, <double>t0, &_))
+        part.ripple = (ripple(lamp, hz, t, &part.ripple_rate)
+                       - ripple(lamp, hz, <double>t0, &_))
 
 
 cdef inline part_t ahead(const walk_t* walk, double on, double off,
-                         const lamp_t* lamp, double t) noexcept nogil:
+                         const lamp_t* lamp, double hz, double t) noexcept nogil:
     """Part crossed at t from the last two events alone, nothing known beyond t.
 
     Means and variances of the part and of its slope, as functions of the time since
@@ -210,8 +220,8 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         return part
     if lamp.blocks > 0 and t - <double>walk.t_prev < STALE_US:
         # In how long the light alone crosses a threshold, and which way.
-        change = (ripple(lamp, <double>walk.t, &_)
-                  - ripple(lamp, <double>walk.t_prev, &_))
+        change = (ripple(lamp, hz, <double>walk.t, &_)
+                  - ripple(lamp, hz, <double>walk.t_prev, &_))
         if change != 0.0:
             change = (on if walk.p else -off) - change
             part.p = change > 0.0
@@ -220,7 +230,7 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
             same = walk.p_prev == part.p or change < 0.5
             gap /= change if change > 0.1 else 0.1
         # How much of it the light may have crossed without an event.
-        room = ripple(lamp, t, &_) - ripple(lamp, <double>walk.t, &_)
+        room = ripple(lamp, hz, t, &_) - ripple(lamp, hz, <double>walk.t, &_)
         room = 1.0 - room / on if part.p else 1.0 + room / off
         room = 0.3 if room < 0.3 else 2.0 if room > 2.0 else room
     if gap < 200.0:
@@ -261,7 +271,7 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     part.fraction *= room
     part.rate *= 1e6 / gap
     part.rate_var *= 1e12 / (gap * gap)
-    add_ripple(&part, lamp, walk.t, t)
+    add_ripple(&part, lamp, hz, walk.t, t)
     return part
 
 

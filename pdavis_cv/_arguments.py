@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.errors import LayoutError
+from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
@@ -191,6 +192,35 @@ def response_of(
     cell = np.empty((4, 3))
     cell[list(layout.places)] = Analyser.ideal().response
     return cell.reshape(2, 2, 3)
+
+
+def analyser_of(
+    calibration: Calibration | None, window: tuple[slice, slice], layout: Layout,
+    demosaic: str, crop: tuple[slice, slice] | None,
+) -> Analyser | None:
+    """Return the channels' responses in the images of a window, None if unknown.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+    window : (slice, slice)
+        Rows and columns of the sensor.
+    layout : Layout
+        Of the window.
+    demosaic : {"bilinear", "superpixel"}
+        How the responses are brought to one place, as intensities are.
+    crop : (slice, slice) or None
+        The part of the window that the image is; None = all of it.
+    """
+    if calibration is None or calibration.analyser is None:
+        return None
+    part = calibration.analyser[window]
+    response = np.stack([demosaic_mosaic(
+        np.ascontiguousarray(part[..., i]), layout, demosaic) for i in range(3)],
+        axis=1)
+    if crop is not None:
+        response = response[:, :, crop[0], crop[1]]
+    return Analyser(response)
 
 
 def checked_grid(

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv._arguments import (
+    analyser_of,
     check_method_fits,
     checked_calibration,
     checked_grid,
@@ -271,7 +272,8 @@ class Fusion:
         self._response = response_of(
             self._window_layout, self._calibration, rows, columns)
         self._crop = self._crop_of_window()
-        self._analyser = self._window_analyser()
+        self._analyser = analyser_of(
+            self._calibration, self._window, self._window_layout, demosaic, self._crop)
         self._mismatch = mismatch_of(info.sensor)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
@@ -472,7 +474,8 @@ class Fusion:
             self._make() if self._causal and self.method not in EVENT_METHODS else None)
         # Over the whole sensor, so that an image of a region is the crop.
         self._lamp = LampTracker(
-            self.recording.info.sensor_size, *self._typical
+            self.recording.info.sensor_size, *self._typical,
+            self._method_parameters.get("bandwidth"),
         ) if self._current.follows_lamp else None
         self._backlog: deque[NDArray[Any]] = deque()
         self._frames: deque[tuple[int, int]] = deque()
@@ -538,7 +541,10 @@ class Fusion:
         self._frames.append((frame.mid_us, frame.available_us))
         if self.method in EVENT_METHODS:
             return
-        frame = corrected(frame, self._calibration).cropped(*self._window)
+        frame = corrected(frame, self._calibration)
+        if self._lamp is not None:
+            self._lamp.add_frame(frame)
+        frame = frame.cropped(*self._window)
         if self._lagged is None:
             self._current.add_frame(frame)
             return
@@ -585,16 +591,3 @@ class Fusion:
         top, left = (y - rows.start) // scale, (x - columns.start) // scale
         return (slice(top, top + height // scale),
                 slice(left, left + width // scale))
-
-    def _window_analyser(self) -> Analyser | None:
-        """Return the channels' responses in the images, from those of the pixels."""
-        known = self._calibration
-        if known is None or known.analyser is None:
-            return None
-        rows, columns = self._window
-        response = np.stack([demosaic_mosaic(
-            np.ascontiguousarray(known.analyser[rows, columns, i]),
-            self._window_layout, self._demosaic) for i in range(3)], axis=1)
-        if self._crop is not None:
-            response = response[:, :, self._crop[0], self._crop[1]]
-        return Analyser(response)

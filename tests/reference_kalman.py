@@ -9,22 +9,26 @@ BLOCK, STALE, FINE = 100_000, 10_000_000, 1_500
 
 
 def ripple_of(waves):
-    """Return (ripple of log intensity, its change per second) as a function of time."""
+    """Return (ripple of log intensity, its change per second) as a function.
+
+    Of time and of the corner frequency of the pixel.
+    """
     blocks = {wave.start_us // BLOCK: wave for wave in waves}
 
-    def ripple(t):
+    def ripple(t, hz):
         wave = blocks.get(t // BLOCK)
         if wave is None or wave.hz == 0:
             return 0.0, 0.0
         turn = 2 * np.pi * wave.hz
-        phasor = (wave.cosine - 1j * wave.sine) * np.exp(
+        passed = 1 / (1 + 1j * wave.hz / hz) if hz and wave.of_light else 1
+        phasor = passed * (wave.cosine - 1j * wave.sine) * np.exp(
             1j * turn * US * (t - wave.start_us))
         return phasor.real, -turn * phasor.imag
 
     return ripple
 
 
-def steady(t):
+def steady(t, hz=None):
     return 0.0, 0.0
 
 
@@ -171,16 +175,21 @@ class Pixel:
         self.prior, self.since, self.reference = np.array([on, off]), 0, None
         self.nodes, self.past, self.pull = [], None, 0.0
 
-    def part(self, i, t, known):
-        """Thresholds crossed since event i - 1 at t, i the next event."""
+    def part(self, i, t, known, log):
+        """Thresholds crossed since event i - 1, which left log, at t; i is the next."""
         last = self.events[i - 1] if i else (None, 0)
         before = self.events[i - 2] if i > 1 else None
         steps = self.x[1], -self.x[2]
+        hz = self.bandwidth[0] + self.bandwidth[1] * np.exp(log)
+
+        def ripple(t):
+            return self.ripple(t, hz)
+
         if i < len(self.events) and self.events[i][0] <= known:
-            return between(before, *last, *self.events[i], steps, self.ripple, t)
+            return between(before, *last, *self.events[i], steps, ripple, t)
         if known > t:
-            return quiet(*last, known, self.ripple, t)
-        return ahead(before, *last, steps, self.ripple, t)
+            return quiet(*last, known, ripple, t)
+        return ahead(before, *last, steps, ripple, t)
 
     def next(self, t):
         return sum(time <= t for time, _ in self.events)
@@ -192,9 +201,10 @@ class Pixel:
     def value(self, t, known, since, level):
         i = self.next(t)
         n = (self.counts(since, i) if i >= since else -self.counts(i, since))
-        p, fraction, rate, *spread, ripple, slope = self.part(i, t, known)
-        n[0 if p else 1] += fraction
         _, on, off = self.x
+        p, fraction, rate, *spread, ripple, slope = self.part(
+            i, t, known, level + on * n[0] - off * n[1])
+        n[0 if p else 1] += fraction
         y = on * n[0] - off * n[1] + ripple
         return n, y, *self.lag(p, rate, slope, spread, level + y)
 
@@ -224,7 +234,7 @@ class Pixel:
         level = sample if fresh else self.x[0]
         inner = sorted({t for t, _ in self.events if begin < t < end})
         cuts = [begin, *inner, end]
-        lit = self.ripple(begin) != (0, 0) or self.ripple(end) != (0, 0)
+        lit = self.ripple(begin, 0) != (0, 0) or self.ripple(end, 0) != (0, 0)
         if lit:
             cuts = [cut for a, b in itertools.pairwise(cuts)
                     for cut in np.arange(a, b, FINE)] + [end]
@@ -329,8 +339,6 @@ class Pixel:
                 sides.append(self.path(i1, i))
                 link = len(equations)
                 equations.append(({here: 1, k: -1}, sides[-1] @ theta, parts[1]))
-        p, fraction, rate, *spread, ripple, slope = self.part(i, t, known)
-        sign = np.array([1, 0]) if p else np.array([0, -1])
         if here:
             a, z = np.zeros((len(equations), here + 1)), np.zeros(len(equations))
             weight = np.array([1 / max(v, 1e-12) for *_, v in equations])
@@ -345,6 +353,8 @@ class Pixel:
                 sides[0] + gain[link] * (sides[1] - sides[0]))
         else:
             level = self.path(0, i) @ theta
+        p, fraction, rate, *spread, ripple, slope = self.part(i, t, known, level)
+        sign = np.array([1, 0]) if p else np.array([0, -1])
         level += fraction * (sign @ theta) + ripple
         u, spread, lag = self.lag(p, rate, slope, spread, level)
         if not here:

@@ -21,19 +21,24 @@ def triples(events, on, off, shift=0):
     return np.array(rows, float).reshape(-1, 5)
 
 
-def design(rows, hz, t0):
-    """Columns of cosine and sine: the wave beside the straight line, phase 0 at t0."""
+def design(rows, hz, t0, corner_hz=0):
+    """Columns of cosine and sine: the wave beside the straight line, phase 0 at t0.
+
+    As a low-pass of corner_hz passes it on.
+    """
     a, b, c = rows[:, :3].T
     s = (b - a) / (c - a)
     wave = [np.exp(2e-6j * np.pi * hz * (t - t0)) for t in (a, b, c)]
     off = wave[1] - (1 - s) * wave[0] - s * wave[2]
+    if corner_hz:
+        off = off / (1 + 1j * hz / corner_hz)
     return np.stack([off.real, off.imag], 1)
 
 
-def fitted(rows, hz, t0, even_us):
+def fitted(rows, hz, t0, even_us, corner_hz=0):
     """Amplitudes, and what they explain of the weighted sum of squares."""
     weight = 1 / (1 + ((rows[:, 2] - rows[:, 0]) / even_us) ** 4)
-    h = design(rows, hz, t0)
+    h = design(rows, hz, t0, corner_hz)
     m, b = h.T @ (weight[:, None] * h), h.T @ (weight * rows[:, 3])
     x = np.linalg.solve(m + 1e-6 * np.eye(2), b)
     return x, x @ b, weight

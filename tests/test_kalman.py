@@ -47,9 +47,11 @@ def recordings(draw):
     mids = sorted(draw(st.sets(st.integers(origin, stop - 1), max_size=12)))
     first = origin // BLOCK_US + draw(st.integers(-2, 3))
     rng = np.random.default_rng(seed)
-    waves = [Wave((first + k) * BLOCK_US, *(
-        (rng.choice([100, 120.3]), *rng.uniform(-0.2, 0.2, 2)) if rng.random() < 0.8
-        else ())) for k in range(draw(st.sampled_from([0, 0, 1, 5, 40])))]
+    waves = [
+        Wave((first + k) * BLOCK_US, *((
+            rng.choice([100, 120.3]), *rng.uniform(-0.2, 0.2, 2), rng.random() < 0.5)
+            if rng.random() < 0.8 else ()))
+        for k in range(draw(st.sampled_from([0, 0, 1, 5, 40])))]
     frames = [random_frame(SHAPE, t, seed=i) for i, t in enumerate(mids)]
     return events, frames, waves, stop
 
@@ -325,7 +327,7 @@ def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
         _kernels.smooth_read: dict(
             t=0, known=1, store=np.zeros(1, EVENT_DTYPE), link=np.zeros(1, np.int32),
             first=np.full((2, 2), -1, np.int32), tuning=np.zeros(5),
-            waves=np.zeros((0, 3)), lit_us=0, tracks=np.zeros((2, 2), TRACK_DTYPE),
+            waves=np.zeros((0, 4)), lit_us=0, tracks=np.zeros((2, 2), TRACK_DTYPE),
             gaps=gaps, state=state, most=0.25,
             out=np.zeros((2, 2), np.float32), variance=np.zeros((2, 2), np.float32),
             valid=np.zeros((2, 2), np.uint8)),

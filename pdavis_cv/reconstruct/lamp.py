@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import sensor_shape
+from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BLOCK_US", "LampTracker", "Lamplight", "Wave"]
 
@@ -45,12 +46,15 @@ class Wave(NamedTuple):
         0 = a steady lamp.
     cosine, sine : float
         Amplitudes in natural-log units, phase 0 at start_us.
+    of_light : bool
+        Of the light, which pixels pass on as fast as they are; else as pixels do.
     """
 
     start_us: int
     hz: float = 0.0
     cosine: float = 0.0
     sine: float = 0.0
+    of_light: bool = False
 
 
 class Lamplight:
@@ -58,21 +62,21 @@ class Lamplight:
 
     Attributes
     ----------
-    waves : ndarray of float64, shape (blocks, 3)
-        Turns per us, cosine and sine; none if the lamp is steady.
+    waves : ndarray of float64, shape (blocks, 4)
+        Turns per us, cosine, sine, 1 if of the light; none if the lamp is steady.
     start_us : int
         Beginning of the first of them.
     """
 
     def __init__(self) -> None:
-        self._all, self.start_us = np.empty((0, 3)), 0
+        self._all, self.start_us = np.empty((0, 4)), 0
         self.waves = self._all
 
     def add(self, wave: Wave) -> None:
         """Take the wave of the next block, or of a first one."""
         if wave.start_us != self.start_us + len(self._all) * BLOCK_US:
             self._all, self.start_us = self._all[:0], wave.start_us
-        row = 1e-6 * wave.hz, wave.cosine, wave.sine
+        row = 1e-6 * wave.hz, wave.cosine, wave.sine, float(wave.of_light)
         self._show(np.concatenate([self._all, [row]]))
 
     def forget(self, before_us: int) -> None:
@@ -105,7 +109,8 @@ class LampTracker:
     by what the lamp did: a least-squares fit of one wave over the last second, whose
     frequency may be 0.6 Hz off.  What is not the same behind all four polarizers is
     not the lamp.  Of a lamp whose light is no sine, the first harmonic is found.
-    Events show a lamp as the photoreceptors pass it on, which is taken to be alike.
+    Events show a lamp as the photoreceptors pass it on: it is divided out where their
+    bandwidth is known, and taken to be alike in all pixels where it is not.
 
     Parameters
     ----------
@@ -113,10 +118,13 @@ class LampTracker:
         (height, width) of the sensor.
     theta_on, theta_off : array_like
         Contrast thresholds, natural-log units; their mean counts.
+    bandwidth : sequence of float, optional
+        (hz, hz_per_intensity, ...) of the photoreceptors, as for `KalmanFilter`.
     """
 
     def __init__(
-        self, shape: Sequence[int], theta_on: ArrayLike, theta_off: ArrayLike
+        self, shape: Sequence[int], theta_on: ArrayLike, theta_off: ArrayLike,
+        bandwidth: Sequence[float] | None = None,
     ) -> None:
         self._shape = height, width = sensor_shape(shape)
         self._on, self._off = (float(np.mean(np.asarray(theta)))
@@ -127,6 +135,9 @@ class LampTracker:
         step = 2 << self._shift
         self._stamps = np.full(
             (2 * -(-height // step), 2 * -(-width // step), 2), _STAMP, np.int64)
+        self._hz, self._slope, *_ = bandwidth or (0.0, 0.0)
+        # Until there is a frame a pixel may be as slow as in the dark.
+        self._corners = np.full(self._stamps.shape[:2], self._hz, np.float32)
         self._now = np.zeros((len(_EVEN_US), 4, 4, 7))
         self._sums: tuple[NDArray[np.float64], ...] = ()
         self._block: int | None = None
@@ -145,7 +156,17 @@ class LampTracker:
             assert self._block is not None
             i = _kernels.lamp_push(
                 events, i, (self._block + 1) * BLOCK_US, *self._shape, self._shift,
-                self._on, self._off, _EVEN_US, self._stamps, self._now)
+                self._on, self._off, _EVEN_US, self._corners, self._stamps, self._now)
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Note how bright it is, and so how fast the pixels are, from now on."""
+        if not self._slope:
+            return
+        cells = 1 << self._shift
+        rows, columns = (
+            np.flatnonzero(np.arange(side) // 2 % cells == 0) for side in self._shape)
+        bright = frame.dn[np.ix_(rows, columns)] / max(frame.exposure_ms, 1e-3)
+        self._corners[:len(rows), :len(columns)] = self._hz + self._slope * bright
 
     def advance(self, t_us: int) -> Iterator[Wave]:
         """Pass to t_us: all events up to it have been there."""
@@ -175,15 +196,19 @@ class LampTracker:
         lamp = (common > _EVIDENCE * left / max(n, 1.0)
                 and max(apart, below) < _APART * common
                 and cosine**2 + sine**2 > _LEAST**2)
-        return Wave(start_us, 1e6 * turns, cosine, sine) if lamp else Wave(start_us)
+        of_light = self._hz > 0 or self._slope > 0
+        return (Wave(start_us, 1e6 * turns, cosine, sine, of_light) if lamp
+                else Wave(start_us))
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything that events change."""
         return {"stamps": self._stamps.copy(), "now": self._now.copy(),
+                "corners": self._corners.copy(),
                 "sums": self._sums, "block": self._block, "seen_us": self._seen_us}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `state` returned."""
         self._stamps[:], self._now[:] = state["stamps"], state["now"]
+        self._corners[:] = state["corners"]
         self._sums, self._block = state["sums"], state["block"]
         self._seen_us = state["seen_us"]
