@@ -32,8 +32,9 @@ cdef inline double at(const walk_t* walk, const event_t* store, int64_t known,
     """Log intensity less level at t, between walk and its next event; the counts."""
     cdef double y, theta
     cdef part_t part
-    cdef double hz = corner(lamp, tuning[2], tuning[3],
-                            level + on * walk.n_on - off * walk.n_off)
+    cdef double hz = 0.0
+    if lamp.blocks > 0:
+        hz = corner(tuning[2], tuning[3], level + on * walk.n_on - off * walk.n_off)
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(walk, store[walk.next].t, store[walk.next].p, on, off, lamp,
                        hz, t)
@@ -345,7 +346,7 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
                      unsigned char* valid) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
-    cdef double n_on, n_off, theta, theta2, level, v, u, hz
+    cdef double n_on, n_off, theta, theta2, level, v, u, hz = 0.0
     start(&walk, track.prev, track.last, first)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
@@ -353,7 +354,8 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         step(&walk, store, link)
     n_on = walk.n_on
     n_off = walk.n_off
-    hz = corner(lamp, tuning[2], tuning[3], s[0] + s[1] * n_on - s[2] * n_off)
+    if lamp.blocks > 0:
+        hz = corner(tuning[2], tuning[3], s[0] + s[1] * n_on - s[2] * n_off)
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
                        lamp, hz, <double>t)

@@ -63,6 +63,35 @@ cdef inline bint lit(const lamp_t* lamp, double begin, double end) noexcept nogi
     return wave != NULL and wave[0] > 0.0
 
 
+cdef extern from *:
+    """
+    #if defined(__GNUC__)
+    #define PD_SELDOM __attribute__((noinline, cold, unused))
+    #else
+    #define PD_SELDOM
+    #endif
+
+    /* The ripple of a wave (see lamp_t) turns after its block's beginning, and its
+       change per second, as a pixel passes it on whose corner frequency is hz; 0: as it
+       is.  Not inlined: where lamps are steady, that would slow everything down. */
+    static PD_SELDOM double pd_ripple(const double *wave, double turns, double hz,
+                                      double *rate) {
+        double c = pd_cos_turns(turns), s = pd_cos_turns(turns - 0.25);
+        if (hz > 0 && wave[3] > 0) {
+            /* Of e^(i w t), the low-pass leaves e^(i w t) / (1 + i lag). */
+            double lag = 1e6 * wave[0] / hz, share = 1 / (1 + lag * lag), passed;
+            passed = share * (c + lag * s);
+            s = share * (s - lag * c);
+            c = passed;
+        }
+        *rate = 6283185.307179586 * wave[0] * (wave[2] * c - wave[1] * s);
+        return wave[1] * c + wave[2] * s;
+    }
+    """
+    double ripple_of "pd_ripple"(const double* wave, double turns, double hz,
+                                 double* rate) noexcept nogil
+
+
 cdef inline double ripple(const lamp_t* lamp, double hz, double t,
                           double* rate) noexcept nogil:
     """Return the ripple in log intensity at t, and its change per second.
@@ -70,20 +99,9 @@ cdef inline double ripple(const lamp_t* lamp, double hz, double t,
     As a pixel passes it on whose corner frequency is hz; 0: as it is.
     """
     cdef const double* wave = wave_at(lamp, t)
-    cdef double turns, c, s, lag, share
-    rate[0] = 0.0
+    cdef double since = t - <double>lamp.start
     if wave == NULL or wave[0] <= 0.0:
+        rate[0] = 0.0
         return 0.0
-    turns = t - <double>lamp.start
-    turns = wave[0] * (turns - BLOCK_US * <double>(<int64_t>(turns / BLOCK_US)))
-    c = cos_turns(turns)
-    s = cos_turns(turns - 0.25)
-    if hz > 0.0 and wave[3] > 0.0:
-        # Of e^(i w t), the low-pass leaves e^(i w t) / (1 + i lag).
-        lag = 1e6 * wave[0] / hz
-        share = 1.0 / (1.0 + lag * lag)
-        turns = share * (c + lag * s)
-        s = share * (s - lag * c)
-        c = turns
-    rate[0] = 6283185.307179586 * wave[0] * (wave[2] * c - wave[1] * s)
-    return wave[1] * c + wave[2] * s
+    since -= BLOCK_US * <double>(<int64_t>(since / BLOCK_US))
+    return ripple_of(wave, wave[0] * since, hz, rate)

@@ -184,7 +184,7 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
     cdef walk_t walk
     cdef part_t part
     cdef double m_on = 0.0, m_off = 0.0, theta, theta2, level = 0.0, v, u
-    cdef double a = 0.0, b = 0.0, left, whole, share, hz
+    cdef double a = 0.0, b = 0.0, left, whole, share, hz = 0.0
     start(&walk, track.prev, track.last, first)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
@@ -225,7 +225,8 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
         level = s[1] * walk.n_on - s[2] * walk.n_off
         v = -1.0
     # What is crossed of the next threshold, and the lag of the photoreceptor.
-    hz = corner(lamp, tuning[2], tuning[3], level)
+    if lamp.blocks > 0:
+        hz = corner(tuning[2], tuning[3], level)
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
                        lamp, hz, <double>t)

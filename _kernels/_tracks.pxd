@@ -103,11 +103,9 @@ cdef inline double drift(int64_t dt, double n, const double* tuning) noexcept no
     return tuning[0] * 1e-6 * <double>dt + tuning[1] * n
 
 
-cdef inline double corner(const lamp_t* lamp, double hz, double hz_per_level,
+cdef inline double corner(double hz, double hz_per_level,
                           double level) noexcept nogil:
-    """Corner frequency of a pixel that shows level, where a lamp asks for it."""
-    if lamp.blocks == 0:
-        return 0.0
+    """Corner frequency of a pixel that shows level."""
     return hz if hz_per_level <= 0.0 else hz + hz_per_level * exp_f(<float>level)
 
 
@@ -124,7 +122,7 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     hz passes it on.
     """
     cdef part_t part = nothing(p1)
-    cdef double gap = <double>(t1 - walk.t), s, q, turn = 0.366, last, next
+    cdef double gap = <double>(t1 - walk.t), s, q, turn = 0.366, last = 0.0, next = 0.0
     cdef double here = 0.0, now, change = 0.0, _
     cdef bint same = walk.p == p1
     cdef bint flickers = lamp.blocks > 0 and t1 - walk.t < STALE_US
@@ -135,9 +133,9 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     s = (t - <double>walk.t) / gap
     part.var = 0.001
     part.rate_var = 0.002
-    last = on if walk.p else -off
-    next = on if p1 else -off
     if flickers:
+        last = on if walk.p else -off
+        next = on if p1 else -off
         here = ripple(lamp, hz, <double>walk.t, &_)
         change = ripple(lamp, hz, <double>t1, &_) - here
         next -= change
@@ -159,8 +157,12 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
             q = q if q > 100.0 else 100.0
             part.fall = 1e6 / q if p1 else 0.0
             q /= gap
-            last = last if last > 0.0 else -last
-            next = next if next > 0.0 else -next
+            if flickers:
+                last = last if last > 0.0 else -last
+                next = next if next > 0.0 else -next
+            else:
+                last = off if p1 else on
+                next = on if p1 else off
             turn = (last - q * q * next) / (2.0 * (last + q * next) + 1e-30)
             turn = 0.0 if turn < 0.0 else 0.414 if turn > 0.414 else turn
         q = 1.0 / (1.0 - 2.0 * turn)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv._feed import Feed
 from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth, combined
 from pdavis_cv.calibration.certainty import (
@@ -70,6 +71,8 @@ _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 # one (a fan's steps make it 2 to 5, pixels that do follow 9 or more); and how near a
 # coarse look must come for the constant one to have a chance.
 _EVIDENCE, _NEAR = 8.0, 100.0
+
+_EVER = -(2**62), 2**62
 
 _Items = list["ApsFrame | Wave | NDArray[Any]"]
 
@@ -488,21 +491,18 @@ def _sample(
     items: _Items, shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike]
 ) -> _Sample | None:
     """Return some busy pixels, None if frames or events are too few."""
-    polarities = np.zeros((shape[0] * shape[1], 2), np.int64)
-    squares = np.zeros(len(polarities), np.int64)
+    here, polarities = np.zeros((2, 2, *shape), np.int32)
+    squares = np.zeros(shape, np.int64)
     usable = np.zeros(shape, np.int64)
     least, most = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
     mids: list[int] = []
-    where: list[NDArray[np.intp]] = []
-    done = 0
 
-    def count(since: int) -> int:
-        if since < len(where):
-            here = np.bincount(np.concatenate(where[since:]),
-                               minlength=polarities.size).reshape(-1, 2)
-            np.add(polarities, here, out=polarities)
-            np.add(squares, here.sum(1) ** 2, out=squares)
-        return len(where)
+    def settle() -> None:
+        """Count what has come since the last frame."""
+        both = np.add(here[0], here[1], dtype=np.int64)
+        np.add(squares, both * both, out=squares)
+        np.add(polarities, here, out=polarities)
+        here.fill(0)
 
     for item in items:
         if isinstance(item, ApsFrame):
@@ -511,17 +511,16 @@ def _sample(
             np.minimum(least, item.dn, out=least)
             np.maximum(most, item.dn, out=most)
             mids.append(item.mid_us)
-            done = count(done)
+            settle()
         elif not isinstance(item, Wave):
-            pixel = item["y"].astype(np.intp) * shape[1] + item["x"]
-            where.append(2 * pixel + item["p"])
-    count(done)
-    counts = polarities.sum(1)
+            _kernels.count(item, *_EVER, here)
+    settle()
+    counts = (polarities[0] + polarities[1]).ravel()
     if len(mids) < 4:
         return None
     seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
-    seen = Seen((squares / np.maximum(counts * seconds, 1e-9)).reshape(shape), least,
-                 most)
+    seen = Seen(
+        squares / np.maximum(counts.reshape(shape) * seconds, 1e-9), least, most)
     counts[usable.ravel() < 0.8 * len(mids)] = 0
     if not counts.any():
         return None
@@ -529,23 +528,23 @@ def _sample(
     level = np.quantile(counts[counts > 0], 0.95)
     pixels = np.flatnonzero((counts >= 0.5 * level) & (counts <= 2 * level))
     # One whose thresholds are far from the others' fits no bandwidth, and would decide.
-    balance = np.subtract(*np.log(np.maximum(polarities[pixels], 0.5)).T)
+    off, on = np.log(np.maximum(polarities.reshape(2, -1)[:, pixels], 0.5))
+    balance = off - on
     pixels = pixels[np.abs(balance - np.median(balance)) <= _TYPICAL]
     n = int(np.clip(_SAMPLE_EVENTS / level, 16, _SAMPLE_PIXELS))
     pixels = np.sort(np.random.default_rng(0).permutation(pixels)[:n])
-    place = np.full(len(counts), -1, np.int64)
+    place = np.full(len(counts), -1, np.int32)
     place[pixels] = np.arange(len(pixels))
     rows, columns = np.unravel_index(pixels, shape)
     part: _Items = []
     frames = 0
     pending: list[NDArray[Any]] = []
-    places = iter(where)
     for item in items:
         if isinstance(item, Wave):
             part.append(item)
             continue
         if not isinstance(item, ApsFrame):
-            at = place[next(places) >> 1]
+            at = place[item["y"].astype(np.intp) * shape[1] + item["x"]]
             mine = item[at >= 0].copy()
             mine["x"], mine["y"] = at[at >= 0], 0
             pending.append(mine)
