@@ -10,7 +10,7 @@ from pdavis_cv.calibration import (
     thresholds_in_situ,
 )
 from pdavis_cv.calibration.certainty import settled
-from pdavis_cv.simulation import Camera, Fan, RotatingPolarizer
+from pdavis_cv.simulation import Camera, Fan, RotatingPlate, RotatingPolarizer
 
 NOMINAL = (0.16, 0.18)
 
@@ -169,6 +169,18 @@ def test_without_change_the_estimate_is_the_nominal_value(nominal):
     prior = np.log(0.16 / 0.18) - np.log(
         camera.maps["theta_on"] / camera.maps["theta_off"])
     assert np.std(ratio_error(camera, estimate)) < 1.2 * np.std(prior)
+
+
+@pytest.mark.parametrize(("preset", "rpm", "s0"), [
+    ("nominal", 30.4, 30.0), ("nominal", 30.4, 4.3), ("realistic", 60.8, 30.0)])
+def test_where_little_is_told_thresholds_are_no_worse_than_nominal(preset, rpm, s0):
+    """Behind a plate frames err alike in pixels, and in both halves of a recording."""
+    camera = Camera.preset(preset, seed=1, size=(12, 12))
+    scene = RotatingPlate(rpm=rpm, start_angle=np.radians(17), s0=s0)
+    found = thresholds_in_situ(camera.record(scene, 2.5)[0], nominal=NOMINAL)
+    prior = np.log(NOMINAL[0] / NOMINAL[1]) - np.log(
+        camera.maps["theta_on"] / camera.maps["theta_off"])
+    assert np.std(ratio_error(camera, found)) < 1.1 * np.std(prior)
 
 
 def test_a_window_of_the_recording_is_enough(nominal):

@@ -16,7 +16,7 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Sensor
 
 __all__ = ["LEAK_HZ", "Doubts", "Seen", "brighter", "offsets_dn", "settled",
-           "shrunk", "vertex"]
+           "shrunk", "steadied", "vertex"]
 
 LEAK_HZ = 0.295
 """Leak events of a pixel per second, which pass for a larger ratio of its thresholds:
@@ -170,6 +170,39 @@ def shrunk(
     together[..., 1, 1] = out[1]**2 * (size + ratio - mixed)
     together[..., 0, 1] = together[..., 1, 0] = out[0] * out[1] * (size - ratio)
     return out, together
+
+
+def steadied(
+    theta: NDArray[np.float64], covariance: NDArray[np.float64],
+    nominal: tuple[ArrayLike, ArrayLike], sigma: float, scales: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the scales for `shrunk`, or (1, 1) where those would mislead.
+
+    Behind a plate that turns slowly, or in dim light, frames err alike in all pixels
+    and half of a recording errs as all of it does.  Taken for small errors they pass
+    for a spread of the thresholds: the ratios then scatter more than twice as much as
+    with the variance that was assumed.
+
+    Parameters
+    ----------
+    theta, covariance, nominal, sigma, scales
+        As for `shrunk`.
+
+    Returns
+    -------
+    (float, float)
+    """
+    some = slice(None, None, max(theta[0].size // 4000, 1))
+    few, their = theta.reshape(2, -1)[:, some], covariance.reshape(-1, 2, 2)[some]
+    on, off = (np.broadcast_to(np.asarray(value, np.float64), theta[0].shape)
+               .ravel()[some] for value in nominal)
+
+    def scatter(scales: tuple[float, float]) -> float:
+        found, _ = shrunk(few, their, (on, off), sigma, scales, None)
+        return float(np.std(np.log(found[0] / found[1]) - np.log(on / off)))
+
+    safe = (1.0, 1.0)
+    return scales if scatter(scales) <= 2 * scatter(safe) else safe
 
 
 def settled(

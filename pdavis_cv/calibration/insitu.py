@@ -24,6 +24,7 @@ from pdavis_cv.calibration.certainty import (
     offsets_dn,
     settled,
     shrunk,
+    steadied,
     vertex,
 )
 from pdavis_cv.calibration.corrected import corrected
@@ -186,6 +187,7 @@ def thresholds_in_situ(
     scale = float(np.clip(chi / n, 1e-3, 4.0)) if n else 1.0
     of_ratio = settled(early, (theta, covariance))
     scales = (scale if of_ratio is None else float(np.clip(of_ratio, 1e-4, 4.0)), scale)
+    scales = steadied(theta, covariance, nominal, sigma, scales)
     doubts = None
     if sample is not None:
         dark = calibration is not None and calibration.dark is not None
