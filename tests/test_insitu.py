@@ -171,16 +171,26 @@ def test_without_change_the_estimate_is_the_nominal_value(nominal):
     assert np.std(ratio_error(camera, estimate)) < 1.2 * np.std(prior)
 
 
-@pytest.mark.parametrize(("preset", "rpm", "s0"), [
-    ("nominal", 30.4, 30.0), ("nominal", 30.4, 4.3), ("realistic", 60.8, 30.0)])
-def test_where_little_is_told_thresholds_are_no_worse_than_nominal(preset, rpm, s0):
-    """Behind a plate frames err alike in pixels, and in both halves of a recording."""
+@pytest.mark.parametrize(("preset", "scene", "rpm", "s0"), [
+    ("nominal", RotatingPlate, 30.4, 30.0), ("nominal", RotatingPlate, 30.4, 4.3),
+    ("realistic", RotatingPlate, 60.8, 30.0), ("hard", RotatingPlate, 60.8, 1.08),
+    ("nominal", RotatingPolarizer, 30.4, 1.08),
+    ("nominal", RotatingPolarizer, 60.8, 1.08),
+    ("realistic", RotatingPolarizer, 30.4, 1.08)])
+def test_where_little_is_told_thresholds_are_no_worse_than_nominal(
+        preset, scene, rpm, s0):
+    """Frames err alike in both halves of a recording; in dim light, by much."""
     camera = Camera.preset(preset, seed=1, size=(12, 12))
-    scene = RotatingPlate(rpm=rpm, start_angle=np.radians(17), s0=s0)
-    found = thresholds_in_situ(camera.record(scene, 2.5)[0], nominal=NOMINAL)
+    light = scene(rpm=rpm, start_angle=np.radians(17), s0=s0)
+    found = thresholds_in_situ(camera.record(light, 2.5)[0], nominal=NOMINAL)
     prior = np.log(NOMINAL[0] / NOMINAL[1]) - np.log(
         camera.maps["theta_on"] / camera.maps["theta_off"])
     assert np.std(ratio_error(camera, found)) < 1.1 * np.std(prior)
+    for theta, name, at_first in zip((found.theta_on, found.theta_off),
+                                     ("theta_on", "theta_off"), NOMINAL, strict=True):
+        true = camera.maps[name]
+        assert np.sqrt(np.mean((theta - true)**2)) < 1.1 * np.sqrt(
+            np.mean((at_first - true)**2))
 
 
 def test_a_window_of_the_recording_is_enough(nominal):

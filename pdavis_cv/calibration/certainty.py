@@ -16,7 +16,7 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Sensor
 
 __all__ = ["LEAK_HZ", "Doubts", "Seen", "brighter", "offsets_dn", "settled",
-           "shrunk", "steadied", "vertex"]
+           "shrunk", "vertex"]
 
 LEAK_HZ = 0.295
 """Leak events of a pixel per second, which pass for a larger ratio of its thresholds:
@@ -32,6 +32,12 @@ _OFFSET_SHARES, _DARK_DN = (0.7, 0.2), (0.2, 0.1)
 # alike from frame to frame, and stays in the scale of the thresholds.
 _ALIKE = 0.45
 _USUAL_MISMATCH = 0.035
+# What scatter of the pixels' estimates is theirs: no more than is left if samples err
+# by so much more, in variance, than they were assumed to; no less than this part of
+# what is usual.
+_CAUTION, _LEAST_SPREAD = 2.0, 0.5
+# Where samples err alike, small variances make a spread out of it so much larger.
+_MISLED = 4.0
 # So many pixels tell what scatter they have.
 _TELLING = 12
 
@@ -111,7 +117,11 @@ def shrunk(
     """Replace the prior spread `sigma` by the spread that the pixels have.
 
     Empirical Bayes by expectation-maximisation: what each pixel's own samples say
-    is the filter's result less its prior.
+    is the filter's result less its prior.  Behind a plate that turns slowly, or in dim
+    light, frames err alike from one half of a recording to the other.  Such errors pass
+    for a spread of the thresholds, which is therefore never taken to be more than is
+    left if samples err by twice the assumed variance; and scales that make it far
+    larger than that do not count.
 
     Parameters
     ----------
@@ -139,17 +149,14 @@ def shrunk(
     # What the samples say: precision, and precision times shift from the center.
     own = (total[0] - 1 / sigma**2, total[1], total[2] - 1 / sigma**2)
     pull = _times(total, (theta[0] - on, theta[1] - off))
-    own, pull = _rated(own, pull, theta, scales)
-    # A sample of the pixels tells the spread; it grows from what is usual.
-    some = slice(None, None, max(theta[0].size // 4000, 1))
-    few, their = ([part.ravel()[some] for part in parts] for parts in (own, pull))
     means = np.array([on.mean(), off.mean()])
-    least, spread = (0.01 * sigma) ** 2, (_USUAL_MISMATCH * means) ** 2
-    for _ in range(30):
-        after = _inverse(few[0] + 1 / spread[0], few[1], few[2] + 1 / spread[1])
-        first, second = _times(after, (their[0], their[1]))
-        spread = np.clip([np.mean(first**2 + after[0]),
-                          np.mean(second**2 + after[2])], least, sigma**2)
+    careful = (max(scales[0], _CAUTION), max(scales[1], _CAUTION))
+    trusted, spread = (
+        _spread(*_rated(own, pull, theta, each), means, sigma)
+        for each in (scales, careful))
+    if np.sum(trusted / means**2) > _MISLED * np.sum(spread / means**2):
+        scales = (1.0, 1.0)
+    own, pull = _rated(own, pull, theta, scales)
     whole = _inverse(own[0] + 1 / spread[0], own[1], own[2] + 1 / spread[1])
     shift = _times(whole, pull)
     out = np.stack([np.clip(center + by, 0.3 * center, 3 * center)
@@ -170,39 +177,6 @@ def shrunk(
     together[..., 1, 1] = out[1]**2 * (size + ratio - mixed)
     together[..., 0, 1] = together[..., 1, 0] = out[0] * out[1] * (size - ratio)
     return out, together
-
-
-def steadied(
-    theta: NDArray[np.float64], covariance: NDArray[np.float64],
-    nominal: tuple[ArrayLike, ArrayLike], sigma: float, scales: tuple[float, float],
-) -> tuple[float, float]:
-    """Return the scales for `shrunk`, or (1, 1) where those would mislead.
-
-    Behind a plate that turns slowly, or in dim light, frames err alike in all pixels
-    and half of a recording errs as all of it does.  Taken for small errors they pass
-    for a spread of the thresholds: the ratios then scatter more than twice as much as
-    with the variance that was assumed.
-
-    Parameters
-    ----------
-    theta, covariance, nominal, sigma, scales
-        As for `shrunk`.
-
-    Returns
-    -------
-    (float, float)
-    """
-    some = slice(None, None, max(theta[0].size // 4000, 1))
-    few, their = theta.reshape(2, -1)[:, some], covariance.reshape(-1, 2, 2)[some]
-    on, off = (np.broadcast_to(np.asarray(value, np.float64), theta[0].shape)
-               .ravel()[some] for value in nominal)
-
-    def scatter(scales: tuple[float, float]) -> float:
-        found, _ = shrunk(few, their, (on, off), sigma, scales, None)
-        return float(np.std(np.log(found[0] / found[1]) - np.log(on / off)))
-
-    safe = (1.0, 1.0)
-    return scales if scatter(scales) <= 2 * scatter(safe) else safe
 
 
 def settled(
@@ -241,6 +215,24 @@ def settled(
     # What all pixels have in common is leak, which is counted by itself.
     z = np.abs(z - np.median(z))
     return float(np.mean(np.minimum(z, 3 * np.median(z) / 0.6745) ** 2))
+
+
+def _spread(
+    own: _Symmetric, pull: tuple[NDArray[np.float64], NDArray[np.float64]],
+    means: NDArray[np.float64], sigma: float,
+) -> NDArray[np.float64]:
+    """Return the variance of either threshold over the chip, by what samples say."""
+    # A sample of the pixels tells; it grows from what is usual.
+    some = slice(None, None, max(pull[0].size // 4000, 1))
+    few, their = ([part.ravel()[some] for part in parts] for parts in (own, pull))
+    spread = usual = (_USUAL_MISMATCH * means) ** 2
+    least = np.maximum((0.01 * sigma) ** 2, _LEAST_SPREAD * usual)
+    for _ in range(30):
+        after = _inverse(few[0] + 1 / spread[0], few[1], few[2] + 1 / spread[1])
+        first, second = _times(after, (their[0], their[1]))
+        spread = np.clip([np.mean(first**2 + after[0]),
+                          np.mean(second**2 + after[2])], least, sigma**2)
+    return spread
 
 
 def _rated(
