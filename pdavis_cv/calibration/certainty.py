@@ -151,8 +151,12 @@ def shrunk(
     pull = _times(total, (theta[0] - on, theta[1] - off))
     means = np.array([on.mean(), off.mean()])
     careful = (max(scales[0], _CAUTION), max(scales[1], _CAUTION))
+    # A sample of the pixels tells the spread.
+    some = slice(None, None, max(theta[0].size // 4000, 1))
+    a, b, c, first, second = (part.ravel()[some] for part in (*own, *pull))
+    at = theta.reshape(2, -1)[:, some]
     trusted, spread = (
-        _spread(*_rated(own, pull, theta, each), means, sigma)
+        _spread(*_rated((a, b, c), (first, second), at, each), means, sigma)
         for each in (scales, careful))
     if np.sum(trusted / means**2) > _MISLED * np.sum(spread / means**2):
         scales = (1.0, 1.0)
@@ -222,14 +226,12 @@ def _spread(
     means: NDArray[np.float64], sigma: float,
 ) -> NDArray[np.float64]:
     """Return the variance of either threshold over the chip, by what samples say."""
-    # A sample of the pixels tells; it grows from what is usual.
-    some = slice(None, None, max(pull[0].size // 4000, 1))
-    few, their = ([part.ravel()[some] for part in parts] for parts in (own, pull))
+    # It grows from what is usual.
     spread = usual = (_USUAL_MISMATCH * means) ** 2
     least = np.maximum((0.01 * sigma) ** 2, _LEAST_SPREAD * usual)
     for _ in range(30):
-        after = _inverse(few[0] + 1 / spread[0], few[1], few[2] + 1 / spread[1])
-        first, second = _times(after, (their[0], their[1]))
+        after = _inverse(own[0] + 1 / spread[0], own[1], own[2] + 1 / spread[1])
+        first, second = _times(after, pull)
         spread = np.clip([np.mean(first**2 + after[0]),
                           np.mean(second**2 + after[2])], least, sigma**2)
     return spread

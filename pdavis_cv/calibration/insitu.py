@@ -375,7 +375,7 @@ def _run(
 
 def _bright(item: _Item) -> _Item:
     """Return the item; of a frame, the samples whose logarithm is straight."""
-    if not isinstance(item, ApsFrame):
+    if not isinstance(item, ApsFrame) or item.dn.min(initial=_LEAST_DN) >= _LEAST_DN:
         return item
     valid = item.dn >= _LEAST_DN
     return ApsFrame(
@@ -560,9 +560,10 @@ def _sample(
             part.append(item)
             continue
         if not isinstance(item, ApsFrame):
-            at = place[item["y"].astype(np.intp) * shape[1] + item["x"]]
-            mine = item[at >= 0].copy()
-            mine["x"], mine["y"] = at[at >= 0], 0
+            at = place.take(item["y"].astype(np.int32) * shape[1] + item["x"])
+            chosen = np.flatnonzero(at >= 0)
+            mine = item.take(chosen)
+            mine["x"], mine["y"] = at.take(chosen), 0
             pending.append(mine)
             continue
         frames += 1
