@@ -8,6 +8,11 @@ ctypedef fused plane_t:
     float
     double
 
+ctypedef void (*row_f32_t)(const float*, const uint8_t*, Py_ssize_t, double, double,
+                           const uint8_t*, int32_t, uint8_t*) noexcept nogil
+ctypedef void (*row_f64_t)(const double*, const uint8_t*, Py_ssize_t, double, double,
+                           const uint8_t*, int32_t, uint8_t*) noexcept nogil
+
 cdef extern from "_picture.h" nogil:
     void hue_row_f32(const float*, const uint8_t*, Py_ssize_t, double, double,
                      const uint8_t*, int32_t, uint8_t*)
@@ -41,6 +46,25 @@ cdef inline const uint8_t* row_of(const uint8_t[:, ::1] valid,
     return &valid[y, 0] if valid.shape[0] * valid.shape[1] != 0 else NULL
 
 
+cdef int draw(const plane_t[:, ::1] plane, const uint8_t[:, ::1] valid, double scale,
+              double least, const uint8_t[:, ::1] table, uint8_t[:, :, :] out,
+              row_f32_t row_f32, row_f64_t row_f64) except -1:
+    """Draw plane by rows, with the one of both that is for its numbers."""
+    cdef Py_ssize_t h = plane.shape[0], w = plane.shape[1], y
+    check(h, w, valid, table, out)
+    if w == 0:
+        return 0
+    with nogil:
+        for y in range(h):
+            if plane_t is float:
+                row_f32(&plane[y, 0], row_of(valid, y), w, scale, least,
+                        &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
+            else:
+                row_f64(&plane[y, 0], row_of(valid, y), w, scale, least,
+                        &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
+    return 0
+
+
 def hue_bgr(const plane_t[:, ::1] plane not None,
             const uint8_t[:, ::1] valid not None, double scale, double least,
             const uint8_t[:, ::1] table not None,
@@ -51,54 +75,21 @@ def hue_bgr(const plane_t[:, ::1] plane not None,
     finite gets table[n]; one from least on gets table[n + 1] where valid (if not empty)
     is 0.
     """
-    cdef Py_ssize_t h = plane.shape[0], w = plane.shape[1], y
-    check(h, w, valid, table, out)
-    if w == 0:
-        return
-    with nogil:
-        for y in range(h):
-            if plane_t is float:
-                hue_row_f32(&plane[y, 0], row_of(valid, y), w, scale, least,
-                            &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
-            else:
-                hue_row_f64(&plane[y, 0], row_of(valid, y), w, scale, least,
-                            &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
+    draw(plane, valid, scale, least, table, out, hue_row_f32, hue_row_f64)
 
 
 def ramp_bgr(const plane_t[:, ::1] plane not None,
              const uint8_t[:, ::1] valid not None, double scale, double least,
              const uint8_t[:, ::1] table not None, uint8_t[:, :, :] out not None):
     """As hue_bgr, but clamped to the ends of the n colours; NaN gets table[n]."""
-    cdef Py_ssize_t h = plane.shape[0], w = plane.shape[1], y
-    check(h, w, valid, table, out)
-    if w == 0:
-        return
-    with nogil:
-        for y in range(h):
-            if plane_t is float:
-                ramp_row_f32(&plane[y, 0], row_of(valid, y), w, scale, least,
-                             &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
-            else:
-                ramp_row_f64(&plane[y, 0], row_of(valid, y), w, scale, least,
-                             &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
+    draw(plane, valid, scale, least, table, out, ramp_row_f32, ramp_row_f64)
 
 
 def tone_bgr(const plane_t[:, ::1] plane not None,
              const uint8_t[:, ::1] valid not None, double scale, double least,
              const uint8_t[:, ::1] table not None, uint8_t[:, :, :] out not None):
     """As ramp_bgr, but of sqrt(plane * scale): fine steps where the light is dim."""
-    cdef Py_ssize_t h = plane.shape[0], w = plane.shape[1], y
-    check(h, w, valid, table, out)
-    if w == 0:
-        return
-    with nogil:
-        for y in range(h):
-            if plane_t is float:
-                tone_row_f32(&plane[y, 0], row_of(valid, y), w, scale, least,
-                             &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
-            else:
-                tone_row_f64(&plane[y, 0], row_of(valid, y), w, scale, least,
-                             &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
+    draw(plane, valid, scale, least, table, out, tone_row_f32, tone_row_f64)
 
 
 cdef int check_canvas(Py_ssize_t h, Py_ssize_t w, const uint8_t[:, ::1] table,

@@ -477,4 +477,4 @@ def test_export_refuses_to_resume_a_video(tmp_path, capsys):
 def test_the_scenes_of_these_tests_give_no_warning(pulled):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        next(fuse(pulled[0], fps=10))
+        assert next(fuse(pulled[0], fps=10)).valid.any()

@@ -43,4 +43,6 @@ def test_recipe_runs(block, folder):
     for name in PACKAGES:
         if re.search(rf"^(import|from) {name}\b", block, re.M):
             pytest.importorskip(name)
-    exec(compile(block, "recipes.md", "exec"), {"__name__": "recipe"})
+    names = {"__name__": "recipe"}
+    exec(compile(block, "recipes.md", "exec"), names)
+    assert len(names) > 2       # it imports something at least
