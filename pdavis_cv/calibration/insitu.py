@@ -68,12 +68,12 @@ _LN_HZ, _LN_HZ_SIGMA = np.log(USUAL_BANDWIDTH[0]), USUAL_BANDWIDTH[2]
 # By how much the misfit's curvature overrates what is known of it; what is wrong with
 # the law, and seconds of a lag by which interpolation errs, this way at one speed and
 # that way at another.  All measured.
-_ALIKE, _LAW, _TIMING_S = 2.5, 0.04, 38e-6
+_ALIKE, _LAW, _TIMING_S = 2.5, 0.02, 12e-6
 _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 # How much likelier, in ln, a bandwidth that follows the light must be than a constant
 # one (a fan's steps make it 2 to 5, pixels that do follow 9 or more); and how near a
 # coarse look must come for the constant one to have a chance.
-_EVIDENCE, _NEAR = 8.0, 100.0
+_EVIDENCE, _NEAR = 20.0, 500.0
 
 _EVER = -(2**62), 2**62
 
@@ -412,11 +412,11 @@ class _Sample:
     def misfit(
         self, law: tuple[float, float],
         noise: tuple[float, float, float] = _NOISE,
-    ) -> tuple[float, float]:
-        """Return minus the log likelihood, and the mean of e^2 / v."""
+    ) -> tuple[float, float, int]:
+        """Return the sums of e^2 / v and of ln v over the innovations, their number."""
         chi, log, n = _run(
             self.items, self.shape, self.on, self.off, SIGMA, law, noise).misfit
-        return 0.5 * float(chi + log), float(chi / max(n, 1))
+        return float(chi), float(log), int(n)
 
     def doubts(
         self, law: tuple[float, float], offset_dn: tuple[float, float]
@@ -448,8 +448,11 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
     from scipy.optimize import minimize, minimize_scalar  # slow to load
 
     def cost(point: NDArray[np.float64]) -> float:
-        prior = 0.5 * ((point[0] - _LN_HZ) / _LN_HZ_SIGMA) ** 2
-        return sample.misfit(_law(point, sample.bright))[0] + float(prior)
+        prior = ((point[0] - _LN_HZ) / _LN_HZ_SIGMA) ** 2
+        chi, log, n = sample.misfit(_law(point, sample.bright))
+        # The scale of the variances, which a fast light overrates by tens, is what
+        # makes the innovations likeliest: else sum ln v decides, not what fits.
+        return 0.5 * float(n * np.log(max(chi, 1e-9 * n) / max(n, 1)) + log + prior)
 
     # Between the grid's points the misfit may be far less than at them.
     tried: list[tuple[float, NDArray[np.float64]]] = []
@@ -474,12 +477,10 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
             bounds=(ln_hz - 0.3, ln_hz + 0.3), options={"maxiter": 10})
         if constant.fun < found.fun + _EVIDENCE:
             found.x, found.fun = np.array([constant.x, 0.0]), constant.fun
-    # The curvature of the misfit, for the noise that it says there is.
     hz, slope = _law(found.x, sample.bright)
-    _, left = sample.misfit((hz, slope))
     step = np.array([0.1, 0.0])
     bend = (cost(found.x + step) + cost(found.x - step) - 2 * found.fun) / 0.1**2
-    sigma = np.sqrt(max(left, 1e-3) / max(bend, 1 / _LN_HZ_SIGMA**2))
+    sigma = 1 / np.sqrt(max(bend, 1 / _LN_HZ_SIGMA**2))
     # Misfits are alike from frame to frame, so that there are fewer than frames.
     at = 0.1 * sample.bright
     timing = 2 * np.pi * (hz + slope * at) * _TIMING_S
@@ -491,10 +492,10 @@ def _noise(sample: _Sample, law: tuple[float, float]) -> float:
     """Return the noise of events under which frames are the most likely."""
     best, least = _GRID_NOISE[0], np.inf
     for each in _GRID_NOISE:
-        cost, _ = sample.misfit(law, (NOISE[0], each, NOISE[2]))
-        if cost >= least:
+        chi, log, _ = sample.misfit(law, (NOISE[0], each, NOISE[2]))
+        if chi + log >= least:
             break
-        best, least = each, cost
+        best, least = each, chi + log
     return best
 
 
