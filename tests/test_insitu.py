@@ -116,6 +116,15 @@ def test_the_bandwidth_is_found(estimate):
     assert 0 < estimate.bandwidth.sigma < 0.1
 
 
+def test_the_bandwidth_is_found_at_high_speed_too():
+    """There the stated variances are tens of times too large, and must not decide."""
+    camera = Camera.preset("nominal", seed=4, size=(8, 8))
+    scene = RotatingPolarizer(rpm=1013.0, start_angle=0.7)
+    found = bandwidth_in_situ(camera.record(scene, 2.0)[0], nominal=NOMINAL)
+    assert found.hz == pytest.approx(250, rel=0.035)
+    assert abs(np.log(found.hz / 250)) < 1.5 * found.sigma < 0.08
+
+
 def test_a_fan_s_steps_do_not_pass_for_a_bandwidth_that_follows_the_light():
     camera = Camera.preset("nominal", size=(8, 32), origin=(54, 156))
     recording, _ = camera.record(Fan(rpm=1013.0), 1.3)

@@ -71,8 +71,9 @@ _LN_HZ, _LN_HZ_SIGMA = np.log(USUAL_BANDWIDTH[0]), USUAL_BANDWIDTH[2]
 _ALIKE, _LAW, _TIMING_S = 2.5, 0.02, 12e-6
 _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 # How much likelier, in ln, a bandwidth that follows the light must be than a constant
-# one (a fan's steps make it 2 to 5, pixels that do follow 9 or more); and how near a
-# coarse look must come for the constant one to have a chance.
+# one (a fan's steps make it up to 18, pixels that do follow 37 or more, but for the
+# dimmest light); and how near a coarse look must come for the constant one to have a
+# chance.
 _EVIDENCE, _NEAR = 20.0, 500.0
 
 _EVER = -(2**62), 2**62
@@ -452,7 +453,7 @@ def _bandwidth(sample: _Sample) -> Bandwidth:
         chi, log, n = sample.misfit(_law(point, sample.bright))
         # The scale of the variances, which a fast light overrates by tens, is what
         # makes the innovations likeliest: else sum ln v decides, not what fits.
-        return 0.5 * float(n * np.log(max(chi, 1e-9 * n) / max(n, 1)) + log + prior)
+        return 0.5 * float(n * np.log(max(chi / max(n, 1), 1e-9)) + log + prior)
 
     # Between the grid's points the misfit may be far less than at them.
     tried: list[tuple[float, NDArray[np.float64]]] = []
