@@ -55,7 +55,7 @@ _MAX_SECONDS, _MAX_EVENTS = 10.0, 5_000_000
 # same way at each turn: thresholds come out up to 30 % too small.
 _LEAST_DN = 16.0
 # What the model of the photoreceptors has wrong, as a part of what it changes.
-_MODEL_SHARE = 0.55
+_MODEL_SHARE = 0.6
 # For the bandwidth a sample of pixels is enough.
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
 # How far, in ln, the balance of their events may be from that of most.
