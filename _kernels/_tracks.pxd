@@ -131,8 +131,8 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     if gap < 100.0:
         gap = 100.0
     s = (t - <double>walk.t) / gap
-    part.var = 0.001
-    part.rate_var = 0.002
+    part.var = 0.0005
+    part.rate_var = 0.0008
     if flickers:
         last = on if walk.p else -off
         next = on if p1 else -off

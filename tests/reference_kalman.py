@@ -54,7 +54,7 @@ def line(before, t0, p0, t1, p1, ratio, same, t):
     gap = max(t1 - t0, 100)
     s, hz = (t - t0) / gap, 1e6 / gap
     if same:
-        return p1, s, hz, 0.001, 0.002 * hz**2, 0.0 if p1 else hz
+        return p1, s, hz, 0.0005, 0.0008 * hz**2, 0.0 if p1 else hz
     turn, spread, fall = 0.366, (0.05, 1.0), 0.0
     if before is not None and before[1] == p0:
         q = max(t0 - before[0], 100) / gap
