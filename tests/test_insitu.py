@@ -35,13 +35,16 @@ def ratio_error(camera, estimate):
 
 def test_the_ratio_of_the_thresholds_is_found(nominal, estimate):
     error = ratio_error(nominal[0], estimate)
-    assert np.sqrt(np.mean(error**2)) < 0.006
+    assert np.sqrt(np.mean(error**2)) < 0.003
     assert estimate.sigma.shape == (2, 8, 8)
 
 
 @pytest.mark.parametrize("rpm", [30, 60, 200, 1000])
 def test_one_sigma_covers_two_thirds_of_the_errors_of_thresholds(rpm):
-    """Over chips and start angles: a part of the error is the same in a whole chip."""
+    """Over chips and start angles: a part of the error is the same in a whole chip.
+
+    At 1000 RPM nearly all of the ratio's error is leak, which is alike in all chips.
+    """
     covered = []
     for chip in range(11, 17):
         camera = Camera.preset("nominal", seed=chip, size=(8, 8))
@@ -57,9 +60,42 @@ def test_one_sigma_covers_two_thirds_of_the_errors_of_thresholds(rpm):
         assert 0.001 < found.common < 0.02
         assert np.all(np.linalg.eigvalsh(found.covariance) > 0)
     ratio, on, off = np.mean(covered, 0)
-    assert 0.56 < ratio < 0.82
+    assert 0.56 < ratio < (0.82 if rpm < 1000 else 0.88)
     assert 0.58 < on < 0.82
     assert 0.58 < off < 0.82
+
+
+def test_one_sigma_covers_two_thirds_of_the_errors_of_a_bench():
+    """A slow recording of 8 s with dark values: thresholds to a half per cent."""
+    covered = []
+    for chip in (21, 22, 23):
+        camera = Camera.preset("nominal", seed=chip, size=(8, 8))
+        known = Calibration(sensor_size=(8, 8), dark=camera.maps["dark_dn"])
+        found = thresholds_in_situ(
+            camera.record(RotatingPolarizer(rpm=60.8, start_angle=0.7 * chip), 8.0)[0],
+            nominal=NOMINAL, calibration=known, bandwidth=Bandwidth(250, 0, 3, 0.03))
+        ratio = ratio_error(camera, found)
+        size = np.stack([found.theta_on - camera.maps["theta_on"],
+                         found.theta_off - camera.maps["theta_off"]])
+        assert np.sqrt(np.mean(ratio**2)) < 0.0025
+        assert np.sqrt(np.mean(size**2)) < 0.0013
+        covered.append([np.mean(np.abs(ratio) < found.ratio_sigma),
+                        np.mean(np.abs(size) < found.sigma)])
+    assert np.all(np.abs(np.mean(covered, 0) - 0.68) < 0.12)
+
+
+@pytest.mark.parametrize("leak_hz", [0.1, 0.2, 0.4])
+def test_the_usual_leak_is_taken_out_of_the_ratio(leak_hz):
+    """What is left is the difference from it, divided by the ON events per second."""
+    camera = Camera.preset("nominal", seed=5, size=(8, 8), dvs={"leak_hz": leak_hz})
+    recording, _ = camera.record(RotatingPolarizer(rpm=506.5), 2.0)
+    on_per_s = sum(np.count_nonzero(packet.events["p"]) for packet
+                   in recording.packets()) / 64 / 2.0
+    found = thresholds_in_situ(recording, nominal=NOMINAL,
+                               bandwidth=Bandwidth(250, 0, 3, 0.03))
+    left = -np.mean(ratio_error(camera, found)) * on_per_s
+    assert left == pytest.approx(leak_hz - 0.2, abs=0.06)
+    assert np.median(found.ratio_sigma) * on_per_s == pytest.approx(0.12, abs=0.03)
 
 
 def test_pixels_are_not_pulled_together_more_than_they_scatter():

@@ -15,12 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["LEAK_HZ", "Doubts", "Seen", "brighter", "offsets_dn", "settled",
-           "shrunk", "vertex"]
+__all__ = ["LEAK_HZ", "Doubts", "Seen", "Unseen", "brighter", "settled", "shrunk",
+           "unseen", "vertex"]
 
-LEAK_HZ = 0.295
-"""Leak events of a pixel per second, which pass for a larger ratio of its thresholds:
-what they add up to in each period is the same."""
+LEAK_HZ = (0.2, 0.1)
+"""Leak events of a pixel per second, mean and standard deviation over cameras.
+
+ON events without a change of the light pass for a lower ON threshold.  What they add
+up to is the same in every period, so a recording at one speed hardly tells them from
+the ratio of the thresholds.  0.1 per second at room temperature (Nozaki and Delbruck,
+IEEE Trans. Electron Devices 64, 2017), more in bright light.
+"""
 
 _Symmetric = tuple[
     NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -29,8 +34,9 @@ _Symmetric = tuple[
 # for less) and the common one; in DN, where a dark frame was taken off.
 _OFFSET_SHARES, _DARK_DN = (0.7, 0.2), (0.2, 0.1)
 # However well frames fit, this part of the variance that they were assumed to have is
-# alike from frame to frame, and stays in the scale of the thresholds.
-_ALIKE = 0.45
+# alike from frame to frame, and stays in the scale of the thresholds; the latter, where
+# a dark frame was taken off.
+_ALIKE, _DARK_ALIKE = 0.45, 0.25
 _USUAL_MISMATCH = 0.035
 # What scatter of the pixels' estimates is theirs: no more than is left if samples err
 # by so much more, in variance, than they were assumed to; no less than this part of
@@ -40,6 +46,8 @@ _CAUTION, _LEAST_SPREAD = 2.0, 0.5
 _MISLED = 4.0
 # So many pixels tell what scatter they have.
 _TELLING = 12
+# A pixel with fewer ON events per second tells nothing of its thresholds' ratio.
+_LEAST_PER_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +71,33 @@ def brighter(frame: ApsFrame) -> ApsFrame:
         full_scale_dn=frame.full_scale_dn)
 
 
+@dataclass(frozen=True)
+class Unseen:
+    """What frames have wrong in the same way all the time.
+
+    Parameters
+    ----------
+    offset_dn : (float, float)
+        Standard deviation of the offset of frames, a pixel's own and the common one.
+    alike : float
+        Part of the assumed variance of frames that is alike from frame to frame.
+    """
+
+    offset_dn: tuple[float, float]
+    alike: float
+
+
+def unseen(sensor: Sensor | None, dark: bool) -> Unseen:
+    """Return what is wrong in frames that double sampling leaves.
+
+    Or in those that a dark frame was taken off, if `dark`.
+    """
+    if dark:
+        return Unseen(_DARK_DN, _DARK_ALIKE)
+    left = (sensor or Sensor.PDAVIS).offset_dn
+    return Unseen((left * _OFFSET_SHARES[0], left * _OFFSET_SHARES[1]), _ALIKE)
+
+
 @dataclass(frozen=True, eq=False)
 class Doubts:
     """What a recording's own innovations do not show.
@@ -73,31 +108,27 @@ class Doubts:
         ON events per second.
     per_dn : ndarray of float64, shape (H, W)
         Relative change of both thresholds if every frame is a DN brighter.
-    offset_dn : (float, float)
-        Standard deviation of the offset of frames, a pixel's own and the common one.
+    frames : Unseen
     model : float
-        Relative error of the scale by what the model of the photoreceptor lacks.
+        Relative error of the scale by what the models of photoreceptor and
+        interpolation lack.
     """
 
     on_per_s: NDArray[np.float64]
     per_dn: NDArray[np.float64]
-    offset_dn: tuple[float, float]
+    frames: Unseen
     model: float
 
     @property
     def common(self) -> float:
         """Relative error of the scale that all pixels share."""
         return float(np.hypot(
-            self.model, self.offset_dn[1] * np.sqrt(np.mean(self.per_dn**2))))
+            self.model, self.frames.offset_dn[1] * np.sqrt(np.mean(self.per_dn**2))))
 
-
-def offsets_dn(sensor: Sensor | None, dark: bool) -> tuple[float, float]:
-    """Return the standard deviation of frames' offsets, own and common, in DN.
-
-    Of what double sampling leaves, or of what is left when a dark frame was taken off.
-    """
-    left = (sensor or Sensor.PDAVIS).offset_dn
-    return _DARK_DN if dark else (left * _OFFSET_SHARES[0], left * _OFFSET_SHARES[1])
+    @property
+    def leak(self) -> NDArray[np.float64]:
+        """What an ON event per second adds to ln(off / on), shape (H, W)."""
+        return 1 / np.maximum(self.on_per_s, _LEAST_PER_S)
 
 
 def vertex(x: NDArray[np.float64], y: Sequence[float]) -> float:
@@ -137,7 +168,7 @@ def shrunk(
         leaves does not wholly, since it is alike from frame to frame: to the scale of
         the thresholds a part of it always counts.
     doubts : Doubts or None
-        What is added to the covariance.
+        What is added to the covariance.  The mean leak is taken out of the ratio.
 
     Returns
     -------
@@ -149,6 +180,12 @@ def shrunk(
     # What the samples say: precision, and precision times shift from the center.
     own = (total[0] - 1 / sigma**2, total[1], total[2] - 1 / sigma**2)
     pull = _times(total, (theta[0] - on, theta[1] - off))
+    alike = _ALIKE
+    if doubts is not None:
+        alike = doubts.frames.alike
+        leaked = LEAK_HZ[0] / 2 * doubts.leak
+        more = _times(own, (theta[0] * leaked, -theta[1] * leaked))
+        pull = pull[0] + more[0], pull[1] + more[1]
     means = np.array([on.mean(), off.mean()])
     careful = (max(scales[0], _CAUTION), max(scales[1], _CAUTION))
     # A sample of the pixels tells the spread.
@@ -156,11 +193,11 @@ def shrunk(
     a, b, c, first, second = (part.ravel()[some] for part in (*own, *pull))
     at = theta.reshape(2, -1)[:, some]
     trusted, spread = (
-        _spread(*_rated((a, b, c), (first, second), at, each), means, sigma)
+        _spread(*_rated((a, b, c), (first, second), at, each, alike), means, sigma)
         for each in (scales, careful))
     if np.sum(trusted / means**2) > _MISLED * np.sum(spread / means**2):
         scales = (1.0, 1.0)
-    own, pull = _rated(own, pull, theta, scales)
+    own, pull = _rated(own, pull, theta, scales, alike)
     whole = _inverse(own[0] + 1 / spread[0], own[1], own[2] + 1 / spread[1])
     shift = _times(whole, pull)
     out = np.stack([np.clip(center + by, 0.3 * center, 3 * center)
@@ -171,9 +208,9 @@ def shrunk(
         # As far as the recording, not the prior, says what the ratio is.
         at_first = float(np.sum(spread / means**2))
         told = np.clip(1 - ratio / at_first, 0, 1)
-        leak = LEAK_HZ * told / np.maximum(doubts.on_per_s, 1e-6)
+        leak = LEAK_HZ[1] * told * doubts.leak
         ratio = ratio + np.minimum(leak**2, at_first)
-        size += (doubts.offset_dn[0] * doubts.per_dn) ** 2 + doubts.common**2
+        size += (doubts.frames.offset_dn[0] * doubts.per_dn) ** 2 + doubts.common**2
     mixed *= np.sqrt(ratio)
     ratio /= 4
     together = np.empty((*theta.shape[1:], 2, 2))
@@ -239,14 +276,14 @@ def _spread(
 
 def _rated(
     own: _Symmetric, pull: tuple[NDArray[np.float64], NDArray[np.float64]],
-    theta: NDArray[np.float64], scales: tuple[float, float],
+    theta: NDArray[np.float64], scales: tuple[float, float], alike: float,
 ) -> tuple[_Symmetric, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Return what samples say with the weight that their scatter gives them.
 
     In relative terms the variances of on - off and of on + off are multiplied, that of
-    the latter by no less than a half; where samples say nothing that stays so.
+    the latter by no less than `alike`; where samples say nothing that stays so.
     """
-    for_ratio, for_size = scales[0]**-0.5, max(scales[1], _ALIKE)**-0.5
+    for_ratio, for_size = scales[0]**-0.5, max(scales[1], alike)**-0.5
     same, other = (for_size + for_ratio) / 2, (for_size - for_ratio) / 2
     on, off = theta
     least = 1e-9 * (own[0] + own[2]) + 1e-30

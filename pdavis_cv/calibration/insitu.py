@@ -20,10 +20,11 @@ from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth, combin
 from pdavis_cv.calibration.certainty import (
     Doubts,
     Seen,
+    Unseen,
     brighter,
-    offsets_dn,
     settled,
     shrunk,
+    unseen,
     vertex,
 )
 from pdavis_cv.calibration.corrected import corrected
@@ -54,8 +55,9 @@ _MAX_SECONDS, _MAX_EVENTS = 10.0, 5_000_000
 # Below it noise and the offset bend a sample's logarithm more than they scatter it, the
 # same way at each turn: thresholds come out up to 30 % too small.
 _LEAST_DN = 16.0
-# What the model of the photoreceptors has wrong, as a part of what it changes.
-_MODEL_SHARE = 0.6
+# What the model of the photoreceptors has wrong, as a part of what it changes; and what
+# interpolation has wrong in all pixels alike.
+_MODEL_SHARE, _MODEL_LEAST = 0.6, 0.002
 # For the bandwidth a sample of pixels is enough.
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
 # How far, in ln, the balance of their events may be from that of most.
@@ -194,7 +196,7 @@ def thresholds_in_situ(
     doubts = None
     if sample is not None:
         dark = calibration is not None and calibration.dark is not None
-        doubts = sample.doubts(law, offsets_dn(recording.info.sensor, dark))
+        doubts = sample.doubts(law, unseen(recording.info.sensor, dark))
     theta, covariance = shrunk(theta, covariance, nominal, sigma, scales, doubts)
     return ThresholdEstimate(
         theta[0], theta[1], covariance, found,
@@ -419,24 +421,23 @@ class _Sample:
             self.items, self.shape, self.on, self.off, SIGMA, law, noise).misfit
         return float(chi), float(log), int(n)
 
-    def doubts(
-        self, law: tuple[float, float], offset_dn: tuple[float, float]
-    ) -> Doubts:
+    def doubts(self, law: tuple[float, float], frames: Unseen) -> Doubts:
         """Return what does not show in the misfit, for all pixels of the sensor."""
         seen, as_it_is = self._seen, self._scale(self.items, law)
         brightened = self._scale(
             [brighter(item) if isinstance(item, ApsFrame) else item
              for item in self.items], law)
-        model = 0.0
+        model = _MODEL_LEAST
         if law != (0.0, 0.0):
-            model = _MODEL_SHARE * abs(self._scale(self.items, (0.0, 0.0)) - as_it_is)
+            lag = abs(self._scale(self.items, (0.0, 0.0)) - as_it_is)
+            model = math.hypot(_MODEL_LEAST, _MODEL_SHARE * lag)
         low, high = np.maximum(seen.least, _LEAST_DN), np.maximum(seen.most, _LEAST_DN)
         low = np.minimum(low, 0.99 * high)
         # An offset weighs as it bends the log of the frames.
         bend = (1 / low - 1 / high) / np.log(high / low)
         here = np.mean(bend.ravel()[self._pixels])
         per_dn = (brightened - as_it_is) / here * bend
-        return Doubts(seen.per_s / 2, per_dn, offset_dn, model)
+        return Doubts(seen.per_s / 2, per_dn, frames, model)
 
     def _scale(self, items: _Items, law: tuple[float, float]) -> float:
         """Return the mean log of the thresholds that the pixels learn."""

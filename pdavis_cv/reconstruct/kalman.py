@@ -33,9 +33,9 @@ contradicts by many standard deviations, and is taken as a jump.  What pixels di
 in, gains and angles of polarizers above all, is in it.
 """
 
-CALIBRATED_NOISE = (0.009, 0.02, 0.00006, 0.2)
-"""The same where a calibration takes the pixels' differences out: a fifth of the
-variance, and of that of read and shot noise."""
+CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.35)
+"""The same where a calibration takes the pixels' differences out: much less is left in
+frames, and a third of what is assumed of read and shot noise."""
 
 # Of a frame: read noise in DN, and DN per unit of shot noise variance.
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
