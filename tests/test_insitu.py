@@ -161,6 +161,20 @@ def test_the_bandwidth_is_found_at_high_speed_too():
     assert abs(np.log(found.hz / 250)) < 1.5 * found.sigma < 0.08
 
 
+def test_leak_does_not_pass_for_a_slow_photoreceptor():
+    """Chips at 100 RPM: it made the bandwidth 7 % too low in all of them."""
+    errors = []
+    for chip in (51, 52, 53, 54):
+        camera = Camera.preset("nominal", seed=chip, size=(8, 8))
+        recording, _ = camera.record(
+            RotatingPolarizer(rpm=101.3, start_angle=0.6 * chip), 2.0)
+        found = bandwidth_in_situ(recording, nominal=NOMINAL)
+        errors.append(np.log(found.hz / 250))
+        assert 0.02 < found.sigma < 0.06
+    assert abs(np.mean(errors)) < 0.035
+    assert np.std(errors) < 0.06
+
+
 def test_a_fan_s_steps_do_not_pass_for_a_bandwidth_that_follows_the_light():
     camera = Camera.preset("nominal", size=(8, 32), origin=(54, 156))
     recording, _ = camera.record(Fan(rpm=1013.0), 1.3)
@@ -357,8 +371,8 @@ def test_a_calibration_s_bandwidth_with_an_uncertainty_is_learned_onwards(
                     nominal_thresholds=NOMINAL).provenance["parameters"]["bandwidth"]
 
     alone = used()
-    hz, slope, sigma = used(bandwidth_hz=200.0, bandwidth_sigma=alone[2])
-    assert hz == pytest.approx(np.sqrt(200 * alone[0]), rel=1e-6)
+    hz, slope, sigma = used(bandwidth_hz=236.0, bandwidth_sigma=alone[2])
+    assert hz == pytest.approx(np.sqrt(236 * alone[0]), rel=1e-6)
     assert slope == 0
     assert sigma == pytest.approx(alone[2] / np.sqrt(2))
     sure = used(bandwidth_hz=230.0, bandwidth_sigma=0.001)
@@ -377,7 +391,7 @@ def test_a_bandwidth_from_a_slow_recording_does_not_mislead_a_fast_one():
     slow, _ = camera.record(RotatingPolarizer(rpm=60.8), 4.0, run=2)
     fast, truth = camera.record(RotatingPolarizer(rpm=1013.0, start_angle=1.0), 2.0)
     told = bandwidth_in_situ(slow, nominal=NOMINAL, calibration=Calibration(**exact))
-    assert told.sigma > 0.1
+    assert told.sigma > 0.05
     stated = Calibration(**exact, bandwidth_hz=told.hz, bandwidth_sigma=told.sigma)
     degrees, covered = [], []
     for known in (stated, Calibration(**exact)):

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["LEAK_HZ", "Doubts", "Seen", "Unseen", "brighter", "settled", "shrunk",
+__all__ = ["LEAK_HZ", "Doubts", "Seen", "Unseen", "settled", "shrunk",
            "unseen", "vertex"]
 
 LEAK_HZ = (0.2, 0.1)
@@ -61,14 +60,6 @@ class Seen:
     per_s: NDArray[np.float64]
     least: NDArray[np.float32]
     most: NDArray[np.float32]
-
-
-def brighter(frame: ApsFrame) -> ApsFrame:
-    """Return the frame with a DN more."""
-    return ApsFrame(
-        frame.dn + 1, frame.exposure_start_us, frame.exposure_end_us,
-        valid=frame.valid, available_us=frame.available_us,
-        full_scale_dn=frame.full_scale_dn)
 
 
 @dataclass(frozen=True)
