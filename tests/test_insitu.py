@@ -84,18 +84,26 @@ def test_one_sigma_covers_two_thirds_of_the_errors_of_a_bench():
     assert np.all(np.abs(np.mean(covered, 0) - 0.68) < 0.12)
 
 
-@pytest.mark.parametrize("leak_hz", [0.1, 0.2, 0.4])
-def test_the_usual_leak_is_taken_out_of_the_ratio(leak_hz):
-    """What is left is the difference from it, divided by the ON events per second."""
+@pytest.mark.parametrize(("leak_hz", "told"), [
+    (0.1, {}), (0.2, {}), (0.4, {}), (0.7, {"leak_hz": (0.7, 0.08)})])
+def test_leak_is_taken_out_of_the_ratio(leak_hz, told):
+    """What is left is what it differs by, divided by the ON events per second."""
     camera = Camera.preset("nominal", seed=5, size=(8, 8), dvs={"leak_hz": leak_hz})
     recording, _ = camera.record(RotatingPolarizer(rpm=506.5), 2.0)
     on_per_s = sum(np.count_nonzero(packet.events["p"]) for packet
                    in recording.packets()) / 64 / 2.0
     found = thresholds_in_situ(recording, nominal=NOMINAL,
-                               bandwidth=Bandwidth(250, 0, 3, 0.03))
+                               bandwidth=Bandwidth(250, 0, 3, 0.03), **told)
     left = -np.mean(ratio_error(camera, found)) * on_per_s
-    assert left == pytest.approx(leak_hz - 0.2, abs=0.06)
-    assert np.median(found.ratio_sigma) * on_per_s == pytest.approx(0.12, abs=0.03)
+    expected = leak_hz - told.get("leak_hz", (0.2,))[0]
+    assert left == pytest.approx(expected, abs=0.1)
+    assert np.median(found.ratio_sigma) * on_per_s == pytest.approx(0.12, abs=0.04)
+
+
+@pytest.mark.parametrize("leak_hz", [0.3, (0.3, -0.1), (np.nan, 0.1)])
+def test_a_leak_is_a_mean_and_a_standard_deviation(nominal, leak_hz):
+    with pytest.raises(ValueError, match="leak_hz"):
+        thresholds_in_situ(nominal[1], nominal=NOMINAL, leak_hz=leak_hz)
 
 
 def test_pixels_are_not_pulled_together_more_than_they_scatter():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pdavis_cv import Calibration, Layout, Recording, fuse, open_recording
 from pdavis_cv.aps import clip_level
 from pdavis_cv.calibration.align import alignment
+from pdavis_cv.calibration.certainty import LEAK_HZ
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
 from pdavis_cv.calibration.insitu import thresholds_in_situ
@@ -259,7 +260,7 @@ def _thresholds(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
     found = thresholds_in_situ(
-        recordings[0], nominal=args.nominal, calibration=known)
+        recordings[0], nominal=args.nominal, calibration=known, leak_hz=args.leak_hz)
     sigma = found.sigma
     page = Page("Contrast thresholds")
     for name, plane, error in (("ON", found.theta_on, sigma[0]),
@@ -421,6 +422,10 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
         parser.add_argument("--nominal", type=lambda text: tuple(numbers(text, 2)),
                             metavar="ON,OFF", default=(0.2, 0.2),
                             help="expected thresholds, ln units; default 0.2,0.2")
+        parser.add_argument("--leak-hz", type=lambda text: tuple(numbers(text, 2)),
+                            metavar="MEAN,SD", default=LEAK_HZ,
+                            help="leak events per second; default "
+                                 f"{LEAK_HZ[0]:g},{LEAK_HZ[1]:g}")
     if part in ("sweep", "all"):
         parser.add_argument("--angles", type=_floats, metavar="DEG,DEG,...",
                             help="one angle per file; else one file holds all steps")

@@ -17,13 +17,14 @@ from pdavis_cv.sensor import Sensor
 __all__ = ["LEAK_HZ", "Doubts", "Seen", "Unseen", "settled", "shrunk",
            "unseen", "vertex"]
 
-LEAK_HZ = (0.2, 0.1)
-"""Leak events of a pixel per second, mean and standard deviation over cameras.
+LEAK_HZ = (0.2, 0.08)
+"""Leak events of a pixel per second at usual biases, mean and standard deviation.
 
 ON events without a change of the light pass for a lower ON threshold.  What they add
 up to is the same in every period, so a recording at one speed hardly tells them from
 the ratio of the thresholds.  0.1 per second at room temperature (Nozaki and Delbruck,
-IEEE Trans. Electron Devices 64, 2017), more in bright light.
+IEEE Trans. Electron Devices 64, 2017), more in bright light and at low thresholds
+(the paper, table 1: 0.7 at the lowest, under 26 DN/ms).
 """
 
 _Symmetric = tuple[
@@ -103,12 +104,15 @@ class Doubts:
     model : float
         Relative error of the scale by what the models of photoreceptor and
         interpolation lack.
+    leak_hz : (float, float)
+        Leak events of a pixel per second, mean and standard deviation.
     """
 
     on_per_s: NDArray[np.float64]
     per_dn: NDArray[np.float64]
     frames: Unseen
     model: float
+    leak_hz: tuple[float, float] = LEAK_HZ
 
     @property
     def common(self) -> float:
@@ -117,8 +121,8 @@ class Doubts:
             self.model, self.frames.offset_dn[1] * np.sqrt(np.mean(self.per_dn**2))))
 
     @property
-    def leak(self) -> NDArray[np.float64]:
-        """What an ON event per second adds to ln(off / on), shape (H, W)."""
+    def per_leak(self) -> NDArray[np.float64]:
+        """What a leak event per second adds to ln(off / on), shape (H, W)."""
         return 1 / np.maximum(self.on_per_s, _LEAST_PER_S)
 
 
@@ -174,7 +178,7 @@ def shrunk(
     alike = _ALIKE
     if doubts is not None:
         alike = doubts.frames.alike
-        leaked = LEAK_HZ[0] / 2 * doubts.leak
+        leaked = doubts.leak_hz[0] / 2 * doubts.per_leak
         more = _times(own, (theta[0] * leaked, -theta[1] * leaked))
         pull = pull[0] + more[0], pull[1] + more[1]
     means = np.array([on.mean(), off.mean()])
@@ -199,7 +203,7 @@ def shrunk(
         # As far as the recording, not the prior, says what the ratio is.
         at_first = float(np.sum(spread / means**2))
         told = np.clip(1 - ratio / at_first, 0, 1)
-        leak = LEAK_HZ[1] * told * doubts.leak
+        leak = doubts.leak_hz[1] * told * doubts.per_leak
         ratio = ratio + np.minimum(leak**2, at_first)
         size += (doubts.frames.offset_dn[0] * doubts.per_dn) ** 2 + doubts.common**2
     mixed *= np.sqrt(ratio)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._feed import Feed
 from pdavis_cv.calibration.bandwidth import Bandwidth, combined
-from pdavis_cv.calibration.certainty import settled, shrunk, unseen
+from pdavis_cv.calibration.certainty import LEAK_HZ, settled, shrunk, unseen
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.known import calibrated, noise_of, stated_bandwidth
 from pdavis_cv.calibration.model import Calibration
@@ -94,6 +94,7 @@ def thresholds_in_situ(
     sigma: float = SIGMA,
     bandwidth: Bandwidth | str | None = "in-situ",
     calibration: Calibration | None = None,
+    leak_hz: tuple[float, float] = LEAK_HZ,
     start_us: int | None = None,
     stop_us: int | None = None,
 ) -> ThresholdEstimate:
@@ -116,6 +117,9 @@ def thresholds_in_situ(
         Of the photoreceptors; estimated first, or lag is neglected.
     calibration : Calibration, optional
         Its dark, gain and clip level are applied to the frames.
+    leak_hz : (float, float)
+        Leak events of a pixel per second, mean and standard deviation.  The mean is
+        taken out, the rest counts: a turning polarizer does not tell the leak.
     start_us, stop_us : int, optional
         The part to look at, at most 10 s and 5 million events of it; default: from
         the beginning.
@@ -127,16 +131,22 @@ def thresholds_in_situ(
     Raises
     ------
     ValueError
-        If ``sigma`` is not positive or ``bandwidth`` is another word.
+        If ``sigma`` is not positive, ``bandwidth`` is another word, or ``leak_hz`` is
+        not two numbers of at least 0.
     """
     if not sigma > 0:
         raise ValueError(f"sigma must be positive, got {sigma}")
     if isinstance(bandwidth, str) and bandwidth != "in-situ":
         raise ValueError(
             f"bandwidth must be 'in-situ', a Bandwidth or None, got {bandwidth!r}")
+    if np.shape(leak_hz) != (2,) or not (np.isfinite(leak_hz).all()
+                                         and min(leak_hz) >= 0):
+        raise ValueError(
+            "leak_hz must be (mean, standard deviation), each at least 0, got "
+            f"{leak_hz!r}")
     shape = recording.info.sensor_size
     items = _window(recording, nominal, calibration, start_us, stop_us)
-    sample = busy_pixels(items, shape, nominal)
+    sample = busy_pixels(items, shape, nominal, leak_hz)
     found = bandwidth if isinstance(bandwidth, Bandwidth) else None
     if sample is not None and isinstance(bandwidth, str):
         found = fit_bandwidth(sample)

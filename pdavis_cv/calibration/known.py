@@ -1,6 +1,7 @@
 """What a calibration tells a method, where the caller does not."""
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,10 @@ __all__ = ["calibrated", "noise_of", "stated_bandwidth"]
 
 _KNOWN_SIGMA = 0.0005
 """Standard deviation of a calibration's thresholds that come without an uncertainty."""
+
+_TOGETHER = math.sqrt(2)
+"""ON and OFF thresholds of a pixel err together, in their scale.  The filter takes them
+to err independently, and would take the scale for known better by so much."""
 
 
 def noise_of(
@@ -42,7 +47,7 @@ def calibrated(
     if calibration.theta_on is not None and thresholds in (None, "calibration"):
         on, off = calibration.theta_on_sigma, calibration.theta_off_sigma
         known.setdefault("threshold_sigma", _KNOWN_SIGMA if on is None or off is None
-                         else float(np.median([on, off])))
+                         else _TOGETHER * float(np.median([on, off])))
     return known
 
 

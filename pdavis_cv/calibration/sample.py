@@ -91,8 +91,9 @@ class Sample:
     """Some busy pixels, in one row, and how badly a filter fits them."""
 
     def __init__(self, pixels: NDArray[np.intp], items: Items, shape: tuple[int, int],
-                 nominal: tuple[ArrayLike, ArrayLike], seen: Seen) -> None:
-        self.items, self.shape = items, (1, len(pixels))
+                 nominal: tuple[ArrayLike, ArrayLike], seen: Seen,
+                 leak_hz: tuple[float, float]) -> None:
+        self.items, self.shape, self.leak_hz = items, (1, len(pixels)), leak_hz
         self._pixels, self._seen = pixels, seen
         self.on, self.off = (
             np.broadcast_to(np.asarray(value, np.float64), shape).ravel()[pixels][None]
@@ -114,7 +115,7 @@ class Sample:
         """
         frames = [item for item in self.items if isinstance(item, ApsFrame)]
         middle = float(np.mean([frame.mid_us for frame in frames]))
-        rate = LEAK_HZ[0] * float(self.on.mean()) / 1e6
+        rate = self.leak_hz[0] * float(self.on.mean()) / 1e6
         other = copy(self)
         other.items = [
             _with(item, item.dn * math.exp(rate * (item.mid_us - middle)))
@@ -146,7 +147,7 @@ class Sample:
         bend = (1 / low - 1 / high) / np.log(high / low)
         here = np.mean(bend.ravel()[self._pixels])
         per_dn = (brightened - as_it_is) / here * bend
-        return Doubts(seen.per_s / 2, per_dn, frames, model)
+        return Doubts(seen.per_s / 2, per_dn, frames, model, self.leak_hz)
 
     def _scale(self, items: Items, law: tuple[float, float]) -> float:
         """Return the mean log of the thresholds that the pixels learn."""
@@ -156,7 +157,8 @@ class Sample:
 
 
 def busy_pixels(
-    items: Items, shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike]
+    items: Items, shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike],
+    leak_hz: tuple[float, float] = LEAK_HZ,
 ) -> Sample | None:
     """Return some busy pixels, None if frames or events are too few."""
     here, polarities = np.zeros((2, 2, *shape), np.int32)
@@ -233,4 +235,4 @@ def busy_pixels(
             full_scale_dn=item.full_scale_dn))
     if pending:
         part.append(np.concatenate(pending))
-    return Sample(pixels, part, shape, nominal, seen)
+    return Sample(pixels, part, shape, nominal, seen, leak_hz)

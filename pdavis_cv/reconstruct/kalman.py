@@ -33,7 +33,7 @@ contradicts by many standard deviations, and is taken as a jump.  What pixels di
 in, gains and angles of polarizers above all, is in it.
 """
 
-CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.35)
+CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.33)
 """The same where a calibration takes the pixels' differences out: much less is left in
 frames, and a third of what is assumed of read and shot noise."""
 
