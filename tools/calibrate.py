@@ -271,6 +271,7 @@ def _thresholds(
     page.say("ON/OFF ratio", f"error of one {100 * np.median(found.ratio_sigma):.2f} %")
     page.say("scale in common", f"error of all {100 * found.common:.2f} %, in the "
              "above")
+    page.say("leak taken out", "{:g} +- {:g} events per second".format(*args.leak_hz))
     page.histogram("ON/OFF ratio", found.theta_on / found.theta_off)
     values: dict[str, Any] = {
         "theta_on": found.theta_on, "theta_off": found.theta_off,
