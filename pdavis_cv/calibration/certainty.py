@@ -24,7 +24,7 @@ ON events without a change of the light pass for a lower ON threshold.  What the
 up to is the same in every period, so a recording at one speed hardly tells them from
 the ratio of the thresholds.  0.1 per second at room temperature (Nozaki and Delbruck,
 IEEE Trans. Electron Devices 64, 2017), more in bright light and at low thresholds
-(the paper, table 1: 0.7 at the lowest, under 26 DN/ms).
+(the paper's specifications: 0.7 at the lowest, under 26 DN/ms).
 """
 
 _Symmetric = tuple[
@@ -112,7 +112,7 @@ class Doubts:
     per_dn: NDArray[np.float64]
     frames: Unseen
     model: float
-    leak_hz: tuple[float, float] = LEAK_HZ
+    leak_hz: tuple[float, float]
 
     @property
     def common(self) -> float:
