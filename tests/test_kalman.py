@@ -16,8 +16,8 @@ from pdavis_cv import (
     fuse,
 )
 from pdavis_cv.analysis import Scorer
+from pdavis_cv.reconstruct.kalman.smoother import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
 from pdavis_cv.reconstruct.lamp import BLOCK_US, Wave
-from pdavis_cv.reconstruct.smooth import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
 from pdavis_cv.reconstruct.tracks import TRACK_DTYPE
 from pdavis_cv.simulation import Camera, RotatingPolarizer, ideal
 

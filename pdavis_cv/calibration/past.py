@@ -12,7 +12,7 @@ from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth, combin
 from pdavis_cv.calibration.insitu import receptors
 from pdavis_cv.calibration.known import noise_of, stated_bandwidth
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.reconstruct.clock import checked_bandwidth
+from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
 from pdavis_cv.recording.base import Recording
 
 __all__ = ["LOOKS_S", "Past"]

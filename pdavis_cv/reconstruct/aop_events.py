@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, positive, sensor_shape
 from pdavis_cv.events import as_events
-from pdavis_cv.reconstruct.clock import Clock, steps
+from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.sensor import CHANNELS, Layout
 from pdavis_cv.stokes_vector import aop
 
@@ -94,7 +94,7 @@ class AopEvents:
         self._span = float(round(_SPAN / self._rate))
         self._turns = np.zeros(((height + 1) // 2, (width + 1) // 2), TURN_DTYPE)
         self._epoch = np.full(1, -np.inf)
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
 
     def add(self, events: Any) -> NDArray[Any]:
         """Take events and return as many AoP events.

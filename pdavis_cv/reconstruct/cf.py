@@ -12,8 +12,8 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock, steps
 from pdavis_cv.reconstruct.frames import log_exposure, log_samples
+from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["CELL_DTYPE", "ComplementaryFilter"]
@@ -82,7 +82,7 @@ class ComplementaryFilter(Reconstructor):
             _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
         self._rate = 2e-6 * math.pi * self._cutoff_hz
         self._floor = GAIN_FLOOR if self._adaptive_gain else 1.0
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
         self._started = False
         self._cells = np.zeros(self.shape, CELL_DTYPE)
         self._cells["rate"] = self._rate

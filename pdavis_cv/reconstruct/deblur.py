@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate
-from pdavis_cv.reconstruct.clock import Clock
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.kalman import LOOKAHEAD_US, KalmanFilter
+from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["deblur"]
@@ -56,7 +56,7 @@ def deblur(
     counts alone, with the thresholds as given.  Event-based double integral: Pan et
     al., CVPR 2019.
     """
-    events = Clock(frame.shape).check_events(as_events(events))
+    events = StreamClock(frame.shape).check_events(as_events(events))
     t = frame.mid_us if t_us is None else int(t_us)
     begin = min(t, int(np.min(frame.column_mid_us)))
     stop = max(t, int(np.max(frame.exposure_end_us)))

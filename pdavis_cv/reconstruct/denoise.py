@@ -11,8 +11,8 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock
 from pdavis_cv.reconstruct.lamp import Wave
+from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["Denoised", "EventDenoiser"]
@@ -64,7 +64,7 @@ class EventDenoiser:
         if support not in range(1, 9):
             raise ValueError(f"support must be 1 to 8, got {support!r}")
         self._support = int(support)
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
         self._times = np.full((*self.shape, 2), _NEVER, np.int64)
         self._counts = np.zeros(self.shape, np.int32)
         self._rates = np.zeros(self.shape, np.float32)

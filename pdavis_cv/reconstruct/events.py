@@ -14,7 +14,7 @@ from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.aop_events import AopEvents, axes_of, layout_of
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.cf import CELL_DTYPE
-from pdavis_cv.reconstruct.clock import Clock, steps
+from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["EventHighPass"]
@@ -103,7 +103,7 @@ class EventHighPass(Reconstructor):
         self._steps = steps(self._theta_on, self._theta_off)
         self._leak = (
             _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
         self._cells = np.zeros(self.shape, CELL_DTYPE)
         self._cells["t"] = -np.inf  # no event yet
         self._cells["rate"] = 2e-6 * math.pi * self._cutoff_hz

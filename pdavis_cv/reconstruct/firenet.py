@@ -16,9 +16,9 @@ from pdavis_cv._checks import checked_threshold, output, sensor_shape
 from pdavis_cv.errors import WindowWarning
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock, steps
 from pdavis_cv.reconstruct.onnx import model_shapes
 from pdavis_cv.reconstruct.runner import Runner, chosen_backend, make_runner
+from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.reconstruct.turns import Turns
 from pdavis_cv.reconstruct.weights import BINS, MEMORY, Weights
 from pdavis_cv.recording.base import ApsFrame
@@ -93,7 +93,7 @@ class _Recurrent(Reconstructor):
         self._unit = unit or 1.0
         self._runner: Runner | None = None
         self._input: Array | None = None
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
         self._turns = Turns()
         self._begin()
 

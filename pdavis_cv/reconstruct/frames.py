@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, sensor_shape
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock
+from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["FrameHold", "log_exposure", "log_samples"]
@@ -82,7 +82,7 @@ class FrameHold(Reconstructor):
             raise ValueError(f"hold must be 'readout' or 'mid', got {hold!r}")
         self.shape = sensor_shape(shape)
         self._hold = hold
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
         # (shown from, log intensity, valid): the frame shown, then those to come.
         # The arrays are never written to, so snapshots may share them.
         self._frames: tuple[

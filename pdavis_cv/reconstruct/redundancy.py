@@ -12,8 +12,12 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import output, positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock, checked_bandwidth, checked_threshold
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
+from pdavis_cv.reconstruct.stream_clock import (
+    StreamClock,
+    checked_bandwidth,
+    checked_threshold,
+)
 from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
@@ -100,16 +104,16 @@ class EventRedundancy(Reconstructor):
         self._tuning = np.array([math.exp(-1 / WINDOW), RATIO_SIGMA, 1 / MEMORY, loss])
         self._prior = np.empty((*self.shape, 2))
         self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
-        self._state9 = np.zeros((*self.shape, 9))
-        self._state9[..., 1:3] = self._prior
-        self._state9[..., 3] = -1
+        self._states = np.zeros((*self.shape, 9))
+        self._states[..., 1:3] = self._prior
+        self._states[..., 3] = -1
         self._reference = np.zeros(self.shape, np.int64)
         cells = (self.shape[0] // 2, self.shape[1] // 2)
         self._balance = np.zeros((*self.shape, 6))
         self._moments = np.zeros((*cells, 12))
         self._quality = np.ones((*cells, 2), np.float32)
         self._tracks = Tracks(self.shape, self.lookahead_us)
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
         self._unsolved = False
@@ -172,7 +176,7 @@ class EventRedundancy(Reconstructor):
                 log, _ = self._log(k * STEP_US)
                 _kernels.redundancy_sample(
                     log, self._null, self._prior, self._tuning, tracks.tracks,
-                    self._state9, self._balance, self._moments)
+                    self._states, self._balance, self._moments)
                 self._unsolved = True
             else:
                 # Nothing happens until the next event, or the next solution.
@@ -184,7 +188,7 @@ class EventRedundancy(Reconstructor):
                                      * SOLVE_EVERY)
             if k % SOLVE_EVERY == 0 and self._unsolved:
                 _kernels.redundancy_solve(
-                    PULL, LEAST, self._moments, self._state9, self._quality)
+                    PULL, LEAST, self._moments, self._states, self._quality)
                 self._unsolved = False
         self._lamp.forget(until_us - MEMORY_US)
 
@@ -198,7 +202,7 @@ class EventRedundancy(Reconstructor):
         _kernels.kalman_read(
             t, t + self.lookahead_us, tracks.store, tracks.link, tracks.first,
             self._lag, self._lamp.waves, self._lamp.start_us, tracks.tracks,
-            self._reference, self._state9, 0.0, log, variance,
+            self._reference, self._states, 0.0, log, variance,
             np.empty(self.shape, np.uint8))
         return log, variance
 
@@ -224,7 +228,7 @@ class EventRedundancy(Reconstructor):
         """Return the state; only what comparisons change unless whole."""
         return {"last_us": self._clock.last_us,
                 "tracks": self._tracks.state() if whole else self._tracks.mark(),
-                "state": self._state9.copy(), "balance": self._balance.copy(),
+                "state": self._states.copy(), "balance": self._balance.copy(),
                 "moments": self._moments.copy(), "quality": self._quality.copy(),
                 "next": self._next, "unsolved": self._unsolved,
                 "lamp": self._lamp.state()}
@@ -232,7 +236,7 @@ class EventRedundancy(Reconstructor):
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us = state["last_us"]
         self._tracks.restore(state["tracks"])
-        self._state9[:] = state["state"]
+        self._states[:] = state["state"]
         self._balance[:] = state["balance"]
         self._moments[:] = state["moments"]
         self._quality[:] = state["quality"]

@@ -11,11 +11,15 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import output, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.clock import Clock, checked_bandwidth, checked_threshold
 from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
+from pdavis_cv.reconstruct.kalman.smoother import NODE_DTYPE, Smoother
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
-from pdavis_cv.reconstruct.saturation import VALID_VARIANCE, Saturated
-from pdavis_cv.reconstruct.smooth import NODE_DTYPE, Smoother
+from pdavis_cv.reconstruct.stream_clock import (
+    StreamClock,
+    checked_bandwidth,
+    checked_threshold,
+)
 from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
@@ -150,11 +154,11 @@ class KalmanFilter(Reconstructor):
         self._tuning = np.array([*self._noise[1:3], *self._bandwidth])
         self._prior = np.empty((*self.shape, 2))
         self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
-        self._state9 = np.zeros((*self.shape, 9))
-        self._state9[..., 1:3] = self._prior
-        self._state9[..., 3] = -1
-        self._state9[..., 6] = self._sigma[0] ** 2
-        self._state9[..., 8] = self._sigma[1] ** 2
+        self._states = np.zeros((*self.shape, 9))
+        self._states[..., 1:3] = self._prior
+        self._states[..., 3] = -1
+        self._states[..., 6] = self._sigma[0] ** 2
+        self._states[..., 8] = self._sigma[1] ** 2
         self._reference = np.zeros(self.shape, np.int64)
         offline = mode == "offline"
         self._tracks = Tracks(self.shape, KEEP_US + self._wait_us, late=offline)
@@ -162,7 +166,7 @@ class KalmanFilter(Reconstructor):
         self._saturated = Saturated(
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
             self._bandwidth)
-        self._clock = Clock(self.shape)
+        self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._frames: tuple[_Frame, ...] = ()
         self._chi = np.zeros(3)
@@ -182,7 +186,7 @@ class KalmanFilter(Reconstructor):
 
         The covariance has shape (H, W, 2, 2).
         """
-        s = self._state9
+        s = self._states
         return (np.moveaxis(s[..., 1:3], -1, 0).copy(),
                 s[..., [6, 7, 7, 8]].reshape(*self.shape, 2, 2))
 
@@ -237,13 +241,13 @@ class KalmanFilter(Reconstructor):
         if self._smoother is not None:
             self._smoother.read(
                 t, t + self._wait_us, recent, self._tuning,
-                self._lamp, self._state9, VALID_VARIANCE, log, variance, valid)
+                self._lamp, self._states, VALID_VARIANCE, log, variance, valid)
         else:
             recent.chain_pending()
             _kernels.kalman_read(
                 t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
                 self._lamp.waves, self._lamp.start_us, recent.tracks, self._reference,
-                self._state9, VALID_VARIANCE, log, variance, valid.view(np.uint8))
+                self._states, VALID_VARIANCE, log, variance, valid.view(np.uint8))
         if self._offset_dn:
             off = (self._offset_dn * self._pull) ** 2
             variance += np.where(variance >= 0, off, 0).astype(np.float32)
@@ -270,11 +274,11 @@ class KalmanFilter(Reconstructor):
                 frame.sample, frame.noise, frame.per_dn, frame.times, frame.known_us,
                 recent.store, recent.link, recent.first, recent.old, recent.committed,
                 self._prior, self._tuning, self._lamp.waves, self._lamp.start_us,
-                recent.tracks, self._reference, self._state9, self._pull, self._chi,
+                recent.tracks, self._reference, self._states, self._pull, self._chi,
                 totals, nodes)
             if smoother is not None:
                 smoother.pass_until(
-                    frame.known_us - self.lookahead_us, self._state9)
+                    frame.known_us - self.lookahead_us, self._states)
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
     def _state(self) -> Mapping[str, Any]:
@@ -285,7 +289,7 @@ class KalmanFilter(Reconstructor):
         tracks, smoother = self._tracks, self._smoother
         return {"last_us": self._clock.last_us, "frames": self._frames,
                 "tracks": tracks.state() if whole else tracks.mark(),
-                "reference": self._reference.copy(), "state": self._state9.copy(),
+                "reference": self._reference.copy(), "state": self._states.copy(),
                 "chi": self._chi.copy(), "pull": self._pull.copy(),
                 "lamp": self._lamp.state(),
                 "saturated": self._saturated.state() if whole else None, "smoother": (
@@ -297,7 +301,7 @@ class KalmanFilter(Reconstructor):
         self._frames = state["frames"]
         self._tracks.restore(state["tracks"])
         self._reference[:] = state["reference"]
-        self._state9[:] = state["state"]
+        self._states[:] = state["state"]
         self._chi[:] = state["chi"]
         self._pull[:] = state["pull"]
         self._lamp.restore(state["lamp"])

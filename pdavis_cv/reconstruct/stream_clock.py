@@ -12,7 +12,7 @@ from pdavis_cv._checks import checked_threshold
 from pdavis_cv.events import as_events, bad_event
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["BANDWIDTH_SIGMA", "NEVER", "Clock", "checked_bandwidth",
+__all__ = ["BANDWIDTH_SIGMA", "NEVER", "StreamClock", "checked_bandwidth",
            "checked_threshold", "steps"]
 
 BANDWIDTH_SIGMA = 0.03
@@ -21,7 +21,7 @@ BANDWIDTH_SIGMA = 0.03
 NEVER = int(np.iinfo(np.int64).min)
 
 
-class Clock:
+class StreamClock:
     """The last time that a Reconstructor has seen.
 
     Parameters
