@@ -50,7 +50,10 @@ _HOME = {
     "ApsFrame": "recording.base",
     "Packet": "recording.base",
     "Recording": "recording.base",
+    "RecordingInfo": "recording.base",
+    "Source": "recording.base",
     "recording_from_arrays": "recording.memory",
+    "source_from_packets": "recording.stream",
     "open_recording": "recording.open",
     "Aedat2Writer": "recording.aedat2_writer",
     "write_aedat2": "recording.aedat2_writer",
@@ -187,8 +190,10 @@ __all__ = [
     "Reconstructor",
     "Recording",
     "RecordingError",
+    "RecordingInfo",
     "Sensor",
     "Snapshot",
+    "Source",
     "VideoCapture",
     "Weights",
     "WeightsError",
@@ -214,6 +219,7 @@ __all__ = [
     "response_table",
     "simulation",
     "slices",
+    "source_from_packets",
     "stokes",
     "time_surface",
     "unpack",
@@ -311,9 +317,12 @@ if TYPE_CHECKING:
         ApsFrame,
         Packet,
         Recording,
+        RecordingInfo,
+        Source,
     )
     from pdavis_cv.recording.memory import recording_from_arrays
     from pdavis_cv.recording.open import open_recording
+    from pdavis_cv.recording.stream import source_from_packets
     from pdavis_cv.sensor import CHANNELS, Layout, Sensor
     from pdavis_cv.stokes_vector import aop, debias_dolp, dolp, stokes
 

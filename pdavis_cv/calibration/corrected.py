@@ -25,6 +25,4 @@ def corrected(frame: ApsFrame, known: Calibration | None) -> ApsFrame:
     dn, valid = correct(frame.dn, dark, gain, clip_dn, frame.valid)
     if known is not None and known.usable is not None:
         valid &= known.usable
-    return ApsFrame(
-        dn, frame.exposure_start_us, frame.exposure_end_us, valid=valid,
-        available_us=frame.available_us, full_scale_dn=frame.full_scale_dn)
+    return frame.replace(dn=dn, valid=valid, reset=None, signal=None)

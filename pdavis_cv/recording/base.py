@@ -1,4 +1,4 @@
-"""What a recording is: Recording, Packet, ApsFrame, and the facts about one."""
+"""What samples come from: Source, Recording, Packet, ApsFrame, and the facts."""
 from __future__ import annotations
 
 import dataclasses
@@ -27,6 +27,7 @@ __all__ = [
     "Recording",
     "RecordingInfo",
     "Report",
+    "Source",
     "joined",
 ]
 
@@ -157,6 +158,21 @@ class ApsFrame:
         duration = np.asarray(self.exposure_end_us) - self.exposure_start_us
         return float(np.mean(duration)) / 1000
 
+    def replace(self, **changes: Any) -> ApsFrame:
+        """Return a copy with some attributes changed; the others are shared.
+
+        Parameters
+        ----------
+        **changes
+            Of the constructor's parameters, checked as there.
+
+        Returns
+        -------
+        ApsFrame
+        """
+        return ApsFrame(**{name: getattr(self, name) for name in self.__slots__}
+                        | changes)
+
     def cropped(self, rows: slice, columns: slice) -> ApsFrame:
         """Return the frame of a part of the sensor; arrays are views where possible."""
         def part(array: NDArray[Any] | None) -> NDArray[Any] | None:
@@ -165,10 +181,10 @@ class ApsFrame:
         def times(value: int | NDArray[np.int64]) -> int | NDArray[np.int64]:
             return value if isinstance(value, int) else value[columns]
 
-        return ApsFrame(
-            self.dn[rows, columns], times(self.exposure_start_us),
-            times(self.exposure_end_us), valid=part(self.valid),
-            available_us=self.available_us, full_scale_dn=self.full_scale_dn,
+        return self.replace(
+            dn=self.dn[rows, columns],
+            exposure_start_us=times(self.exposure_start_us),
+            exposure_end_us=times(self.exposure_end_us), valid=part(self.valid),
             reset=part(self.reset), signal=part(self.signal))
 
     def corrected(
@@ -194,10 +210,7 @@ class ApsFrame:
             A new frame with the same times and reads.
         """
         dn, valid = correct(self.dn, dark, gain, clip_dn, self.valid)
-        return ApsFrame(
-            dn, self.exposure_start_us, self.exposure_end_us, valid=valid,
-            available_us=self.available_us, full_scale_dn=self.full_scale_dn,
-            reset=self.reset, signal=self.signal)
+        return self.replace(dn=dn, valid=valid)
 
     def __repr__(self) -> str:
         height, width = self.dn.shape
@@ -398,11 +411,10 @@ class Report:
     problems: tuple[Problem, ...]
 
 
-class Recording(ABC):
-    """A source of packets that can be read again and concurrently.
+class Source(ABC):
+    """Packets in time order that may be readable only once: a file or a camera.
 
-    ``open_recording`` and ``recording_from_arrays`` make them.  Use as a context
-    manager, or call `close`.  Pickles by path (in-memory recordings by value).
+    Use as a context manager, or call `close`.
     """
 
     @property
@@ -414,6 +426,38 @@ class Recording(ABC):
     @abstractmethod
     def problems(self) -> Sequence[Problem]:
         """What was found wrong so far; grows while reading, each finding once."""
+
+    @abstractmethod
+    def packets(self) -> Iterator[Packet]:
+        """Iterate over all samples in time order.
+
+        Yields
+        ------
+        Packet
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release what is read; reading afterwards raises ValueError."""
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is read, None if there is none."""
+        return None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Recording(Source):
+    """A source that can be read again, by interval, and concurrently.
+
+    ``open_recording`` and ``recording_from_arrays`` make them.  Pickles by path
+    (in-memory recordings by value).
+    """
 
     @abstractmethod
     def packets(
@@ -455,15 +499,6 @@ class Recording(ABC):
         return joined([_no_events(),
                        *(p.events for p in self.packets(start_us, stop_us))])
 
-    @abstractmethod
-    def close(self) -> None:
-        """Release the file; reading afterwards raises ValueError."""
-
-    @property
-    def path(self) -> Path | None:
-        """The file that is read, None for a recording in memory."""
-        return None
-
     def scan(self) -> Report:
         """Read everything once and return what was found."""
         start: int | None = None
@@ -489,9 +524,3 @@ class Recording(ABC):
             frame_count=frames, imu_count=imu, trigger_count=triggers,
             first_frame_mid_us=first_mid, first_event_us=first_event,
             problems=tuple(self.problems))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

@@ -1,0 +1,134 @@
+"""Sources that are read once: packets from a generator, a socket, a camera."""
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.events import check_order
+from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source
+
+__all__ = ["StreamSource", "source_from_packets"]
+
+
+class StreamSource(Source):
+    """A source over an iterable of packets; see `source_from_packets`."""
+
+    def __init__(self, info: RecordingInfo, packets: Iterable[Packet]) -> None:
+        self._info = info
+        self._packets = packets
+        self._lock = threading.Lock()
+        self._begun = self._closed = False
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """Always empty: a packet that breaks the rules raises ValueError."""
+        return ()
+
+    def packets(self) -> Iterator[Packet]:
+        """Iterate over all packets, once.
+
+        Raises
+        ------
+        RecordingError
+            If they were asked for before.
+        ValueError
+            If the source is closed, or a packet breaks the rules that
+            `source_from_packets` states; the message names it.
+        """
+        with self._lock:
+            if self._closed:
+                raise ValueError("source is closed")
+            if self._begun:
+                raise RecordingError(
+                    "packets() of a Source can be called once, and it was called "
+                    "before; a Recording can be read again")
+            self._begun = True
+        return self._checked()
+
+    def _checked(self) -> Iterator[Packet]:
+        last: int | None = None
+        for number, packet in enumerate(self._packets):
+            if self._closed:
+                raise ValueError("source is closed")
+            start, stop = packet.start_us, packet.stop_us
+            if start is None or stop is None:
+                continue
+            if last is not None and start < last:
+                raise ValueError(
+                    f"packets must be in time order, but packet {number} begins at "
+                    f"{start} us after a sample at {last} us")
+            self._check(number, packet)
+            last = stop - 1
+            yield packet
+
+    def _check(self, number: int, packet: Packet) -> None:
+        height, width = self._info.sensor_size
+        for name in ("events", "imu", "triggers"):
+            check_order(getattr(packet, name), f"{name} of packet {number}")
+        events = packet.events
+        if len(events) and (int(events["x"].max()) >= width
+                            or int(events["y"].max()) >= height
+                            or int(events["p"].max()) > 1):
+            outside = (events["x"] >= width) | (events["y"] >= height) | (
+                events["p"] > 1)
+            i = int(outside.argmax())
+            raise ValueError(
+                f"event {i} of packet {number} at (x={events['x'][i]}, "
+                f"y={events['y'][i]}, p={events['p'][i]}) lies outside the "
+                f"{width}x{height} sensor")
+        for frame in packet.frames:
+            if frame.shape != (height, width):
+                raise ValueError(
+                    f"frame of packet {number} is {frame.shape[1]}x{frame.shape[0]}, "
+                    f"the sensor {width}x{height}")
+
+    def close(self) -> None:
+        """Stop reading; closes the iterable if it can be closed."""
+        self._closed = True
+        close = getattr(self._packets, "close", None)
+        if callable(close) and not getattr(self._packets, "gi_running", False):
+            close()
+
+
+def source_from_packets(info: RecordingInfo, packets: Iterable[Packet]) -> Source:
+    """Make a source that is read once from packets that come as they are made.
+
+    Parameters
+    ----------
+    info : RecordingInfo
+        At least ``format`` and ``sensor_size``; counts that are not known are None.
+    packets : iterable of Packet
+        Any iterable, such as a generator that reads a camera; nothing is taken from
+        it before the source is read, and nothing that was taken is kept.  Packets
+        come in time order and do not overlap, a frame at its ``available_us``;
+        events are of EVENT_DTYPE, time-ordered and on the sensor.
+
+    Returns
+    -------
+    Source
+
+    Raises
+    ------
+    TypeError
+        If `info` is not a RecordingInfo or `packets` cannot be iterated over.
+
+    Examples
+    --------
+    >>> from pdavis_cv import RecordingInfo, source_from_packets
+    >>> info = RecordingInfo(format="mine", sensor_size=(260, 346))
+    >>> with source_from_packets(info, iter([])) as source:
+    ...     len(list(source.packets()))
+    0
+    """
+    if not isinstance(info, RecordingInfo):
+        raise TypeError(f"info must be a RecordingInfo, got {type(info).__name__}")
+    if not isinstance(packets, Iterable):
+        raise TypeError(
+            f"packets must be an iterable of Packet, got {type(packets).__name__}")
+    return StreamSource(info, packets)
