@@ -23,7 +23,8 @@ from pdavis_cv import (
 from pdavis_cv.data import example_recording
 from pdavis_cv.export import read_embedded
 from pdavis_cv.simulation import Camera, Fan, Tendon
-from pdavis_cv.tools import export, fan, tendon
+from pdavis_cv.tools import export, fan
+from pdavis_cv.tools.tendon import command as tendon
 
 cv2 = pytest.importorskip("cv2")
 

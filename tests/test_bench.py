@@ -9,7 +9,7 @@ from streams import random_events
 
 from pdavis_cv import _kernels
 from pdavis_cv.tools import bench
-from pdavis_cv.tools.bench_cases import CASES, Case, Comparison
+from pdavis_cv.tools.bench.cases import CASES, Case, Comparison
 
 
 @pytest.mark.parametrize("n", [0, 1, 1000])

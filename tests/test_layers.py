@@ -70,8 +70,8 @@ def test_imports_point_down(path):
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_are_absolute(path):
-    if path.parts[-2:] == ("_kernels", "__init__.py"):
-        return  # the compiled modules have no other name at build time
+    if path.relative_to(ROOT).parts[0] != "pdavis_cv":
+        return  # installed under another name than the folder's, which checkers see
     relative = [node.lineno for node in ast.walk(ast.parse(path.read_text()))
                 if isinstance(node, ast.ImportFrom) and node.level]
     assert not relative, f"{path.name}: relative imports in lines {relative}"

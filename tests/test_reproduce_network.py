@@ -8,9 +8,9 @@ import reference_network as reference
 
 from pdavis_cv import Weights
 from pdavis_cv.simulation import RotatingPolarizer
-from pdavis_cv.tools import _reproduce_network as network
 from pdavis_cv.tools import reproduce
-from pdavis_cv.tools._reproduce_run import Case, Settings
+from pdavis_cv.tools.reproduce import network
+from pdavis_cv.tools.reproduce.run import Case, Settings
 
 PERIOD_US = 30e6 / 500
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv._feed import first_time
-from pdavis_cv.tools._common import UsageError
+
+from ._common import UsageError
 
 __all__ = [
     "facts_of",

@@ -20,8 +20,9 @@ from pdavis_cv.calibration.instrument import background
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
 from pdavis_cv.sensor import CHANNELS, resolve_layout
-from pdavis_cv.tools._calibration_report import Page, write_report
-from pdavis_cv.tools._common import (
+
+from ._calibration_report import Page, write_report
+from ._common import (
     Parser,
     UsageError,
     command,

@@ -9,7 +9,8 @@ from pdavis_cv import open_recording, write_aedat2, write_aedat4
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.hdf5 import write_hdf5
 from pdavis_cv.recording.passing import passing
-from pdavis_cv.tools._common import Parser, UsageError, command, layout_option, progress
+
+from ._common import Parser, UsageError, command, layout_option, progress
 
 __all__ = ["main"]
 

@@ -23,8 +23,9 @@ from pdavis_cv.simulation import (
     Truth,
     rotating_polarizer,
 )
-from pdavis_cv.tools import export as export_tool
-from pdavis_cv.tools._common import Parser, command
+
+from . import export as export_tool
+from ._common import Parser, command
 
 __all__ = ["axial_difference", "main", "mean_aop"]
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, open_recording, render
 from pdavis_cv.render.colours import Picture
-from pdavis_cv.tools._common import (
+
+from ._common import (
     Parser,
     UsageError,
     add_fuse_options,
@@ -30,7 +31,7 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
-from pdavis_cv.tools._images import full_scale
+from ._images import full_scale
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
 

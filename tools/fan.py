@@ -16,7 +16,8 @@ import numpy as np
 
 from pdavis_cv import Recording, export, fuse, open_recording, render
 from pdavis_cv.analysis import SectorSummary, Wheel, summarise_sectors
-from pdavis_cv.tools._common import (
+
+from ._common import (
     Parser,
     UsageError,
     add_fuse_options,
@@ -27,7 +28,7 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
-from pdavis_cv.tools._images import (
+from ._images import (
     facts_of,
     full_scale,
     grid_times,

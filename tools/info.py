@@ -14,7 +14,8 @@ import numpy as np
 from pdavis_cv import Layout, Sensor, open_recording
 from pdavis_cv.recording.advice import advise
 from pdavis_cv.recording.base import RecordingInfo, Report
-from pdavis_cv.tools._common import Parser, command
+
+from ._common import Parser, command
 
 __all__ = ["main"]
 

@@ -6,7 +6,8 @@ import importlib
 from collections.abc import Sequence
 
 from pdavis_cv import __version__
-from pdavis_cv.tools._common import UsageError, command
+
+from ._common import UsageError, command
 
 __all__ = ["COMMANDS", "main"]
 

@@ -30,7 +30,8 @@ from pdavis_cv.simulation import (
     Tendon,
     Texture,
 )
-from pdavis_cv.tools._common import Parser, UsageError, command, numbers, positive
+
+from ._common import Parser, UsageError, command, numbers, positive
 
 __all__ = ["SCENES", "main", "make_scene"]
 

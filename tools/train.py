@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pdavis_cv.export import beside
-from pdavis_cv.tools._common import Parser, UsageError, command, positive
+
+from ._common import Parser, UsageError, command, positive
 
 __all__ = ["main"]
 

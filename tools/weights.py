@@ -10,7 +10,8 @@ from typing import NoReturn
 from pdavis_cv.export import beside
 from pdavis_cv.reconstruct.checkpoint import firenet_weights
 from pdavis_cv.reconstruct.weights import Weights
-from pdavis_cv.tools._common import Parser, UsageError, command
+
+from ._common import Parser, UsageError, command
 
 __all__ = ["main"]
 

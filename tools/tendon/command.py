@@ -30,7 +30,8 @@ from pdavis_cv import (
     render,
 )
 from pdavis_cv.calibration.receptor_fit import USUAL_BANDWIDTH
-from pdavis_cv.tools._common import (
+
+from .._common import (
     Parser,
     UsageError,
     add_fuse_options,
@@ -39,8 +40,9 @@ from pdavis_cv.tools._common import (
     progress,
     start_of,
 )
-from pdavis_cv.tools._images import facts_of, grid_times, held_at, of_frames
-from pdavis_cv.tools._tendon_video import TendonSheet
+from .._images import facts_of, grid_times, held_at, of_frames
+from . import report
+from .video import TendonSheet
 
 __all__ = ["Findings", "main", "measure"]
 
@@ -116,14 +118,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     if (args.thickness_um is None) != (args.wavelength_nm is None):
         raise UsageError("--thickness-um and --wavelength-nm belong together")
-    from pdavis_cv.tools import tendon_report
-    tendon_report.matplotlib()  # say what is missing before the work, not after
+    report.matplotlib()  # say what is missing before the work, not after
     load = None if args.load is None else analysis.read_load(args.load)
     args.out.mkdir(parents=True, exist_ok=True)
     with open_recording(args.file) as recording:
         findings = measure(args, recording, load)
     lines = _write(args, findings)
-    tendon_report.write_report(args.out / "report.html", findings)
+    report.write_report(args.out / "report.html", findings)
     print("\n".join([*lines, f"wrote {args.out / 'report.html'}"]))
     return 0
 
@@ -550,7 +551,3 @@ def _write(args: argparse.Namespace, found: Findings) -> list[str]:
             f" (+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
             f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow"))
     return lines
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

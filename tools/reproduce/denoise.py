@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from pdavis_cv.reconstruct.denoise import EventDenoiser
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer, Scene
-from pdavis_cv.tools._reproduce_page import table
-from pdavis_cv.tools._reproduce_rotation import RPMS
-from pdavis_cv.tools._reproduce_run import OFF_LOCK, SETTLE_US, Settings
+
+from .page import table
+from .rotation import RPMS
+from .run import OFF_LOCK, SETTLE_US, Settings
 
 __all__ = ["Denoised", "columns", "denoise_cases", "denoise_page"]
 

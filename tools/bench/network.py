@@ -7,8 +7,9 @@ import numpy as np
 
 from pdavis_cv.reconstruct.runner import BACKENDS, chosen_backend, make_runner
 from pdavis_cv.reconstruct.weights import Weights
-from pdavis_cv.tools._reproduce_network import all_weights, network_steps
-from pdavis_cv.tools.bench_cases import Comparison, case
+
+from ..reproduce.network import all_weights, network_steps
+from .cases import Comparison, case
 
 __all__: list[str] = []
 

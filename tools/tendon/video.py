@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdavis_cv import EVENT_DTYPE, PolarFrame, Recording, render
-from pdavis_cv.tools._images import tone_of
+
+from .._images import tone_of
 
 if TYPE_CHECKING:
-    from pdavis_cv.tools.tendon import Findings
+    from .command import Findings
 
 __all__ = ["TendonSheet"]
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdavis_cv.export import beside, write_csv
-from pdavis_cv.tools._reproduce_run import METHODS, Row
+
+from .run import METHODS, Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,8 +18,9 @@ from pdavis_cv.simulation import (
     RotatingPolarizer,
     Scene,
 )
-from pdavis_cv.tools._reproduce_page import mean, pivot, table
-from pdavis_cv.tools._reproduce_run import (
+
+from .page import mean, pivot, table
+from .run import (
     METHODS,
     OFF_LOCK,
     Case,

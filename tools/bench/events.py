@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.reconstruct.aop_events import AopEvents
 from pdavis_cv.sensor import Layout
-from pdavis_cv.tools.bench_cases import (
+
+from .cases import (
     EVENTS,
     PACKET,
     SHAPE,

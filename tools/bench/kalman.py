@@ -15,7 +15,8 @@ from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout
-from pdavis_cv.tools.bench_cases import (
+
+from .cases import (
     EVENTS,
     PACKET,
     SHAPE,

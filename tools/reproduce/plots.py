@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv.tools._reproduce_page import mean
-from pdavis_cv.tools._reproduce_rotation import (
+from .page import mean
+from .rotation import (
     INTERVALS_US,
     Comparison,
     Trace,
 )
-from pdavis_cv.tools._reproduce_run import METHODS, Row
+from .run import METHODS, Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,7 +21,8 @@ from pdavis_cv.recording.aedat4_writer import Aedat4Writer, write_aedat4
 from pdavis_cv.recording.base import ApsFrame, Packet
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.recording.open import open_recording
-from pdavis_cv.tools.bench_cases import (
+
+from .cases import (
     EVENTS,
     PACKET,
     SHAPE,

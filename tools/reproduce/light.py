@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from pdavis_cv.simulation import Camera, Fan, FlatLight, RotatingPlate, Scene
 from pdavis_cv.simulation import RotatingPolarizer as Polarizer
-from pdavis_cv.tools._reproduce_page import mean, pivot, table
-from pdavis_cv.tools._reproduce_run import METHODS, OFF_LOCK, Case, Row, Settings
+
+from .page import mean, pivot, table
+from .run import METHODS, OFF_LOCK, Case, Row, Settings
 
 __all__ = ["dynamic_range_cases", "dynamic_range_page", "fan_cases", "fan_page",
            "flicker_cases", "flicker_page"]

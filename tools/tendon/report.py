@@ -15,7 +15,7 @@ from pdavis_cv import render
 from pdavis_cv.export import beside
 
 if TYPE_CHECKING:
-    from pdavis_cv.tools.tendon import Findings
+    from .command import Findings
 
 __all__ = ["matplotlib", "write_report"]
 

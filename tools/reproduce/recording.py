@@ -15,9 +15,10 @@ from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording
 from pdavis_cv.recording.memory import MemoryRecording
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation import RotatingPolarizer, Scene
-from pdavis_cv.tools._common import UsageError
-from pdavis_cv.tools._reproduce_page import table
-from pdavis_cv.tools._reproduce_run import SETTLE_US, TAIL_US, Case, Take
+
+from .._common import UsageError
+from .page import table
+from .run import SETTLE_US, TAIL_US, Case, Take
 
 __all__ = ["Fitted", "fit_files", "fits_page", "region_of"]
 

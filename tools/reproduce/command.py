@@ -17,11 +17,8 @@ import numpy as np
 from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
-from pdavis_cv.tools import _reproduce_denoise as denoise
-from pdavis_cv.tools import _reproduce_network as network
-from pdavis_cv.tools import _reproduce_range as light
-from pdavis_cv.tools import _reproduce_rotation as rotation
-from pdavis_cv.tools._common import (
+
+from .._common import (
     Parser,
     UsageError,
     command,
@@ -31,15 +28,16 @@ from pdavis_cv.tools._common import (
     progress,
     roi_option,
 )
-from pdavis_cv.tools._reproduce_page import (
+from . import denoise, light, network, rotation
+from .page import (
     beside_stem,
     save_figure,
     summary,
     write_page,
     write_rows,
 )
-from pdavis_cv.tools._reproduce_recording import fit_files, fits_page
-from pdavis_cv.tools._reproduce_run import METHODS, Case, Row, Settings, Takes, run
+from .recording import fit_files, fits_page
+from .run import METHODS, Case, Row, Settings, Takes, run
 
 __all__ = ["EXPERIMENTS", "main"]
 
@@ -282,9 +280,5 @@ def _plots() -> Any:
     except ImportError:
         print("no picture: matplotlib is missing (pip install 'pdavis-cv[plot]')")
         return None
-    from pdavis_cv.tools import _reproduce_plots
-    return _reproduce_plots
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    from . import plots
+    return plots

@@ -31,16 +31,17 @@ from pdavis_cv.simulation import (
     Truth,
 )
 from pdavis_cv.simulation.scenes import Scene
-from pdavis_cv.tools import _reproduce_run as runs
-from pdavis_cv.tools._reproduce_page import table
-from pdavis_cv.tools._reproduce_range import (
+
+from . import run as runs
+from .light import (
     EVENT_DN,
     HIGH_UW_CM2,
     LOW_UW_CM2,
     halves,
 )
-from pdavis_cv.tools._reproduce_rotation import RPMS
-from pdavis_cv.tools._reproduce_run import OFF_LOCK, TAIL_US, Case, Settings, Take
+from .page import table
+from .rotation import RPMS
+from .run import OFF_LOCK, TAIL_US, Case, Settings, Take
 
 __all__ = ["METHODS", "SCENES", "TEXTURE_SEEDS", "NetworkCase", "NetworkRow",
            "all_weights", "columns", "measure", "network_cases", "network_page",

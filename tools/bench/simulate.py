@@ -20,7 +20,8 @@ from pdavis_cv.simulation import (
     VideoScene,
     rotating_polarizer,
 )
-from pdavis_cv.tools.bench_cases import (
+
+from .cases import (
     CASES,
     EVENTS,
     PACKET,

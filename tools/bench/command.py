@@ -15,15 +15,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pdavis_cv.tools import (  # noqa: F401  # they register their cases
-    bench_events,
-    bench_files,
-    bench_kalman,
-    bench_network,
-    bench_simulate,
+from .._common import Parser, UsageError, command
+from . import (  # noqa: F401  # they register their cases
+    events,
+    files,
+    kalman,
+    network,
+    simulate,
 )
-from pdavis_cv.tools._common import Parser, UsageError, command
-from pdavis_cv.tools.bench_cases import CASES, Case, Comparison
+from .cases import CASES, Case, Comparison
 
 __all__ = ["Result", "main", "measure"]
 
@@ -155,7 +155,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             "skipped": skipped}
         print(json.dumps(summary, indent=2))
     return 0 if all(r.reached is not False for r in results) else 1
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
