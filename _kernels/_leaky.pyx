@@ -1,8 +1,9 @@
-"""Leaky pixels: state that decays between events, for the filters of fusion.md 1.
+"""Leaky pixels: state that decays between events.
 
 Each pixel holds the time of its last update, a value that decays towards 0, and its
 rate in 1/us.  For the complementary filter the value is L - L_F, for the printed
-equation L, for the events method the high-passed log intensity.
+equation L (docs/theory/complementary-filter.md), for the events method the
+high-passed log intensity (docs/theory/events.md).
 """
 from libc.stdint cimport int64_t, uint8_t
 
@@ -128,7 +129,7 @@ def log_frame(const float[:, ::1] dn not None, const uint8_t[:, ::1] usable not 
 
 
 cdef inline float gain_of(float log_v, float floor) noexcept nogil:
-    """Adaptive gain m(v) of fusion.md 1 from ln v, v on the 8-bit scale."""
+    """Adaptive gain m(v) of docs/theory/complementary-filter.md from ln v (8-bit)."""
     cdef float per_ln_10 = 0.43429448, ln_255 = 5.5412635, per_top = 4.116138
     cdef float one = 1.0, low, high
     low = log_v * per_ln_10

@@ -1,8 +1,9 @@
-"""Gains of the four pixels of a macropixel from events alone (fusion.md 4.8).
+"""Gains of the four pixels of a macropixel from events alone.
 
 For all light n . I = 0, n the left null vector of the four responses.  With I_i =
 a_i exp(E_i), E_i the sum of events, that is linear in the unknown gains a: the smallest
-eigenvector of the moments of n_i exp(E_i), relative errors being equal.
+eigenvector of the moments of n_i exp(E_i), relative errors being equal: see
+docs/theory/events.md.
 """
 from libc.math cimport fabs, sqrt
 

@@ -12,7 +12,7 @@ def log_frame(dn, usable, log_exposure):
 
 
 class ComplementaryFilter:
-    """fusion.md 1 in float64, an event at a time."""
+    """docs/theory/complementary-filter.md in float64, an event at a time."""
 
     def __init__(self, shape, theta_on, theta_off, cutoff_hz, adaptive_gain, literal):
         self.on = np.broadcast_to(theta_on, shape)

@@ -220,7 +220,7 @@ def test_a_snapshot_continues_with_the_same_images(polarizer, options, causal):
             assert_same(one, two)
 
 
-# ---- accuracy: fusion.md-independent bounds are in test_accuracy.py ---------------
+# ---- accuracy: bounds are in test_accuracy.py ---------------
 
 
 def test_the_extinction_ratio_is_divided_out(polarizer):

@@ -73,7 +73,7 @@ class EventRedundancy(Reconstructor):
 
     Notes
     -----
-    fusion.md 4.8.  Gains are the eigenvector of the smallest eigenvalue of the
+    docs/theory/events.md.  Gains are the eigenvector of the smallest eigenvalue of the
     macropixel's moments, over the last moments in which it had events.  The quality
     of a pixel is the ratio of the two smallest eigenvalues: 0 where one set of gains
     explains all, 1 where nothing is known; it is valid below 0.3.  The variance is the
