@@ -73,11 +73,12 @@ _HOME = {
     "response_table": "reconstruct.firenet",
     "Estimate": "reconstruct.base",
     "Reconstructor": "reconstruct.base",
+    "Needs": "reconstruct.base",
     "Snapshot": "reconstruct.base",
     "METHODS": "reconstruct.methods",
     "Calibration": "calibration.model",
-    "DEFAULT_METHOD": "fusion",
-    "fuse": "fusion",
+    "DEFAULT_METHOD": "reconstruct.methods",
+    "fuse": "fusion.engine",
     "patched_cv2": "adapters.patching",
     "CaptureStatus": "capture.video",
     "VideoCapture": "capture.video",
@@ -183,6 +184,7 @@ __all__ = [
     "Layout",
     "LayoutError",
     "LayoutWarning",
+    "Needs",
     "Packet",
     "PdavisError",
     "PdavisWarning",
@@ -293,12 +295,12 @@ if TYPE_CHECKING:
         time_surface,
         voxel_grid,
     )
-    from pdavis_cv.fusion import DEFAULT_METHOD, fuse
+    from pdavis_cv.fusion import fuse
     from pdavis_cv.mosaic import demosaic
     from pdavis_cv.packed import unpack
     from pdavis_cv.polarimetry import PolarFrame, polarization
     from pdavis_cv.reconstruct.aop_events import AOP_EVENT_DTYPE, AopEvents
-    from pdavis_cv.reconstruct.base import Estimate, Reconstructor, Snapshot
+    from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor, Snapshot
     from pdavis_cv.reconstruct.cf import ComplementaryFilter
     from pdavis_cv.reconstruct.deblur import deblur
     from pdavis_cv.reconstruct.denoise import EventDenoiser
@@ -306,7 +308,7 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table
     from pdavis_cv.reconstruct.frames import FrameHold
     from pdavis_cv.reconstruct.kalman import KalmanFilter
-    from pdavis_cv.reconstruct.methods import METHODS
+    from pdavis_cv.reconstruct.methods import DEFAULT_METHOD, METHODS
     from pdavis_cv.reconstruct.redundancy import EventRedundancy
     from pdavis_cv.reconstruct.weights import Weights
     from pdavis_cv.recording.aedat2_writer import Aedat2Writer, write_aedat2

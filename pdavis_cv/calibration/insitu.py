@@ -29,6 +29,7 @@ from pdavis_cv.calibration.sample import (
     run,
 )
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
+from pdavis_cv.reconstruct.base import Needs
 from pdavis_cv.reconstruct.lamp import LampTracker
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Sensor
@@ -208,16 +209,17 @@ def learned(
     nominal: tuple[ArrayLike, ArrayLike],
     calibration: Calibration | None,
     parameters: dict[str, Any],
-    method: str,
+    needs: Needs,
     *,
     causal: bool,
+    late: bool,
 ) -> tuple[Theta, Theta, dict[str, Any]]:
     """Return thresholds and parameters of a method, learned where that was asked for.
 
-    ``fuse`` documents the arguments.  For ``kalman`` the bandwidth and the noise of
-    events too are estimated unless they are given; what the calibration states of the
-    bandwidth with an uncertainty is where that begins.  With `causal` nothing is, and a
-    bandwidth that is not given is "in-situ", which `Past` replaces.
+    ``fuse`` documents the arguments.  The bandwidth and the noise of events too are
+    estimated unless they are given, if `needs` says so; what the calibration states of
+    the bandwidth with an uncertainty is where that begins.  With `late` nothing is, and
+    a bandwidth that is not given is "in-situ", which `Past` replaces.
 
     Returns
     -------
@@ -229,14 +231,13 @@ def learned(
     on, off = resolve_thresholds(
         recording, None if learn else thresholds, nominal, calibration)
     parameters = dict(parameters)
-    if method == "kalman":
+    if needs.prior:
         parameters = calibrated(parameters, thresholds, calibration)
         if calibration is None or calibration.dark is None:
             sensor = recording.info.sensor or Sensor.PDAVIS
             parameters.setdefault("offset_dn", sensor.offset_dn)
-    late = causal or parameters.get("mode") == "causal"
     wanted = parameters.get("bandwidth", "in-situ")
-    ask = method == "kalman" and isinstance(wanted, str)
+    ask = "bandwidth" in needs.learned and isinstance(wanted, str)
     if ask and wanted != "in-situ":
         raise ValueError(
             "bandwidth must be 'in-situ', (hz, hz_per_intensity) or None, got "
@@ -244,10 +245,10 @@ def learned(
     stated = stated_bandwidth(calibration) if ask else None
     if ask:
         parameters["bandwidth"] = stated
-    noise_too = method == "kalman" and not late and "noise" not in parameters
+    noise_too = "noise" in needs.learned and not late and "noise" not in parameters
     if ask and late:
         parameters["bandwidth"], ask = "in-situ", False
-    if method == "kalman" and not late:
+    if "noise" in needs.learned and not late:
         parameters.setdefault("noise", noise_of(calibration))
     if recording.info.frame_count == 0 or causal or not (ask or learn or noise_too):
         return on, off, parameters
@@ -256,11 +257,11 @@ def learned(
     if learn:
         estimate = thresholds_in_situ(
             recording, nominal=(on, off), calibration=calibration,
-            bandwidth="in-situ" if ask or method != "kalman" else None)
+            bandwidth="in-situ" if ask or not needs.learned else None)
         on, off = (theta.astype(np.float32)
                    for theta in (estimate.theta_on, estimate.theta_off))
         found, noise = estimate.bandwidth, estimate.noise
-        if method == "kalman":
+        if "threshold_sigma" in needs.prior:
             parameters.setdefault("threshold_sigma", LEARNED_SIGMA)
     else:
         found, noise = receptors(

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.capture import constants as c
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.methods import EVENT_METHODS
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr
 
@@ -34,14 +33,13 @@ def first_frame(recording: Recording) -> ApsFrame | None:
                 None)
 
 
-def white_level(recording: Recording, method: str, frame: ApsFrame | None) -> float:
+def white_level(uses_frames: bool, frame: ApsFrame | None) -> float:
     """Return the intensity that is white: full scale of the converter.
 
     Parameters
     ----------
-    recording : Recording
-    method : str
-        Those that use events alone have a scale of their own.
+    uses_frames : bool
+        Methods that use events alone have a scale of their own.
     frame : ApsFrame or None
         The first one: gives the converter's range and the exposure.
 
@@ -50,7 +48,7 @@ def white_level(recording: Recording, method: str, frame: ApsFrame | None) -> fl
     float
         In the unit of S0 / 2: DN per ms of exposure, DN where no exposure is known.
     """
-    if frame is None or method in EVENT_METHODS:
+    if frame is None or not uses_frames:
         return WHITE_WITHOUT_FRAMES
     return frame.full_scale_dn / (frame.exposure_ms or 1.0)
 

@@ -102,8 +102,7 @@ class Session:
         return Fusion(self.recording, **fuse_parameters(parameters))
 
     def _made_tone(self, view: View) -> ToneCurve:
-        white = picture.white_level(
-            self.recording, self.cursor.fusion.method, self._first)
+        white = picture.white_level(self.cursor.fusion.needs.frames, self._first)
         return picture.tone(white, view.gain, view.gamma, view.log)
 
     # ---- images ----------------------------------------------------------------

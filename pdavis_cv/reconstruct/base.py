@@ -2,8 +2,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +15,7 @@ from pdavis_cv import _kernels
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["Estimate", "Reconstructor", "Snapshot"]
+__all__ = ["Estimate", "Factory", "Needs", "Reconstructor", "Snapshot", "nbytes"]
 
 
 class Estimate(NamedTuple):
@@ -32,6 +34,37 @@ class Estimate(NamedTuple):
     log_intensity: NDArray[np.float32]
     variance: NDArray[np.float32] | None
     valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What a method has to be given, so that nobody has to ask for its name.
+
+    Thresholds and the pixels' response need no entry: a method that takes
+    ``theta_on`` and ``theta_off``, or ``response``, gets them.
+
+    Parameters
+    ----------
+    events, frames : bool
+        Whether it is fed those at all.
+    lamp : bool
+        Whether it makes use of `Reconstructor.add_wave`.
+    learned : frozenset of str
+        Parameters that are estimated from the recording where the caller states none:
+        ``"bandwidth"`` and ``"noise"``, as `KalmanFilter` takes them.
+    prior : frozenset of str
+        Parameters that are taken from calibration and sensor where the caller states
+        none: ``"threshold_sigma"`` and ``"offset_dn"``, as `KalmanFilter` takes them.
+    crossed_diagonal : bool
+        Whether the 0 and 90 degree polarizers must lie diagonally in the cell.
+    """
+
+    events: bool = True
+    frames: bool = True
+    lamp: bool = False
+    learned: frozenset[str] = frozenset()
+    prior: frozenset[str] = frozenset()
+    crossed_diagonal: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +88,50 @@ class Snapshot:
     parameters: Mapping[str, Any]
     state: Mapping[str, Any]
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays in it, however deep they lie."""
+        return nbytes((self.parameters, self.state))
+
+
+def nbytes(value: Any) -> int:
+    """Return the bytes of all arrays and byte strings in a nested value.
+
+    Looks into mappings, sequences, dataclasses and objects with ``__slots__`` or
+    attributes; an array that is met twice, or is a view of one that was met, counts
+    once.
+
+    >>> nbytes({"a": (np.zeros(3), [b"four"])})
+    28
+    """
+    return _nbytes(value, set())
+
+
+def _nbytes(value: Any, seen: set[int]) -> int:
+    if value is None or isinstance(value, (bool, int, float, complex, str, np.generic)):
+        return 0
+    if isinstance(value, np.ndarray):
+        while isinstance(value.base, np.ndarray):
+            value = value.base
+    if id(value) in seen:
+        return 0
+    seen.add(id(value))
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if isinstance(value, (bytes, bytearray)):
+        return len(value)
+    if isinstance(value, Mapping):
+        return sum(_nbytes(part, seen) for part in value.values())
+    if isinstance(value, (list, tuple, set, frozenset, deque)):
+        return sum(_nbytes(part, seen) for part in value)
+    if is_dataclass(value):
+        return sum(_nbytes(getattr(value, one.name), seen) for one in fields(value))
+    slots = [name for kind in type(value).__mro__
+             for name in getattr(kind, "__slots__", ()) if name != "__dict__"]
+    held = [getattr(value, name, None) for name in slots]
+    held += getattr(value, "__dict__", {}).values()
+    return sum(_nbytes(part, seen) for part in held)
+
 
 class Reconstructor(ABC):
     """Turns a time-ordered stream of events and frames into log intensity.
@@ -72,8 +149,14 @@ class Reconstructor(ABC):
     margin: int = 0
     """How many pixels around a pixel its result depends on."""
 
-    follows_lamp: bool = False
-    """Whether it makes use of `add_wave`."""
+    needs: Needs = Needs()
+    """What it has to be given."""
+
+    causal_parameters: Mapping[str, Any] = MappingProxyType({})
+    """Parameters with which its `lookahead_us` is 0, where it is not without them."""
+
+    shows_at_readout: bool = False
+    """Whether a frame shows from the end of its readout, not from mid-exposure, on."""
 
     shape: tuple[int, int]
     """(height, width)."""
@@ -110,6 +193,20 @@ class Reconstructor(ABC):
         A `LampTracker` that sees the whole sensor says so; the blocks come in order.
         """
 
+    def retune(self, **learned: Any) -> None:
+        """Go on with other values of the parameters that ``needs.learned`` names.
+
+        The state stays as it is: what was fed before is not looked at again.
+
+        Parameters
+        ----------
+        **learned
+            By name, as the constructor takes them.
+        """
+        raise TypeError(
+            f"method {self.method!r} has no parameters that can be learned, got "
+            f"{', '.join(learned)}")
+
     @abstractmethod
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the estimate at t_us without changing the state.
@@ -140,6 +237,16 @@ class Reconstructor(ABC):
         """Return a deep, picklable copy of the state."""
         return Snapshot(self.method, self.shape, dict(self.parameters), self._state())
 
+    def assign(self, other: Reconstructor) -> None:
+        """Take over the state of an equal Reconstructor, which stays as it is.
+
+        Parameters
+        ----------
+        other : Reconstructor
+            Of the same method, shape and parameters.
+        """
+        self._restore(other._state())
+
     def restore(self, snapshot: Snapshot) -> None:
         """Return to the state of a snapshot of an equal Reconstructor.
 
@@ -168,3 +275,10 @@ class Reconstructor(ABC):
     @abstractmethod
     def _restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `_state` returned."""
+
+
+Factory = Callable[..., Reconstructor]
+"""Makes a Reconstructor: ``factory(shape, *, theta_on, theta_off, **parameters)``.
+
+A class of one's own derived from `Reconstructor`, or a function.  Of ``theta_on``,
+``theta_off`` and ``response`` it is given those that its signature names."""

@@ -166,7 +166,9 @@ class Denoised(Reconstructor):
         self.lookahead_us = method.lookahead_us
         # A pixel's supporters may be hot by what their own neighbours do.
         self.margin = method.margin + 4
-        self.follows_lamp = method.follows_lamp
+        self.needs = method.needs
+        self.causal_parameters = method.causal_parameters
+        self.shows_at_readout = method.shows_at_readout
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -189,6 +191,10 @@ class Denoised(Reconstructor):
     def add_wave(self, wave: Wave) -> None:
         """Tell how the lamp flickers."""
         self._inner.add_wave(wave)
+
+    def retune(self, **learned: Any) -> None:
+        """Go on with other parameters of the method."""
+        self._inner.retune(**learned)
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the method's estimate (see `Reconstructor.read`)."""

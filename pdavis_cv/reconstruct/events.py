@@ -12,7 +12,7 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.aop_events import AopEvents, axes_of, layout_of
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.cf import CELL_DTYPE
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.recording.base import ApsFrame
@@ -74,6 +74,7 @@ class EventHighPass(Reconstructor):
     """
 
     method = "events"
+    needs = Needs(frames=False)
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,

@@ -15,7 +15,7 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, sensor_shape
 from pdavis_cv.errors import WindowWarning
 from pdavis_cv.events import as_events
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.onnx import model_shapes
 from pdavis_cv.reconstruct.runner import Runner, chosen_backend, make_runner
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
@@ -303,6 +303,7 @@ class FireNet(_Recurrent):
     """
 
     method = "firenet"
+    needs = Needs(frames=False)
     _network = "firenet"
 
     def _inputs(self, grid: Array, memory: Array) -> Array:
@@ -339,6 +340,7 @@ class Joint(_Recurrent):
     """
 
     method = "joint"
+    needs = Needs(frames=False, crossed_diagonal=True)
     _network = "joint"
 
     def _inputs(self, grid: Array, memory: Array) -> Array:

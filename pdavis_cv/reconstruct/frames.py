@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, sensor_shape
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
@@ -76,12 +76,14 @@ class FrameHold(Reconstructor):
     """
 
     method = "frames"
+    needs = Needs(events=False)
 
     def __init__(self, shape: Sequence[int], *, hold: str = "readout") -> None:
         if hold not in ("readout", "mid"):
             raise ValueError(f"hold must be 'readout' or 'mid', got {hold!r}")
         self.shape = sensor_shape(shape)
         self._hold = hold
+        self.shows_at_readout = hold == "readout"
         self._clock = StreamClock(self.shape)
         # (shown from, log intensity, valid): the frame shown, then those to come.
         # The arrays are never written to, so snapshots may share them.

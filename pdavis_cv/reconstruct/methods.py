@@ -1,4 +1,4 @@
-"""The methods by name."""
+"""The methods by name, and how one is made."""
 from __future__ import annotations
 
 import importlib
@@ -9,29 +9,64 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.reconstruct.base import Reconstructor
+from pdavis_cv.reconstruct.base import Factory, Reconstructor
 from pdavis_cv.reconstruct.denoise import Denoised
+from pdavis_cv.recording.base import RecordingInfo
 
-__all__ = ["EVENT_METHODS", "METHODS", "make_reconstructor", "method_parameters"]
+__all__ = ["DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
+           "make_reconstructor", "method_parameters"]
 
-# Method -> (module, what makes it, whether it takes thresholds).
-_CLASSES = {
-    "frames": ("frames", "FrameHold", False),
-    "events": ("from_events", "from_events", True),
-    "cf": ("cf", "ComplementaryFilter", True),
-    "kalman": ("kalman", "KalmanFilter", True),
-    "firenet": ("firenet", "FireNet", True),
-    "joint": ("firenet", "Joint", True),
+# Method -> (module, what makes it).
+_MAKERS = {
+    "frames": ("frames", "FrameHold"),
+    "events": ("from_events", "from_events"),
+    "cf": ("cf", "ComplementaryFilter"),
+    "kalman": ("kalman", "KalmanFilter"),
+    "firenet": ("firenet", "FireNet"),
+    "joint": ("firenet", "Joint"),
 }
-METHODS = tuple(_CLASSES)
+METHODS = tuple(_MAKERS)
 """Names that ``fuse(method=...)`` takes."""
 
-EVENT_METHODS = ("events", "firenet", "joint")
-"""Those that use no frames: their scale of intensity is their own."""
+DEFAULT_METHOD = "kalman"
+"""What ``fuse(method=None)`` takes for a recording with both events and frames."""
+
+_GIVEN = ("theta_on", "theta_off", "response")
+
+
+def default_method(info: RecordingInfo) -> str:
+    """Return the method that fits what a recording holds."""
+    if info.event_count == 0:
+        return "frames"
+    return "events" if info.frame_count == 0 else DEFAULT_METHOD
+
+
+def factory_of(method: str | Factory) -> Factory:
+    """Return what makes a method's Reconstructor.
+
+    Raises
+    ------
+    ValueError
+        If there is no method of this name.
+    TypeError
+        If it is neither a name nor callable.
+    """
+    if not isinstance(method, str):
+        if not callable(method):
+            raise TypeError(
+                "method must be a name or make a Reconstructor, got "
+                f"{type(method).__name__}")
+        return method
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    module, name = _MAKERS[method]
+    made: Factory = getattr(
+        importlib.import_module(f"pdavis_cv.reconstruct.{module}"), name)
+    return made
 
 
 def make_reconstructor(
-    method: str,
+    method: str | Factory,
     shape: tuple[int, int],
     theta_on: NDArray[np.float32] | float,
     theta_off: NDArray[np.float32] | float,
@@ -43,46 +78,51 @@ def make_reconstructor(
 
     Parameters
     ----------
-    method : str
-        One of ``METHODS``.
+    method : str or callable
+        One of ``METHODS``, or a `Factory`.
     shape : (int, int)
         (height, width).
     theta_on, theta_off : float or ndarray of float32, shape (H, W)
-        Contrast thresholds in natural-log units.
+        Contrast thresholds in natural-log units, for methods that take them.
     parameters : mapping of str to object
         Further parameters of the method.
     response : ndarray of float64, shape (2, 2, 3) or (H, W, 3), optional
-        Response of the pixels (of the cell) to S0, S1, S2, for methods that ask.
+        Response of the pixels (of the cell) to S0, S1, S2, for methods that take it.
     denoise : mapping of str to object, optional
         Parameters of an `EventDenoiser` to put before it.
 
     Raises
     ------
     TypeError
-        If the method has no such parameter; the message lists those it has.
+        If the method has no such parameter (the message lists those it has), or what
+        was made is no Reconstructor.
     """
-    given: dict[str, Any] = {}
-    if _CLASSES[method][2]:
-        given = {"theta_on": theta_on, "theta_off": theta_off}
-    known = method_parameters(method)
+    maker = factory_of(method)
+    known = inspect.signature(maker).parameters
+    free = any(one.kind is inspect.Parameter.VAR_KEYWORD for one in known.values())
     for key in parameters:
-        if key not in known:
+        if key not in method_parameters(method) and not free:
             raise TypeError(
-                f"method {method!r} has no parameter {key!r}; it takes "
-                f"{', '.join(known) or 'none'}")
-    maker = _class_of(method)
-    if response is not None and "response" in inspect.signature(maker).parameters:
-        given["response"] = response
-    made: Reconstructor = maker(shape, **given, **parameters)
+                f"method {_name(method)!r} has no parameter {key!r}; it takes "
+                f"{', '.join(method_parameters(method)) or 'none'}")
+    offered = {"theta_on": theta_on, "theta_off": theta_off, "response": response}
+    given = {key: value for key, value in offered.items()
+             if key in known and value is not None}
+    made = maker(shape, **given, **parameters)
+    if not isinstance(made, Reconstructor):
+        raise TypeError(
+            f"method {_name(method)!r} must make a Reconstructor, got "
+            f"{type(made).__name__}")
     return made if denoise is None else Denoised(made, **denoise)
 
 
-def method_parameters(method: str) -> tuple[str, ...]:
+def method_parameters(method: str | Factory) -> tuple[str, ...]:
     """Return the names of a method's further parameters."""
-    return tuple(key for key in inspect.signature(_class_of(method)).parameters
-                 if key not in ("shape", "theta_on", "theta_off", "response"))
+    named = list(inspect.signature(factory_of(method)).parameters.values())[1:]
+    return tuple(one.name for one in named if one.name not in _GIVEN
+                 and one.kind is not inspect.Parameter.VAR_KEYWORD)
 
 
-def _class_of(method: str) -> Any:
-    module, name, _ = _CLASSES[method]
-    return getattr(importlib.import_module(f"pdavis_cv.reconstruct.{module}"), name)
+def _name(method: str | Factory) -> str:
+    return method if isinstance(method, str) else getattr(
+        method, "__name__", type(method).__name__)

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, positive, sensor_shape
 from pdavis_cv.events import as_events
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.stream_clock import (
     StreamClock,
@@ -81,7 +82,8 @@ class EventRedundancy(Reconstructor):
     """
 
     method = "events"
-    follows_lamp = True
+    needs = Needs(frames=False, lamp=True)
+    causal_parameters = MappingProxyType({"lookahead_us": 0})
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, sensor_shape
 from pdavis_cv.events import as_events
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import NODE_DTYPE, Smoother
@@ -116,7 +117,9 @@ class KalmanFilter(Reconstructor):
     """
 
     method = "kalman"
-    follows_lamp = True
+    needs = Needs(lamp=True, learned=frozenset({"bandwidth", "noise"}),
+                  prior=frozenset({"threshold_sigma", "offset_dn"}))
+    causal_parameters = MappingProxyType({"mode": "causal"})
     lookahead_us: int
 
     def __init__(

@@ -1,92 +1,20 @@
-"""Checks of what `fuse` is asked for."""
+"""The part of the sensor that a region's result depends on, and what belongs to it."""
 from __future__ import annotations
 
 import math
 import operator
-import weakref
-from collections.abc import Mapping
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.errors import LayoutError
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
-from pdavis_cv.reconstruct.methods import METHODS
-from pdavis_cv.recording.base import Recording
-from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+from pdavis_cv.sensor import Layout, Sensor
 
-# A recording that warned about its layout once does not do so again.
-_warned: weakref.WeakSet[Recording] = weakref.WeakSet()
-
-
-def choose_method(method: str | None, recording: Recording, default: str) -> str:
-    """Return the method to use; without one, what fits the recording."""
-    if method is None:
-        if recording.info.event_count == 0:
-            return "frames"
-        if recording.info.frame_count == 0:
-            return "events"
-        return default
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    return method
-
-
-def chosen_layout(
-    layout: Layout | None, calibration: Calibration | None, recording: Recording
-) -> Layout:
-    """Return the layout to use; warn once per recording if none is known."""
-    of_calibration = None if calibration is None else calibration.layout
-    if layout is not None and not isinstance(layout, Layout):
-        raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
-    known = (layout, of_calibration, recording.info.layout)
-    if all(one is None for one in known):
-        if recording in _warned:
-            return Layout.PDAVIS
-        _warned.add(recording)
-    return resolve_layout(*known, stacklevel=4)
-
-
-def check_method_fits(method: str, layout: Layout) -> None:
-    """Raise LayoutError if the method was made for other layouts."""
-    i0, _, i90, _ = layout.places
-    if method == "joint" and i0 + i90 != 3:
-        raise LayoutError(
-            "method 'joint' needs a layout in which 0 and 90 degrees lie diagonally, "
-            f"got {layout}")
-
-
-def checked_calibration(
-    calibration: Calibration | None, recording: Recording
-) -> Calibration | None:
-    """Return the calibration if it can be of the recording's camera."""
-    if calibration is None:
-        return None
-    if not isinstance(calibration, Calibration):
-        raise TypeError(
-            f"calibration must be a Calibration, got {type(calibration).__name__}")
-    calibration.check_fits(recording.info.sensor_size, recording.info.serial)
-    return calibration
-
-
-def resolved_extinction_ratio(
-    value: float | str | None, sensor: Sensor | None
-) -> float | None:
-    """Return the number that S1 and S2 are corrected for, or None."""
-    if value is None:
-        return None
-    if isinstance(value, str):
-        if value != "nominal":
-            raise ValueError(
-                f"extinction_ratio must be 'nominal', a number or None, got {value!r}")
-        return (sensor or Sensor.PDAVIS).extinction_ratio
-    if not float(value) > 1:
-        raise ValueError(f"extinction_ratio must exceed 1, got {value}")
-    return float(value)
+__all__ = ["analyser_of", "checked_roi", "events_of", "mismatch_of", "part_of",
+           "response_of", "window_of"]
 
 
 def checked_roi(
@@ -158,17 +86,6 @@ def mismatch_of(sensor: Sensor | None) -> tuple[float, float, float]:
     return gain, math.radians(angle_deg), contrast
 
 
-def denoising(value: bool | Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return the parameters of an `EventDenoiser`, None for none."""
-    if isinstance(value, Mapping):
-        return dict(value)
-    if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(
-            "denoise must be a bool or a mapping of parameters of EventDenoiser, got "
-            f"{type(value).__name__}")
-    return {} if value else None
-
-
 def response_of(
     layout: Layout, calibration: Calibration | None, rows: slice, columns: slice
 ) -> NDArray[np.float64]:
@@ -221,35 +138,3 @@ def analyser_of(
     if crop is not None:
         response = response[:, :, crop[0], crop[1]]
     return Analyser(response)
-
-
-def checked_grid(
-    fps: float | None, times_us: ArrayLike | None, start_us: int | None,
-    stop_us: int | None,
-) -> tuple[Fraction | None, NDArray[np.int64] | None]:
-    """Return the rate or the times of the images."""
-    for name, value in (("start_us", start_us), ("stop_us", stop_us)):
-        if value is not None and not isinstance(value, (int, np.integer)):
-            raise TypeError(
-                f"{name} must be integer microseconds, got {type(value).__name__}")
-    if times_us is not None:
-        if any(value is not None for value in (fps, start_us, stop_us)):
-            raise TypeError("times_us excludes fps, start_us and stop_us")
-        raw = np.asarray(times_us)
-        if raw.ndim != 1 or (raw.size and raw.dtype.kind not in "iu"):
-            raise TypeError(
-                "times_us must be one-dimensional integer microseconds, got "
-                f"{raw.dtype} {raw.shape}")
-        times = raw.astype(np.int64)
-        if np.any(times[1:] <= times[:-1]):
-            raise ValueError("times_us must increase")
-        return None, times
-    if fps is None:
-        return None, None
-    try:
-        rate = Fraction(fps)
-    except (TypeError, ValueError, OverflowError):
-        rate = Fraction(0)
-    if not 0 < rate <= 1_000_000:
-        raise ValueError(f"fps must lie in (0, 1000000], got {fps!r}")
-    return rate, None

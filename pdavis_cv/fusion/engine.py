@@ -15,42 +15,45 @@ from numpy.typing import ArrayLike, NDArray
 
 import pdavis_cv
 from pdavis_cv import _kernels
-from pdavis_cv._arguments import (
-    analyser_of,
-    check_method_fits,
-    checked_calibration,
-    checked_grid,
-    checked_roi,
-    choose_method,
-    chosen_layout,
-    denoising,
-    events_of,
-    mismatch_of,
-    part_of,
-    resolved_extinction_ratio,
-    response_of,
-    window_of,
-)
 from pdavis_cv._feed import Feed, first_time
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.insitu import learned
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.past import Past
+from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.errors import ExposureWarning
+from pdavis_cv.fusion.grid import checked_grid
+from pdavis_cv.fusion.options import (
+    check_layout_fits,
+    checked_calibration,
+    chosen_layout,
+    denoising,
+    resolved_extinction_ratio,
+)
+from pdavis_cv.fusion.window import (
+    analyser_of,
+    checked_roi,
+    events_of,
+    mismatch_of,
+    part_of,
+    response_of,
+    window_of,
+)
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.mosaic import demosaic_valid
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
+from pdavis_cv.reconstruct.base import Factory, Reconstructor, Snapshot
 from pdavis_cv.reconstruct.lamp import LampTracker, Wave
-from pdavis_cv.reconstruct.methods import EVENT_METHODS, make_reconstructor
+from pdavis_cv.reconstruct.methods import (
+    default_method,
+    factory_of,
+    make_reconstructor,
+)
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Layout
 
-__all__ = ["DEFAULT_METHOD", "Fusion", "FusionSnapshot", "fuse"]
-
-DEFAULT_METHOD = "kalman"
-"""What ``fuse(method=None)`` takes for a recording with both events and frames."""
+__all__ = ["Fusion", "FusionSnapshot", "fuse"]
 
 # With causal: how long after its mid-exposure a frame may arrive and still act.
 _LONGEST_DELAY_US = 2_000_000
@@ -60,7 +63,7 @@ _BEFORE, _AFTER = -(2**62), 2**62
 def fuse(
     recording: Recording,
     *,
-    method: str | None = None,
+    method: str | Factory | None = None,
     fps: float | None = None,
     times_us: ArrayLike | None = None,
     start_us: int | None = None,
@@ -87,9 +90,11 @@ def fuse(
     ----------
     recording : Recording
         From `open_recording` or `recording_from_arrays`.
-    method : str, optional
-        One of ``METHODS``; default: what fits the recording (``frames`` without
-        events, ``events`` without frames, else ``DEFAULT_METHOD``).
+    method : str or callable, optional
+        One of ``METHODS``, or what makes a `Reconstructor` of your own: its class, or
+        a function ``(shape, *, theta_on, theta_off, **parameters)``.  Default: what
+        fits the recording (``frames`` without events, ``events`` without frames, else
+        ``DEFAULT_METHOD``).
     fps : float, optional
         Images per second of recording time: t_k = start + round(k * 1e6 / fps)
         while t_k < stop.
@@ -193,6 +198,8 @@ class Fusion:
     ----------
     method : str
         The method in use.
+    needs : Needs
+        What the method has to be given.
     layout : Layout
         Layout of the whole sensor.
     shape : (int, int)
@@ -206,7 +213,7 @@ class Fusion:
         self,
         recording: Recording,
         *,
-        method: str | None = None,
+        method: str | Factory | None = None,
         fps: float | None = None,
         times_us: ArrayLike | None = None,
         start_us: int | None = None,
@@ -229,9 +236,8 @@ class Fusion:
         info = recording.info
         self.recording = recording
         self._calibration = checked_calibration(calibration, recording)
-        self.method = choose_method(method, recording, DEFAULT_METHOD)
+        self._factory = factory_of(default_method(info) if method is None else method)
         self.layout = chosen_layout(layout, calibration, recording)
-        check_method_fits(self.method, self.layout)
         if demosaic not in ("bilinear", "superpixel"):
             raise ValueError(
                 f"demosaic must be 'bilinear' or 'superpixel', got {demosaic!r}")
@@ -239,29 +245,42 @@ class Fusion:
         self._causal = bool(causal)
         self.extinction_ratio = resolved_extinction_ratio(extinction_ratio, info.sensor)
 
-        on, off, method_parameters = learned(
-            recording, thresholds, nominal_thresholds, self._calibration,
-            method_parameters, self.method, causal=self._causal)
         self._roi = checked_roi(roi, info.sensor_size, demosaic)
-        if causal and self.method == "kalman":
-            method_parameters.setdefault("mode", "causal")
-        elif causal and method_parameters.get("offsets") == "redundancy":
-            method_parameters.setdefault("lookahead_us", 0)
-        self._past: Past | None = None
-        if self.method == "kalman" and (
-                causal or method_parameters.get("mode") == "causal"):
-            self._past = Past(
-                recording, (on, off), self._calibration, method_parameters)
-            method_parameters = self._past.parameters_at(_BEFORE)
         self._denoise = denoising(denoise)
         everything = (slice(0, info.sensor_size[0]), slice(0, info.sensor_size[1]))
-        whole = make_reconstructor(
-            self.method, info.sensor_size, on, off, method_parameters,
-            response_of(self.layout, self._calibration, *everything), self._denoise)
+        response = response_of(self.layout, self._calibration, *everything)
+
+        def made(parameters: Mapping[str, Any]) -> Reconstructor:
+            return make_reconstructor(
+                self._factory, info.sensor_size, on, off, parameters, response,
+                self._denoise)
+
+        on, off = resolve_thresholds(
+            recording, None if _is_in_situ(thresholds) else thresholds,
+            nominal_thresholds, self._calibration)
+        given = {name: value for name, value in method_parameters.items()
+                 if not _is_in_situ(value)}
+        whole = made(given)
+        if causal and whole.lookahead_us != 0:
+            # What the caller says goes before what would make the method causal.
+            method_parameters = {**whole.causal_parameters, **method_parameters}
+            whole = made({**whole.causal_parameters, **given})
         if causal and whole.lookahead_us != 0:
             raise ValueError(
                 f"causal=True needs a method that does not look ahead, but "
-                f"{self.method} needs {whole.lookahead_us} us")
+                f"{whole.method} needs {whole.lookahead_us} us")
+        self.method, self.needs = whole.method, whole.needs
+        check_layout_fits(whole, self.layout)
+        late = whole.lookahead_us == 0
+        on, off, method_parameters = learned(
+            recording, thresholds, (on, off), self._calibration, method_parameters,
+            whole.needs, causal=self._causal, late=late)
+        self._past: Past | None = None
+        if whole.needs.learned and late:
+            self._past = Past(
+                recording, (on, off), self._calibration, method_parameters)
+            method_parameters = self._past.parameters_at(_BEFORE)
+        whole = made(method_parameters)
         self._window = window_of(self._roi, info.sensor_size, demosaic, whole.margin)
         rows, columns = self._window
         self._lookahead_us = whole.lookahead_us
@@ -471,12 +490,12 @@ class Fusion:
         # With causal, a second state stays behind at the last frame's mid-exposure:
         # when a frame arrives, it is advanced, and what followed is replayed.
         self._lagged = (
-            self._make() if self._causal and self.method not in EVENT_METHODS else None)
+            self._make() if self._causal and self.needs.frames else None)
         # Over the whole sensor, so that an image of a region is the crop.
         self._lamp = LampTracker(
             self.recording.info.sensor_size, *self._typical,
             self._method_parameters.get("bandwidth"),
-        ) if self._current.follows_lamp else None
+        ) if self.needs.lamp else None
         self._backlog: deque[NDArray[Any]] = deque()
         self._frames: deque[tuple[int, int]] = deque()
         self._fed_us = None
@@ -500,7 +519,7 @@ class Fusion:
         rows, columns = self._window
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         return make_reconstructor(
-            self.method, shape, *self._thresholds, self._method_parameters,
+            self._factory, shape, *self._thresholds, self._method_parameters,
             self._response, self._denoise)
 
     def _advance_to(self, t: int) -> None:
@@ -520,7 +539,7 @@ class Fusion:
             self._frames.popleft()
 
     def _add_events(self, events: NDArray[Any]) -> None:
-        if self.method == "frames":
+        if not self.needs.events:
             return
         for wave in self._lamp.push(events) if self._lamp is not None else ():
             self._add_wave(wave)
@@ -539,7 +558,7 @@ class Fusion:
 
     def _add_frame(self, frame: ApsFrame) -> None:
         self._frames.append((frame.mid_us, frame.available_us))
-        if self.method in EVENT_METHODS:
+        if not self.needs.frames:
             return
         frame = corrected(frame, self._calibration)
         if self._lamp is not None:
@@ -574,8 +593,7 @@ class Fusion:
                 self._backlog.appendleft(events[n:])
 
     def _frame_us(self, t: int) -> int | None:
-        arrived = self._causal or (
-            self.method == "frames" and self._current.parameters["hold"] != "mid")
+        arrived = self._causal or self._current.shows_at_readout
         return next((mid for mid, available in reversed(self._frames)
                      if (available if arrived else mid) <= t), None)
 
@@ -591,3 +609,7 @@ class Fusion:
         top, left = (y - rows.start) // scale, (x - columns.start) // scale
         return (slice(top, top + height // scale),
                 slice(left, left + width // scale))
+
+
+def _is_in_situ(value: Any) -> bool:
+    return isinstance(value, str) and value == "in-situ"
