@@ -48,17 +48,20 @@ _HOME = {
     "IMU_DTYPE": "recording.base",
     "TRIGGER_DTYPE": "recording.base",
     "ApsFrame": "recording.base",
+    "FileRecording": "recording.files",
+    "Format": "recording.format",
     "Packet": "recording.base",
     "Recording": "recording.base",
     "RecordingInfo": "recording.base",
     "Source": "recording.base",
     "recording_from_arrays": "recording.memory",
     "source_from_packets": "recording.stream",
+    "formats": "recording.registry",
     "open_recording": "recording.open",
-    "Aedat2Writer": "recording.aedat2_writer",
-    "write_aedat2": "recording.aedat2_writer",
-    "Aedat4Writer": "recording.aedat4_writer",
-    "write_aedat4": "recording.aedat4_writer",
+    "Aedat2Writer": "recording.aedat2.writer",
+    "write_aedat2": "recording.aedat2.writer",
+    "Aedat4Writer": "recording.aedat4.writer",
+    "write_aedat4": "recording.aedat4.writer",
     "ComplementaryFilter": "reconstruct.cf",
     "KalmanFilter": "reconstruct.kalman",
     "AOP_EVENT_DTYPE": "reconstruct.aop_events",
@@ -177,7 +180,9 @@ __all__ = [
     "EventRedundancy",
     "EventSlice",
     "ExposureWarning",
+    "FileRecording",
     "FireNet",
+    "Format",
     "FrameHold",
     "Joint",
     "KalmanFilter",
@@ -212,6 +217,7 @@ __all__ = [
     "demosaic",
     "dolp",
     "export",
+    "formats",
     "fuse",
     "open_recording",
     "patched_cv2",
@@ -311,8 +317,8 @@ if TYPE_CHECKING:
     from pdavis_cv.reconstruct.methods import DEFAULT_METHOD, METHODS
     from pdavis_cv.reconstruct.redundancy import EventRedundancy
     from pdavis_cv.reconstruct.weights import Weights
-    from pdavis_cv.recording.aedat2_writer import Aedat2Writer, write_aedat2
-    from pdavis_cv.recording.aedat4_writer import Aedat4Writer, write_aedat4
+    from pdavis_cv.recording.aedat2.writer import Aedat2Writer, write_aedat2
+    from pdavis_cv.recording.aedat4.writer import Aedat4Writer, write_aedat4
     from pdavis_cv.recording.base import (
         IMU_DTYPE,
         TRIGGER_DTYPE,
@@ -322,8 +328,11 @@ if TYPE_CHECKING:
         RecordingInfo,
         Source,
     )
+    from pdavis_cv.recording.files import FileRecording
+    from pdavis_cv.recording.format import Format
     from pdavis_cv.recording.memory import recording_from_arrays
     from pdavis_cv.recording.open import open_recording
+    from pdavis_cv.recording.registry import formats
     from pdavis_cv.recording.stream import source_from_packets
     from pdavis_cv.sensor import CHANNELS, Layout, Sensor
     from pdavis_cv.stokes_vector import aop, debias_dolp, dolp, stokes

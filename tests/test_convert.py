@@ -7,7 +7,7 @@ from test_aedat4_writer import small
 
 import pdavis_cv
 from pdavis_cv import Layout, RecordingError, open_recording, write_aedat4
-from pdavis_cv.recording.hdf5 import write_hdf5
+from pdavis_cv.recording.hdf5.writer import write_hdf5
 from pdavis_cv.tools.convert import main
 
 h5py = pytest.importorskip("h5py")

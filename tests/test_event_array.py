@@ -16,7 +16,7 @@ from pdavis_cv import (
     write_aedat2,
     write_aedat4,
 )
-from pdavis_cv.recording.hdf5 import write_hdf5
+from pdavis_cv.recording.hdf5.writer import write_hdf5
 
 
 def sample():

@@ -11,7 +11,7 @@ from pdavis_cv import (
     open_recording,
     recording_from_arrays,
 )
-from pdavis_cv.recording.hdf5 import write_hdf5
+from pdavis_cv.recording.hdf5.writer import write_hdf5
 
 h5py = pytest.importorskip("h5py")
 

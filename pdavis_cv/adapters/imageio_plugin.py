@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from pdavis_cv.capture import CAP_PDAVIS_BGR, CAP_PROP_PDAVIS_POS_US, VideoCapture
 from pdavis_cv.recording.open import open_recording
+from pdavis_cv.recording.registry import suffixes
 
 __all__ = ["PdavisPlugin", "register"]
 
 _POS_FRAMES, _FPS, _FRAME_COUNT = 1, 5, 7
-_SUFFIXES = (".aedat", ".aedat2", ".aedat4")
 
 
 class PdavisPlugin(PluginV3):
@@ -146,9 +146,9 @@ def register() -> None:
     known_plugins["pdavis"] = PluginConfig(
         name="pdavis", class_name="PdavisPlugin",
         module_name="pdavis_cv.adapters.imageio_plugin", install_name="pdavis-cv")
-    for suffix in _SUFFIXES:
+    for suffix in suffixes():
         extension = FileExtension(
             extension=suffix, priority=["pdavis"],
-            name="Recording of an event camera (AEDAT)")
+            name="Recording of an event camera")
         extension_list.append(extension)
         known_extensions.setdefault(suffix, []).insert(0, extension)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.capture import CAP_PDAVIS_S0, CAP_PROP_PDAVIS_POS_US, VideoCapture
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.registry import suffixes
 
 __all__ = ["PdavisSequence"]
 
@@ -41,7 +42,7 @@ class PdavisSequence(pims.FramesSequence):  # type: ignore[misc]
     @classmethod
     def class_exts(cls) -> set[str]:
         """File names' ends that ``pims.open`` gives to this class."""
-        return {"aedat", "aedat2", "aedat4"}
+        return {suffix[1:] for suffix in suffixes()}
 
     def __init__(
         self, filename: str | os.PathLike[str] | Recording, *,

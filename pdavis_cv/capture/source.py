@@ -4,7 +4,6 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from pdavis_cv.capture import constants as c
@@ -12,6 +11,7 @@ from pdavis_cv.fusion import fuse
 from pdavis_cv.reconstruct.methods import METHODS, method_parameters
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.open import open_recording
+from pdavis_cv.recording.registry import is_recording
 from pdavis_cv.sensor import Layout
 
 __all__ = [
@@ -27,8 +27,6 @@ _FUSE = tuple(
     name for name, parameter in inspect.signature(fuse).parameters.items()
     if parameter.kind is inspect.Parameter.KEYWORD_ONLY)
 _OPEN = ("bad_events", "camera")
-_MAGIC = b"#!AER-DAT"
-_SUFFIXES = (".aedat", ".aedat2", ".aedat4")
 
 
 def is_ours(source: Any, backend: int, layout: Layout | None) -> bool:
@@ -48,20 +46,7 @@ def is_ours(source: Any, backend: int, layout: Layout | None) -> bool:
         return True
     if backend != 0 or not isinstance(source, (str, os.PathLike)):
         return False
-    if layout is not None:
-        return True
-    path = Path(source)
-    return path.suffix.lower() in _SUFFIXES or _first_bytes(path) == _MAGIC
-
-
-def _first_bytes(path: Path) -> bytes:
-    try:
-        if not path.is_file():
-            return b""
-        with path.open("rb") as file:
-            return file.read(len(_MAGIC))
-    except (OSError, ValueError):  # ValueError: a null character in the name
-        return b""
+    return layout is not None or is_recording(source)
 
 
 def opened(source: Any, parameters: Mapping[str, Any]) -> Recording:

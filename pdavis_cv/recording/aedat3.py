@@ -1,12 +1,10 @@
 """AEDAT-3.1, as cAER wrote it: import, the right way up."""
 from __future__ import annotations
 
-import os
 import re
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,17 +12,15 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.recording.aedat2_header import CHIP_SIZES
+from pdavis_cv.recording.aedat2.header import CHIP_SIZES
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
     TRIGGER_DTYPE,
     ApsFrame,
     Packet,
-    Problem,
-    Recording,
     RecordingInfo,
 )
-from pdavis_cv.recording.files import FileReader, ProblemLog
+from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import (
     NEVER,
@@ -37,9 +33,8 @@ from pdavis_cv.recording.timeline import (
 )
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["MAGIC", "Aedat3Recording"]
+__all__ = ["Aedat3Recording"]
 
-MAGIC = b"#!AER-DAT3.1"
 MAX_PACKET = 64 << 20
 _END = b"#!END-HEADER\r\n"
 _HEAD = struct.Struct("<hhiiiiii")
@@ -56,7 +51,7 @@ HORIZON_US = 500_000
 """How far the packets of different kinds may interleave imperfectly in time."""
 
 
-class Aedat3Recording(Recording):
+class Aedat3Recording(FileRecording):
     """A recording in AEDAT-3.1; see `open_recording`.
 
     The format has no index: the first reading makes one, for those that follow.
@@ -70,42 +65,9 @@ class Aedat3Recording(Recording):
         Must be part of the source's name if given.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
-                 bad_events: str = "drop", camera: str | None = None) -> None:
-        self._arguments = (os.fspath(path), layout, bad_events, camera)
-        self._strict = bad_events == "raise"
-        self._reader = FileReader(path)
-        self._log = ProblemLog(str(path))
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        self._reader = self._bytes()
         self._marks = Marks(MARK_BYTES)
-        try:
-            self._info = self._read_header(layout, camera)
-        except BaseException:
-            self._reader.close()
-            raise
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _reopen, self._arguments
-
-    @property
-    def path(self) -> Path:
-        """The file that is read."""
-        return self._reader.path
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Header facts."""
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """What was found wrong so far."""
-        return self._log.problems
-
-    def close(self) -> None:
-        """Release the file."""
-        self._reader.close()
-
-    def _read_header(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
         head = self._reader.read(0, 1 << 20)
         end = head.find(_END)
         if end < 0:
@@ -310,11 +272,6 @@ class Aedat3Recording(Recording):
         return ApsFrame(dn, start, end, valid=None if valid.all() else valid,
                         available_us=ready if 0 <= ready - end <= 60_000_000 else end)
 
-    def _count(self, at: int, kind: str, count: int, message: str) -> None:
-        if self._strict:
-            raise RecordingError(f"{self.path}: byte {at}: {count} {message}")
-        self._log.add(kind, at, message, count=count, offset=at)
-
 
 def _wild(times: NDArray[np.int64], before: int | None,
           after: NDArray[np.int64] | None) -> NDArray[np.bool_]:
@@ -372,8 +329,3 @@ _READ: dict[int, Callable[[bytes, int], NDArray[Any]]] = {
     SPECIAL: _special, POLARITY: _polarity, IMU6: _imu,
     IMU9: partial(_imu, record=_IMU9)}
 _FIELDS = {SPECIAL: "triggers", POLARITY: "events", IMU6: "imu", IMU9: "imu"}
-
-
-def _reopen(path: str, layout: Layout | None, bad_events: str,
-            camera: str | None) -> Aedat3Recording:
-    return Aedat3Recording(path, layout=layout, bad_events=bad_events, camera=camera)

@@ -1,4 +1,4 @@
-"""What every reader of files needs: positioned reads and a list of problems."""
+"""What every reader of files is: opening, closing, positioned reads, problems."""
 from __future__ import annotations
 
 import dataclasses
@@ -6,13 +6,17 @@ import os
 import threading
 import warnings
 import weakref
-from collections.abc import Hashable
+from abc import abstractmethod
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
-from pdavis_cv.recording.base import Problem
+from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
+from pdavis_cv.sensor import Layout
 
-__all__ = ["FileReader", "ProblemLog", "clock_text"]
+__all__ = ["FileReader", "FileRecording", "ProblemLog", "clock_text"]
 
 
 class FileReader:
@@ -162,6 +166,112 @@ class ProblemLog:
         """One Problem per kind, in the order of finding."""
         with self._lock:
             return tuple(self._found.values())
+
+
+class FileRecording(Recording):
+    """A recording in a file: opening, closing, pickling and problems of every format.
+
+    A format's reader says in `_open` what the file is, and in `packets` what it holds.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Which camera, if the file holds several.
+    **options
+        Of the format; see `Format`.
+
+    Attributes
+    ----------
+    _log : ProblemLog
+        Where findings go; with `_strict` they are errors, see `_count`.
+    _closing : ExitStack
+        What `_open` opens is put here, and `close` releases it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
+                 bad_events: str = "drop", camera: str | None = None,
+                 **options: Any) -> None:
+        self._arguments = {"layout": layout, "bad_events": bad_events,
+                           "camera": camera, **options}
+        self._path = Path(path)
+        self._strict = bad_events == "raise"
+        self._log = ProblemLog(str(path))
+        self._closing = ExitStack()
+        try:
+            self._info = self._open(layout, camera, **options)
+        except BaseException:
+            self._closing.close()
+            raise
+
+    @abstractmethod
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        """Open the file and return its facts; formats with options take them too.
+
+        Raises
+        ------
+        RecordingError
+            If it cannot be opened or is not what it says.
+        """
+
+    def _bytes(self) -> FileReader:
+        """Return the file's bytes, which `close` releases."""
+        reader = FileReader(self._path)
+        self._closing.callback(reader.close)
+        return reader
+
+    def _count(self, at: int, kind: str, count: int, message: str, *,
+               unit: str = "byte") -> None:
+        """Note how many samples at a place were left out and why, or refuse the file.
+
+        Parameters
+        ----------
+        at : int
+            Place in the file: each counts once, however often it is read.
+        kind : str
+            Of `Problem`.
+        count : int
+            How many; 0 is nothing.
+        message : str
+            Goes on after the number.
+        unit : str
+            What `at` counts.
+        """
+        if not count:
+            return
+        if self._strict:
+            raise RecordingError(f"{self._path}: {unit} {at}: {count} {message}")
+        self._log.add(kind, at, message, count=count,
+                      offset=at if unit == "byte" else None)
+
+    @property
+    def path(self) -> Path:
+        """The file that is read."""
+        return self._path
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """What was found wrong so far."""
+        return self._log.problems
+
+    def close(self) -> None:
+        """Release the file."""
+        self._closing.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopen, (type(self), os.fspath(self._path), self._arguments)
+
+
+def _reopen(reader: Callable[..., FileRecording], path: str,
+            arguments: dict[str, Any]) -> FileRecording:
+    return reader(path, **arguments)
 
 
 def clock_text(start_us: int | None, stop_us: int | None) -> str:

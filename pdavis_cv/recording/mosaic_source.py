@@ -42,7 +42,8 @@ _GREY = tuple(int.from_bytes(code, "little") for code in (b"Y800", b"Y1\0\x10"))
 
 
 def open_mosaic(
-    source: str | os.PathLike[str], *, layout: Layout, fps: float | None = None
+    source: str | os.PathLike[str], *, layout: Layout, fps: float | None = None,
+    bad_events: str = "drop", camera: str | None = None,
 ) -> Recording:
     """Open a video, an image, a pattern of image names or a TIFF stack.
 
@@ -55,6 +56,8 @@ def open_mosaic(
         Of these images, so after any crop and mirror of them.
     fps : float, optional
         Images per second; default: the video's, 25 for images.
+    bad_events, camera : str, optional
+        Not used: images hold no events, and are of one camera.
 
     Returns
     -------

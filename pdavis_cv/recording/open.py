@@ -8,6 +8,12 @@ from typing import Any
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.registry import (
+    first_bytes,
+    format_of,
+    formats,
+    read_with,
+)
 from pdavis_cv.sensor import Layout
 
 __all__ = ["open_recording"]
@@ -22,6 +28,7 @@ def open_recording(
     fps: float | None = None,
     bad_events: str = "drop",
     camera: str | None = None,
+    **options: Any,
 ) -> Recording:
     """Open a recording, whatever its format.
 
@@ -43,6 +50,8 @@ def open_recording(
         drop and count them in ``problems``, or raise RecordingError.
     camera : str, optional
         Which camera, by name or serial number, if the file holds several.
+    **options
+        Of the file's format; see ``Format.read_options``.
 
     Returns
     -------
@@ -55,6 +64,13 @@ def open_recording(
         file, the byte and what was seen.
     LayoutError
         If the recording gives another layout than the caller.
+    TypeError
+        If an option is not one of the format's.
+
+    Notes
+    -----
+    Which formats there are is a table, `pdavis_cv.formats`; other packages add theirs
+    through the entry-point group ``pdavis_cv.formats``.
     """
     if isinstance(source, Recording):
         return source
@@ -65,34 +81,26 @@ def open_recording(
             f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")
     path = Path(source)
     # What has no such name may be a pattern of image names.
-    start = _first_bytes(path) if layout is None or path.is_file() else b""
-    options: dict[str, Any] = {
-        "layout": layout, "bad_events": bad_events, "camera": camera}
-    if start.startswith(b"#!AER-DAT4"):
-        from pdavis_cv.recording.aedat4 import Aedat4Recording
+    start = first_bytes(path) if layout is None or path.exists() else b""
+    found = format_of(path, start)
+    if found is None and layout is not None:
+        found = next(one for one in formats() if one.needs_layout)
+    if found is None:
+        raise _not_a_recording(path, start)
+    if "fps" in found.read_options:
+        options = {"fps": fps, **options}
+    return read_with(
+        found, source, options, layout=layout, bad_events=bad_events, camera=camera)
 
-        return Aedat4Recording(path, **options)
-    if start.startswith(b"\x89HDF\r\n\x1a\n"):
-        from pdavis_cv.recording.hdf5 import Hdf5Recording
 
-        return Hdf5Recording(path, **options)
-    if start.startswith(b"#!AER-DAT3.1"):
-        from pdavis_cv.recording.aedat3 import Aedat3Recording
-
-        return Aedat3Recording(path, **options)
-    if start.startswith(b"#!AER-DAT2"):
-        from pdavis_cv.recording.aedat2 import Aedat2Recording
-
-        return Aedat2Recording(path, **options)
-    if layout is not None:
-        from pdavis_cv.recording.mosaic_source import open_mosaic
-
-        return open_mosaic(source, layout=layout, fps=fps)
+def _not_a_recording(path: Path, start: bytes) -> RecordingError:
+    if path.is_dir():
+        return RecordingError(f"{path}: a folder, and no recording that is one")
     if start.startswith(b"#"):
-        raise RecordingError(f"{path}: byte 0: {_other_aedat(start)}")
+        return RecordingError(f"{path}: byte 0: {_other_aedat(start)}")
     if not start:
-        raise RecordingError(f"{path}: byte 0: the file is empty")
-    raise RecordingError(
+        return RecordingError(f"{path}: byte 0: the file is empty")
+    return RecordingError(
         f"{path}: byte 0: not a recording, first bytes {start[:8]!r} (a video or "
         "image of a polarization camera needs layout=)")
 
@@ -108,11 +116,3 @@ def _other_aedat(start: bytes) -> str:
                 "AEDAT-4")
     return ("no line #!AER-DAT: not a recording, or AEDAT-1 of a DVS128 (16-bit "
             "addresses), which is not read: no DAVIS wrote it")
-
-
-def _first_bytes(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(64)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be opened: {error.strerror}") from error

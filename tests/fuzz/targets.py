@@ -56,7 +56,7 @@ def _aedat31():
 def _hdf5():
     if importlib.util.find_spec("h5py") is None:
         return []
-    from pdavis_cv.recording.hdf5 import write_hdf5
+    from pdavis_cv.recording.hdf5.writer import write_hdf5
     return [_written(write_hdf5, recording((12, 16), 3), flavour=name)
             for name in ("e2p", "dsec")]
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.recording.aedat2_writer import write_aedat2
-from pdavis_cv.recording.aedat4_writer import Aedat4Writer, write_aedat4
+from pdavis_cv.recording.aedat2.writer import write_aedat2
+from pdavis_cv.recording.aedat4.writer import Aedat4Writer, write_aedat4
 from pdavis_cv.recording.base import ApsFrame, Packet
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.recording.open import open_recording

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.files import FileReader
 
-__all__ = ["CHIP_SIZES", "MAGIC", "Header", "bias_currents", "read_header"]
+__all__ = ["CHIP_SIZES", "Header", "bias_currents", "read_header"]
 
-MAGIC = b"#!AER-DAT2"
 MAX_HEADER = 4 << 20
 USUAL_HEADER = 1 << 16
 CHIP_SIZES = {"davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
@@ -81,7 +80,7 @@ class Header:
 
 
 def read_header(reader: FileReader) -> Header:
-    """Return the header of a file that begins with ``MAGIC``.
+    """Return the header of a file that begins with ``#!AER-DAT2``.
 
     Raises
     ------

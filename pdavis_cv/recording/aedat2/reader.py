@@ -1,11 +1,9 @@
 """AEDAT-2.0 recordings: what jAER wrote for most of its life, and v2e writes."""
 from __future__ import annotations
 
-import os
 import re
 import threading
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,10 +11,10 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.recording.aedat2_decoder import Decoder, ImuScale, Mark
-from pdavis_cv.recording.aedat2_header import bias_currents, read_header
-from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
-from pdavis_cv.recording.files import FileReader, ProblemLog
+from pdavis_cv.recording.aedat2.decoder import Decoder, ImuScale, Mark
+from pdavis_cv.recording.aedat2.header import bias_currents, read_header
+from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import NEVER
 from pdavis_cv.sensor import Layout, Sensor
@@ -28,7 +26,7 @@ WARM_UP_US = 2_000_000
 _SERIAL = re.compile(r"[-_]([0-9A-F]{8}|\d{3,8})(?=[-_.]|$)")
 
 
-class Aedat2Recording(Recording):
+class Aedat2Recording(FileRecording):
     """A recording in AEDAT-2.0; see `open_recording`.
 
     Rows and columns are those of the image: row 0 at the top, no mirror.  IMU
@@ -43,44 +41,15 @@ class Aedat2Recording(Recording):
         Must be part of the chip's name if given.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
-                 bad_events: str = "drop", camera: str | None = None) -> None:
-        self._arguments = (os.fspath(path), layout, bad_events, camera)
-        self._strict = bad_events == "raise"
-        self._reader = FileReader(path)
-        self._log = ProblemLog(str(path))
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        self._reader = self._bytes()
         self._lock = threading.Lock()
         self._complete = False
-        try:
-            self._header = read_header(self._reader)
-            self._marks = [Mark(0, self._header.origin_us, NEVER)]
-            self._size = self._sensor_size(camera)
-            self._info = self._make_info(layout)
-        except BaseException:
-            self._reader.close()
-            raise
+        self._header = read_header(self._reader)
+        self._marks = [Mark(0, self._header.origin_us, NEVER)]
+        self._size = self._sensor_size(camera)
+        return self._make_info(layout)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _reopen, self._arguments
-
-    @property
-    def path(self) -> Path:
-        """The file that is read."""
-        return self._reader.path
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Header facts."""
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """What was found wrong so far."""
-        return self._log.problems
-
-    def close(self) -> None:
-        """Release the file."""
-        self._reader.close()
 
     def _sensor_size(self, camera: str | None) -> tuple[int, int]:
         chip = self._header.chip
@@ -201,8 +170,3 @@ def _writer(facts: dict[str, str]) -> str | None:
     text = " ".join(f"{key} {value}" for key, value in facts.items()).lower()
     return next((name for name in ("pdavis_cv", "v2e", "jAER") if name.lower() in text),
                 None)
-
-
-def _reopen(path: str, layout: Layout | None, bad_events: str,
-            camera: str | None) -> Aedat2Recording:
-    return Aedat2Recording(path, layout=layout, bad_events=bad_events, camera=camera)

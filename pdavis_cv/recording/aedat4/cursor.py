@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.recording import aedat4_samples as samples
-from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError
+from pdavis_cv.recording.aedat4 import samples
+from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, PayloadError
 from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.recording.timeline import (
     FAR,

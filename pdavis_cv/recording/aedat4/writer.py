@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.recording.aedat4_file import COMPRESSIONS, MAGIC
+from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording
 from pdavis_cv.recording.writer import RecordingWriter
 from pdavis_cv.sensor import Layout

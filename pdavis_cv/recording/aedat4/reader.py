@@ -1,18 +1,17 @@
 """AEDAT-4 recordings."""
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import PdavisWarning, RecordingError
-from pdavis_cv.recording import aedat4_samples as samples
-from pdavis_cv.recording.aedat4_cursor import Cursor
-from pdavis_cv.recording.aedat4_file import Aedat4File, Entry, PayloadError, Stream
-from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
+from pdavis_cv.recording.aedat4 import samples
+from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, PayloadError, Stream
+from pdavis_cv.recording.aedat4.cursor import Cursor
+from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import (
     END_OF_TIME,
     Batch,
@@ -34,7 +33,7 @@ EPOCH_US = 10**15
 """Times beyond this (2001) are Unix times, smaller ones count from some start."""
 
 
-class Aedat4Recording(Recording):
+class Aedat4Recording(FileRecording):
     """A recording in AEDAT-4; see `open_recording`.
 
     Parameters
@@ -46,44 +45,16 @@ class Aedat4Recording(Recording):
         Source, or part of it, where the file holds several cameras.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
-                 bad_events: str = "drop", camera: str | None = None) -> None:
-        self._arguments = (os.fspath(path), layout, bad_events, camera)
-        self._strict = bad_events == "raise"
-        self._file = Aedat4File(path)
-        try:
-            self._streams = self._choose(camera)
-            self._marks = Marks(MARK_PULLS)
-            self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
-                             for s in self._streams.values())
-            self._size = self._sensor_size()
-            self._scale = self._frame_scale()
-            self._info = self._make_info(layout)
-        except BaseException:
-            self._file.reader.close()
-            raise
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        self._file = Aedat4File(self._bytes(), self._log)
+        self._streams = self._choose(camera)
+        self._marks = Marks(MARK_PULLS)
+        self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
+                         for s in self._streams.values())
+        self._size = self._sensor_size()
+        self._scale = self._frame_scale()
+        return self._make_info(layout)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _reopen, self._arguments
-
-    @property
-    def path(self) -> Path:
-        """The file that is read."""
-        return self._file.reader.path
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Header facts."""
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """What was found wrong so far."""
-        return self._file.log.problems
-
-    def close(self) -> None:
-        """Release the file."""
-        self._file.reader.close()
 
     # Opening -------------------------------------------------------------------
 
@@ -362,8 +333,3 @@ class Aedat4Recording(Recording):
 
 
 _FIELDS = {"EVTS": "events", "FRME": "frames", "IMUS": "imu", "TRIG": "triggers"}
-
-
-def _reopen(path: str, layout: Layout | None, bad_events: str,
-            camera: str | None) -> Aedat4Recording:
-    return Aedat4Recording(path, layout=layout, bad_events=bad_events, camera=camera)

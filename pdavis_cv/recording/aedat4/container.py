@@ -5,7 +5,6 @@ FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
 """
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,8 +16,8 @@ import numpy as np
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, Table, root_table
 from pdavis_cv.recording.files import FileReader, ProblemLog, clock_text
-from pdavis_cv.recording.flatbuffer import FlatBufferError, Table, root_table
 
 __all__ = ["MAGIC", "Aedat4File", "Entry", "PayloadError", "Stream"]
 
@@ -68,7 +67,10 @@ class Aedat4File:
 
     Parameters
     ----------
-    path : path
+    reader : FileReader
+        The file; the caller closes it.
+    log : ProblemLog
+        Where damage is noted.
 
     Attributes
     ----------
@@ -77,7 +79,6 @@ class Aedat4File:
     streams : dict of int to Stream
     indexed : bool
         True if the file has a usable index.
-    log : ProblemLog
 
     Raises
     ------
@@ -85,18 +86,13 @@ class Aedat4File:
         If the header cannot be read.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.reader = FileReader(path)
-        self.log = ProblemLog(str(path))
-        try:
-            self._read_header()
-            self.indexed = self._read_index()
-            if not self.indexed:
-                for entry in self._walk():
-                    self.streams[entry.stream].entries.append(entry)
-        except BaseException:
-            self.reader.close()
-            raise
+    def __init__(self, reader: FileReader, log: ProblemLog) -> None:
+        self.reader, self.log = reader, log
+        self._read_header()
+        self.indexed = self._read_index()
+        if not self.indexed:
+            for entry in self._walk():
+                self.streams[entry.stream].entries.append(entry)
 
     def _fail(self, offset: int, message: str) -> RecordingError:
         return RecordingError(f"{self.reader.path}: byte {offset}: {message}")

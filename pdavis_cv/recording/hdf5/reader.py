@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from pathlib import Path
-from types import MappingProxyType
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,19 +21,16 @@ from pdavis_cv.recording.base import (
     TRIGGER_DTYPE,
     ApsFrame,
     Packet,
-    Problem,
-    Recording,
     RecordingInfo,
     joined,
 )
-from pdavis_cv.recording.files import ProblemLog
+from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import FAR, NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
-__all__ = ["MAGIC", "Hdf5Recording", "write_hdf5"]
+__all__ = ["Hdf5Recording", "h5py_module"]
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
 CHUNK = 1 << 16
 LEAST_PIECE = 256
 MAX_SIDE = 8192
@@ -46,7 +40,8 @@ MOST_RATIO = 1100
 MAX_EXPOSURE_US = 60_000_000
 
 
-def _h5py() -> Any:
+def h5py_module() -> Any:
+    """Return the package h5py; ImportError names the command that installs it."""
     try:
         import h5py
     except ImportError:
@@ -71,7 +66,7 @@ def _reading() -> Iterator[None]:
         raise _LostError(f"{type(error).__name__}: {error}") from error
 
 
-class Hdf5Recording(Recording):
+class Hdf5Recording(FileRecording):
     """A recording in HDF5; see `open_recording`.
 
     Parameters
@@ -83,53 +78,24 @@ class Hdf5Recording(Recording):
         Not used: such files hold one camera.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
-                 bad_events: str = "drop", camera: str | None = None) -> None:
-        self._arguments = (os.fspath(path), layout, bad_events, camera)
-        self._strict = bad_events == "raise"
-        self._path = Path(path)
-        self._log = ProblemLog(str(path))
-        h5py = _h5py()
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        h5py, path = h5py_module(), self._path
         try:
             with _reading():
                 self._file = h5py.File(path, "r")
         except _LostError as error:
             raise RecordingError(f"{path}: byte 0: HDF5 cannot read it: {error}"
                                  ) from error
+        self._closing.callback(self._file.close)
         self._most_bytes = MOST_RATIO * self._path.stat().st_size
         try:
             with _reading():
                 self._columns = self._find_events()
                 self._frames = self._dataset(self._file, "frame", 3)
-                self._info = self._make_info(layout)
+                return self._make_info(layout)
         except _LostError as error:
-            self._file.close()
             raise RecordingError(f"{path}: the file is damaged: {error}") from error
-        except BaseException:
-            self._file.close()
-            raise
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _reopen, self._arguments
-
-    @property
-    def path(self) -> Path:
-        """The file that is read."""
-        return self._path
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Header facts."""
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """What was found wrong so far."""
-        return self._log.problems
-
-    def close(self) -> None:
-        """Release the file."""
-        self._file.close()
 
     # Opening -------------------------------------------------------------------
 
@@ -138,7 +104,7 @@ class Hdf5Recording(Recording):
         found = group.get(name)
         if found is None:
             return None
-        if not isinstance(found, _h5py().Dataset) or found.ndim != dimensions or (
+        if not isinstance(found, h5py_module().Dataset) or found.ndim != dimensions or (
                 found.dtype.kind not in "iufb"):
             raise RecordingError(
                 f"{self._path}: {found.name if found.name else name} must be numbers "
@@ -154,10 +120,10 @@ class Hdf5Recording(Recording):
     def _find_events(self) -> Callable[[slice], tuple[NDArray[Any], ...]]:
         """Return a function from rows to (t, x, y, p); note how many rows there are."""
         events = self._file.get("events")
-        if isinstance(events, _h5py().Group) and all(k in events for k in "txyp"):
+        if isinstance(events, h5py_module().Group) and all(k in events for k in "txyp"):
             columns = [self._dataset(events, k, 1) for k in "txyp"]
             offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
-            self._format, self._count = "HDF5 (DSEC)", min(map(len, columns))
+            self._format, self._length = "HDF5 (DSEC)", min(map(len, columns))
             self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
 
             def read(rows: slice) -> tuple[NDArray[Any], ...]:
@@ -171,7 +137,7 @@ class Hdf5Recording(Recording):
             raise RecordingError(
                 f"{self._path}: no /events of E2P (N, 4) or DSEC (t, x, y, p); it "
                 f"holds {', '.join(self._file) or 'nothing'}")
-        self._format, self._count = "HDF5 (E2P)", len(table)
+        self._format, self._length = "HDF5 (E2P)", len(table)
         self._piece = (table.chunks or (CHUNK,))[0]
         scale = _unit(self._first(lambda rows: table[rows, 0]))
 
@@ -185,7 +151,7 @@ class Hdf5Recording(Recording):
         """Return what can be read of the first events."""
         step = max(self._piece, LEAST_PIECE)
         for rows in (slice(0, CHUNK), *(
-                slice(row, row + step) for row in range(0, self._count, step))):
+                slice(row, row + step) for row in range(0, self._length, step))):
             with contextlib.suppress(_LostError), _reading():
                 return read(rows)
         raise _LostError("none of its events can be read")
@@ -218,7 +184,7 @@ class Hdf5Recording(Recording):
             format=self._format, sensor_size=(height, width),
             writer=attributes.get("writer"), camera=attributes.get("camera"),
             sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None,
-            layout=layout, start_us=self._start(), event_count=self._count,
+            layout=layout, start_us=self._start(), event_count=self._length,
             frame_count=0 if self._frames is None else len(self._frames),
             imu_count=len(self._table("imu", IMU_DTYPE)),
             trigger_count=len(self._table("triggers", TRIGGER_DTYPE)))
@@ -226,7 +192,7 @@ class Hdf5Recording(Recording):
     def _start(self) -> int | None:
         try:
             with _reading():
-                return int(self._columns(slice(0, 1))[0][0]) if self._count else None
+                return int(self._columns(slice(0, 1))[0][0]) if self._length else None
         except _LostError:
             return None  # told when it is read
 
@@ -247,8 +213,8 @@ class Hdf5Recording(Recording):
                     complete_us=NEVER)
         clock, before = Clock(Timeline()), NEVER
         first = 0 if start_us is None else self._chunk_before(cell_start(start_us))
-        for row in range(first, self._count, CHUNK):
-            events = self._events(row, min(row + CHUNK, self._count), clock)
+        for row in range(first, self._length, CHUNK):
+            events = self._events(row, min(row + CHUNK, self._length), clock)
             now = clock.last
             ready: list[ApsFrame] = []
             while taken < len(frames) and frames[taken].ready <= max(now, before):
@@ -261,7 +227,7 @@ class Hdf5Recording(Recording):
             yield Batch(frames=self._frame(place), complete_us=place.ready)
 
     def _chunk_before(self, t_us: int) -> int:
-        lo, hi = 0, (self._count + CHUNK - 1) // CHUNK
+        lo, hi = 0, (self._length + CHUNK - 1) // CHUNK
         try:
             with _reading():
                 while hi - lo > 1:
@@ -296,11 +262,7 @@ class Hdf5Recording(Recording):
                 ("outside sensor", inside, "events outside the sensor were dropped"),
                 ("backward time", keep, "events were dropped because time ran "
                  "backward")):
-            bad = int(np.count_nonzero(~good))
-            if bad and self._strict:
-                raise RecordingError(f"{self._path}: row {row}: {bad} {message}")
-            if bad:
-                self._log.add(kind, row, message, count=bad)
+            self._count(row, kind, int(np.count_nonzero(~good)), message, unit="row")
         good = inside & keep
         events = np.empty(int(np.count_nonzero(good)), EVENT_DTYPE)
         for name, column in zip("txyp", (t, x, y, p), strict=True):
@@ -424,134 +386,3 @@ def _microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
     t = np.rint(t * unit)
     # What is no number, or beyond any time, is dropped as such later.
     return np.where(np.abs(t) < FAR, t, -FAR).astype(np.int64)
-
-
-def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
-               flavour: str = "e2p") -> Mapping[str, int]:
-    """Write a recording as HDF5.
-
-    Parameters
-    ----------
-    path : path
-        The file appears under this name when it is whole.
-    recording : Recording
-    flavour : {"e2p", "dsec"}
-        E2P holds events and frames; DSEC's layout holds events only.
-
-    Returns
-    -------
-    mapping of str to int
-        What the format could not hold, and how often.
-
-    Raises
-    ------
-    ValueError
-        If the flavour is not one of those listed.
-    ImportError
-        If h5py is missing.
-    """
-    if flavour not in ("e2p", "dsec"):
-        raise ValueError(f"flavour must be e2p or dsec, got {flavour!r}")
-    path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with _h5py().File(part, "w") as file:
-            lost = _fill(file, recording, flavour)
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    return MappingProxyType(lost)
-
-
-def _fill(file: Any, recording: Recording, flavour: str) -> dict[str, int]:
-    info = recording.info
-    lost: dict[str, int] = {}
-    file.attrs["sensor_size"] = info.sensor_size
-    file.attrs["writer"] = "pdavis_cv"
-    if info.camera:
-        file.attrs["camera"] = info.camera
-    if info.layout is not None:
-        file.attrs["layout"] = (*info.layout.row0, *info.layout.row1)
-
-    def growing(name: str, dtype: Any, *shape: int) -> Any:
-        chunk = (CHUNK if not shape or shape == (4,) else 1, *shape)
-        return file.create_dataset(
-            name, (0, *shape), dtype, maxshape=(None, *shape), chunks=chunk,
-            compression="gzip", compression_opts=1, shuffle=True)
-
-    def append(data: Any, rows: Any) -> None:
-        n = len(data)
-        data.resize(n + len(rows), axis=0)
-        data[n:] = rows
-
-    columns = {}
-    table = None
-    if flavour == "dsec":
-        columns = {name: growing(f"events/{name}", kind) for name, kind in (
-            ("t", "i8"), ("x", "u2"), ("y", "u2"), ("p", "u1"))}
-        file["t_offset"] = np.int64(info.start_us or 0)
-    else:
-        table = growing("events", "i8", 4)
-    height, width = info.sensor_size
-    images: Any = None
-    count, milliseconds = 0, np.zeros(1, np.int64)
-    extras: dict[str, list[Any]] = {name: [] for name in (
-        "frame_ts", "frame_idx", "exposure_start_us", "exposure_end_us",
-        "available_us")}
-    imu, triggers = [], []
-    for packet in recording.packets():
-        events = packet.events
-        if len(events) and table is not None:
-            append(table, np.stack([events[k].astype(np.int64) for k in "txyp"], 1))
-        elif len(events):
-            offset = info.start_us or 0
-            for name in "xyp":
-                append(columns[name], events[name])
-            t = events["t"] - offset
-            append(columns["t"], t)
-            last = int(t[-1]) // 1000
-            if last >= len(milliseconds):
-                edges = np.arange(len(milliseconds), last + 1) * 1000
-                milliseconds = np.concatenate(
-                    [milliseconds, count + np.searchsorted(t.copy(), edges)])
-        count += len(events)
-        for frame in packet.frames:
-            if flavour == "dsec":
-                lost["frames"] = lost.get("frames", 0) + 1
-                continue
-            if images is None:
-                images = growing("frame", "f4", height, width)
-                valid = growing("pdavis/valid", "?", height, width)
-            append(images, frame.dn[None])
-            append(valid, (np.ones(frame.shape, np.bool_) if frame.valid is None
-                           else frame.valid)[None])
-            if np.ndim(frame.exposure_start_us) or np.ndim(frame.exposure_end_us):
-                lost["exposure times per column"] = lost.get(
-                    "exposure times per column", 0) + 1
-            half = round(frame.exposure_ms * 500)
-            start, end = frame.mid_us - half, frame.mid_us + half
-            if isinstance(frame.exposure_start_us, int) and isinstance(
-                    frame.exposure_end_us, int):
-                start, end = frame.exposure_start_us, frame.exposure_end_us
-            for name, value in zip(extras, (frame.mid_us, count, start, end,
-                                            frame.available_us), strict=True):
-                extras[name].append(value)
-        imu.append(packet.imu)
-        triggers.append(packet.triggers)
-    if flavour == "dsec":
-        file["ms_to_idx"] = milliseconds
-    elif images is not None:
-        for name, values in extras.items():
-            place = name if name.startswith("frame_") else f"pdavis/{name}"
-            file[place] = np.array(values, np.int64)
-    for name, parts in (("imu", imu), ("triggers", triggers)):
-        rows = np.concatenate(parts) if parts else np.empty(0)
-        if len(rows):
-            file[f"pdavis/{name}"] = rows
-    return lost
-
-
-def _reopen(path: str, layout: Layout | None, bad_events: str,
-            camera: str | None) -> Hdf5Recording:
-    return Hdf5Recording(path, layout=layout, bad_events=bad_events, camera=camera)

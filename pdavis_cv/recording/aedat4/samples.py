@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.recording.aedat4_file import PayloadError
+from pdavis_cv.recording.aedat4.container import PayloadError
+from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, Table
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
-from pdavis_cv.recording.flatbuffer import FlatBufferError, Table
 
 __all__ = [
     "FrameScale",

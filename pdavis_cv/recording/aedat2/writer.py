@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.recording.aedat2_header import CHIP_SIZES
+from pdavis_cv.recording.aedat2.header import CHIP_SIZES
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording
 from pdavis_cv.recording.writer import RecordingWriter
 

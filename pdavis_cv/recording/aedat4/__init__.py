@@ -1,0 +1,1 @@
+"""AEDAT-4, as DV, dv-processing and jAER write it: container, decoding, writing."""

@@ -1,0 +1,215 @@
+"""The formats that the library reads and writes: one entry each, listed nowhere else.
+
+A new format is a module with a reader (`pdavis_cv.recording.files.FileRecording` is its
+base class) and an entry here; or, in a package of its own, an entry point of the group
+``pdavis_cv.formats`` that names a `Format`.
+"""
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv.errors import PdavisWarning, RecordingError
+from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.format import Format, loaded
+from pdavis_cv.sensor import Layout
+
+__all__ = ["BUILT_IN", "ENTRY_POINTS", "first_bytes", "format_of", "formats",
+           "is_recording", "read_with", "suffixes", "writer_for"]
+
+ENTRY_POINTS = "pdavis_cv.formats"
+"""Group of entry points through which other packages add formats."""
+_HEAD = 4096
+
+_ALL = frozenset(("events", "frames", "imu", "triggers"))
+_EVENTS = frozenset(("events",))
+_ROOM = "pdavis_cv.recording"
+
+BUILT_IN = (
+    Format(
+        name="aedat4", title="AEDAT-4", suffixes=(".aedat4",),
+        magic=(b"#!AER-DAT4",), holds=_ALL,
+        reader=f"{_ROOM}.aedat4.reader:Aedat4Recording",
+        writer=f"{_ROOM}.aedat4.writer:write_aedat4",
+        write_options=("compression",)),
+    Format(
+        name="aedat3", title="AEDAT-3.1", suffixes=(".aedat",),
+        magic=(b"#!AER-DAT3.1",), holds=_ALL,
+        reader=f"{_ROOM}.aedat3:Aedat3Recording"),
+    Format(
+        name="aedat2", title="AEDAT-2.0", suffixes=(".aedat", ".aedat2"),
+        magic=(b"#!AER-DAT2",), holds=_ALL,
+        reader=f"{_ROOM}.aedat2.reader:Aedat2Recording",
+        writer=f"{_ROOM}.aedat2.writer:write_aedat2"),
+    Format(
+        name="e2p", title="HDF5 of E2P", suffixes=(".h5", ".hdf5"),
+        magic=(b"\x89HDF\r\n\x1a\n",), holds=_ALL, extra="hdf5",
+        reader=f"{_ROOM}.hdf5.reader:Hdf5Recording",
+        writer=f"{_ROOM}.hdf5.writer:write_e2p"),
+    Format(
+        name="dsec", title="HDF5 of DSEC", suffixes=(".h5", ".hdf5"),
+        magic=(b"\x89HDF\r\n\x1a\n",), holds=_EVENTS, extra="hdf5",
+        reader=f"{_ROOM}.hdf5.reader:Hdf5Recording",
+        writer=f"{_ROOM}.hdf5.writer:write_dsec"),
+    Format(
+        name="mosaic", title="video or images of a polarization camera",
+        holds=frozenset(("frames",)), needs_layout=True, read_options=("fps",),
+        extra="cv2", reader=f"{_ROOM}.mosaic_source:open_mosaic"),
+)
+"""In the order in which they are asked whether a file is theirs."""
+
+
+def formats() -> tuple[Format, ...]:
+    """Return all formats: this library's, then those of other packages.
+
+    Returns
+    -------
+    tuple of Format
+        In the order in which they are asked whether a file is theirs.
+    """
+    return BUILT_IN + _added()
+
+
+@functools.cache
+def _added() -> tuple[Format, ...]:
+    """Return the formats that other packages add; one that does not load is told."""
+    found: list[Format] = []
+    taken = {one.name for one in BUILT_IN}
+    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+        try:
+            one = point.load()
+            if not isinstance(one, Format):
+                raise TypeError(f"it must be a Format, got {type(one).__name__}")
+            if one.name in taken:
+                raise ValueError(f"there is a format {one.name!r} already")
+        except Exception as error:  # foreign code may raise anything
+            warnings.warn(
+                f"format {point.name} of {point.value} cannot be used: {error}",
+                PdavisWarning, stacklevel=3)
+            continue
+        taken.add(one.name)
+        found.append(one)
+    return tuple(found)
+
+
+def suffixes() -> tuple[str, ...]:
+    """Return what names of recordings end in, each once, lower case with the dot."""
+    return tuple(dict.fromkeys(
+        suffix for one in formats() if not one.needs_layout for suffix in one.suffixes))
+
+
+def format_of(path: Path, start: bytes) -> Format | None:
+    """Return the format of a file by its first bytes, None if no format knows it.
+
+    Parameters
+    ----------
+    path : Path
+    start : bytes
+        First bytes of the file, empty for a folder.
+    """
+    def first(table: tuple[Format, ...]) -> Format | None:
+        return next((one for one in table
+                     if not one.needs_layout and one.knows(path, start)), None)
+
+    return first(BUILT_IN) or first(_added())
+
+
+def is_recording(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a file is a recording by its name or its first bytes.
+
+    Nothing is opened as a recording, and a file that cannot be read is none.
+    """
+    here = Path(path)
+    if here.suffix.lower() in suffixes():
+        return True
+    try:
+        return (here.is_file() or here.is_dir()) and format_of(
+            here, first_bytes(here)) is not None
+    except (OSError, ValueError):  # ValueError: a null character in the name
+        return False
+
+
+def first_bytes(path: Path) -> bytes:
+    """Return what a file begins with, nothing for a folder.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened.
+    """
+    if path.is_dir():
+        return b""
+    try:
+        with path.open("rb") as file:
+            return file.read(_HEAD)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be opened: {error.strerror}") from error
+
+
+def read_with(
+    one: Format, source: str | os.PathLike[str], options: Mapping[str, Any], *,
+    layout: Layout | None, bad_events: str, camera: str | None,
+) -> Recording:
+    """Open a file with a format's reader.
+
+    Parameters
+    ----------
+    one : Format
+    source : path
+    options : mapping of str to object
+        Of the format; those that are None were not given.
+    layout, bad_events, camera
+        As in `open_recording`.
+
+    Raises
+    ------
+    TypeError
+        If the format has no such option.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    for name in given.keys() - set(one.read_options):
+        raise TypeError(
+            f"{name} is no option of {one.title}, which has "
+            f"{', '.join(one.read_options) or 'none'}")
+    recording: Recording = loaded(one.reader)(
+        source, layout=layout, bad_events=bad_events, camera=camera, **given)
+    return recording
+
+
+def writer_for(
+    path: str | os.PathLike[str], name: str | None = None
+) -> tuple[Format, Callable[..., Mapping[str, int]]]:
+    """Return the format to write a file in, and the function that writes it.
+
+    Parameters
+    ----------
+    path : path
+        Its suffix says the format.
+    name : str, optional
+        Name of the format, whatever the suffix.
+
+    Raises
+    ------
+    ValueError
+        If there is no such format, or it is only read.
+    """
+    able = [one for one in formats() if one.writer is not None]
+    if name is None:
+        suffix = Path(path).suffix.lower()
+        able = [one for one in able if suffix in one.suffixes]
+        if not able:
+            raise ValueError(
+                f"{Path(path).name}: no format ends in {suffix!r}")
+    else:
+        names = [one.name for one in able]
+        able = [one for one in able if one.name == name]
+        if not able:
+            raise ValueError(f"format must be one of {', '.join(names)}, got {name!r}")
+    writer = able[0].writer
+    assert writer is not None
+    return able[0], loaded(writer)
