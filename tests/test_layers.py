@@ -23,7 +23,7 @@ LINES = (
     ("live",),
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events"),
-    ("sensor", "errors", "_checks", "_opencv", "data"),
+    ("sensor", "errors", "_beside", "_checks", "_opencv", "data"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

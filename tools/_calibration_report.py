@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.export import write_beside
+
 __all__ = ["Page", "write_report"]
 
 
@@ -73,12 +75,8 @@ def write_report(path: Path, page: Page) -> bool:
                 axis.set_title(title, fontsize=11)
                 if kind == "image":
                     row.colorbar(axis.images[0], ax=axis, shrink=0.8)
-    beside = path.with_name(path.name + ".part")
-    try:
-        figure.savefig(beside, format="png", dpi=110)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with write_beside(path) as part:
+        figure.savefig(part, format="png", dpi=110)
     return True
 
 

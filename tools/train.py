@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
-from pdavis_cv.export import beside
+from pdavis_cv.export import write_beside
 
 from ._common import Parser, UsageError, command, positive
 
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         trainer = Trainer(recipe)
 
     def told(scores: dict[str, float]) -> None:
-        with beside(out) as path:
+        with write_beside(out) as path:
             trainer.weights(scores=scores).save(path)
         row = {"step": trainer.step, "pixel_steps": trainer.pixel_steps, **scores}
         with open(out.with_suffix(".csv"), "a", newline="") as stream:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from pdavis_cv.export import beside
+from pdavis_cv.export import write_beside
 from pdavis_cv.reconstruct.checkpoint import firenet_weights
 from pdavis_cv.reconstruct.weights import Weights
 
@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if Path(args.output).suffix != ".npz":
         raise UsageError(f"--output must end in .npz, got {args.output!r}")
     weights = firenet_weights(args.checkpoint)
-    with beside(Path(args.output)) as path:
+    with write_beside(Path(args.output)) as path:
         weights.save(path)
     print(f"{args.output}: {weights.parameters} weights, {weights.digest}")
     return 0

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._beside import write_beside
 from pdavis_cv.errors import CalibrationError
 from pdavis_cv.sensor import Layout
 
@@ -232,12 +233,8 @@ class Calibration:
                   if getattr(self, name) is not None}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, head=np.array(json.dumps(head)), **planes)
-        beside = path.with_name(path.name + ".part")
-        try:
-            beside.write_bytes(buffer.getbuffer())
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
+        with write_beside(path) as part:
+            part.write_bytes(buffer.getbuffer())
         return path
 
     @classmethod

@@ -1,6 +1,7 @@
 """Writing images and series of images to files that other programs open."""
+from pdavis_cv._beside import write_beside
 from pdavis_cv.export.arrays import ArrayFile
-from pdavis_cv.export.files import beside, write_json
+from pdavis_cv.export.files import write_json
 from pdavis_cv.export.hdf5 import Hdf5File
 from pdavis_cv.export.npz import NpzFile, write_npz
 from pdavis_cv.export.ometiff import OmeTiffFile
@@ -18,10 +19,10 @@ __all__ = [
     "PlaneVideo",
     "StackFile",
     "VideoFile",
-    "beside",
     "plane",
     "provenance",
     "read_embedded",
+    "write_beside",
     "write_csv",
     "write_jaer_csv",
     "write_json",

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.export.files import beside
+from pdavis_cv._beside import write_beside
 
 __all__ = ["ArrayFile"]
 
@@ -37,7 +37,7 @@ class ArrayFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._stack = contextlib.ExitStack()
-        part = self._stack.enter_context(beside(path))
+        part = self._stack.enter_context(write_beside(path))
         self._file: BinaryIO = self._stack.enter_context(part.open("wb"))
         self.path = Path(path)
         self.count = 0

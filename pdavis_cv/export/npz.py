@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv.export.files import beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
 
@@ -67,6 +67,6 @@ def write_npz(
     OSError
         If it cannot be written.
     """
-    with beside(path) as part, part.open("wb") as file:
+    with write_beside(path) as part, part.open("wb") as file:
         named: dict[str, Any] = {name: np.asarray(a) for name, a in arrays.items()}
         np.savez(file, **named, provenance=np.array(to_json(facts)))

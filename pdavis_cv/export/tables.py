@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv.export.files import beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.export.provenance import to_json
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ def write_csv(
     OSError
         If it cannot be written.
     """
-    with beside(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with write_beside(path) as part, part.open(
+            "w", encoding="utf-8", newline="") as file:
         for name, value in (facts or {}).items():
             file.write(f"# {name}: {to_json({'': value})[5:-1]}\n")
         writer = csv.writer(file, lineterminator="\n")

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.export.files import beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.export.provenance import embed, embed_png
 from pdavis_cv.render import even, opencv
 
@@ -62,7 +62,7 @@ class VideoFile:
         self.fps, self.count = float(fps), 0
         self._cv2 = opencv()
         self._stack = contextlib.ExitStack()
-        self._part = self._stack.enter_context(beside(self.path))
+        self._part = self._stack.enter_context(write_beside(self.path))
         try:
             self._part.touch()  # fails here, with the system's reason, if it must
         except OSError as error:
@@ -341,6 +341,6 @@ def write_png(
     done, data = opencv().imencode(".png", picture)
     if not done:
         raise OSError(f"{path}: OpenCV cannot encode {picture.shape} as PNG")
-    with beside(path) as part:
+    with write_beside(path) as part:
         png = data.tobytes()
         part.write_bytes(png if facts is None else embed_png(png, facts))

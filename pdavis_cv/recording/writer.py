@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Self
 
+from pdavis_cv._beside import Unfinished
 from pdavis_cv.recording.base import Packet
 
 __all__ = ["RecordingWriter"]
@@ -38,8 +39,9 @@ class RecordingWriter(ABC):
         self.sensor_size = int(height), int(width)
         self._lost: Counter[str] = Counter()
         self._last_us: int | None = None
-        self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
-        self._file = self._part.open("w+b")
+        self._unfinished = Unfinished(path)
+        with self._unfinished.named():
+            self._file = self._unfinished.part.open("w+b")
 
     @property
     def losses(self) -> Mapping[str, int]:
@@ -105,7 +107,7 @@ class RecordingWriter(ABC):
         try:
             self._finish()
             self._file.close()
-            os.replace(self._part, self.path)
+            self._unfinished.finish()
         except BaseException:
             self.discard()
             raise
@@ -115,7 +117,7 @@ class RecordingWriter(ABC):
     def discard(self) -> None:
         """Give the file up and leave nothing."""
         self._file.close()
-        self._part.unlink(missing_ok=True)
+        self._unfinished.discard()
 
     def __enter__(self) -> Self:
         return self

@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._beside import write_beside
 from pdavis_cv.simulation.scenes import FloatArray, Scene
 
 __all__ = ["Truth"]
@@ -110,14 +110,9 @@ class Truth:
         x = (width - 1) // 2 if x is None else x
         y = (height - 1) // 2 if y is None else y
         roi = (0, 0, width, height) if self.scene.uniform else (x, y, 1, 1)
-        beside = Path(f"{os.fspath(path)}.part")
-        try:
-            with beside.open("wb") as file:
-                np.savez_compressed(
-                    file, t_us=t, aop=self.aop(t, x, y), dolp=self.dolp(t, x, y),
-                    s0=self.s0(t, x, y), roi=np.array(roi), lit=self.lit(),
-                    bus_t_us=self.bus_t_us, bus_load=self.bus_load,
-                    bus_lost=self.bus_lost)
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
+        with write_beside(path) as part, part.open("wb") as file:
+            np.savez_compressed(
+                file, t_us=t, aop=self.aop(t, x, y), dolp=self.dolp(t, x, y),
+                s0=self.s0(t, x, y), roi=np.array(roi), lit=self.lit(),
+                bus_t_us=self.bus_t_us, bus_load=self.bus_load,
+                bus_lost=self.bus_lost)

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from pdavis_cv._beside import write_beside
 from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.training.clips import UNIT, Chunk, Clips
 from pdavis_cv.training.networks import WIDTH, make_network
@@ -111,9 +112,8 @@ class Trainer:
                  "net": self.net.state_dict(),
                  "optimizer": self.optimizer.state_dict(), "states": self.states,
                  "clips": self.clips.state()}
-        beside = path.with_name(path.name + ".part")
-        torch.save(state, beside)
-        beside.replace(path)
+        with write_beside(path) as part:
+            torch.save(state, part)
 
     @classmethod
     def load(cls, path: Path, recipe: Recipe | None = None) -> Trainer:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv.export import beside, write_csv
+from pdavis_cv.export import write_beside, write_csv
 
 from .run import METHODS, Row
 
@@ -167,7 +167,7 @@ def write_rows(stem: Path, rows: Iterable[Row], facts: dict[str, Any]) -> None:
 def write_page(stem: Path, lines: Sequence[str]) -> str:
     """Write STEM.md and return its text."""
     text = "\n".join(lines).rstrip() + "\n"
-    with beside(beside_stem(stem, ".md")) as unfinished:
+    with write_beside(beside_stem(stem, ".md")) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
     return text
 
@@ -177,5 +177,5 @@ def save_figure(stem: Path, figure: Figure) -> None:
     for suffix in ("png", "svg"):
         picture = io.BytesIO()
         figure.savefig(picture, format=suffix, dpi=110)
-        with beside(beside_stem(stem, f".{suffix}")) as unfinished:
+        with write_beside(beside_stem(stem, f".{suffix}")) as unfinished:
             unfinished.write_bytes(picture.getvalue())

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdavis_cv import render
-from pdavis_cv.export import beside
+from pdavis_cv.export import write_beside
 
 if TYPE_CHECKING:
     from .command import Findings
@@ -73,7 +73,7 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
                   "three standard errors.</p>", _figure(_maps, found, 3.4)]
     facts = json.dumps(found.facts, indent=1, default=str)
     parts += ["<h2>Origin</h2>", f"<pre>{html.escape(facts)}</pre></html>"]
-    with beside(path) as part:
+    with write_beside(path) as part:
         part.write_text("\n".join(parts), encoding="utf-8")
 
 

@@ -3,12 +3,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from pdavis_cv._beside import write_beside
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.hdf5.reader import CHUNK, h5py_module
 
@@ -41,15 +41,8 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
     """
     if flavour not in ("e2p", "dsec"):
         raise ValueError(f"flavour must be e2p or dsec, got {flavour!r}")
-    path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with h5py_module().File(part, "w") as file:
-            lost = _fill(file, recording, flavour)
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    with write_beside(path) as part, h5py_module().File(part, "w") as file:
+        lost = _fill(file, recording, flavour)
     return MappingProxyType(lost)
 
 

@@ -1,0 +1,83 @@
+"""Files that appear under their name only when they are whole."""
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+__all__ = ["Unfinished", "write_beside"]
+
+
+class Unfinished:
+    """A file that is written beside its final name and then renamed.
+
+    Parameters
+    ----------
+    path : path
+        Final name; a file that is there stays as it is until `finish`.
+
+    Attributes
+    ----------
+    part : Path
+        Name to write to: same folder, same suffix.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.part = self.path.with_name(
+            f".{self.path.stem}.part{os.getpid()}{self.path.suffix}")
+
+    @contextlib.contextmanager
+    def named(self) -> Iterator[None]:
+        """Let an OSError in the block name the final file where it named none."""
+        try:
+            yield
+        except OSError as error:
+            named = error.filename not in (None, str(self.part), self.part)
+            if named or (error.errno is None and type(error) is not OSError):
+                raise  # of another file, e.g. the one that is read
+            if error.errno is not None:
+                raise OSError(error.errno, error.strerror, str(self.path)) from error
+            said = str(error)  # NumPy's own words, or ours
+            raise OSError(said if str(self.path) in said else f"{self.path}: {said}"
+                          ) from error
+
+    def finish(self) -> None:
+        """Give the file its final name."""
+        with self.named():
+            self.part.replace(self.path)
+
+    def discard(self) -> None:
+        """Remove what was written, if it has not been renamed."""
+        with contextlib.suppress(OSError):
+            self.part.unlink()
+
+
+@contextlib.contextmanager
+def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Write a file beside its final name, and rename it when it is whole.
+
+    Parameters
+    ----------
+    path : path
+        Final name; an existing file is replaced at the end.
+
+    Yields
+    ------
+    Path
+        Name to write to: same folder, same suffix.  When the block raises, the
+        file is removed and `path` is as before.
+
+    Raises
+    ------
+    OSError
+        What the system says in the block, with the final name where it named none.
+    """
+    unfinished = Unfinished(path)
+    try:
+        with unfinished.named():
+            yield unfinished.part
+        unfinished.finish()
+    finally:
+        unfinished.discard()

@@ -1,0 +1,47 @@
+"""Files that appear under their name only when they are whole."""
+import pytest
+
+from pdavis_cv._beside import Unfinished, write_beside
+
+
+def test_a_file_appears_when_it_is_whole(tmp_path):
+    path = tmp_path / "x.png"
+    path.write_text("old")
+    with write_beside(path) as part:
+        assert part.parent == tmp_path
+        assert part.suffix == ".png"
+        part.write_text("new")
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_block_that_raises_leaves_what_was_there(tmp_path):
+    path = tmp_path / "x.png"
+    path.write_text("old")
+    with pytest.raises(KeyboardInterrupt), write_beside(path) as part:
+        part.write_text("new")
+        raise KeyboardInterrupt
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_errors_name_the_final_file(tmp_path):
+    missing = tmp_path / "none" / "x.png"
+    with pytest.raises(FileNotFoundError) as error, write_beside(missing) as part:
+        part.write_text("")
+    assert error.value.filename == str(missing)
+    with pytest.raises(OSError, match=r"x\.png: odd") as error, write_beside(
+            tmp_path / "x.png"):
+        raise OSError("odd")
+
+
+def test_errors_of_other_files_keep_their_names(tmp_path):
+    with pytest.raises(FileNotFoundError) as error, write_beside(tmp_path / "x"):
+        (tmp_path / "source").read_text()
+    assert error.value.filename == str(tmp_path / "source")
+
+
+def test_what_was_never_written_can_be_given_up(tmp_path):
+    Unfinished(tmp_path / "x").discard()
+    assert not list(tmp_path.iterdir())
