@@ -19,9 +19,14 @@ def test_a_file_appears_when_it_is_whole(tmp_path):
 def test_a_block_that_raises_leaves_what_was_there(tmp_path):
     path = tmp_path / "x.png"
     path.write_text("old")
-    with pytest.raises(KeyboardInterrupt), write_beside(path) as part:
-        part.write_text("new")
-        raise KeyboardInterrupt
+
+    def interrupted():
+        with write_beside(path) as part:
+            part.write_text("new")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
