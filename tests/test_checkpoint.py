@@ -41,7 +41,7 @@ class Writer:
     """torch.save's format by hand: protocol 2, persistent ids, a file per tensor."""
 
     def __init__(self):
-        self.files, self.body = [], [b"\x80\x02"]
+        self.files, self.counts, self.body = [], [], [b"\x80\x02"]
 
     def text(self, value):
         data = value.encode()
@@ -53,15 +53,20 @@ class Writer:
     def named(self, module, name):
         self.body.append(f"c{module}\n{name}\n".encode())
 
-    def tensor(self, array, kind="FloatStorage", *, offset=0, stride=None, size=None):
+    def persistent(self, numel, view=None):
+        self.number(numel)
+
+    def tensor(self, array, kind="FloatStorage", *, offset=0, stride=None, size=None,
+               view=None):
         self.named("torch._utils", "_rebuild_tensor_v2")
         self.body.append(b"((")
         self.text("storage")
         self.named("torch", kind)
         self.text(str(len(self.files)))
         self.text("cpu")
-        self.number(array.size)
+        self.persistent(array.size, view)
         self.body.append(b"tQ")
+        self.counts.append(array.size)
         self.files.append(np.ascontiguousarray(array).tobytes())
         self.number(offset)
         for sides in (size or array.shape,
@@ -81,9 +86,42 @@ class Writer:
                 archive.writestr(f"{folder}/data/{i}", data)
 
 
-def write(path, state, kind="FloatStorage"):
+class LegacyWriter(Writer):
+    """torch.save's format before torch 1.6 by hand: one stream, numbers at its end."""
+
+    magic = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19."
+    version = b"\x80\x02M\xe9\x03."
+    machine = (b"\x80\x02}q\x00(X\x10\x00\x00\x00protocol_versionq\x01M\xe9\x03"
+               b"X\x0d\x00\x00\x00little_endianq\x02\x88"
+               b"X\x0a\x00\x00\x00type_sizesq\x03}q\x04(X\x05\x00\x00\x00shortq\x05"
+               b"K\x02X\x03\x00\x00\x00intq\x06K\x04X\x04\x00\x00\x00longq\x07K\x04"
+               b"uu.")
+
+    def persistent(self, numel, view=None):
+        self.number(numel)
+        if view is None:
+            self.body.append(b"N")
+        else:
+            self.body.append(b"(")
+            self.text(view[0])
+            for value in view[1:]:
+                self.number(value)
+            self.body.append(b"t")
+
+    def write(self, path, folder="", extra=b"", counts=None):
+        names = b"\x80\x02](" + b"".join(
+            b"X" + struct.pack("<I", len(str(i))) + str(i).encode()
+            for i in range(len(self.files))) + b"e."
+        numbers = b"".join(
+            struct.pack("<q", count) + data for count, data in zip(
+                counts or self.counts, self.files, strict=True))
+        path.write_bytes(self.magic + self.version + self.machine
+                         + b"".join(self.body) + extra + b"." + names + numbers)
+
+
+def write(path, state, kind="FloatStorage", writer=None):
     """Write {"arch", "state_dict", "optimizer"} as the trainer of FireNet did."""
-    writer = Writer()
+    writer = writer or Writer()
     writer.body.append(b"}(")
     writer.text("arch")
     writer.text("FireNet")
@@ -248,3 +286,142 @@ def test_a_state_dict_of_another_network_is_refused_by_name(tmp_path):
         write(path, wrong)
         with pytest.raises(WeightsError, match=message):
             firenet_weights(path)
+
+
+# Before torch 1.6 ---------------------------------------------------------------
+
+
+def test_a_legacy_checkpoint_gives_the_same_weights(tmp_path, capsys):
+    state = arrays()
+    write(tmp_path / "new.pth.tar", state)
+    write(tmp_path / "old.pth.tar", state, writer=LegacyWriter())
+    assert (tmp_path / "old.pth.tar").read_bytes()[:2] == b"\x80\x02"
+    new, old = (
+        firenet_weights(tmp_path / f"{name}.pth.tar") for name in ("new", "old"))
+    assert new.digest == old.digest
+    out = tmp_path / "w.npz"
+    assert main(["weights", "convert", str(tmp_path / "old.pth.tar"), "-o", str(out)]
+                ) == 0
+    assert Weights.load(out).digest == old.digest
+
+
+@pytest.mark.parametrize(("kind", "dtype"), [
+    ("FloatStorage", "<f4"), ("DoubleStorage", "<f8"), ("HalfStorage", "<f2"),
+    ("LongStorage", "<i8"), ("ByteStorage", "<u1")])
+def test_legacy_storages_of_every_type_stand_one_after_the_other(tmp_path, kind, dtype):
+    random = np.random.default_rng(3)
+    one = random.integers(0, 100, (3, 4)).astype(dtype)
+    two = random.integers(0, 100, 7).astype(dtype)
+    writer = LegacyWriter()
+    writer.body.append(b"}(")
+    writer.text("one")
+    writer.tensor(one.T.copy().T, kind, stride=(4, 1))
+    writer.text("two")
+    writer.tensor(two, kind, size=(3,), stride=(2,), offset=1)
+    writer.body.append(b"u")
+    writer.write(tmp_path / "x.pt")
+    found = read_state_dict(tmp_path / "x.pt")
+    np.testing.assert_array_equal(found["one"], np.ascontiguousarray(one.T.copy().T))
+    np.testing.assert_array_equal(found["two"], two[1:7:2])
+    assert found["two"].dtype == np.dtype(dtype)
+
+
+def test_a_legacy_view_is_a_part_of_its_storage(tmp_path):
+    array = np.arange(10, dtype=np.float32)
+    writer = LegacyWriter()
+    writer.body.append(b"}(")
+    writer.text("x")
+    writer.tensor(array, view=("9", 4, 3), size=(3,), stride=(1,))
+    writer.body.append(b"u")
+    writer.write(tmp_path / "x.pt")
+    np.testing.assert_array_equal(
+        read_state_dict(tmp_path / "x.pt")["x"], array[4:7])
+
+
+def test_the_objects_of_a_training_program_are_passed_over(tmp_path):
+    writer = LegacyWriter()
+    writer.body.append(b"}(")
+    writer.text("logger")
+    writer.named("logger.logger", "Logger")
+    writer.body.append(b")\x81}(")   # an instance, and its state
+    writer.text("entries")
+    writer.body.append(b"}ub")
+    writer.text("monitor_best")     # a NumPy scalar
+    writer.named("numpy.core.multiarray", "scalar")
+    writer.named("numpy", "dtype")
+    writer.text("f8")
+    writer.body.append(b"K\x00K\x01\x87R")
+    writer.text("12345678")
+    writer.body.append(b"\x86R")
+    writer.text("state_dict")
+    writer.body.append(b"}(")
+    writer.text("x")
+    writer.tensor(np.arange(3, dtype=np.float32))
+    writer.body.append(b"uu")
+    writer.write(tmp_path / "x.pt")
+    assert list(read_state_dict(tmp_path / "x.pt")) == ["x"]
+
+
+@pytest.mark.parametrize("place", ["version", "machine", "object", "names"])
+def test_a_malicious_legacy_pickle_is_refused_and_not_run(tmp_path, place):
+    path, hit = tmp_path / "evil.pt", tmp_path / "hit"
+    writer = LegacyWriter()
+    bomb = pickle.dumps(Bomb(exec, f"open({str(hit)!r}, 'w')"), 2)
+    writer.body.append(b"}")
+    if place == "object":
+        writer.body = [bomb[:-1]]
+    writer.write(path)
+    if place in ("version", "machine"):
+        setattr(writer, place, bomb)
+        writer.write(path)
+    elif place == "names":
+        data = path.read_bytes()
+        path.write_bytes(data[:data.index(b"\x80\x02](")] + bomb)
+    with pytest.raises(WeightsError, match=r"evil\.pt: refused, its pickle asks for"):
+        read_state_dict(path)
+    assert not hit.exists()
+
+
+def test_legacy_sizes_are_checked_before_anything_is_allocated(tmp_path):
+    path = tmp_path / "x.pt"
+    array = np.zeros((2, 3), np.float32)
+    for bad, message in (({"offset": 1}, "a tensor of size"),
+                         ({"size": (9999, 9999), "stride": (0, 0)}, "a tensor of size"),
+                         ({"view": ("9", 4, 3)}, "a view of 4 .. 7 of 6"),
+                         ({"view": ("9", -1, 6)}, "a view of -1 .. 5 of 6")):
+        writer = LegacyWriter()
+        writer.body.append(b"}(")
+        writer.text("x")
+        writer.tensor(array, **bad)
+        writer.body.append(b"u")
+        writer.write(path)
+        with pytest.raises(WeightsError, match=message):
+            read_state_dict(path)
+    for counts in ([7], [-1], [1 << 62]):
+        writer = LegacyWriter()
+        writer.body.append(b"}(")
+        writer.text("x")
+        writer.tensor(array)
+        writer.body.append(b"u")
+        writer.write(path, counts=counts)
+        with pytest.raises(WeightsError, match=f"of {counts[0]} numbers, 6 expected"):
+            read_state_dict(path)
+    writer.write(path)
+    data = path.read_bytes()
+    for cut in range(14, len(data), 7):
+        path.write_bytes(data[:cut])
+        with pytest.raises(WeightsError, match="not a checkpoint"):
+            read_state_dict(path)
+    big = data.replace(b"little_endianq\x02\x88", b"little_endianq\x02\x89")
+    path.write_bytes(big)
+    with pytest.raises(WeightsError, match="not little-endian"):
+        read_state_dict(path)
+
+
+def test_what_torch_saved_before_1_6_is_read(tmp_path):
+    torch = pytest.importorskip("torch")
+    value = torch.arange(12.).reshape(3, 4)
+    torch.save({"state_dict": {"x": value[:, 1:].t()}}, tmp_path / "x.pt",
+               _use_new_zipfile_serialization=False)
+    np.testing.assert_array_equal(
+        read_state_dict(tmp_path / "x.pt")["x"], value[:, 1:].t().numpy())

@@ -1,8 +1,10 @@
 """Reading FireNet checkpoints, which are pickles, without trusting or torch.
 
-A checkpoint is a zip of a pickle and of one file per tensor.  The pickle may name only
-what a state dict is made of; those names stand for harmless things of our own, and
-anything else is refused before it is looked at.
+A checkpoint is a zip of a pickle and of one file per tensor, or, before torch 1.6, a
+stream of pickles and numbers.  What the pickle may name is what a state dict is made of
+and classes of the program that trained the network; those names stand for harmless
+things of our own.  Of the standard library, numpy and torch it may name what is listed
+here; anything else of them is refused before it is looked at.
 """
 from __future__ import annotations
 
@@ -10,11 +12,12 @@ import io
 import math
 import pickle
 import pickletools
+import sys
 import zipfile
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +33,19 @@ _MOST_BYTES = 1 << 24
 _DTYPES = {"FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2",
            "LongStorage": "<i8", "IntStorage": "<i4", "ShortStorage": "<i2",
            "CharStorage": "<i1", "ByteStorage": "<u1", "BoolStorage": "?"}
+
+_TENSORS = ("_rebuild_tensor", "_rebuild_tensor_v2")
+_DATA = frozenset((
+    ("_codecs", "encode"), ("collections", "defaultdict"), ("datetime", "datetime"),
+    ("numpy", "dtype"), ("numpy.core.multiarray", "scalar"), ("pathlib", "PosixPath"),
+    ("torch", "Size"), ("torch", "device")))
+"""Data that stand beside a state dict, such as the best loss; they are not kept."""
+
+_LEGACY = pickle.dumps(0x1950A86A20F9469CFC6C, 2)
+"""A checkpoint of torch before 1.6 begins with this number as a pickle."""
+_LEGACY_PROTOCOL = 1001
+_MOST_LEGACY_BYTES = 1 << 26
+"""FireNet with the state of its optimiser has 0.5 MB."""
 
 Array = NDArray[Any]
 
@@ -69,47 +85,157 @@ class _Parameter:
         return tensor
 
 
-class _Reader(pickle.Unpickler):
-    """Builds only what a state dict needs.
+class _Inert:
+    """Stands for the classes of the programs that trained networks; does nothing."""
+
+    __slots__ = ()
+
+    def __new__(cls, *_: Any, **__: Any) -> _Inert:
+        return object.__new__(cls)
+
+    def __setstate__(self, state: Any) -> None:
+        """Forget what the object held."""
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        """Forget an item."""
+
+    def append(self, value: Any) -> None:
+        """Forget an item."""
+
+    def extend(self, values: Any) -> None:
+        """Forget items."""
+
+
+class _Unpickler(pickle.Unpickler):
+    """Builds only what a checkpoint needs.
 
     Parameters
     ----------
-    stream : binary file
-    archive : ZipFile
-    folder : str
-        Where the tensors lie.
+    data : bytes
+        One pickle.
+    storage : callable
+        From the parts of a persistent id, without its first, to a tensor's numbers.
     path : str
         For messages.
     """
 
-    def __init__(
-        self, stream: IO[bytes], archive: zipfile.ZipFile, folder: str, path: str
-    ) -> None:
-        super().__init__(stream, encoding="utf-8")
-        self._archive, self._folder, self._path = archive, folder, path
+    def __init__(self, data: bytes, storage: Callable[..., Array], path: str) -> None:
+        _scan(data)
+        super().__init__(io.BytesIO(data), encoding="utf-8")
+        self._storage, self._path = storage, path
 
     def find_class(self, module: str, name: str) -> Any:
         """Return what stands for a global name, or refuse it."""
         if (module, name) == ("collections", "OrderedDict"):
             return OrderedDict
-        if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
+        if module == "torch._utils" and name in _TENSORS:
             return _Tensor()
         if (module, name) == ("torch._utils", "_rebuild_parameter"):
             return _Parameter()
         if module == "torch" and name in _DTYPES:
             return name
+        package = module.partition(".")[0]
+        if (module, name) in _DATA or not (
+                package in sys.stdlib_module_names or package in ("numpy", "torch")
+                or package.startswith("_")):
+            return _Inert
         raise WeightsError(
             f"{self._path}: refused, its pickle asks for {module}.{name}, which no "
             "state dict needs")
 
-    def persistent_load(self, pid: Any) -> Array:
-        """Return the numbers of one tensor's file."""
-        kind, storage, key, _, _ = pid
-        if kind != "storage" or storage not in _DTYPES:
-            raise ValueError(f"storage of {storage!r}")
-        data = _member(self._archive, f"{self._folder}/data/{key}")
-        dtype = np.dtype(_DTYPES[storage])
-        return np.frombuffer(data[:len(data) // dtype.itemsize * dtype.itemsize], dtype)
+    def persistent_load(self, pid: Any) -> Any:
+        """Return the numbers of one storage."""
+        kind, *parts = pid
+        if kind == "module":  # legacy: a class and its source text, which is not run
+            return parts[0]
+        if kind != "storage" or parts[0] not in _DTYPES:
+            raise ValueError(f"storage of {parts[:1]!r}")
+        return self._storage(*parts)
+
+
+def _zipped(path: str | Path) -> Any:
+    """Return what a checkpoint of torch 1.6 and later holds: a zip."""
+    with zipfile.ZipFile(path) as archive:
+        pickles = [name for name in archive.namelist() if name.endswith("/data.pkl")]
+        if len(pickles) != 1:
+            _refuse(path, "no data.pkl in it")
+        folder = pickles[0].removesuffix("/data.pkl")
+
+        def storage(kind: str, key: str, *_: Any) -> Array:
+            data = _member(archive, f"{folder}/data/{key}")
+            dtype = np.dtype(_DTYPES[kind])
+            return np.frombuffer(
+                data[:len(data) // dtype.itemsize * dtype.itemsize], dtype)
+
+        return _Unpickler(_member(archive, pickles[0]), storage, str(path)).load()
+
+
+def _legacy(path: str | Path, data: bytes) -> Any:
+    """Return what a checkpoint of torch before 1.6 holds: one stream.
+
+    Five pickles (magic number, protocol version, facts of the machine, the object, the
+    names of its storages), then each storage: its length, int64, and its numbers.
+    """
+    at = len(_LEGACY)
+    parts = []
+    for _ in range(4):
+        end = at + _pickle_size(data[at:])
+        parts.append(data[at:end])
+        at = end
+    version, machine, whole, names = parts
+
+    def none(*_: Any) -> Array:
+        raise ValueError("a storage before the object")
+
+    protocol = _Unpickler(version, none, str(path)).load()
+    if protocol != _LEGACY_PROTOCOL:
+        raise ValueError(f"protocol {protocol!r}")
+    facts = _Unpickler(machine, none, str(path)).load()
+    if not isinstance(facts, dict) or facts.get("little_endian") is not True:
+        raise ValueError("numbers are not little-endian")
+    # The numbers come last, and their types first: the object is built twice.
+    sizes: dict[str, tuple[np.dtype[Any], int]] = {}
+
+    def noted(kind: str, key: str, place: str, count: int, *_: Any) -> Array:
+        dtype = np.dtype(_DTYPES[kind])
+        if not isinstance(count, int) or not 0 <= count * dtype.itemsize <= len(data):
+            raise ValueError(f"storage {key} of {count!r} numbers")
+        sizes[key] = dtype, count
+        # All zeros, of which each takes no memory: shapes are checked this time too.
+        return np.broadcast_to(np.zeros((), dtype), count)
+
+    _Unpickler(whole, noted, str(path)).load()
+    keys = _Unpickler(names, none, str(path)).load()
+    if not isinstance(keys, list) or not set(sizes) <= set(keys):
+        raise ValueError("storages without a name")
+    storages: dict[str, Array] = {}
+    for key in keys:
+        dtype, count = sizes[key]
+        stated = int.from_bytes(data[at:at + 8], "little", signed=True)
+        at += 8
+        if stated != count or at + count * dtype.itemsize > len(data):
+            raise ValueError(f"storage {key} of {stated} numbers, {count} expected")
+        storages[key] = np.frombuffer(data, dtype, count, at)
+        at += count * dtype.itemsize
+
+    def storage(kind: str, key: str, place: str, count: int, view: Any = None) -> Array:
+        found = storages[key]
+        if view is None:
+            return found
+        _, offset, length = view
+        if not 0 <= offset <= offset + length <= len(found):
+            raise ValueError(f"a view of {offset} .. {offset + length} of {len(found)}")
+        return found[offset:offset + length]
+
+    return _Unpickler(whole, storage, str(path)).load()
+
+
+def _pickle_size(data: bytes) -> int:
+    """Return how many bytes a pickle at the beginning of data has."""
+    for code, _, at in pickletools.genops(data[:_MOST_BYTES]):
+        if code.name == "STOP":
+            return int(at or 0) + 1
+    raise ValueError("a pickle without an end")
 
 
 def _scan(data: bytes) -> None:
@@ -132,7 +258,7 @@ def read_state_dict(path: str | Path) -> Mapping[str, Array]:
     Parameters
     ----------
     path : path
-        A file that ``torch.save`` wrote (zip format).
+        A file that ``torch.save`` wrote, as a zip or as before torch 1.6.
 
     Returns
     -------
@@ -147,15 +273,13 @@ def read_state_dict(path: str | Path) -> Mapping[str, Array]:
         If it cannot be opened.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            pickles = [name for name in archive.namelist()
-                       if name.endswith("/data.pkl")]
-            if len(pickles) != 1:
-                _refuse(path, "no data.pkl in it")
-            folder = pickles[0].removesuffix("/data.pkl")
-            data = _member(archive, pickles[0])
-            _scan(data)
-            found = _Reader(io.BytesIO(data), archive, folder, str(path)).load()
+        with Path(path).open("rb") as file:
+            start = file.read(len(_LEGACY))
+            legacy = start == _LEGACY
+            if legacy and Path(path).stat().st_size > _MOST_LEGACY_BYTES:
+                _refuse(path, f"more than {_MOST_LEGACY_BYTES >> 20} MiB")
+            data = start + file.read() if legacy else b""
+        found = _legacy(path, data) if legacy else _zipped(path)
     except WeightsError:
         raise
     except zipfile.BadZipFile as error:
