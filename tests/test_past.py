@@ -7,10 +7,10 @@ import pytest
 from pdavis_cv import Calibration, fuse, recording_from_arrays
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.calibration import bandwidth_in_situ
-from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH
 from pdavis_cv.calibration.past import LOOKS_S, Past
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.reconstruct.kalman import NOISE
+from pdavis_cv.selfcal import TYPICAL_BANDWIDTH
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 NOMINAL = (0.16, 0.18)

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pdavis_cv import Calibration, Layout, Recording, fuse, open_recording
 from pdavis_cv.aps import clip_level
 from pdavis_cv.calibration.align import alignment
-from pdavis_cv.calibration.certainty import LEAK_HZ
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
 from pdavis_cv.calibration.insitu import thresholds_in_situ
 from pdavis_cv.calibration.instrument import background
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
+from pdavis_cv.selfcal import LEAK_HZ
 from pdavis_cv.sensor import CHANNELS, resolve_layout
 
 from ._calibration_report import Page, write_report
@@ -270,8 +270,8 @@ def _thresholds(
                  f"{np.std(plane):.4f}, error of one {np.median(error):.4f} ln units")
         page.image(f"{name} threshold", plane)
     page.say("ON/OFF ratio", f"error of one {100 * np.median(found.ratio_sigma):.2f} %")
-    page.say("scale in common", f"error of all {100 * found.common:.2f} %, in the "
-             "above")
+    page.say("scale in common",
+             f"error of all {100 * found.common_scale_sigma:.2f} %, in the above")
     page.say("leak taken out", "{:g} +- {:g} events per second".format(*args.leak_hz))
     page.histogram("ON/OFF ratio", found.theta_on / found.theta_off)
     values: dict[str, Any] = {

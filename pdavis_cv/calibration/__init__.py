@@ -1,20 +1,13 @@
 """What is known about one specimen of a camera, and how it is measured."""
-from pdavis_cv.calibration.bandwidth import Bandwidth
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, mean_frame
-from pdavis_cv.calibration.insitu import (
-    ThresholdEstimate,
-    bandwidth_in_situ,
-    thresholds_in_situ,
-)
+from pdavis_cv.calibration.insitu import bandwidth_in_situ, thresholds_in_situ
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.sweep import fit_sweep, read_sweep
 from pdavis_cv.calibration.thresholds import thresholds_from_biases
 
 __all__ = [
-    "Bandwidth",
     "Calibration",
-    "ThresholdEstimate",
     "bandwidth_in_situ",
     "dark_frame",
     "detect_layout",

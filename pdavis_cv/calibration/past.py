@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdavis_cv._feed import first_time
-from pdavis_cv.calibration.bandwidth import TYPICAL_BANDWIDTH, Bandwidth, combined
 from pdavis_cv.calibration.insitu import receptors
 from pdavis_cv.calibration.known import noise_of, stated_bandwidth
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.selfcal import TYPICAL_BANDWIDTH, Bandwidth
 
 __all__ = ["LOOKS_S", "Past"]
 
@@ -84,8 +84,6 @@ class Past:
         found, noise = receptors(
             self._recording, self._thresholds, self._calibration,
             None if self._asked else known, by_us=t_us)
-        if found is not None and self._stated is not None:
-            found = combined(self._stated, found)
         now = dict(before)
         if found is not None and _is_news(found, known):
             now["bandwidth"] = (*found.law, found.sigma)

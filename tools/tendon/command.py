@@ -29,7 +29,7 @@ from pdavis_cv import (
     open_recording,
     render,
 )
-from pdavis_cv.calibration.receptor_fit import USUAL_BANDWIDTH
+from pdavis_cv.selfcal import USUAL_BANDWIDTH
 
 from .._common import (
     Parser,

@@ -1,0 +1,19 @@
+"""What passing frames and events tell about their own camera.
+
+For whoever feeds a stream: `SelfCalibration` looks on and gives a `CameraEstimate`
+(contrast thresholds, bandwidth of the photoreceptors, event noise) with covariances.
+It knows arrays only: no file, no recording, no calibration file.
+"""
+from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths
+from pdavis_cv.selfcal.estimator import CameraEstimate, SelfCalibration
+from pdavis_cv.selfcal.priors import LEAK_HZ, TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
+
+__all__ = [
+    "LEAK_HZ",
+    "TYPICAL_BANDWIDTH",
+    "USUAL_BANDWIDTH",
+    "Bandwidth",
+    "CameraEstimate",
+    "SelfCalibration",
+    "combine_bandwidths",
+]
