@@ -96,14 +96,9 @@ cdef inline int aps(Py_ssize_t column, Py_ssize_t row, uint32_t address, int64_t
                     int64_t[:, ::1] times) noexcept nogil:
     """Put one sample of a frame into its place; END, WHOLE or NEXT."""
     cdef Py_ssize_t width = seen.shape[1]
-    cdef Py_ssize_t jump
     if address & 0x400:
         # A signal for the second time: the next frame's resets were lost.
-        jump = column - frame[SIGNAL_COLUMN]
-        if jump < 0:
-            jump = -jump
-        if seen[row, column] & SIGNAL_SEEN or (
-                frame[SIGNAL_COLUMN] >= 0 and 2 * jump > width):
+        if seen[row, column] & SIGNAL_SEEN:
             return NEXT
         if frame[SIGNALS] == 0:
             frame[FIRST_SIGNAL] = t
@@ -117,15 +112,11 @@ cdef inline int aps(Py_ssize_t column, Py_ssize_t row, uint32_t address, int64_t
         if frame[SIGNALS] == seen.shape[0] * width:
             return WHOLE
         return END
-    jump = column - frame[COLUMN]
-    if jump < 0:
-        jump = -jump
-    # Resets come column by column: a way back of more than half the sensor, or
-    # a pixel's second reset, belongs to the next frame.
-    # So does a reset after signals that had none: the file began inside a frame.
+    # Cameras send columns, converters rows: no order of samples is a frame's.  A
+    # pixel's second reset belongs to the next one, and so does a reset after signals
+    # that had none: the file began inside a frame.
     if seen[row, column] & RESET_SEEN or (
-            frame[RESETS] == 0 and frame[SIGNALS] > 0) or (
-            frame[COLUMN] >= 0 and 2 * jump > width):
+            frame[RESETS] == 0 and frame[SIGNALS] > 0):
         return NEXT
     if frame[RESETS] == 0:
         frame[FIRST_RESET] = t

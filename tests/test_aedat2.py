@@ -7,7 +7,9 @@ from aedat2_bytes import (
     CHIP,
     END,
     HEADER,
+    HEIGHT,
     START,
+    WIDTH,
     aps,
     column_reads,
     dvs,
@@ -19,7 +21,13 @@ from aedat2_bytes import (
 )
 from test_aedat4 import joined
 
-from pdavis_cv import DamagedFileWarning, RecordingError, open_recording
+from pdavis_cv import (
+    DamagedFileWarning,
+    Layout,
+    RecordingError,
+    fuse,
+    open_recording,
+)
 
 
 @pytest.fixture
@@ -413,3 +421,51 @@ def test_an_empty_recording_is_one(read):
     assert (len(events), len(frames)) == (0, 0)
     assert recording.scan().start_us is None
     assert recording.info.start_us is None
+
+
+@pytest.mark.parametrize("order", ["rows", "rows upward", "shuffled", "pairs"])
+def test_any_order_of_samples_within_a_frame_is_a_frame(tmp_path, order):
+    # The INI's aedat4to2 writes samples row by row and calls the chip DAVI346.
+    rng = np.random.default_rng(0)
+    images = [reads(seed) for seed in (1, 2, 3)]
+    places = [(y, x) for y in range(HEIGHT) for x in range(WIDTH)]
+    data = []
+    for k, (reset, signal) in enumerate(images):
+        t = 40_000 * k
+        if order == "rows upward":
+            places.sort(key=lambda place: (-place[0], place[1]))
+        elif order == "shuffled":
+            places = [places[i] for i in rng.permutation(len(places))]
+        first = [aps(y, x, 0, reset[y, x], t) for y, x in places]
+        second = [aps(y, x, 1, signal[y, x], t + (0 if order == "pairs" else 9_000))
+                  for y, x in places]
+        data += [a + b for a, b in zip(first, second, strict=True)] if (
+            order == "pairs") else first + second
+        data.append(dvs(3, 4, 1, t + 20_000))
+    path = tmp_path / "x.aedat"
+    path.write_bytes(START + b"# AEChip: DAVI346\r\n# End of ASCII Header\r\n"
+                     + b"".join(data))
+    with open_recording(path) as recording:
+        assert recording.info.sensor_size == (HEIGHT, WIDTH)
+        events, frames, _, _ = joined(recording.packets())
+        assert not recording.problems
+    assert len(events) == 3
+    assert len(frames) == 3
+    for frame, (reset, signal) in zip(frames, images, strict=True):
+        np.testing.assert_array_equal(frame.dn, reset - signal)
+        assert frame.valid is None
+
+
+def test_a_file_without_frames_says_so_and_is_reconstructed_from_events(tmp_path):
+    rng = np.random.default_rng(0)
+    data = b"".join(dvs(int(rng.integers(20)), int(rng.integers(20)), i % 2,
+                        50 * i) for i in range(4000))
+    path = tmp_path / "x.aedat"
+    path.write_bytes(HEADER + data + imu(0, 5, 200_000))
+    with open_recording(path, layout=Layout.PDAVIS) as recording:
+        assert recording.info.frame_count == 0
+        image = next(fuse(recording, fps=20, start_us=150_000))
+        assert image.valid.any()
+    path.write_bytes(HEADER + data + aps(0, 0, 0, 500, 200_000))
+    with open_recording(path) as recording:
+        assert recording.info.frame_count is None

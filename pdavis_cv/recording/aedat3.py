@@ -93,9 +93,19 @@ class Aedat3Recording(FileRecording):
         return RecordingInfo(
             format="AEDAT-3.1", sensor_size=size, writer="cAER", camera=source or None,
             sensor=Sensor.PDAVIS if size == Sensor.PDAVIS.size else None,
-            layout=layout, header={
+            layout=layout, frame_count=None if self._has_frames() else 0, header={
                 "first_row": "top", "imu_axes": "iniVation",
                 **{name.strip(): value.strip() for name, value in facts.items()}})
+
+    def _has_frames(self) -> bool:
+        """Tell whether the file holds frames, by the heads of its packets."""
+        at = self._start
+        while at < self._reader.size:
+            found = self._plausible(self._reader.read(at, _HEAD.size), at)
+            if found is None or found[0] == FRAME:
+                return True  # where it is damaged there may be some
+            at += _HEAD.size + found[1] * found[3]
+        return False
 
     def _frame_size(self) -> tuple[int, int] | None:
         """Return the size of the first frame near the start of the file."""

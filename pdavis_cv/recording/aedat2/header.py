@@ -11,7 +11,9 @@ __all__ = ["CHIP_SIZES", "Header", "bias_currents", "read_header"]
 
 MAX_HEADER = 4 << 20
 USUAL_HEADER = 1 << 16
-CHIP_SIZES = {"davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
+CHIP_SIZES = {"davis346": (260, 346),
+              "davi346": (260, 346),  # so the INI's aedat4to2 spells it
+              "davis240": (180, 240), "davis640": (480, 640),
               "davis208": (192, 208), "davis128": (128, 128)}
 """(height, width) by the first letters of the chip class."""
 

@@ -23,6 +23,8 @@ __all__ = ["Aedat2Recording"]
 
 WARM_UP_US = 2_000_000
 """Reading begins this long before what is wanted: no frame takes longer."""
+PROBE_WORDS = 1 << 13
+MOST_PROBES = 1 << 10
 _SERIAL = re.compile(r"[-_]([0-9A-F]{8}|\d{3,8})(?=[-_.]|$)")
 
 
@@ -80,7 +82,9 @@ class Aedat2Recording(FileRecording):
             format="AEDAT-2.0", sensor_size=self._size, writer=_writer(header.facts),
             camera=header.chip, serial=serial[1] if serial else None,
             sensor=Sensor.PDAVIS if self._size == Sensor.PDAVIS.size else None,
-            layout=layout, start_us=start, exposure_us=header.number("APS.Exposure"),
+            layout=layout, start_us=start,
+            frame_count=None if self._has_frames() else 0,
+            exposure_us=header.number("APS.Exposure"),
             wall_clock_us=None if clock is None else clock * 1000 - (start or 0),
             biases=bias_currents(header),
             header={"first_row": "bottom", "imu_axes": "jAER",
@@ -88,6 +92,23 @@ class Aedat2Recording(FileRecording):
                                 None: "unknown"}[header.global_shutter],
                     "data_start": header.data_start,
                     "preferences": dict(header.preferences), **header.facts})
+
+    def _has_frames(self) -> bool:
+        """Tell whether the file holds samples of frames.
+
+        A file of up to 64 MiB is looked through; of a larger one 1024 places, evenly
+        spread: where a camera sent frames, they are a fifth of its words and more.
+        """
+        left = self.word_count
+        step = max(PROBE_WORDS, left // MOST_PROBES)
+        for at in range(0, left, step):
+            data = self._reader.read(
+                self._header.data_start + 8 * at, 8 * min(PROBE_WORDS, left - at))
+            address = np.frombuffer(data, ">u4", len(data) // 8 * 2)[::2]
+            # Bit 31 says no event, bits 10 and 11 together the IMU.
+            if np.any((address & 0x80000800) == 0x80000000):
+                return True
+        return False
 
     def _decoder(self, mark: Mark, quiet_us: int = NEVER) -> Decoder:
         accel = self._header.number("IMU.AccelFullScale")
