@@ -12,9 +12,7 @@ __version__ = "0.1.0"
 # Public name -> the module that defines it.
 _HOME = {
     "AnalysisWarning": "errors",
-    "BusWarning": "errors",
     "CalibrationError": "errors",
-    "CalibrationWarning": "errors",
     "DamagedFileWarning": "errors",
     "ExposureWarning": "errors",
     "LayoutError": "errors",
@@ -81,6 +79,7 @@ _HOME = {
     "METHODS": "reconstruct.methods",
     "Calibration": "calibration.model",
     "DEFAULT_METHOD": "reconstruct.methods",
+    "FusionOptions": "fusion.options",
     "fuse": "fusion.engine",
     "patched_cv2": "adapters.patching",
     "CaptureStatus": "capture.video",
@@ -167,10 +166,8 @@ __all__ = [
     "AnalysisWarning",
     "AopEvents",
     "ApsFrame",
-    "BusWarning",
     "Calibration",
     "CalibrationError",
-    "CalibrationWarning",
     "CaptureStatus",
     "ComplementaryFilter",
     "DamagedFileWarning",
@@ -184,6 +181,7 @@ __all__ = [
     "FireNet",
     "Format",
     "FrameHold",
+    "FusionOptions",
     "Joint",
     "KalmanFilter",
     "Layout",
@@ -279,9 +277,7 @@ if TYPE_CHECKING:
     from pdavis_cv.capture.video import CaptureStatus, VideoCapture
     from pdavis_cv.errors import (
         AnalysisWarning,
-        BusWarning,
         CalibrationError,
-        CalibrationWarning,
         DamagedFileWarning,
         ExposureWarning,
         LayoutError,
@@ -301,7 +297,7 @@ if TYPE_CHECKING:
         time_surface,
         voxel_grid,
     )
-    from pdavis_cv.fusion import fuse
+    from pdavis_cv.fusion import FusionOptions, fuse
     from pdavis_cv.mosaic import demosaic
     from pdavis_cv.packed import unpack
     from pdavis_cv.polarimetry import PolarFrame, polarization

@@ -2,9 +2,7 @@
 
 __all__ = [
     "AnalysisWarning",
-    "BusWarning",
     "CalibrationError",
-    "CalibrationWarning",
     "DamagedFileWarning",
     "ExposureWarning",
     "LayoutError",
@@ -51,14 +49,6 @@ class DamagedFileWarning(PdavisWarning):
 
 class ExposureWarning(PdavisWarning):
     """Exposure times are missing, uncertain or too long for what was asked."""
-
-
-class CalibrationWarning(PdavisWarning):
-    """A calibration was used outside the conditions that it was made in."""
-
-
-class BusWarning(PdavisWarning):
-    """The event rate is near what the camera's read-out can carry."""
 
 
 class AnalysisWarning(PdavisWarning):

@@ -6,6 +6,7 @@ import reference_image as reference
 
 import pdavis_cv
 from pdavis_cv.aps import clip_level, correct
+from pdavis_cv.calibration.corrected import corrected
 
 SHAPES = [(0, 0), (0, 3), (1, 1), (3, 5), (260, 346)]
 
@@ -131,7 +132,9 @@ def test_a_bad_argument_of_correct_is_named(change, error, words):
 def test_a_corrected_frame_keeps_times_and_marks_saturation():
     frame = pdavis_cv.ApsFrame(
         np.array([[100, 900]]), 1000, 3000, available_us=5000, full_scale_dn=4095)
-    got = frame.corrected(dark=20, gain=2, clip_dn=900)
+    got = corrected(frame, pdavis_cv.Calibration(
+        sensor_size=(1, 2), dark=np.full((1, 2), 20), gain=np.full((1, 2), 2),
+        clip_dn=900))
     assert got.dn.tolist() == [[160, 1760]]
     assert got.valid.tolist() == [[True, False]]
     assert (got.mid_us, got.available_us, got.full_scale_dn) == (2000, 5000, 4095)

@@ -8,17 +8,20 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv.errors import PdavisError, PdavisWarning
 
 if TYPE_CHECKING:  # an interrupt while NumPy loads must find `command` at work
-    from pdavis_cv import Layout, Recording
+    from pdavis_cv import Calibration, Layout, Recording
+    from pdavis_cv.fusion.options import OptionFacts
 
 __all__ = [
     "Parser",
     "UsageError",
     "add_fuse_options",
+    "calibration_of",
     "command",
     "fuse_options",
     "layout_option",
@@ -115,35 +118,15 @@ def _show_warning(
 def add_fuse_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say what fuse() is to do."""
     group = parser.add_argument_group("fusion")
-    group.add_argument("--method", help="how to fuse; default: what fits the file")
-    group.add_argument(
-        "--fps", type=positive, metavar="RATE",
-        help="images per second of the recording; default 100, or one per frame "
-             "if there are no events")
-    group.add_argument(
-        "--start", type=float, metavar="S",
-        help="first image, seconds after the start of the recording")
-    group.add_argument(
-        "--stop", type=float, metavar="S", help="end, in the same seconds, exclusive")
-    group.add_argument(
-        "--roi", type=roi_option, metavar="X,Y,W,H",
-        help="part of the sensor, in pixels")
-    group.add_argument(
-        "--layout", type=layout_option, metavar="LAYOUT",
-        help="polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
-             "e.g. 135,90,0,45")
-    group.add_argument(
-        "--demosaic", choices=("bilinear", "superpixel"), default="bilinear",
-        help="default bilinear")
-    group.add_argument(
-        "--causal", action="store_true", help="use only what had arrived at each time")
-    group.add_argument(
-        "--thresholds", type=_thresholds, metavar="T",
-        help="calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
-    group.add_argument(
-        "--denoise", action="store_true",
-        help="leave out events without support by neighbours behind the same "
-             "polarizer, and hot pixels")
+    for name, facts in _offered():
+        add: dict[str, Any] = {"help": facts.brief or facts.help}
+        if facts.word == "flag":
+            add["action"] = "store_true"
+        else:
+            add["type"], add["metavar"] = _WORDS[facts.word]
+            if facts.choices:
+                add["choices"], add["metavar"] = facts.choices, None
+        group.add_argument(_flag(name), dest=name, **add)
     group.add_argument(
         "--set", action="append", default=[], type=_setting, metavar="NAME=VALUE",
         dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6, "
@@ -151,21 +134,45 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
 
 
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
-    """Return the keyword arguments of fuse() that the options stand for."""
-    fps = args.fps
-    if fps is None and recording.info.event_count != 0:
-        fps = 100.0
-    origin = start_of(recording)
-    return {
-        "method": args.method, "fps": fps, "roi": args.roi, "layout": args.layout,
-        "demosaic": args.demosaic, "causal": args.causal,
-        "thresholds": args.thresholds, "denoise": args.denoise,
-        "start_us": _after(origin, args.start), "stop_us": _after(origin, args.stop),
-        **dict(args.settings)}
+    """Return the keyword arguments of fuse() that the options stand for.
+
+    Without ``--fps`` there are 100 images per second if there are events.
+    """
+    from pdavis_cv.fusion.options import FusionOptions
+    defaults = FusionOptions()
+    options: dict[str, Any] = {}
+    for name, facts in _offered():
+        value = getattr(args, name)
+        if value is None:
+            value = getattr(defaults, name)
+        elif facts.word == "seconds":
+            value = start_of(recording) + round(value * 1e6)
+        elif facts.word == "calibration":
+            value = calibration_of(value)
+        elif facts.word == "ratio" and value == "none":
+            value = None
+        options[name] = value
+    if options["fps"] is None and recording.info.event_count != 0:
+        options["fps"] = 100.0
+    return {**options, **dict(args.settings)}
 
 
-def _after(origin: int, seconds: float | None) -> int | None:
-    return None if seconds is None else origin + round(seconds * 1e6)
+def calibration_of(path: Path) -> Calibration:
+    """Return what ``pdavis calibrate`` wrote."""
+    from pdavis_cv.calibration.model import Calibration
+    return Calibration.load(path)
+
+
+def _offered() -> list[tuple[str, OptionFacts]]:
+    """Return the options of fuse() that commands have, with their facts."""
+    from pdavis_cv.fusion.options import FusionOptions
+    return [(name, facts) for name, facts in FusionOptions.facts().items()
+            if facts.word is not None]
+
+
+def _flag(name: str) -> str:
+    """Return the option of a command: start_us is --start, in seconds."""
+    return "--" + name.removesuffix("_us").replace("_", "-")
 
 
 def start_of(recording: Recording) -> int:
@@ -249,3 +256,27 @@ def _several(text: str) -> tuple[float, ...]:
     """Parse numbers with commas between them, such as bandwidth=250,0."""
     return tuple(float(part) for part in text.split(","))
 
+
+def _ratio(text: str) -> float | str:
+    if text in ("nominal", "none"):
+        return text
+    return float(numbers(text, 1)[0])
+
+
+def _pair(text: str) -> tuple[float, float]:
+    on, off = numbers(text, 2)
+    return on, off
+
+
+_WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
+    "text": (str, "NAME"),
+    "number": (positive, "RATE"),
+    "seconds": (float, "S"),
+    "region": (roi_option, "X,Y,W,H"),
+    "layout": (layout_option, "LAYOUT"),
+    "calibration": (Path, "NPZ"),
+    "ratio": (_ratio, "RATIO"),
+    "thresholds": (_thresholds, "T"),
+    "pair": (_pair, "ON,OFF"),
+}
+"""How a command line reads an option of fuse(), and what stands for its value."""

@@ -203,8 +203,7 @@ def _sweep(
     else:
         page.histogram("extinction ratio", fit.extinction_ratio)
     usable = fit.usable if known.usable is None else fit.usable & known.usable
-    return {"analyser": fit.analyser, "analyser_sigma": fit.sigma, "usable": usable,
-            "layout": layout}, page
+    return {"analyser": fit.analyser, "usable": usable, "layout": layout}, page
 
 
 def _fit(steps: Any, known: Calibration) -> SweepFit:

@@ -18,7 +18,7 @@ class Background(NamedTuple):
     Attributes
     ----------
     stokes : ndarray of float32, shape (H, W, 3)
-        Mean S0, S1, S2, divided by S0: what `Calibration.background` holds.
+        Mean S0, S1, S2, divided by S0.
     dolp, dolp_sigma : float
         Degree of linear polarization of the mean over the valid pixels, and its
         standard error.  For a circular polarizer as illumination it should be 0: its

@@ -27,7 +27,7 @@ FORMAT_VERSION = 1
 _POSITIVE = ("theta_on", "theta_off", "gain")
 _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
-    "gain", "analyser", "analyser_sigma", "usable", "background")
+    "gain", "analyser", "usable")
 _NUMBERS = ("clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn", "bandwidth_sigma")
 # Parts that only make sense together.
 _TOGETHER = (("theta_on", "theta_off"),)
@@ -60,12 +60,8 @@ class Calibration:
     analyser : ndarray of float32, shape (H, W, 3), optional
         Response of each pixel, after dark and gain, to S0, S1 and S2 of the light;
         an ideal polarizer at angle a has (1, cos 2a, sin 2a) / 2.
-    analyser_sigma : ndarray of float32, shape (H, W, 3), optional
-        Standard errors of ``analyser``.
     usable : ndarray of bool, shape (H, W), optional
         False for hot and dead pixels.
-    background : ndarray of float32, shape (H, W, 3), optional
-        Stokes parameters without a sample, divided by their S0.
     clip_dn : float, optional
         DN, before dark and gain, from which a pixel counts as saturated.
     bandwidth_hz : float, optional
@@ -98,9 +94,7 @@ class Calibration:
     dark_noise: NDArray[np.float32] | None = None
     gain: NDArray[np.float32] | None = None
     analyser: NDArray[np.float32] | None = None
-    analyser_sigma: NDArray[np.float32] | None = None
     usable: NDArray[np.bool_] | None = None
-    background: NDArray[np.float32] | None = None
     clip_dn: float | None = None
     bandwidth_hz: float | None = None
     bandwidth_hz_per_dn: float | None = None
@@ -124,7 +118,7 @@ class Calibration:
 
     def _checked_plane(self, name: str) -> NDArray[Any]:
         value = getattr(self, name)
-        depth = () if name not in ("analyser", "analyser_sigma", "background") else (3,)
+        depth = (3,) if name == "analyser" else ()
         shape = (*self.sensor_size, *depth)
         if np.shape(value) != shape:
             raise ValueError(f"{name} must have shape {shape}, got {np.shape(value)}")
@@ -214,6 +208,21 @@ class Calibration:
             raise CalibrationError(
                 f"calibration is of camera {self.serial}, the recording of camera "
                 f"{serial}")
+
+    def cropped(self, rows: slice, columns: slice) -> Calibration:
+        """Return the calibration of a part of the sensor.
+
+        Parameters
+        ----------
+        rows, columns : slice
+            With a start and a stop, inside the sensor.
+        """
+        planes = {name: getattr(self, name)[rows, columns] for name in _PLANES
+                  if getattr(self, name) is not None}
+        layout = self.layout and self.layout.crop(columns.start, rows.start)
+        return dataclasses.replace(
+            self, sensor_size=(rows.stop - rows.start, columns.stop - columns.start),
+            layout=layout, **planes)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write an npz file without pickles; return its path.

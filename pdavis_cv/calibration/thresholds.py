@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.base import Source
 
-__all__ = ["resolve_thresholds", "thresholds_from_biases"]
+__all__ = ["checked_choice", "resolve_thresholds", "thresholds_from_biases"]
 
 # kappa_n / (kappa_p^2 C1/C2) with kappa_n = kappa_p = 0.7 and C1/C2 = 20: Nozaki and
 # Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision
 # sensors", IEEE Trans. Electron Devices 64 (2017), equations 4 and 5.
 _BIAS_FACTOR = 0.7 / (0.7**2 * 20)
+
+_CHOICES = ("calibration", "bias", "in-situ", "nominal")
 
 Theta = NDArray[np.float32] | float
 
@@ -51,13 +53,25 @@ def thresholds_from_biases(biases: Mapping[str, float]) -> tuple[float, float]:
     return _BIAS_FACTOR * math.log(on / diff), _BIAS_FACTOR * math.log(diff / off)
 
 
+def checked_choice(
+    thresholds: str | tuple[ArrayLike, ArrayLike] | None
+) -> None:
+    """Raise ValueError if thresholds are a word that says nothing."""
+    if isinstance(thresholds, str) and thresholds not in _CHOICES:
+        raise ValueError(
+            f"thresholds must be {', '.join(map(repr, _CHOICES))} or (on, off), got "
+            f"{thresholds!r}")
+
+
 def resolve_thresholds(
-    recording: Recording,
+    recording: Source,
     thresholds: str | tuple[ArrayLike, ArrayLike] | None,
     nominal: tuple[ArrayLike, ArrayLike],
     calibration: Calibration | None,
 ) -> tuple[Theta, Theta]:
     """Return the thresholds to use, as ``fuse`` documents them.
+
+    "in-situ" gives what the estimation starts from.
 
     Returns
     -------
@@ -69,11 +83,9 @@ def resolve_thresholds(
         If the choice is unknown or cannot be had, or a value is not positive.
     """
     size = recording.info.sensor_size
-    if isinstance(thresholds, str) and thresholds not in (
-            "calibration", "bias", "nominal"):
-        raise ValueError(
-            "thresholds must be 'calibration', 'bias', 'nominal' or (on, off), got "
-            f"{thresholds!r}")
+    if isinstance(thresholds, str) and thresholds == "in-situ":
+        thresholds = None
+    checked_choice(thresholds)
     if thresholds is not None and not isinstance(thresholds, str):
         return _checked_pair("thresholds", thresholds, size)
     if thresholds in (None, "calibration"):

@@ -1,13 +1,12 @@
 """Which sources are ours and which go to a real cv2.VideoCapture."""
 from __future__ import annotations
 
-import inspect
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pdavis_cv.capture import constants as c
-from pdavis_cv.fusion import fuse
+from pdavis_cv.fusion import FusionOptions
 from pdavis_cv.reconstruct.methods import METHODS, method_parameters
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.open import open_recording
@@ -23,9 +22,7 @@ __all__ = [
     "parameters_of",
 ]
 
-_FUSE = tuple(
-    name for name, parameter in inspect.signature(fuse).parameters.items()
-    if parameter.kind is inspect.Parameter.KEYWORD_ONLY)
+_FUSE = tuple(FusionOptions.facts())
 _OPEN = ("bad_events", "camera")
 
 

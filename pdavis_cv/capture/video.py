@@ -22,6 +22,7 @@ from pdavis_cv.capture.manners import (
 from pdavis_cv.capture.session import Session, View
 from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
 from pdavis_cv.errors import PdavisError
+from pdavis_cv.fusion.options import names_options
 from pdavis_cv.recording.base import Recording
 
 __all__ = ["CaptureStatus", "VideoCapture"]
@@ -41,6 +42,7 @@ class CaptureStatus(enum.StrEnum):
     ERROR = "error"
 
 
+@names_options
 class VideoCapture:
     """A recording as a sequence of images, with the manners of cv2.VideoCapture.
 
@@ -69,8 +71,9 @@ class VideoCapture:
         white is the converter's full scale at the recording's first exposure.
     log : bool
         Grey in proportion to the logarithm, down to white / 1023.
-    **fuse_parameters
-        As in `fuse`, e.g. ``fps``, ``method``, ``roi``.
+    {options}
+    **method_parameters
+        Of the method of `fuse`, e.g. ``cutoff_hz``, and of `open_recording`.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 import pdavis_cv
 from pdavis_cv import _kernels
@@ -19,39 +19,31 @@ from pdavis_cv._feed import Feed, first_time
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.calibration.insitu import learned
-from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.past import Past
 from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.errors import ExposureWarning
-from pdavis_cv.fusion.grid import checked_grid
-from pdavis_cv.fusion.options import (
-    check_layout_fits,
-    checked_calibration,
-    chosen_layout,
-    denoising,
-    resolved_extinction_ratio,
-)
-from pdavis_cv.fusion.window import (
+from pdavis_cv.fusion.camera import (
     analyser_of,
-    checked_roi,
-    events_of,
+    check_calibration_fits,
+    check_layout_fits,
+    chosen_layout,
     mismatch_of,
-    part_of,
+    resolved_extinction_ratio,
     response_of,
-    window_of,
 )
+from pdavis_cv.fusion.options import FusionOptions, takes_options
+from pdavis_cv.fusion.window import checked_roi, events_of, part_of, window_of
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.mosaic import demosaic_valid
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Factory, Reconstructor, Snapshot
+from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.lamp import LampTracker, Wave
 from pdavis_cv.reconstruct.methods import (
     default_method,
     factory_of,
     make_reconstructor,
 )
-from pdavis_cv.recording.base import ApsFrame, Recording
-from pdavis_cv.sensor import Layout
+from pdavis_cv.recording.base import ApsFrame, Recording, Source
 
 __all__ = ["Fusion", "FusionSnapshot", "fuse"]
 
@@ -60,80 +52,24 @@ _LONGEST_DELAY_US = 2_000_000
 _BEFORE, _AFTER = -(2**62), 2**62
 
 
+@takes_options
 def fuse(
-    recording: Recording,
-    *,
-    method: str | Factory | None = None,
-    fps: float | None = None,
-    times_us: ArrayLike | None = None,
-    start_us: int | None = None,
-    stop_us: int | None = None,
-    layout: Layout | None = None,
-    calibration: Calibration | None = None,
-    extinction_ratio: float | str | None = "nominal",
-    demosaic: str = "bilinear",
-    roi: tuple[int, int, int, int] | None = None,
-    causal: bool = False,
-    thresholds: str | tuple[ArrayLike, ArrayLike] | None = None,
-    nominal_thresholds: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
-    denoise: bool | Mapping[str, Any] = False,
-    **method_parameters: Any,
+    recording: Source, options: FusionOptions | None = None, **changes: Any
 ) -> Iterator[PolarFrame]:
     """Fuse a recording's frames and events into polarization images.
 
     Without `fps` and `times_us` there is one image per frame, at its mid-exposure
-    (100 per second if the recording has no frames).  Whatever the interval, the
-    recording is followed from its beginning, so an image at t is the same
-    whichever images were asked for before it.
+    (100 per second if there are no frames).  Whatever the interval, the recording is
+    followed from its beginning, so an image at t is the same whichever images were
+    asked for before it.
 
     Parameters
     ----------
     recording : Recording
         From `open_recording` or `recording_from_arrays`.
-    method : str or callable, optional
-        One of ``METHODS``, or what makes a `Reconstructor` of your own: its class, or
-        a function ``(shape, *, theta_on, theta_off, **parameters)``.  Default: what
-        fits the recording (``frames`` without events, ``events`` without frames, else
-        ``DEFAULT_METHOD``).
-    fps : float, optional
-        Images per second of recording time: t_k = start + round(k * 1e6 / fps)
-        while t_k < stop.
-    times_us : array_like of int, optional
-        Times of the images, increasing; excludes `fps`, `start_us`, `stop_us`.
-    start_us, stop_us : int, optional
-        Half-open interval of image times; default: from the mid-exposure of the
-        first frame (the first event if there is no frame) to one past the last
-        sample of any stream.
-    layout : Layout, optional
-        Polarizer layout; default: the calibration's, the recording's, else PDAVIS
-        with a LayoutWarning.
-    calibration : Calibration, optional
-        Of this camera: dark, gain, thresholds, analyser matrix.
-    extinction_ratio : float, "nominal" or None
-        Contrast of the polarizers that S1 and S2 are corrected for; "nominal"
-        takes the sensor's, None corrects nothing.  Unused where the calibration
-        has an analyser matrix.
-    demosaic : {"bilinear", "superpixel"}
-        How the four channels are brought to one place; linear intensity is used.
-    roi : (int, int, int, int), optional
-        (x, y, width, height) in sensor pixels; gives the crop of the full result.
-    causal : bool
-        Use only what had arrived at t: a frame changes the state when its readout
-        ends.  Otherwise it acts from its mid-exposure on.  ``kalman`` learns the
-        bandwidth and the events' noise 0.5, 1, 2, 4 and 8 s after the first frame,
-        each time from what had arrived by then, and goes on as if it had known them
-        from the beginning.
-    thresholds : str or (on, off), optional
-        "calibration", "bias", "in-situ", "nominal", or contrast thresholds in
-        natural-log units, scalars or (H, W); default: the first available of
-        calibration, bias, nominal.  "in-situ" starts from those and looks at the
-        first 10 s of the recording before the first image; with `causal` nothing is
-        looked at before its time, and ``kalman`` learns from the past alone.
-    nominal_thresholds : (on, off)
-        Used for "nominal", and where nothing better is known.
-    denoise : bool or mapping
-        Leave out events without support by neighbours behind the same polarizer, and
-        those of hot pixels; parameters of `EventDenoiser`, or True for its own.
+    options : FusionOptions, optional
+        What to begin with; the keywords below change it.
+    {options}
     **method_parameters
         Passed to the method, e.g. ``cutoff_hz`` for ``cf``.
 
@@ -149,13 +85,18 @@ def fuse(
         If a value is out of range, e.g. a region that leaves the sensor.
     LayoutError, CalibrationError
         If layouts disagree, or the calibration is of another camera.
+
+    Examples
+    --------
+    >>> import pdavis_cv
+    >>> from pdavis_cv.data import example_recording
+    >>> options = pdavis_cv.FusionOptions(method="cf", layout=pdavis_cv.Layout.PDAVIS)
+    >>> with pdavis_cv.open_recording(example_recording()) as recording:
+    ...     image = next(pdavis_cv.fuse(recording, options, roi=(0, 0, 40, 30)))
+    >>> image.dolp.shape
+    (30, 40)
     """
-    return Fusion(
-        recording, method=method, fps=fps, times_us=times_us, start_us=start_us,
-        stop_us=stop_us, layout=layout, calibration=calibration,
-        extinction_ratio=extinction_ratio, demosaic=demosaic, roi=roi, causal=causal,
-        thresholds=thresholds, nominal_thresholds=nominal_thresholds, denoise=denoise,
-        **method_parameters)
+    return Fusion(recording, options, **changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,42 +152,27 @@ class Fusion:
 
     def __init__(
         self,
-        recording: Recording,
-        *,
-        method: str | Factory | None = None,
-        fps: float | None = None,
-        times_us: ArrayLike | None = None,
-        start_us: int | None = None,
-        stop_us: int | None = None,
-        layout: Layout | None = None,
-        calibration: Calibration | None = None,
-        extinction_ratio: float | str | None = "nominal",
-        demosaic: str = "bilinear",
-        roi: tuple[int, int, int, int] | None = None,
-        causal: bool = False,
-        thresholds: str | tuple[ArrayLike, ArrayLike] | None = None,
-        nominal_thresholds: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
-        denoise: bool | Mapping[str, Any] = False,
-        **method_parameters: Any,
+        recording: Source, options: FusionOptions | None = None, **changes: Any,
     ) -> None:
         if not isinstance(recording, Recording):
             raise TypeError(
                 "recording must be a Recording (see open_recording), got "
                 f"{type(recording).__name__}")
+        options = (options or FusionOptions()).replace(**changes)
         info = recording.info
-        self.recording = recording
-        self._calibration = checked_calibration(calibration, recording)
-        self._factory = factory_of(default_method(info) if method is None else method)
-        self.layout = chosen_layout(layout, calibration, recording)
-        if demosaic not in ("bilinear", "superpixel"):
-            raise ValueError(
-                f"demosaic must be 'bilinear' or 'superpixel', got {demosaic!r}")
-        self._demosaic = demosaic
-        self._causal = bool(causal)
-        self.extinction_ratio = resolved_extinction_ratio(extinction_ratio, info.sensor)
-
-        self._roi = checked_roi(roi, info.sensor_size, demosaic)
-        self._denoise = denoising(denoise)
+        self.recording, self.options = recording, options
+        self._calibration = calibration = options.calibration
+        check_calibration_fits(calibration, recording)
+        self._factory = factory_of(options.method or default_method(info))
+        self.layout = chosen_layout(options.layout, calibration, recording)
+        self._demosaic, self._causal = demosaic, causal = (
+            options.demosaic, options.causal)
+        self.extinction_ratio = resolved_extinction_ratio(
+            options.extinction_ratio, info.sensor)
+        method_parameters = dict(options.parameters)
+        self._roi = checked_roi(options.roi, info.sensor_size, demosaic)
+        self._denoise = None if options.denoise is False else (
+            {} if options.denoise is True else options.denoise)
         everything = (slice(0, info.sensor_size[0]), slice(0, info.sensor_size[1]))
         response = response_of(self.layout, self._calibration, *everything)
 
@@ -256,8 +182,7 @@ class Fusion:
                 self._denoise)
 
         on, off = resolve_thresholds(
-            recording, None if _is_in_situ(thresholds) else thresholds,
-            nominal_thresholds, self._calibration)
+            recording, options.thresholds, options.nominal_thresholds, calibration)
         given = {name: value for name, value in method_parameters.items()
                  if not _is_in_situ(value)}
         whole = made(given)
@@ -273,7 +198,7 @@ class Fusion:
         check_layout_fits(whole, self.layout)
         late = whole.lookahead_us == 0
         on, off, method_parameters = learned(
-            recording, thresholds, (on, off), self._calibration, method_parameters,
+            recording, options.thresholds, (on, off), calibration, method_parameters,
             whole.needs, causal=self._causal, late=late)
         self._past: Past | None = None
         if whole.needs.learned and late:
@@ -300,8 +225,8 @@ class Fusion:
         self.shape = ((height // 2, width // 2) if demosaic == "superpixel"
                       else (height, width))
 
-        self._fps, self._times = checked_grid(fps, times_us, start_us, stop_us)
-        self._start_us, self._stop_us = start_us, stop_us
+        self._fps, self._times = options.rate, options.times
+        self._start_us, self._stop_us = options.start_us, options.stop_us
         self._facts: dict[str, Any] = {
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
             "parameters": dict(whole.parameters), "causal": self._causal,

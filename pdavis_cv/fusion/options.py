@@ -1,84 +1,383 @@
-"""What `fuse` is asked for, checked."""
+"""FusionOptions: the one list of what `fuse` can be asked for.
+
+`fuse`, `VideoCapture` and the options of every command are made from its fields: a
+field that is added here appears in all of them.
+"""
 from __future__ import annotations
 
-import weakref
-from collections.abc import Mapping
-from typing import Any
+import dataclasses
+import inspect
+import math
+import operator
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from types import MappingProxyType
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, cast, overload
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.errors import LayoutError
-from pdavis_cv.reconstruct.base import Reconstructor
-from pdavis_cv.recording.base import Source
-from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+from pdavis_cv.calibration.thresholds import checked_choice
+from pdavis_cv.reconstruct.base import Factory
+from pdavis_cv.reconstruct.methods import factory_of
+from pdavis_cv.sensor import Layout
 
-__all__ = ["check_layout_fits", "checked_calibration", "chosen_layout", "denoising",
-           "resolved_extinction_ratio"]
+__all__ = ["FusionOptions", "OptionFacts", "names_options", "takes_options"]
 
-# A recording that warned about its layout once does not do so again.
-_warned: weakref.WeakSet[Source] = weakref.WeakSet()
+_MOST_FPS = 1_000_000
 
 
-def chosen_layout(
-    layout: Layout | None, calibration: Calibration | None, recording: Source
-) -> Layout:
-    """Return the layout to use; warn once per recording if none is known."""
-    of_calibration = None if calibration is None else calibration.layout
-    if layout is not None and not isinstance(layout, Layout):
-        raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
-    known = (layout, of_calibration, recording.info.layout)
-    if all(one is None for one in known):
-        if recording in _warned:
-            return Layout.PDAVIS
-        _warned.add(recording)
-    return resolve_layout(*known, stacklevel=4)
+@dataclass(frozen=True)
+class OptionFacts:
+    """What is known of an option besides its name and default.
+
+    Parameters
+    ----------
+    type : str
+        Type and unit, as a docstring gives them.
+    help : str
+        One or more sentences.
+    word : str or None
+        How a command line reads it: ``"text"``, ``"number"``, ``"seconds"`` (after the
+        start of the recording), ``"flag"``, ``"region"``, ``"layout"``,
+        ``"calibration"`` (a file), ``"ratio"``, ``"thresholds"``, ``"pair"``; None =
+        not at all.
+    brief : str
+        Help on the command line; default: the first sentence of `help`.
+    choices : tuple of str
+        The only texts that are possible; none = any.
+    """
+
+    type: str
+    help: str
+    word: str | None
+    brief: str = ""
+    choices: tuple[str, ...] = ()
 
 
-def check_layout_fits(method: Reconstructor, layout: Layout) -> None:
-    """Raise LayoutError if the method was made for other layouts."""
-    i0, _, i90, _ = layout.places
-    if method.needs.crossed_diagonal and i0 + i90 != 3:
-        raise LayoutError(
-            f"method {method.method!r} needs a layout in which 0 and 90 degrees lie "
-            f"diagonally, got {layout}")
+def _option(
+    default: Any, type: str, help: str, word: str | None, brief: str = "",
+    choices: tuple[str, ...] = (),
+) -> Any:
+    return dataclasses.field(default=default, metadata={"facts": OptionFacts(
+        type, help, word, brief, choices)})
 
 
-def checked_calibration(
-    calibration: Calibration | None, recording: Source
-) -> Calibration | None:
-    """Return the calibration if it can be of the recording's camera."""
-    if calibration is None:
-        return None
-    if not isinstance(calibration, Calibration):
-        raise TypeError(
-            f"calibration must be a Calibration, got {type(calibration).__name__}")
-    calibration.check_fits(recording.info.sensor_size, recording.info.serial)
-    return calibration
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FusionOptions:
+    """What `fuse` is asked for, checked once; picklable.
 
+    Parameters
+    ----------
+    {options}
+    parameters : mapping of str to object
+        Of the method, e.g. ``{"cutoff_hz": 1.6}`` for ``cf``.
 
-def resolved_extinction_ratio(
-    value: float | str | None, sensor: Sensor | None
-) -> float | None:
-    """Return the number that S1 and S2 are corrected for, or None."""
-    if value is None:
-        return None
-    if isinstance(value, str):
-        if value != "nominal":
+    Raises
+    ------
+    TypeError
+        If a value has the wrong type.
+    ValueError
+        If a value is out of range.
+
+    Examples
+    --------
+    >>> options = FusionOptions(fps=100, causal=True)
+    >>> options.replace(method="cf", cutoff_hz=2.0).parameters["cutoff_hz"]
+    2.0
+    """
+
+    method: str | Factory | None = _option(
+        None, "str or callable, optional",
+        "One of ``METHODS``, or what makes a `Reconstructor` of your own: its class "
+        "or a function ``(shape, *, theta_on, theta_off, **parameters)``, also called "
+        "with a small shape to see what it makes.  Default: what fits the "
+        "recording (``frames`` without events, ``events`` without frames, else "
+        "``DEFAULT_METHOD``).", "text", "how to fuse; default: what fits the file")
+    fps: float | None = _option(
+        None, "float, optional",
+        "Images per second of recording time, at most 1,000,000: "
+        "t_k = start + round(k * 1e6 / fps) while t_k < stop.",
+        "number", "images per second of the recording")
+    times_us: ArrayLike | None = _option(
+        None, "array_like of int, optional",
+        "Times of the images in us, increasing; excludes `fps`, `start_us`, `stop_us`.",
+        None)
+    start_us: int | None = _option(
+        None, "int, optional",
+        "First time of an image, us; default: the mid-exposure of the first frame (the "
+        "first event if no frame comes within 2 s).",
+        "seconds", "first image, seconds after the start of the recording")
+    stop_us: int | None = _option(
+        None, "int, optional",
+        "Images lie before this time, us; default: one past the last sample of any "
+        "stream.", "seconds", "end, in the same seconds, exclusive")
+    layout: Layout | None = _option(
+        None, "Layout, optional",
+        "Polarizer layout; default: the calibration's, the recording's, else PDAVIS "
+        "with a LayoutWarning.", "layout",
+        "polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
+        "e.g. 135,90,0,45")
+    calibration: Calibration | None = _option(
+        None, "Calibration, optional",
+        "Of this camera: dark, gain, thresholds, analyser matrix, bandwidth.",
+        "calibration", "what is known of this camera, as pdavis calibrate wrote it")
+    extinction_ratio: float | str | None = _option(
+        "nominal", 'float, "nominal" or None',
+        "Contrast of the polarizers, above 1, that S1 and S2 are corrected for; "
+        '"nominal" takes the sensor\'s, None corrects nothing.  Unused where the '
+        "calibration has an analyser matrix.", "ratio",
+        "contrast of the polarizers that S1 and S2 are corrected for: a number, "
+        "nominal or none")
+    demosaic: str = _option(
+        "bilinear", '{"bilinear", "superpixel"}',
+        "How the four channels are brought to one place; linear intensity is used.",
+        "text", choices=("bilinear", "superpixel"))
+    roi: tuple[int, int, int, int] | None = _option(
+        None, "(int, int, int, int), optional",
+        "(x, y, width, height) in sensor pixels; gives the crop of the full result.",
+        "region", "part of the sensor, in pixels")
+    causal: bool = _option(
+        False, "bool",
+        "Use only what had arrived at t: a frame changes the state when its readout "
+        "ends.  Otherwise it acts from its mid-exposure on.  What a method learns of "
+        "the camera it then learns as the stream passes, 0.5, 1, 2, 4 s ... after the "
+        "first frame, and goes on with.", "flag",
+        "use only what had arrived at each time")
+    thresholds: str | tuple[ArrayLike, ArrayLike] | None = _option(
+        None, "str or (on, off), optional",
+        '"calibration", "bias", "in-situ", "nominal", or contrast thresholds in '
+        "natural-log units, scalars or (H, W); default: the first available of "
+        'calibration, bias, nominal.  "in-situ" starts from those and looks at the '
+        "first 10 s of the recording before the first image; with `causal` nothing is "
+        "looked at before its time.", "thresholds",
+        "calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
+    nominal_thresholds: tuple[ArrayLike, ArrayLike] = _option(
+        (0.2, 0.2), "(on, off)",
+        'Natural-log units; used for "nominal", and where nothing better is known.',
+        "pair", "thresholds ON,OFF where nothing better is known")
+    denoise: bool | Mapping[str, Any] = _option(
+        False, "bool or mapping",
+        "Leave out events without support by neighbours behind the same polarizer, and "
+        "those of hot pixels; parameters of `EventDenoiser`, or True for its own.",
+        "flag", "leave out events without support by neighbours behind the same "
+        "polarizer, and hot pixels")
+    parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        if self.method is not None:
+            factory_of(self.method)
+        put("times_us", _checked_times(self))
+        _check_rate(self.fps)
+        for name, kind in (("layout", Layout), ("calibration", Calibration)):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(
+                    f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+        _check_extinction_ratio(self.extinction_ratio)
+        if self.demosaic not in ("bilinear", "superpixel"):
             raise ValueError(
-                f"extinction_ratio must be 'nominal', a number or None, got {value!r}")
-        return (sensor or Sensor.PDAVIS).extinction_ratio
-    if not float(value) > 1:
+                f"demosaic must be 'bilinear' or 'superpixel', got {self.demosaic!r}")
+        put("roi", _checked_roi(self.roi))
+        put("causal", bool(self.causal))
+        checked_choice(self.thresholds)
+        put("denoise", _checked_denoise(self.denoise))
+        put("parameters", MappingProxyType(dict(self.parameters)))
+
+    def replace(self, **changes: Any) -> FusionOptions:
+        """Return these options with some changed.
+
+        Parameters
+        ----------
+        **changes
+            Options by name; any other name is a parameter of the method.
+        """
+        known = {name: value for name, value in changes.items() if name in _NAMES}
+        parameters = {**self.parameters, **changes.pop("parameters", {})}
+        parameters |= {name: value for name, value in changes.items()
+                       if name not in _NAMES}
+        return dataclasses.replace(self, **known, parameters=parameters)
+
+    @classmethod
+    def facts(cls) -> Mapping[str, OptionFacts]:
+        """Return the facts about each option, by name."""
+        return {one.name: one.metadata["facts"] for one in dataclasses.fields(cls)
+                if "facts" in one.metadata}
+
+    @property
+    def times(self) -> NDArray[np.int64] | None:
+        """Times of the images in us, None = on a grid."""
+        return None if self.times_us is None else np.asarray(self.times_us, np.int64)
+
+    @property
+    def rate(self) -> Fraction | None:
+        """Images per second, exactly; None = not stated."""
+        return None if self.fps is None else Fraction(self.fps)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+        return _restored, ({**values, "parameters": dict(self.parameters)},)
+
+
+_NAMES = frozenset(FusionOptions.facts())
+
+
+def _restored(values: dict[str, Any]) -> FusionOptions:
+    return FusionOptions(**values)
+
+
+# ---- checks ----------------------------------------------------------------------
+
+
+def _checked_times(options: FusionOptions) -> NDArray[np.int64] | None:
+    for name in ("start_us", "stop_us"):
+        value = getattr(options, name)
+        if value is not None and not isinstance(value, (int, np.integer)):
+            raise TypeError(
+                f"{name} must be integer microseconds, got {type(value).__name__}")
+    if options.times_us is None:
+        return None
+    if any(value is not None
+           for value in (options.fps, options.start_us, options.stop_us)):
+        raise TypeError("times_us excludes fps, start_us and stop_us")
+    raw = np.asarray(options.times_us)
+    if raw.ndim != 1 or (raw.size and raw.dtype.kind not in "iu"):
+        raise TypeError(
+            "times_us must be one-dimensional integer microseconds, got "
+            f"{raw.dtype} {raw.shape}")
+    times = raw.astype(np.int64)
+    if np.any(times[1:] <= times[:-1]):
+        raise ValueError("times_us must increase")
+    return times
+
+
+def _check_rate(fps: Any) -> None:
+    if fps is None:
+        return
+    try:
+        rate = Fraction(fps)
+    except (TypeError, ValueError, OverflowError):
+        rate = Fraction(0)
+    if not 0 < rate <= _MOST_FPS:
+        raise ValueError(f"fps must lie in (0, {_MOST_FPS}], got {fps!r}")
+
+
+def _check_extinction_ratio(value: Any) -> None:
+    if value is None or (isinstance(value, str) and value == "nominal"):
+        return
+    if isinstance(value, str):
+        raise ValueError(
+            f"extinction_ratio must be 'nominal', a number or None, got {value!r}")
+    if not 1 < float(value) < math.inf:
         raise ValueError(f"extinction_ratio must exceed 1, got {value}")
-    return float(value)
 
 
-def denoising(value: bool | Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return the parameters of an `EventDenoiser`, None for none."""
+def _checked_roi(roi: Any) -> tuple[int, int, int, int] | None:
+    if roi is None:
+        return None
+    try:
+        x, y, width, height = (operator.index(value) for value in roi)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"roi must be four integers (x, y, width, height), got {roi!r}") from None
+    return x, y, width, height
+
+
+def _checked_denoise(value: Any) -> bool | dict[str, Any]:
     if isinstance(value, Mapping):
         return dict(value)
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(
             "denoise must be a bool or a mapping of parameters of EventDenoiser, got "
             f"{type(value).__name__}")
-    return {} if value else None
+    return bool(value)
+
+
+# ---- signatures ------------------------------------------------------------------
+
+_P = ParamSpec("_P")
+_Source = TypeVar("_Source", contravariant=True)
+_Made = TypeVar("_Made", covariant=True)
+
+
+class _TakesOptions(Protocol[_Source, _P, _Made]):
+    """A function of a source and of options, for type checkers and editors."""
+
+    @overload
+    def __call__(
+        self, recording: _Source, /, *_: _P.args, **options: _P.kwargs
+    ) -> _Made: ...
+
+    @overload
+    def __call__(
+        self, recording: _Source, options: FusionOptions | None = None, **changes: Any
+    ) -> _Made: ...
+
+
+def _takes(
+    options: Callable[_P, FusionOptions]
+) -> Callable[[Callable[Concatenate[_Source, ...], _Made]],
+              _TakesOptions[_Source, _P, _Made]]:
+    def decorate(
+        function: Callable[Concatenate[_Source, ...], _Made]
+    ) -> _TakesOptions[_Source, _P, _Made]:
+        return cast("_TakesOptions[_Source, _P, _Made]", names_options(function))
+    return decorate
+
+
+takes_options = _takes(FusionOptions)
+"""Gives a function ``(source, options=None, **changes)`` the options by name: in its
+signature and docstring, and for type checkers."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def names_options(function: _F) -> _F:
+    """Write the options into the signature and docstring of a function or class.
+
+    Parameters
+    ----------
+    function : callable
+        It, or its ``__init__``, ends in ``**changes``, or another name, which receive
+        the options.  A line ``{options}`` of its docstring is replaced by their
+        description.
+
+    Returns
+    -------
+    callable
+        The same.
+    """
+    called = vars(function)["__init__"] if inspect.isclass(function) else function
+    found = inspect.signature(called)
+    *own, rest = found.parameters.values()
+    defaults = {one.name: one.default for one in dataclasses.fields(FusionOptions)}
+    types = {one.name: one.type for one in dataclasses.fields(FusionOptions)}
+    named = [inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name],
+        annotation=types[name]) for name in FusionOptions.facts()]
+    rest = rest.replace(name="method_parameters")
+    vars(called)["__signature__"] = found.replace(parameters=[*own, *named, rest])
+    if function.__doc__ is not None:
+        function.__doc__ = "\n".join(_documented(function.__doc__))
+    return function
+
+
+def _documented(text: str) -> Iterator[str]:
+    for line in text.splitlines():
+        if line.strip() != "{options}":
+            yield line
+            continue
+        indent = line[:len(line) - len(line.lstrip())]
+        for name, facts in FusionOptions.facts().items():
+            yield f"{indent}{name} : {facts.type}"
+            for part in textwrap.wrap(facts.help, 84 - len(indent)):
+                yield f"{indent}    {part}"
+
+
+FusionOptions.__doc__ = "\n".join(_documented(FusionOptions.__doc__ or ""))

@@ -12,7 +12,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.aps import correct
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.sensor import Layout, Sensor
 
@@ -186,31 +185,6 @@ class ApsFrame:
             exposure_start_us=times(self.exposure_start_us),
             exposure_end_us=times(self.exposure_end_us), valid=part(self.valid),
             reset=part(self.reset), signal=part(self.signal))
-
-    def corrected(
-        self,
-        dark: ArrayLike | None = None,
-        gain: ArrayLike | None = None,
-        clip_dn: float | None = None,
-    ) -> ApsFrame:
-        """Return the frame with dark and gain taken out and saturation marked.
-
-        Parameters
-        ----------
-        dark : array_like, shape (H, W) or scalar, optional
-            Offset in DN, subtracted without clamping.
-        gain : array_like, shape (H, W) or scalar, optional
-            Multiplied after that.
-        clip_dn : float, optional
-            Pixels at or above this before the correction are not valid.
-
-        Returns
-        -------
-        ApsFrame
-            A new frame with the same times and reads.
-        """
-        dn, valid = correct(self.dn, dark, gain, clip_dn, self.valid)
-        return self.replace(dn=dn, valid=valid)
 
     def __repr__(self) -> str:
         height, width = self.dn.shape

@@ -21,6 +21,7 @@ from pdavis_cv.simulation import PRESETS
 from .._common import (
     Parser,
     UsageError,
+    calibration_of,
     command,
     layout_option,
     numbers,
@@ -58,7 +59,8 @@ def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> Resul
     """Figure 2 from recordings."""
     fitted = fit_files(
         args.recording, layout=args.layout, roi=args.roi,
-        seconds=settings.seconds or 10.0, nominal=args.nominal)
+        seconds=settings.seconds or 10.0, nominal=args.nominal,
+        calibration=args.calibration and calibration_of(args.calibration))
     made = [each.case for each in sorted(fitted, key=lambda each: each.case.rpm)]
     return _compared("fig2", stem, settings, rotation.SCENES["fig2"], [made],
                      fits_page(fitted, args.roi))
@@ -237,6 +239,9 @@ def _parser() -> argparse.ArgumentParser:
     group.add_argument(
         "--layout", type=layout_option, metavar="LAYOUT",
         help="pdavis, sony or four angles by row; default what the file says")
+    group.add_argument(
+        "--calibration", type=Path, metavar="NPZ",
+        help="what is known of this camera, as pdavis calibrate wrote it")
     group.add_argument(
         "--nominal", type=_two_thresholds, metavar="ON,OFF",
         help="contrast thresholds to start from, natural-log units; default 0.2,0.2")

@@ -3,13 +3,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pdavis_cv import open_recording
 from pdavis_cv.analysis.rotation import RotationFit, fit_rotation
+from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording
 from pdavis_cv.recording.memory import MemoryRecording
@@ -38,7 +40,7 @@ class Fitted:
 def fit_files(
     paths: Sequence[Path], *, layout: Layout | None,
     roi: tuple[int, int, int, int] | None, seconds: float,
-    nominal: tuple[float, float] | None,
+    nominal: tuple[float, float] | None, calibration: Calibration | None = None,
 ) -> list[Fitted]:
     """Read a region of each recording and fit the rotation to it.
 
@@ -54,6 +56,8 @@ def fit_files(
         How much of each, from its beginning.
     nominal : (float, float) or None
         Thresholds (on, off) to start from.
+    calibration : Calibration or None
+        Of the camera.
 
     Raises
     ------
@@ -64,7 +68,8 @@ def fit_files(
     for path in paths:
         with open_recording(path, layout=layout) as whole:
             try:
-                part = region_of(whole, roi, round(seconds * 1e6))
+                x, y, w, h = roi or middle_of(whole.info.sensor_size)
+                part = region_of(whole, (x, y, w, h), round(seconds * 1e6))
                 info = part.info
                 ratio = (info.sensor or Sensor.PDAVIS).extinction_ratio
                 fit = fit_rotation(part, extinction_ratio=ratio)
@@ -78,11 +83,17 @@ def fit_files(
         if take.last_us - take.settled_us < TAIL_US:
             raise UsageError(f"{path}: must be longer than "
                              f"{(SETTLE_US + 2 * TAIL_US) / 1e6:g} s")
-        found.append(Fitted(path, fit, _case(take, fit, nominal)))
+        options: dict[str, Any] = {}
+        if nominal is not None:
+            options["nominal_thresholds"] = nominal
+        if calibration is not None:
+            options["calibration"] = calibration.cropped(
+                slice(y, y + h), slice(x, x + w))
+        found.append(Fitted(path, fit, _case(take, fit, options)))
     return found
 
 
-def _case(take: Take, fit: RotationFit, nominal: tuple[float, float] | None) -> Case:
+def _case(take: Take, fit: RotationFit, options: Mapping[str, Any]) -> Case:
     start = float(fit.aop(take.start_us))
 
     def light(s0: float) -> Scene:  # before a simulated Sony camera
@@ -92,11 +103,18 @@ def _case(take: Take, fit: RotationFit, nominal: tuple[float, float] | None) -> 
     return Case(scene="polarizer", light=light, rpm=float(f"{abs(fit.rpm):.4g}"),
                 camera="recording", seed=0, start_deg=math.degrees(start),
                 seconds=(take.stop_us - take.start_us) / 1e6, existing=take,
-                true_rpm=fit.rpm, nominal=nominal)
+                true_rpm=fit.rpm, options=options)
+
+
+def middle_of(size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return (x, y, width, height) of a small region, on even numbers."""
+    height, width = size
+    w, h = min(_SIDE, width // 2 * 2), min(_SIDE, height // 2 * 2)
+    return (width - w) // 4 * 2, (height - h) // 4 * 2, w, h
 
 
 def region_of(
-    recording: Recording, roi: tuple[int, int, int, int] | None, limit_us: int
+    recording: Recording, roi: tuple[int, int, int, int], limit_us: int
 ) -> Recording:
     """Return the beginning of a region of a recording, in memory.
 
@@ -106,9 +124,6 @@ def region_of(
         If the region is not on even numbers inside the sensor, or nothing is in it.
     """
     height, width = recording.info.sensor_size
-    if roi is None:
-        w, h = min(_SIDE, width // 2 * 2), min(_SIDE, height // 2 * 2)
-        roi = (width - w) // 4 * 2, (height - h) // 4 * 2, w, h
     x, y, w, h = roi
     if any(side % 2 for side in roi) or not (
             x >= 0 and y >= 0 and w > 0 and h > 0 and x + w <= width

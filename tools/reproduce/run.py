@@ -152,8 +152,9 @@ class Case:
         Stands in for what the event camera would record.
     true_rpm : float, optional
         Turns per minute; default ``rpm`` times `OFF_LOCK`.
-    nominal : (float, float), optional
-        Thresholds (on, off) that are given; default those of the preset.
+    options : mapping of str to object
+        Of `fuse`, for the event camera; without ``nominal_thresholds`` those of the
+        preset are taken.
     """
 
     scene: str
@@ -173,7 +174,7 @@ class Case:
     margin: float = 0.0
     existing: Take | None = None
     true_rpm: float | None = None
-    nominal: tuple[float, float] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def turn_us(self) -> float:
@@ -369,12 +370,10 @@ def fuse_parameters(method: Method, case: Case) -> dict[str, Any]:
     """
     parameters = dict(method.parameters)
     if method.preset is None and parameters["method"] != "frames":
-        nominal = case.nominal
-        if nominal is None and case.existing is None:
+        if case.existing is None:
             dvs = PRESETS[case.camera]["dvs"]
-            nominal = dvs.theta_on, dvs.theta_off
-        if nominal is not None:
-            parameters["nominal_thresholds"] = nominal
+            parameters["nominal_thresholds"] = dvs.theta_on, dvs.theta_off
+        parameters.update(case.options)
     return parameters
 
 

@@ -1,0 +1,121 @@
+"""What is known of the camera that a source was recorded with."""
+from __future__ import annotations
+
+import math
+import weakref
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.analyser import Analyser
+from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.errors import LayoutError
+from pdavis_cv.mosaic import demosaic as demosaic_mosaic
+from pdavis_cv.reconstruct.base import Reconstructor
+from pdavis_cv.recording.base import Source
+from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+
+__all__ = ["analyser_of", "check_calibration_fits", "check_layout_fits",
+           "chosen_layout", "mismatch_of", "resolved_extinction_ratio", "response_of"]
+
+# A source that warned about its layout once does not do so again.
+_warned: weakref.WeakSet[Source] = weakref.WeakSet()
+
+
+def chosen_layout(
+    layout: Layout | None, calibration: Calibration | None, source: Source
+) -> Layout:
+    """Return the layout to use; warn once per source if none is known."""
+    of_calibration = None if calibration is None else calibration.layout
+    known = (layout, of_calibration, source.info.layout)
+    if all(one is None for one in known):
+        if source in _warned:
+            return Layout.PDAVIS
+        _warned.add(source)
+    return resolve_layout(*known, stacklevel=4)
+
+
+def check_calibration_fits(calibration: Calibration | None, source: Source) -> None:
+    """Raise CalibrationError if the calibration is of another camera."""
+    if calibration is not None:
+        calibration.check_fits(source.info.sensor_size, source.info.serial)
+
+
+def check_layout_fits(method: Reconstructor, layout: Layout) -> None:
+    """Raise LayoutError if the method was made for other layouts."""
+    i0, _, i90, _ = layout.places
+    if method.needs.crossed_diagonal and i0 + i90 != 3:
+        raise LayoutError(
+            f"method {method.method!r} needs a layout in which 0 and 90 degrees lie "
+            f"diagonally, got {layout}")
+
+
+def resolved_extinction_ratio(
+    value: float | str | None, sensor: Sensor | None
+) -> float | None:
+    """Return the number that S1 and S2 are corrected for, or None."""
+    if isinstance(value, str):
+        return (sensor or Sensor.PDAVIS).extinction_ratio
+    return None if value is None else float(value)
+
+
+def response_of(
+    layout: Layout, calibration: Calibration | None, rows: slice, columns: slice
+) -> NDArray[np.float64]:
+    """Return how the pixels of a window respond to S0, S1, S2.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the window.
+    calibration : Calibration or None
+        Its analyser matrix is used, where it has one.
+    rows, columns : slice
+        The window.
+
+    Returns
+    -------
+    ndarray of float64, shape (H, W, 3) or, of ideal polarizers, (2, 2, 3)
+    """
+    if calibration is not None and calibration.analyser is not None:
+        return np.ascontiguousarray(calibration.analyser[rows, columns], np.float64)
+    cell = np.empty((4, 3))
+    cell[list(layout.places)] = Analyser.ideal().response
+    return cell.reshape(2, 2, 3)
+
+
+def analyser_of(
+    calibration: Calibration | None, window: tuple[slice, slice], layout: Layout,
+    demosaic: str, crop: tuple[slice, slice] | None,
+) -> Analyser | None:
+    """Return the channels' responses in the images of a window, None if unknown.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+    window : (slice, slice)
+        Rows and columns of the sensor.
+    layout : Layout
+        Of the window.
+    demosaic : {"bilinear", "superpixel"}
+        How the responses are brought to one place, as intensities are.
+    crop : (slice, slice) or None
+        The part of the window that the image is; None = all of it.
+    """
+    if calibration is None or calibration.analyser is None:
+        return None
+    part = calibration.analyser[window]
+    response = np.stack([demosaic_mosaic(
+        np.ascontiguousarray(part[..., i]), layout, demosaic) for i in range(3)],
+        axis=1)
+    if crop is not None:
+        response = response[:, :, crop[0], crop[1]]
+    return Analyser(response)
+
+
+def mismatch_of(sensor: Sensor | None) -> tuple[float, float, float]:
+    """Return the spread of gain, angle (radians) and contrast of a sensor's pixels."""
+    sensor = sensor or Sensor.PDAVIS
+    gain, angle_deg, ratio = sensor.mismatch
+    contrast = 2 * ratio / (sensor.extinction_ratio + 1) ** 2
+    return gain, math.radians(angle_deg), contrast
