@@ -11,11 +11,12 @@ from ._aop_events import aop_event_stokes
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
-from ._demosaic import bilinear, superpixel
+from ._demosaic import bilinear, binned, superpixel
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, mismatch, reconcile
 from ._events import count, surface, voxel
 from ._floor import floor_sum
+from ._guided import guided
 from ._kalman import kalman_frame, kalman_read
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
@@ -47,6 +48,7 @@ __all__ = [
     "aop_dolp",
     "aop_event_stokes",
     "bilinear",
+    "binned",
     "cds",
     "cf_frame",
     "cf_frame_literal",
@@ -58,6 +60,7 @@ __all__ = [
     "dolp",
     "exp",
     "floor_sum",
+    "guided",
     "hue_bgr",
     "kalman_frame",
     "kalman_read",

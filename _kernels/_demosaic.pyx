@@ -54,3 +54,42 @@ def bilinear(const pixel_t[:, ::1] mosaic not None,
             to[2] = &out[plane[2], y, 0]
             to[3] = &out[plane[3], y, 0]
             bilinear_row(&mosaic[0, 0], y, h, w, own, other, to)
+
+
+def binned(const pixel_t[:, ::1] mosaic not None,
+           const Py_ssize_t[::1] places not None,
+           float[::1] scratch not None,
+           float[:, :, ::1] out not None):
+    """Mean of bilinear's four pixels of each cell of mosaic (2h, 2w), out (4, h, w).
+
+    scratch is 10 * (2 w + 32) + 32 floats.
+    """
+    cdef Py_ssize_t h = out.shape[1], w = out.shape[2], y, x, k
+    cdef Py_ssize_t plane[4]
+    cdef float* upper[4]
+    cdef float* lower[4]
+    cdef float* to
+    cdef float* own
+    cdef float* other
+    cdef float quarter = 0.25
+    if (out.shape[0] != 4 or h < 1 or w < 1 or mosaic.shape[0] != 2 * h
+            or mosaic.shape[1] != 2 * w):
+        raise ValueError("binned: mosaic must be (2h, 2w) and out (4, h, w), not empty")
+    if scratch.shape[0] < 10 * row_stride(2 * w) + 32:
+        raise ValueError("binned: scratch must be 10 * (2 w + 32) + 32 floats")
+    check_places(places)
+    plane_of_place(places, plane)
+    own = scratch_row(&scratch[0], 0, 2 * w)
+    other = scratch_row(&scratch[0], 1, 2 * w)
+    for k in range(4):
+        upper[k] = scratch_row(&scratch[0], 2 + k, 2 * w)
+        lower[k] = scratch_row(&scratch[0], 6 + k, 2 * w)
+    with nogil:
+        for y in range(h):
+            bilinear_row(&mosaic[0, 0], 2 * y, 2 * h, 2 * w, own, other, upper)
+            bilinear_row(&mosaic[0, 0], 2 * y + 1, 2 * h, 2 * w, own, other, lower)
+            for k in range(4):
+                to = &out[plane[k], y, 0]
+                for x in range(w):
+                    to[x] = quarter * ((upper[k][2 * x] + upper[k][2 * x + 1])
+                                       + (lower[k][2 * x] + lower[k][2 * x + 1]))

@@ -39,7 +39,7 @@ cdef inline int check_places(const Py_ssize_t[::1] places) except -1:
 
 
 cdef inline Py_ssize_t row_stride(Py_ssize_t w) noexcept nogil:
-    """Floats from a scratch row to the next: room for w + 2, whole cache lines."""
+    """Floats from a scratch row to the next: room for w + 4, whole cache lines."""
     return (w + 32) // 16 * 16
 
 
@@ -47,7 +47,7 @@ cdef inline float* scratch_row(
         float* scratch, Py_ssize_t row, Py_ssize_t w) noexcept nogil:
     """Row of a scratch of rows * row_stride(w) + 32 floats, on a cache line.
 
-    A float before it and one after w are its own too.
+    Two floats before it and two after w are its own too.
     """
     cdef uintptr_t first = (<uintptr_t>scratch + 127) // 64 * 64
     return <float*>first + row * row_stride(w)

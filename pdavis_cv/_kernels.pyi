@@ -21,6 +21,7 @@ __all__ = [
     "aop_dolp",
     "aop_event_stokes",
     "bilinear",
+    "binned",
     "cds",
     "cf_frame",
     "cf_frame_literal",
@@ -32,6 +33,7 @@ __all__ = [
     "dolp",
     "exp",
     "floor_sum",
+    "guided",
     "hue_bgr",
     "kalman_frame",
     "kalman_read",
@@ -97,6 +99,9 @@ def aop_event_stokes(
 def bilinear(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
 ) -> None: ...
+def binned(
+    mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
+) -> None: ...
 def cds(
     reset: NDArray[np.uint16], signal: NDArray[np.uint16], dark: _F32 | None,
     gain: _F32 | None, least_reset: int, least_signal: int, dn: _F32,
@@ -129,6 +134,10 @@ def count(
     events: NDArray[Any], start: int, stop: int, out: NDArray[np.int32]
 ) -> int: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
+def guided(
+    mosaic: NDArray[_Pixel], clean: _U8, places: NDArray[np.intp], floor: float,
+    across: float, additive: float, scratch: _F32, out: _F32,
+) -> None: ...
 def kalman_frame(
     sample: _F32, noise: _F32, per_dn: _F32, times: NDArray[np.int64], known: int,
     store: NDArray[Any], link: NDArray[np.int32], first: NDArray[np.int32],

@@ -13,10 +13,25 @@ from pdavis_cv.sensor import Layout
 
 __all__ = ["DEMOSAIC_METHODS", "demosaic", "demosaic_valid"]
 
-DEMOSAIC_METHODS = ("bilinear", "superpixel")
+DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
 """What the ``demosaic`` arguments take."""
 
+HALF_SIZE = frozenset(("superpixel", "binned"))
+"""Those whose images have one pixel per 2x2 cell."""
+
+REACH = {"bilinear": 4, "superpixel": 0, "binned": 4, "guided": 6}
+"""Pixels beyond a region that its images depend on (of guided, 2 for the fill)."""
+
 PIXEL_DTYPES = tuple(map(np.dtype, (np.uint8, np.uint16, np.float32)))
+
+# Constants of "guided", without unit, found by studies/demosaic_constants.py.
+_FLOOR = 1e-3
+"""Relative variance of a channel difference where no edge disturbs it."""
+_ACROSS = 0.1
+"""Part of the intensity's change along the other axis that disturbs a difference."""
+_ADDITIVE = 1.0
+"""Weight of "channel differences are those around" against "they are in proportion to
+the intensity"; the second law alone divides by 0 behind a crossed polarizer."""
 
 
 def demosaic(
@@ -24,6 +39,8 @@ def demosaic(
     layout: Layout,
     method: str = "bilinear",
     out: NDArray[np.float32] | None = None,
+    *,
+    valid: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
     """Interpolate I0, I45, I90 and I135 from a mosaic.
 
@@ -33,29 +50,40 @@ def demosaic(
         Linear intensity, row 0 at the top.
     layout : Layout
         Polarizer in front of each pixel.
-    method : {"bilinear", "superpixel"}
+    method : {"bilinear", "superpixel", "binned", "guided"}
         ``"bilinear"``: each channel at every pixel, from its nearest samples.  Exact
         on constant and linear fields, borders included: a missing neighbour is
         extrapolated from the two nearest samples of its channel in that direction
         (from one, if a side is shorter than 4 and there is no other).
         ``"superpixel"``: one value per 2x2 cell, nothing invented; the channels lie
         up to a pixel apart.
+        ``"binned"``: one value per 2x2 cell, the mean of ``"bilinear"`` over it; the
+        channels lie at the cell's centre.
+        ``"guided"``: each channel at every pixel; sharper than ``"bilinear"``, with
+        a half to a third of its error in AoP and DoLP (docs/demosaicing.md).  The
+        mosaic's own pixels tell the intensity, their surroundings how the channels
+        differ in proportion to it, weighted by the absence of edges.
     out : ndarray of float32, shape of the result, optional
         Overwritten and returned.
+    valid : ndarray of bool, shape (H, W), optional
+        True = usable.  ``"guided"`` then takes nothing from the other samples (a
+        usable pixel's result does not depend on their values) and fills them from
+        the usable ones of their channel two pixels away.  The other methods pass
+        on what they are given, and `demosaic_valid` tells where.
 
     Returns
     -------
-    ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for ``"superpixel"``
+    ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for the two per cell
         In the order of ``CHANNELS``, whatever the places in the cell; the unit of
         ``mosaic``.
 
     Raises
     ------
     TypeError
-        If ``mosaic`` has another dtype.
+        If ``mosaic`` or ``valid`` has another dtype.
     ValueError
-        If a side is 1 (``"bilinear"``) or odd (``"superpixel"``), the method is
-        unknown or ``out`` does not fit.
+        If a side is 1 (``"bilinear"``, ``"guided"``) or odd (the two per cell), the
+        method is unknown, or ``out`` or ``valid`` does not fit.
 
     Examples
     --------
@@ -65,23 +93,38 @@ def demosaic(
     """
     mosaic = checked_mosaic(mosaic)
     check_method(method, mosaic.shape)
+    if valid is not None:
+        valid = _checked_valid(valid)
+        if valid.shape != mosaic.shape:
+            raise ValueError(
+                f"valid must have the mosaic's shape {mosaic.shape}, got {valid.shape}")
     height, width = mosaic.shape
     places = places_of(layout)
+    if method in HALF_SIZE:
+        height, width = height // 2, width // 2
+    out = output(out, (4, height, width), np.float32, mosaic)
+    if not mosaic.size:
+        return out
     if method == "superpixel":
-        out = output(out, (4, height // 2, width // 2), np.float32, mosaic)
         _kernels.superpixel(mosaic, places, out)
+    elif method == "binned":
+        _kernels.binned(mosaic, places, scratch_rows(10, mosaic.shape[1]), out)
+    elif method == "guided":
+        clean = _ALL_CLEAN
+        if valid is not None and not valid.all():
+            mosaic = _filled(mosaic, valid)
+            clean = _eroded(valid).view(np.uint8)
+        _kernels.guided(mosaic, clean, places, _FLOOR, _ACROSS, _ADDITIVE,
+                        scratch_rows(52, width), out)
     else:
-        out = output(out, (4, height, width), np.float32, mosaic)
-        if mosaic.size:
-            scratch = scratch_rows(2, width)
-            _kernels.bilinear(mosaic, places, scratch, out)
+        _kernels.bilinear(mosaic, places, scratch_rows(2, width), out)
     return out
 
 
 def demosaic_valid(
     valid: NDArray[np.bool_], layout: Layout, method: str = "bilinear"
 ) -> NDArray[np.bool_]:
-    """Tell where no unusable pixel went into any channel of ``demosaic``.
+    """Tell where the four values of ``demosaic`` are made of usable samples.
 
     Parameters
     ----------
@@ -90,13 +133,15 @@ def demosaic_valid(
     layout : Layout
         Polarizer in front of each pixel.  The union of the four channels' supports
         is the same for every layout.
-    method : {"bilinear", "superpixel"}
+    method : {"bilinear", "superpixel", "binned", "guided"}
         As in `demosaic`.
 
     Returns
     -------
-    ndarray of bool, shape (H, W), or (H/2, W/2) for ``"superpixel"``
-        True where every sample that the four values are made of is usable.
+    ndarray of bool, shape (H, W), or (H/2, W/2) for the two methods per cell
+        True where every sample that the four values are made of is usable; for
+        ``"guided"``, which was told ``valid`` and goes round the others, where the
+        pixel's own is and the 5x5 around it has nine usable ones in a square.
 
     Raises
     ------
@@ -105,31 +150,79 @@ def demosaic_valid(
     ValueError
         If the shape does not fit the method, as in `demosaic`.
     """
+    valid = _checked_valid(valid)
+    check_method(method, valid.shape)
+    places_of(layout)
+    if method == "superpixel":
+        return _all_of_cell(valid)
+    if not valid.size:
+        return valid[::2, ::2].copy() if method in HALF_SIZE else valid.copy()
+    if method == "guided":
+        return valid & ~_eroded(_eroded(~_eroded(valid)))
+    reached = _all_of_three(_all_of_three(valid).T).T
+    return _all_of_cell(reached) if method == "binned" else reached.copy()
+
+
+_ALL_CLEAN = np.empty((0, 0), np.uint8)
+
+
+def _checked_valid(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     valid = np.asarray(valid)
     if valid.dtype != np.bool_:
         raise TypeError(f"valid must be bool, got {valid.dtype}")
     if valid.ndim != 2:
         raise ValueError(f"valid must be (H, W), got shape {valid.shape}")
-    check_method(method, valid.shape)
-    places_of(layout)
-    if method == "superpixel":
-        rows = valid[0::2] & valid[1::2]
-        return np.asarray(rows[:, 0::2] & rows[:, 1::2])
-    if not valid.size:
-        return valid.copy()
-    return _all_of_three(_all_of_three(valid).T).T.copy()
+    return valid
+
+
+def _all_of_cell(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    rows = valid[0::2] & valid[1::2]
+    return np.asarray(rows[:, 0::2] & rows[:, 1::2])
 
 
 def _all_of_three(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """AND of each row and its neighbours; a missing one is made as `demosaic` does."""
     last = len(valid) - 1
-    out = valid.copy()
-    out[1:] &= valid[:-1]
-    out[:-1] &= valid[1:]
+    out = _and_beside(valid)
     if last > 2:
         out[0] &= valid[3]
         out[last] &= valid[last - 3]
     return out
+
+
+def _and_beside(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """AND of each row and the one or two beside it."""
+    out = valid.copy()
+    out[1:] &= valid[:-1]
+    out[:-1] &= valid[1:]
+    return out
+
+
+def _eroded(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """AND over each pixel's 3x3, as far as it lies in the image."""
+    return np.ascontiguousarray(_and_beside(_and_beside(valid).T).T)
+
+
+def _filled(mosaic: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Replace unusable samples by the mean of the usable among four of their channel.
+
+    They lie two pixels away; where there is none, keep them (0 for what is not finite).
+    """
+    filled = mosaic.astype(np.float32)
+    filled[~(valid | np.isfinite(filled))] = 0
+    y, x = np.nonzero(~valid)
+    total, count = np.zeros(len(y), np.float32), np.zeros(len(y), np.float32)
+    for dy, dx in ((-2, 0), (0, -2), (0, 2), (2, 0)):
+        row, column = y + dy, x + dx
+        inside = ((row >= 0) & (row < mosaic.shape[0])
+                  & (column >= 0) & (column < mosaic.shape[1]))
+        row, column = row[inside], column[inside]
+        usable = valid[row, column]
+        total[inside] += np.where(usable, filled[row, column], np.float32(0))
+        count[inside] += usable
+    known = count > 0
+    filled[y[known], x[known]] = total[known] / count[known]
+    return filled
 
 
 def checked_mosaic(mosaic: NDArray[Any]) -> NDArray[Any]:
@@ -150,14 +243,14 @@ def check_method(method: str, shape: tuple[int, ...]) -> None:
         raise ValueError(
             f"demosaic method must be one of {', '.join(DEMOSAIC_METHODS)}, got "
             f"{method!r}")
-    if method == "superpixel":
+    if method in HALF_SIZE:
         if shape[0] % 2 or shape[1] % 2:
             raise ValueError(
-                "superpixel needs an even height and width, got (height, width) = "
+                f"{method} needs an even height and width, got (height, width) = "
                 f"{shape}")
     elif 0 not in shape and min(shape) < 2:
         raise ValueError(
-            "bilinear needs a height and width of at least 2, got (height, width) = "
+            f"{method} needs a height and width of at least 2, got (height, width) = "
             f"{shape}")
 
 

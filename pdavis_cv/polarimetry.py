@@ -388,8 +388,8 @@ def polarization(
         Linear intensity, row 0 at the top; copied.
     layout : Layout
         Polarizer in front of each pixel.
-    demosaic : {"bilinear", "superpixel"}
-        As in `pdavis_cv.demosaic`; ``"superpixel"`` halves the size.
+    demosaic : {"bilinear", "superpixel", "binned", "guided"}
+        As in `pdavis_cv.demosaic`; ``"superpixel"`` and ``"binned"`` halve the size.
     extinction_ratio : float, optional
         S1 and S2 are multiplied by (ER + 1) / (ER - 1).
     out : tuple of two float32 arrays, shape of the result, optional
@@ -409,7 +409,7 @@ def polarization(
     pixels = checked_mosaic(mosaic)
     check_method(demosaic, pixels.shape)
     places_of(layout)
-    if demosaic == "superpixel":
+    if demosaic != "bilinear":
         quad = demosaic_mosaic(pixels, layout, demosaic)
         frame = PolarFrame.adopt(quad, extinction_ratio=extinction_ratio)
     else:

@@ -33,6 +33,73 @@ def bilinear(mosaic, layout):
         for p in layout.places])
 
 
+def binned(mosaic, layout):
+    quad = bilinear(mosaic, layout)
+    above, below = quad[:, 0::2], quad[:, 1::2]
+    return ((above[..., 0::2] + above[..., 1::2])
+            + (below[..., 0::2] + below[..., 1::2])) * F32(0.25)
+
+
+def beside(image, axis, by):
+    """The neighbours before and after, mirrored at the ends without repeating them."""
+    n = image.shape[axis]
+    index = np.abs(np.arange(-by, n + by)) % (2 * n - 2)
+    index = np.where(index < n, index, 2 * n - 2 - index)
+    return image.take(index[:n], axis), image.take(index[2 * by:], axis)
+
+
+def binomial(image, axis):
+    before, after = beside(image, axis, 1)
+    return (before + after) + F32(2) * image
+
+
+def second_difference(image, axis):
+    before, after = beside(image, axis, 1)
+    return F32(2) * image - (before + after)
+
+
+def square_of_change(image, axis):
+    """Of differences over two pixels, those before, at and after the pixel: 1, 2, 1."""
+    far, near = beside(image, axis, 2), beside(image, axis, 1)
+    return F32(1 / 16) * (((image - far[0])**2 + (far[1] - image)**2)
+                          + F32(2) * (near[1] - near[0])**2)
+
+
+def window(terms):
+    for axis in (1, 0):
+        before2, after2 = beside(terms, axis, 2)
+        before, after = beside(terms, axis, 1)
+        terms = (before2 + after2) + F32(8) * (before + after) + F32(14) * terms
+    return terms
+
+
+def guided(mosaic, layout, clean=None, floor=1e-3, across=0.1, additive=1.0):
+    own = mosaic.astype(F32)
+    y, x = np.indices(own.shape)
+    right, down = (F32(1) - F32(2) * (i % 2).astype(F32) for i in (x, y))
+    sixteenth, additive = F32(1 / 16), F32(additive)
+    total, difference = binomial(own, 0), second_difference(own, 0)
+    mean = binomial(total, 1) * sixteenth
+    dn = np.maximum(mean, F32(0))
+    trust = F32(1) if clean is None else np.where(clean, F32(1), F32(1e-20))
+    along = (right * sixteenth * second_difference(total, 1),
+             down * (binomial(difference, 1) * sixteenth),
+             down * (right * sixteenth * second_difference(difference, 1)))
+    change_x, change_y = square_of_change(own, 1), square_of_change(own, 0)
+    least, scale = F32(floor) * (dn * dn) + F32(1e-30), trust * dn
+    wx = scale / ((change_x + F32(across) * change_y) + least)
+    wy = scale / ((change_y + F32(across) * change_x) + least)
+    ax, ay, ad = (window(c * w) / (window(w * dn) + F32(1e-30)) for c, w in zip(
+        along, (wx, wy, np.maximum(wx, wy)), strict=True))
+    change = (right * ax + down * ay) + right * (down * ad)
+    share = F32(1) + change
+    dn = (share * own + additive * (own - change * mean)) / (share * share + additive)
+    plus, minus, one = ay + ad, ay - ad, F32(1)
+    cell = (dn * ((one + ax) + plus), dn * ((one - ax) + minus),
+            dn * ((one + ax) - plus), dn * ((one - ax) - minus))
+    return np.stack([cell[place] for place in layout.places])
+
+
 def stokes(quad, gain=1.0):
     i0, i45, i90, i135 = quad
     return np.stack([((i0 + i90) + (i45 + i135)) * F32(0.5),

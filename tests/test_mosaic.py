@@ -7,7 +7,7 @@ from images import DTYPES, LAYOUTS, random_mosaic
 
 import pdavis_cv
 from pdavis_cv import Layout
-from pdavis_cv.mosaic import demosaic_valid
+from pdavis_cv.mosaic import DEMOSAIC_METHODS, demosaic_valid
 
 SHAPES = [(2, 2), (2, 3), (3, 2), (3, 3), (4, 5), (7, 4), (8, 9), (260, 346)]
 EVEN = [(0, 0), (0, 4), (2, 2), (4, 6), (260, 346)]
@@ -46,8 +46,8 @@ def test_every_layout_equals_the_twin_and_keeps_the_samples(layout):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_constant_scene_demosaics_to_itself(shape, dtype):
     mosaic = np.full(shape, 123.45, dtype)
-    for method in ("bilinear", "superpixel") if not (shape[0] | shape[1]) & 1 else (
-            "bilinear",):
+    even = not (shape[0] | shape[1]) & 1
+    for method in DEMOSAIC_METHODS if even else ("bilinear", "guided"):
         planes = pdavis_cv.demosaic(mosaic, Layout.SONY, method)
         np.testing.assert_array_equal(planes, mosaic[0, 0].astype(np.float32))
 
@@ -100,6 +100,16 @@ def test_a_cell_with_a_bad_pixel_is_bad():
     assert demosaic_valid(valid, Layout.SONY, "superpixel").tolist() == want
 
 
+def test_a_cell_that_a_bad_pixel_reaches_is_bad_when_binned():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        valid = rng.random((8, 10)) > 0.05
+        mosaic = np.where(valid, 1, np.nan).astype(np.float32)
+        reached = np.isnan(pdavis_cv.demosaic(mosaic, Layout.SONY, "binned")).any(0)
+        np.testing.assert_array_equal(
+            ~demosaic_valid(valid, Layout.SONY, "binned"), reached)
+
+
 def test_strided_mosaics_and_fortran_order_are_taken():
     mosaic = random_mosaic((16, 20), np.uint8)
     for view in (mosaic[::2, ::-1], mosaic.T):
@@ -107,7 +117,7 @@ def test_strided_mosaics_and_fortran_order_are_taken():
         np.testing.assert_array_equal(pdavis_cv.demosaic(view, Layout.SONY), want)
 
 
-@pytest.mark.parametrize("method", ["bilinear", "superpixel"])
+@pytest.mark.parametrize("method", DEMOSAIC_METHODS)
 def test_out_is_overwritten_and_returned(method):
     mosaic = random_mosaic((6, 8), np.uint16)
     want = pdavis_cv.demosaic(mosaic, Layout.SONY, method)
@@ -118,9 +128,14 @@ def test_out_is_overwritten_and_returned(method):
 
 def test_an_empty_mosaic_gives_empty_planes():
     for shape in ((0, 0), (0, 5), (3, 0)):
-        assert pdavis_cv.demosaic(
-            np.empty(shape, np.uint8), Layout.SONY).shape == (4, *shape)
-        assert demosaic_valid(np.ones(shape, bool), Layout.SONY).shape == shape
+        for method in ("bilinear", "guided"):
+            assert pdavis_cv.demosaic(
+                np.empty(shape, np.uint8), Layout.SONY, method).shape == (4, *shape)
+            assert demosaic_valid(
+                np.ones(shape, bool), Layout.SONY, method).shape == shape
+    assert pdavis_cv.demosaic(
+        np.empty((0, 4), np.uint8), Layout.SONY, "binned").shape == (4, 0, 2)
+    assert demosaic_valid(np.ones((0, 4), bool), Layout.SONY, "binned").shape == (0, 2)
 
 
 @pytest.mark.parametrize(("mosaic", "options", "error", "words"), [
@@ -132,8 +147,16 @@ def test_an_empty_mosaic_gives_empty_planes():
     (np.zeros((1, 1), "u1"), {}, ValueError, r"at least 2.* got .*\(1, 1\)"),
     (np.zeros((4, 3), "u1"), {"method": "superpixel"}, ValueError,
      r"even height and width.* got .*\(4, 3\)"),
+    (np.zeros((3, 4), "u1"), {"method": "binned"}, ValueError,
+     r"binned needs an even height and width.* got .*\(3, 4\)"),
+    (np.zeros((1, 4), "u1"), {"method": "guided"}, ValueError,
+     r"guided needs .* at least 2.* got .*\(1, 4\)"),
+    (np.zeros((4, 4), "u1"), {"valid": np.ones((4, 5), bool)}, ValueError,
+     r"valid must have the mosaic's shape \(4, 4\), got \(4, 5\)"),
+    (np.zeros((4, 4), "u1"), {"valid": np.ones((4, 4))}, TypeError,
+     "valid must be bool, got float64"),
     (np.zeros((4, 4), "u1"), {"method": "cubic"}, ValueError,
-     "one of bilinear, superpixel, got 'cubic'"),
+     "one of bilinear, superpixel, binned, guided, got 'cubic'"),
     (np.zeros((4, 4), "u1"), {"layout": ((90, 45), (135, 0))}, TypeError,
      "layout must be a Layout, got tuple"),
     (np.zeros((4, 4), "u1"), {"out": np.zeros((4, 4, 4))}, TypeError,
@@ -182,3 +205,7 @@ def test_the_kernels_check_sizes_themselves():
         kernels.superpixel(mosaic, places * 0, out[:, :2, :2].copy())
     with pytest.raises(ValueError, match="superpixel: mosaic"):
         kernels.superpixel(mosaic, places, out)
+    with pytest.raises(ValueError, match="binned: mosaic"):
+        kernels.binned(mosaic, places, scratch, out)
+    with pytest.raises(ValueError, match="binned: scratch"):
+        kernels.binned(mosaic, places, scratch, out[:, :2, :2].copy())
