@@ -39,6 +39,7 @@ cdef struct config_t:
     double burst_width      # us
     double noise            # candidates of shot noise per us
     double dark             # DN/ms
+    double leak_slope       # leak events per us and DN/ms of light
     double e, w0, w1, w2, w3  # end value of the filter, constant cutoff
 
 
@@ -162,6 +163,9 @@ cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, dou
     c.i2 = 3 * rise - 2 * d0 - d1
     c.i3 = d0 + d1 - 2 * rise
     c.drift = p.leak * cfg.h
+    if cfg.leak_slope > 0:  # at the interval's mean light
+        c.drift += cfg.leak_slope * p.on * cfg.h * (
+            c.i0 + c.i1 / 2 + c.i2 / 3 + c.i3 / 4)
     c.level = p.level
     c.unfiltered = cfg.unfiltered
     c.ready = 0
@@ -464,6 +468,7 @@ cdef inline void read_config(const double[::1] settings, config_t *cfg) noexcept
     cfg.burst_width = settings[9]
     cfg.noise = settings[10]
     cfg.dark = settings[11]
+    cfg.leak_slope = settings[12]
     filter_weights(cfg)
 
 

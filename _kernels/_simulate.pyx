@@ -70,7 +70,7 @@ def pixel_events(const double[:, ::1] light not None,
             or (not linear and (slope.shape[0] != k + 1 or slope.shape[1] != m))
             or pixels.shape[1] != 3 or keys.shape[0] != n or places.shape[0] != n
             or places.shape[1] != 2 or state.shape[0] != n or state.shape[1] != 6
-            or counters.shape[0] != n or settings.shape[0] != 12
+            or counters.shape[0] != n or settings.shape[0] != 13
             or not 0 <= start <= stop <= n):
         raise ValueError("pixel_events: shapes do not fit")
     if shared and (analyser.shape[0] != n or analyser.shape[1] != 3):
@@ -104,7 +104,7 @@ def pixel_events(const double[:, ::1] light not None,
             edge = 0
             known = 1
             # Without filter and leak, light itself is compared, and seldom its log.
-            direct = cfg.unfiltered and p.leak == 0
+            direct = cfg.unfiltered and p.leak == 0 and cfg.leak_slope == 0
             burst_t = next_burst(&p, &cfg, edges, &edge, first_edge, cfg.t0, &burst_p)
             for j in range(k + 1):
                 if shared:
@@ -143,7 +143,7 @@ def pixel_events(const double[:, ::1] light not None,
                 if light1 == p.light and d0 == 0 and d1 == 0 and still and (
                         p.level == p.v and not direct):
                     # Settled in constant light: only the leak is at work.
-                    c.drift = p.leak * cfg.h
+                    c.drift = cfg.h * (p.leak + cfg.leak_slope * p.on * light1)
                     if p.ref - p.off < p.level + c.drift < p.ref + p.on:
                         p.ref -= c.drift
                         continue
@@ -397,10 +397,10 @@ def video_events(tuple quads not None, const float[:, ::1] weights not None,
                  event_t[::1] out not None):
     """Events of pixels start..stop in intervals that end with a video's frames.
 
-    quads: a frame (4, H, W) per interval, settings (K, 12) as for pixel_events, K up
+    quads: a frame (4, H, W) per interval, settings (K, 13) as for pixel_events, K up
     to 16.  weights (3, H * W): what each pixel sees of I0 + I45 + I90 + I135, I0 - I90
     and I45 - I135.  Log light is linear over an interval, which needs a constant
-    cutoff or none.  light (K, H * W) receives the light at the intervals' ends;
+    cutoff or none, and a constant leak.  light (K, H * W) receives the light at the intervals' ends;
     without rows, nobody does.  watch (5, H * W): level, log of light, and the two
     levels and the time up to which a pixel needs no look.  band pixels go through all
     intervals before the next, since they fit the cache.
@@ -414,7 +414,7 @@ def video_events(tuple quads not None, const float[:, ::1] weights not None,
     cdef config_t cfgs[FRAMES]
     cdef const float[:, :, ::1] quad
     if (not 0 < frames <= FRAMES or settings.shape[0] != frames
-            or settings.shape[1] != 12 or weights.shape[0] != 3
+            or settings.shape[1] != 13 or weights.shape[0] != 3
             or weights.shape[1] != n or light.shape[0] not in (0, frames)
             or light.shape[1] != n or watch.shape[0] != 5 or watch.shape[1] != n
             or cells.shape[0] != n or not 0 <= start <= stop <= n or band < 1
@@ -428,8 +428,9 @@ def video_events(tuple quads not None, const float[:, ::1] weights not None,
         if (quad.shape[0] != 4 or height * job.width != n or height > 65536
                 or job.width > 65536):
             raise ValueError("video_events: shapes do not fit")
-        if not settings[k, 0] > 0 or settings[k, 4] != 0:
-            raise ValueError("video_events: the interval or the cutoff does not fit")
+        if not settings[k, 0] > 0 or settings[k, 4] != 0 or settings[k, 12] != 0:
+            raise ValueError(
+                "video_events: the interval, the cutoff or the leak does not fit")
         planes[k] = &quad[0, 0, 0]
         read_config(settings[k], &cfgs[k])
     job.n = n

@@ -13,6 +13,20 @@ __all__ = ["CHANNELS", "Layout", "Sensor", "resolve_layout"]
 CHANNELS = (0, 45, 90, 135)
 """Polarizer angle in degrees of each plane of a (4, H, W) array."""
 
+NOMINAL_THRESHOLDS = (0.2, 0.2)
+"""Contrast thresholds ON and OFF that are assumed where nothing is known, ln units.
+
+v2e's default for DAVIS cameras (Hu, Liu, Delbruck, CVPR Workshops 2021).  What a camera
+has is between 0.14 (Haessig et al., table S1) and some 0.4.
+"""
+
+THRESHOLD_SIGMA = 0.035
+"""Prior standard deviation of a pixel's thresholds about those of the sensor, ln units.
+
+"3.5 %" of Brandli et al. (IEEE J. Solid-State Circuits 49, 2014), read as an absolute
+contrast; 2.1 % in Lichtsteiner et al. (43, 2008), 0.03 in v2e.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -143,10 +157,15 @@ class Sensor:
     pixel_um : float
         Pixel pitch in micrometres.
     mismatch : (float, float, float)
-        How pixels differ (standard deviations): relative sensitivity, angle of the
-        polarizer in degrees, extinction ratio.
+        How pixels are assumed to differ (prior standard deviations): relative
+        sensitivity, angle of the polarizer in degrees, extinction ratio.
     offset_dn : float
         The same of what a frame without light shows after double sampling, DN.
+
+    Notes
+    -----
+    ``mismatch`` and ``offset_dn`` are assumptions, not data: docs/theory/priors.md says
+    where they come from, and what the cameras have that methods are scored on.
     """
 
     name: str

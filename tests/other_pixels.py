@@ -1,8 +1,13 @@
-"""Event pixels that are not ours: v2e's, from its published equations, and EventCV's.
+"""Event pixels that are not ours: v2e's, EventCV's, and one of circuit equations.
 
 v2e: Hu, Liu, Delbruck, "v2e: From Video Frames to Realistic DVS Events", CVPRW 2021,
 sections 3.1 to 3.6.  Neither shares our model of crossings: both step through samples
 of the light, count whole thresholds in a step, and place the events evenly in it.
+
+Circuit: the photoreceptor as a differential equation of the photocurrent with two
+poles, noise as a fluctuating voltage before the comparator, a refractory period and a
+leak that grows with light (Graca, McReynolds, Delbruck, arXiv:2304.04706; Nozaki,
+Delbruck, IEEE Trans. Electron Devices 64, 2017).  Nothing was chosen on it.
 """
 import numpy as np
 
@@ -37,7 +42,7 @@ class Chip:
         wave = np.cos(2 * (aop - self.angle))
         return np.clip(self.gain * (1 + self.purity * dolp * wave) / 2 * 0.95, 0, 1)
 
-    def frames(self, seconds, rpm, dolp):
+    def frames(self, seconds, rpm, dolp, offset_us=0):
         """20 frames per second, exposed for 20 ms, read out in 12, quantised."""
         made = []
         for start in range(0, int(seconds * 1e6) - 32_000, 50_000):
@@ -45,7 +50,8 @@ class Chip:
             light = self.video(t, rpm, dolp).mean(0) * FULL_DN
             noise = np.sqrt(2.0**2 + light / 10 * 0.125)
             dn = np.round(light + noise * self.rng.standard_normal(light.shape))
-            made.append(ApsFrame(dn.astype(np.float32), start, start + 20_000,
+            stated = start + offset_us
+            made.append(ApsFrame(dn.astype(np.float32), stated, stated + 20_000,
                                  available_us=start + 32_000))
         return made
 
@@ -113,6 +119,55 @@ def v2e_events(chip, seconds, rpm, dolp):
     return stream(t, x, y, p)
 
 
+CIRCUIT_STEP_US = 100
+STAMP_ERROR_US = -5000
+"""Of frames, of a DAVIS346: events trail them."""
+
+
+def circuit_events(chip, seconds, rpm, dolp):
+    """Events of a pixel by its circuit's equations, 100 us at a time.
+
+    The first pole is that of the photocurrent, dv/dt = w (i - exp(v)): as fast as light
+    is bright, faster for rises than for falls.  Thresholds: .29 ON, .33 OFF, 8 % of
+    mismatch.
+    """
+    rng, dt = chip.rng, 1e-6 * CIRCUIT_STEP_US
+    shape = (SIDE, SIDE)
+    on = 0.29 * (1 + 0.08 * rng.standard_normal(shape))
+    off = 0.33 * (1 + 0.08 * rng.standard_normal(shape))
+    refractory = np.maximum(400e-6 * (1 + 0.2 * rng.standard_normal(shape)), 0)
+    times = np.arange(0, int(seconds * 1e6), CIRCUIT_STEP_US)
+    light = chip.video(times, rpm, dolp) + 2e-3         # and dark current
+    first = 2 * np.pi * 2500.0                          # 1/s, in white light
+    second = 2 * np.pi * 400.0
+    # Noise of .02 rms and 300 Hz, more in dim light, where few electrons make it.
+    fade, found = np.exp(-2 * np.pi * 300.0 * dt), []
+    v = np.log(light[0])
+    passed, base, noise = v.copy(), v.copy(), np.zeros(shape)
+    held = np.zeros(shape)
+    for t, current in zip(times, light, strict=True):
+        for _ in range(4):
+            v += dt / 4 * first * (current - np.exp(v))
+        passed += (1 - np.exp(-second * dt)) * (v - passed)
+        noise = fade * noise + 0.02 * np.sqrt(
+            (1 - fade**2) * (1 + 0.02 / current)) * rng.standard_normal(shape)
+        base -= dt * (0.1 + 0.5 * current) * on
+        seen = passed + noise
+        free = held <= 0
+        held -= dt
+        base = np.where((held <= 0) & ~free, seen, base)    # the end of its reset
+        up, down = free & (seen - base >= on), free & (base - seen >= off)
+        for p, fires in ((1, up), (0, down)):
+            y, x = np.nonzero(fires)
+            found.append(np.stack((
+                t + rng.integers(0, CIRCUIT_STEP_US, len(x)), x, y,
+                np.full(len(x), p))))
+        held = np.where(up | down, refractory, held)
+        base = np.where(up | down, seen, base)
+    t, x, y, p = np.concatenate(found, axis=1)
+    return stream(t, x, y, p)
+
+
 def eventcv_events(chip, seconds, rpm, dolp):
     """Events of EventCV's simulator, noise and mismatch as it has them by default."""
     import eventcv
@@ -132,9 +187,12 @@ def stream(t, x, y, p):
     return events[np.argsort(events["t"], kind="stable")]
 
 
-def recording(pixel, rpm, *, seed=1, seconds=3.0, dolp=0.8):
-    """Return a recording of a turning polarizer by other pixels."""
+def recording(pixel, rpm, *, seed=1, seconds=3.0, dolp=0.8, offset_us=0):
+    """Return a recording of a turning polarizer by other pixels.
+
+    offset_us is added to the times that frames state.
+    """
     chip = Chip(seed)
     events = pixel(chip, seconds, rpm, dolp)
-    return recording_from_arrays(events, chip.frames(seconds, rpm, dolp),
+    return recording_from_arrays(events, chip.frames(seconds, rpm, dolp, offset_us),
                                  sensor_size=(SIDE, SIDE), layout=Layout.PDAVIS)

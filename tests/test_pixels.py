@@ -77,12 +77,14 @@ def test_event_rate_is_proportional_to_speed_with_the_same_structure():
     assert np.median(intervals[1]) < 1000 < np.median(intervals[0])
 
 
-def test_events_equal_an_ode_solver_with_leak_and_intensity_dependent_cutoff():
+@pytest.mark.parametrize("leak_slope", [0.0, 0.3])
+def test_events_equal_an_ode_solver_with_leak_and_cutoff_by_the_light(leak_slope):
     # Independent of the kernel: adaptive Runge-Kutta with event detection.
     scene = RotatingPolarizer(rpm=405.0, start_angle=0.2).flicker(50.0, 0.3)
     camera = Camera.preset("ideal", size=(2, 2), origin=(0, 0), aps=None, dvs={
         "theta_on": 0.17, "theta_off": 0.13, "cutoff_hz": 60.0, "leak_hz": 2.0,
-        "cutoff_hz_per_dn_ms": 5.0, "dark_dn_ms": 0.1})
+        "cutoff_hz_per_dn_ms": 5.0, "dark_dn_ms": 0.1,
+        "leak_hz_per_dn_ms": leak_slope})
     events, _ = drain(camera.record(scene, 0.06)[0])
 
     for y, x in ((0, 0), (1, 0)):
@@ -91,17 +93,18 @@ def test_events_equal_an_ode_solver_with_leak_and_intensity_dependent_cutoff():
 
         def right(t, state, current=current):
             rate = 2 * math.pi * (60.0 + 5.0 * current(t))
-            return [rate * (math.log(current(t)) - state[0])]
+            return [rate * (math.log(current(t)) - state[0]),
+                    0.17 * (2 + leak_slope * current(t))]
 
         level = math.log(current(0.0))
         reference, start, want = level, 0.0, []
         while start < 0.06:
             crossings = [
-                lambda t, s, r=reference, a=start: s[0] + 2 * 0.17 * (t - a) - r - 0.17,
-                lambda t, s, r=reference, a=start: s[0] + 2 * 0.17 * (t - a) - r + 0.13]
+                lambda t, s, r=reference: s[0] + s[1] - r - 0.17,
+                lambda t, s, r=reference: s[0] + s[1] - r + 0.13]
             for crossing in crossings:
                 crossing.terminal = True
-            solved = solve_ivp(right, (start, 0.06), [level], events=crossings,
+            solved = solve_ivp(right, (start, 0.06), [level, 0.0], events=crossings,
                                rtol=1e-11, atol=1e-12, max_step=2e-4)
             hit = [i for i in (0, 1) if len(solved.t_events[i])]
             if not hit:

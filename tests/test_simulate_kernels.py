@@ -100,7 +100,7 @@ def pixel_arguments(n=6, intervals=3):
     state = np.zeros((n, 6))
     state[:, :2] = np.log(30.0)
     state[:, 2] = -np.inf
-    settings = np.array([1000.0, 0, 1, 0, 0, 0, 0.25, 51, 0, 200, 0, 0])
+    settings = np.array([1000.0, 0, 1, 0, 0, 0, 0.25, 51, 0, 200, 0, 0, 0])
     return {
         "light": light, "slope": np.empty((0, n)), "analyser": None,
         "pixels": np.tile([0.1, 0.1, 0.0], (n, 1)), "keys": np.arange(n, dtype="u8"),
@@ -326,10 +326,10 @@ def test_video_events_refuse_what_does_not_fit():
                         ("cells", pixels._cells[1:])):
         with pytest.raises(ValueError, match="video_events: shapes do not fit"):
             _kernels.video_events(*(arguments | {name: value}).values())
-    for column, value in ((4, 1.0), (0, 0.0)):
+    for column, value in ((4, 1.0), (0, 0.0), (12, 1e-6)):
         settings = arguments["settings"].copy()
         settings[1, column] = value
-        with pytest.raises(ValueError, match="the interval or the cutoff does not fit"):
+        with pytest.raises(ValueError, match="the interval, the cutoff or the leak"):
             _kernels.video_events(*(arguments | {"settings": settings}).values())
 
 

@@ -3,6 +3,7 @@ from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
 from pdavis_cv.simulation.camera import PRESETS, Camera
 from pdavis_cv.simulation.dvs import DvsPixel
+from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.simulation.optics import Optics
 from pdavis_cv.simulation.patterns import (
@@ -35,6 +36,7 @@ __all__ = [
     "Camera",
     "DvsPixel",
     "Fan",
+    "Faults",
     "FlatLight",
     "Flicker",
     "FunctionScene",

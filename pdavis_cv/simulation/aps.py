@@ -295,10 +295,11 @@ def integral_weights(
 
 
 def make_frame(
-    clock: FrameClock, frame: int, digitised: dict[str, NDArray[np.generic] | None]
+    clock: FrameClock, frame: int, digitised: dict[str, NDArray[np.generic] | None],
+    offset_us: int = 0,
 ) -> ApsFrame:
-    """Build the `ApsFrame` of one exposure."""
-    start, end = clock.exposure(frame)
+    """Build the `ApsFrame` of one exposure, whose stated times are off by offset_us."""
+    start, end = (t + offset_us for t in clock.exposure(frame))
     rolling = clock.pixel.shutter == "rolling"
     end_us = int(end[-1])
     return ApsFrame(

@@ -16,8 +16,10 @@ from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
 from pdavis_cv.simulation.checks import positive, require
 from pdavis_cv.simulation.dvs import DvsPixel
+from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import Optics
 from pdavis_cv.simulation.scenes import FloatArray, Scene
+from pdavis_cv.simulation.specimens import drawn
 from pdavis_cv.simulation.stream import SimulatedRecording
 from pdavis_cv.simulation.truth import Truth
 
@@ -34,6 +36,8 @@ _NOMINAL_OPTICS = Optics(
     angle_sigma=math.radians(0.7), gain_sigma=0.02)
 _REALISTIC_DVS = dataclasses.replace(
     _NOMINAL_DVS, cutoff_hz=None, cutoff_hz_per_dn_ms=0.42 * 20, burst_chance=0.002)
+# What the maker of a camera states: thresholds of 0.2, whatever a specimen has.
+_STATED_DVS = dataclasses.replace(_REALISTIC_DVS, theta_on=0.2, theta_off=0.2)
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
     "ideal": {"optics": Optics(), "dvs": DvsPixel(), "aps": ApsPixel(), "bus": None},
@@ -55,8 +59,16 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
                              adc_bits=12, full_well_dn=4095.0, offset_fpn_dn=0.5,
                              read_noise_dn=0.8, electrons_per_dn=2.6),
              "bus": None},
+    "drawn": {"optics": _NOMINAL_OPTICS, "dvs": _STATED_DVS, "aps": _NOMINAL_APS,
+              "bus": Bus()},
+    "davis346": {"optics": _NOMINAL_OPTICS, "dvs": _STATED_DVS, "aps": _NOMINAL_APS,
+                 "bus": Bus(), "faults": Faults()},
 })
-"""Parts of each named camera; `Camera.preset` says what they are."""
+"""Parts of each named camera; `Camera.preset` says what they are.
+
+Of ``drawn`` and ``davis346`` they are what the maker would state; a specimen's own are
+drawn from `pdavis_cv.simulation.specimens.POPULATIONS`.
+"""
 
 
 class Camera:
@@ -72,6 +84,8 @@ class Camera:
         Frame pixel; None for a camera of events only.
     bus : Bus, optional
         Read-out bus of the events; None for one without limits.
+    faults : Faults, optional
+        What is wrong with stamps and streams; None for nothing.
     seed : int
         Names the specimen: its maps, and with ``run`` its noise.
     size : (int, int)
@@ -94,7 +108,8 @@ class Camera:
 
     def __init__(
         self, *, optics: Optics | None = None, dvs: DvsPixel | None = None,
-        aps: ApsPixel | None = None, bus: Bus | None = None, seed: int = 0,
+        aps: ApsPixel | None = None, bus: Bus | None = None,
+        faults: Faults | None = None, seed: int = 0,
         size: tuple[int, int] = (12, 12), origin: tuple[int, int] | None = None,
         sensor: Sensor = Sensor.PDAVIS, name: str = "simulated",
     ) -> None:
@@ -112,6 +127,11 @@ class Camera:
                 "be an integer of at least 0")
         require("dvs and aps", None, dvs is not None or aps is not None,
                 "not both be None")
+        self.faults = Faults() if faults is None else faults
+        if aps is not None:
+            require("frame_offset_us", self.faults.frame_offset_us,
+                    self.faults.frame_offset_us <= aps.readout_us,
+                    f"be at most the read-out time, {aps.readout_us} us")
         self.optics = Optics() if optics is None else optics
         self.dvs, self.aps, self.bus, self.seed = dvs, aps, bus, seed
         self.size, self.origin, self.sensor, self.name = size, origin, sensor, name
@@ -140,10 +160,16 @@ class Camera:
             ``hard``: realistic with a mismatch of 0.035 in natural-log units.
             ``saturated``: nominal with the bus, for scenes that fill the full chip.
             ``sony``: 12-bit frames at 50 fps, ER 350, 72 dB.
+            ``drawn``: each seed another camera: thresholds, mismatch, bandwidth,
+            refractory period, leak, noise, offsets, sensitivities, angles and ER
+            from ranges wider than, and centred off, what the methods assume.
+            ``davis346``: the same from the ranges of published and measured
+            DAVIS346: thresholds of .26 to .43 that are stated as .2, refractory
+            period, leak that grows with light, and events 4 to 7.4 ms behind frames.
         **changes
             Parameters of `Camera` (``seed``, ``size``, ``origin``, ...), and whole
-            parts (``optics``, ``dvs``, ``aps``, ``bus``) or mappings of single
-            parameters of a part: ``dvs={"leak_hz": 0}``.
+            parts (``optics``, ``dvs``, ``aps``, ``bus``, ``faults``) or mappings of
+            single parameters of a part: ``dvs={"leak_hz": 0}``.
 
         Raises
         ------
@@ -151,7 +177,8 @@ class Camera:
             If there is no such preset, or a parameter is impossible.
         """
         require("name", name, name in PRESETS, f"be one of {', '.join(PRESETS)}")
-        parts: dict[str, Any] = dict(PRESETS[name])
+        parts = drawn(name, PRESETS[name], changes.get("seed", 0))
+        parts.setdefault("faults", Faults())
         for part, given in changes.items():
             if part in parts and isinstance(given, dict):
                 parts[part] = dataclasses.replace(parts[part], **given)

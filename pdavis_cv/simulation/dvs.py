@@ -57,6 +57,9 @@ class DvsPixel:
         junction leak makes (Nozaki & Delbruck 2017: 0.1 Hz at room temperature).
     leak_sigma : float
         Relative spread of the leak over pixels.
+    leak_hz_per_dn_ms : float
+        Leak events per second and DN/ms of light on the pixel, by the parasitic
+        photocurrent of the same switch (Nozaki & Delbruck 2017).
     shot_noise_hz : float
         Rate of noise events of both polarities in the dark, per pixel.  A noise
         event moves the comparator's reference, as in v2e; half of them are ON.
@@ -83,6 +86,7 @@ class DvsPixel:
     refractory_us: float = 0.0
     leak_hz: float = 0.0
     leak_sigma: float = 0.0
+    leak_hz_per_dn_ms: float = 0.0
     shot_noise_hz: float = 0.0
     shot_noise_bright_factor: float = 0.25
     bright_dn_ms: float = 51.0
@@ -99,8 +103,8 @@ class DvsPixel:
             mismatch=self.mismatch, mismatch_ln=self.mismatch_ln,
             cutoff_hz_per_dn_ms=self.cutoff_hz_per_dn_ms, dark_dn_ms=self.dark_dn_ms,
             refractory_us=self.refractory_us, leak_hz=self.leak_hz,
-            leak_sigma=self.leak_sigma, shot_noise_hz=self.shot_noise_hz,
-            hot_hz=self.hot_hz)
+            leak_sigma=self.leak_sigma, leak_hz_per_dn_ms=self.leak_hz_per_dn_ms,
+            shot_noise_hz=self.shot_noise_hz, hot_hz=self.hot_hz)
         fraction(shot_noise_bright_factor=self.shot_noise_bright_factor,
                  hot_fraction=self.hot_fraction, burst_chance=self.burst_chance)
         for name in ("theta_on", "theta_off"):
@@ -164,6 +168,8 @@ class PixelArray:
         self._pixels = np.empty((n, 3))
         self._pixels[:, 0] = maps["theta_on"].ravel()
         self._pixels[:, 1] = maps["theta_off"].ravel()
+        self._thresholds = self._pixels[:, :2].copy()
+        self._cells: NDArray[Any] = np.empty(0, _CELL_DTYPE)     # of a video
         self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
         index = noise.pixel_index(self.size, origin).ravel()
         self._keys = noise.keys(seed, "events", index)
@@ -177,8 +183,16 @@ class PixelArray:
             2e-6 * np.pi * (pixel.cutoff_hz or 0.0),
             2e-6 * np.pi * pixel.cutoff_hz_per_dn_ms, pixel.refractory_us,
             pixel.shot_noise_bright_factor, pixel.bright_dn_ms, pixel.burst_chance,
-            pixel.burst_us, pixel.shot_noise_hz / 1e6, pixel.dark_dn_ms])
+            pixel.burst_us, pixel.shot_noise_hz / 1e6, pixel.dark_dn_ms,
+            pixel.leak_hz_per_dn_ms / 1e6])
         self._buffers: dict[int | tuple[int, int], NDArray[Any]] = {}
+
+    def scale_thresholds(self, on: float, off: float) -> None:
+        """Set thresholds to these multiples of those that the maps have."""
+        self._pixels[:, :2] = self._thresholds * (on, off)
+        if len(self._cells):
+            self._cells["on"], self._cells["off"] = self._pixels[:, :2].T
+            self._watch[4] = -1  # every pixel is looked at again
 
     def settle(self, light: FloatArray, rows: slice = slice(None)) -> None:
         """Let the pixels of some rows adapt to light, shape (rows, W), DN per ms."""

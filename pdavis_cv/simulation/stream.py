@@ -23,6 +23,7 @@ from pdavis_cv.recording.base import (
 from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
 from pdavis_cv.simulation.bus import BusState
 from pdavis_cv.simulation.dvs import FILM_ROWS, PixelArray, in_time_order
+from pdavis_cv.simulation.faults import EventFaults
 from pdavis_cv.simulation.film import Film
 from pdavis_cv.simulation.patterns import VideoScene
 from pdavis_cv.simulation.scenes import FloatArray, Scene
@@ -144,15 +145,22 @@ class SimulatedRecording(Recording):
         if camera.dvs is not None:
             pixels = PixelArray(camera.dvs, camera.maps, camera.noise_seed(self.run),
                                 camera.origin)
+        faults, wrong = camera.faults, None
+        if faults.lost or faults.jitter_us:
+            wrong = EventFaults(faults, camera.noise_seed(self.run))
         film = None
         if isinstance(self.scene, VideoScene) and not (
-                camera.dvs is not None and camera.dvs.cutoff_hz_per_dn_ms):
+                camera.dvs is not None and (
+                    camera.dvs.cutoff_hz_per_dn_ms or camera.dvs.leak_hz_per_dn_ms)):
             film = Film(self.scene, camera.maps["analyser"], camera.origin)
         sums: dict[int, FloatArray] = {}
         log: list[tuple[int, float, int]] = []
         with ThreadPoolExecutor(self.threads) as pool:
             for start in range(0, self.stop_us, PIECE_US):
                 stop = start + PIECE_US
+                if pixels is not None and (faults.drift_on or faults.drift_off):
+                    pixels.scale_thresholds(
+                        *faults.threshold_factors(start / self.stop_us))
                 parts = self._simulate(start, pixels, clock, sums, pool, film)
                 events = in_time_order(parts, start, stop)
                 piece = Piece(stop, events)
@@ -161,6 +169,8 @@ class SimulatedRecording(Recording):
                     piece.events = bus.pass_on(events, stop)
                     piece.bus_load, piece.bus_lost = bus.load, bus.lost - lost
                     log.append((stop, piece.bus_load, piece.bus_lost))
+                if wrong is not None:
+                    piece.events = wrong.pass_on(piece.events, start, stop)
                 if clock is not None:
                     piece.frames = self._finish(clock, sums, stop)
                 if stop >= self.stop_us:
@@ -303,7 +313,8 @@ class SimulatedRecording(Recording):
             digitised = clock.pixel.digitise(
                 sums.pop(number), camera.maps, camera.noise_seed(self.run), number,
                 camera.origin)
-            frames.append(make_frame(clock, number, digitised))
+            frames.append(make_frame(
+                clock, number, digitised, camera.faults.frame_offset_us))
         return frames
 
 

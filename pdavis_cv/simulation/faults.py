@@ -1,0 +1,91 @@
+"""Faults between pixels and file: stamps that are off, jitter, lost events, drift."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.simulation import noise
+from pdavis_cv.simulation.checks import at_least_zero, require
+
+__all__ = ["EventFaults", "Faults"]
+
+_LARGEST_DRIFT = 0.5
+"""Of thresholds over a recording, relative: beyond, "drift" is not the word."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """What is wrong with stamps and streams; the defaults are nothing.
+
+    Parameters
+    ----------
+    frame_offset_us : int
+        Added to the exposure times that frames state, not to when they arrive.  In a
+        DAVIS346 events trail frames by 4 to 7 ms, an offset below 0.  At most the
+        read-out time, since a frame cannot arrive before its stated exposure ends.
+    jitter_us : float
+        Standard deviation of the events' stamps; below 1000 under usual light (Hu et
+        al., CVPR Workshops 2021).  Events stay in the order of their stamps and
+        within 10 ms.
+    lost : float
+        Fraction of the events that are lost, whatever their pixel.
+    drift_on, drift_off : float
+        Relative change of the thresholds from the beginning of the recording to its
+        end, linear in time.
+    """
+
+    frame_offset_us: int = 0
+    jitter_us: float = 0.0
+    lost: float = 0.0
+    drift_on: float = 0.0
+    drift_off: float = 0.0
+
+    def __post_init__(self) -> None:
+        require("frame_offset_us", self.frame_offset_us,
+                self.frame_offset_us == int(self.frame_offset_us),
+                "be a whole number of microseconds")
+        at_least_zero(jitter_us=self.jitter_us)
+        require("lost", self.lost, 0 <= self.lost < 1, "lie in 0..1, 1 excluded")
+        for name in ("drift_on", "drift_off"):
+            value = getattr(self, name)
+            require(name, value, abs(value) <= _LARGEST_DRIFT,
+                    f"lie within {_LARGEST_DRIFT} of 0")
+
+    def threshold_factors(self, part: float) -> tuple[float, float]:
+        """Return what ON and OFF thresholds are multiplied by at a part, 0..1."""
+        return 1 + self.drift_on * part, 1 + self.drift_off * part
+
+
+class EventFaults:
+    """Jitter and loss of one recording's events, piece by piece in order of time.
+
+    Parameters
+    ----------
+    faults : Faults
+        How much.
+    seed : int
+        Of the noise.
+    """
+
+    def __init__(self, faults: Faults, seed: int) -> None:
+        self.faults, self._seed, self._count = faults, seed, 0
+
+    def pass_on(
+        self, events: NDArray[Any], start_us: int, stop_us: int
+    ) -> NDArray[Any]:
+        """Return the events of start_us..stop_us, both included, as a file has them."""
+        index = np.arange(self._count, self._count + len(events), dtype=np.uint64)
+        self._count += len(events)
+        if self.faults.lost:
+            kept = noise.uniform(self._seed, "lost", index) >= self.faults.lost
+            events, index = events[kept], index[kept]
+        if self.faults.jitter_us and len(events):
+            late = self.faults.jitter_us * noise.normal(self._seed, "jitter", index)
+            events = events.copy()
+            events["t"] = np.clip(
+                events["t"] + np.rint(late).astype(np.int64), start_us, stop_us)
+            events = events[np.argsort(events["t"], kind="stable")]
+        return events
