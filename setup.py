@@ -33,6 +33,7 @@ KERNELS = (
     "_picture",
     "_polarization",
     "_redundancy",
+    "_selfcal",
     "_simulate",
     "_smooth",
     "_store",

@@ -33,6 +33,7 @@ from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import hue_bgr, polar_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._redundancy import redundancy_sample, redundancy_solve
+from ._selfcal import sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
 from ._store import store_commit, store_link, store_pass, store_push
@@ -82,6 +83,7 @@ __all__ = [
     "reconcile",
     "redundancy_sample",
     "redundancy_solve",
+    "sample_innovations",
     "smooth_gap",
     "smooth_past",
     "smooth_read",

@@ -55,6 +55,7 @@ __all__ = [
     "reconcile",
     "redundancy_sample",
     "redundancy_solve",
+    "sample_innovations",
     "smooth_gap",
     "smooth_past",
     "smooth_read",
@@ -182,6 +183,10 @@ def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
+) -> None: ...
+def sample_innovations(
+    events: NDArray[Any], pixels: NDArray[Any], frames: NDArray[Any], waves: _F64,
+    lit_us: int, theta_sigma: float, candidates: NDArray[Any], out: NDArray[Any],
 ) -> None: ...
 def smooth_gap(
     nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],

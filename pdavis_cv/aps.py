@@ -171,18 +171,16 @@ def clip_level(
         of the converter's range.
     """
     values = np.asarray(dn, np.float32)
-    values = values[np.isfinite(values)]
-    if not values.size:
-        return None
-    counts = np.bincount(
-        np.clip(np.rint(values), 0, full_scale_dn).astype(np.intp),
-        minlength=full_scale_dn + 1)
-    band = max(full_scale_dn // 64, 1)
+    band, quarter = max(full_scale_dn // 64, 1), 3 * full_scale_dn // 4
     # Isolated hot pixels lie above the peak: leave out the brightest 1 in 10,000.
-    from_top = np.cumsum(counts[::-1])[::-1]
-    top = int(np.flatnonzero(from_top > values.size // 10_000)[-1])
-    if top < 3 * full_scale_dn // 4:
+    hot = np.count_nonzero(np.isfinite(values)) // 10_000
+    # The upper quarter, and as far below it as peak and scene are looked for.
+    high = np.rint(values[(values > quarter - 4 * band - 1) & (values < np.inf)])
+    if np.count_nonzero(high >= quarter) <= hot:
         return None
+    counts = np.bincount(np.minimum(high, full_scale_dn).astype(np.intp),
+                         minlength=full_scale_dn + 1)
+    top = int(np.flatnonzero(np.cumsum(counts[::-1])[::-1] > hot)[-1])
     # The peak is at most two bands wide; what lies below it is the scene.
     low = max(top - 2 * band + 1, 0)
     peak = int(counts[low:top + 1].sum())

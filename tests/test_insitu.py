@@ -9,7 +9,7 @@ from pdavis_cv.calibration import (
     thresholds_in_situ,
 )
 from pdavis_cv.reconstruct.kalman import KalmanFilter
-from pdavis_cv.selfcal import Bandwidth, SelfCalibration, estimator
+from pdavis_cv.selfcal import Bandwidth
 from pdavis_cv.selfcal.thresholds import variance_inflation
 from pdavis_cv.simulation import Camera, Fan, RotatingPlate, RotatingPolarizer
 
@@ -263,15 +263,6 @@ def test_a_window_of_the_recording_is_enough(nominal):
     late = thresholds_in_situ(
         recording, nominal=NOMINAL, start_us=1_000_000, stop_us=2_000_000)
     assert np.std(ratio_error(camera, late)) < 0.012
-
-
-def test_the_window_is_bounded(nominal, monkeypatch):
-    monkeypatch.setattr(estimator, "_MAX_EVENTS", 2000)
-    camera = SelfCalibration((8, 8), NOMINAL)
-    for packet in nominal[1].packets():
-        camera.add_events(packet.events)
-    assert camera.full
-    assert camera.nbytes < 6000 * 13
 
 
 def test_too_little_gives_the_prior():

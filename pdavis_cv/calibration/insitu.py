@@ -26,6 +26,7 @@ from pdavis_cv.selfcal import (
     SelfCalibration,
     combine_bandwidths,
 )
+from pdavis_cv.selfcal.estimator import QUANTITIES
 from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA
 from pdavis_cv.sensor import Sensor
 
@@ -90,7 +91,7 @@ def thresholds_in_situ(
     camera = _looked_on(recording, nominal, calibration, start_us, stop_us,
                         leak_hz=leak_hz, threshold_sigma=sigma)
     if isinstance(bandwidth, str):
-        return camera.estimate()
+        return camera.estimate(wanted=QUANTITIES)
     found = camera.estimate(wanted={"thresholds", "noise"}, bandwidth=(
         None if bandwidth is None else bandwidth.law))
     return replace(found, bandwidth=bandwidth)
@@ -120,8 +121,9 @@ def bandwidth_in_situ(
     Bandwidth or None
         None where frames or events are too few to tell anything.
     """
-    return _looked_on(recording, nominal, calibration, start_us, stop_us).estimate(
-        wanted={"bandwidth"}).bandwidth
+    return _looked_on(
+        recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
+            wanted={"bandwidth"}).bandwidth
 
 
 def learned(
@@ -223,7 +225,7 @@ def receptors(
     wanted: Collection[str] = {"bandwidth", "noise"} if bandwidth is None else {"noise"}
     found = _looked_on(
         recording, nominal, calibration, None, by_us, by_us,
-        stated_bandwidth=stated_bandwidth(calibration)).estimate(
+        stated_bandwidth=stated_bandwidth(calibration), every_pixel=False).estimate(
             wanted=wanted, bandwidth=bandwidth)
     return found.bandwidth, found.noise
 

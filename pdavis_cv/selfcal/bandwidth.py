@@ -4,11 +4,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.selfcal.pixel_sample import PixelSample
+from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
 from pdavis_cv.selfcal.priors import USUAL_BANDWIDTH
 
 __all__ = ["Bandwidth", "combine_bandwidths", "fit_bandwidth"]
@@ -101,12 +102,26 @@ _LAW_EVIDENCE = 20.0
 preferred to a constant one.  A fan's steps alone give up to 18; pixels that do follow,
 at least 37 except in the dimmest light."""
 
-_CONSTANT_CHANCE = 500.0
-"""A constant bandwidth whose -ln L on the grid is larger by more is not refined."""
+_GRID_SHARES = np.array([0.0, 0.5, 0.8, 1.0])
+"""Shares in proportion to the light at which -ln L is first evaluated."""
+
+_COARSE_PIXELS = 16
+"""Pixels that the grid is evaluated with; it need only find the neighbourhood of the
+minimum."""
+
+_COARSE_STEPS, _FINE_STEPS = np.array([-0.5, 0.0, 0.5]), (0.25, 0.1)
+"""Steps in ln hz about a minimum: on the grid's scale, and of two parabolas with all
+pixels, the latter of which gives the curvature too."""
+
+_DIM = 0.1
+"""Log intensity changes fastest where the light is dim: a tenth of a bright pixel's."""
 
 
 def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     """Return the bandwidth at which the innovations are likeliest.
+
+    -ln L is evaluated on a grid of (ln corner frequency, share of it in proportion to
+    the light) with a part of the pixels, and refined by parabolas with all of them.
 
     Parameters
     ----------
@@ -116,60 +131,109 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     -------
     Bandwidth
     """
-    from scipy.optimize import minimize, minimize_scalar  # slow to load
-
-    leakless = sample.with_leak_in_frames()
-
-    def cost(point: NDArray[np.float64]) -> float:
-        """Return -ln L of (ln hz, share in proportion to the light)."""
-        prior = ((point[0] - _LN_HZ) / _LN_HZ_SIGMA) ** 2
-        chi, log, n = leakless.innovations(_law(point, sample.bright))
-        # L is maximised over a common factor of all variances: at high speed they are
-        # stated tens of times too large, and sum ln v would decide instead of the fit.
-        return 0.5 * float(n * np.log(max(chi / max(n, 1), 1e-9)) + log + prior)
-
-    tried: list[tuple[float, NDArray[np.float64]]] = []
-    for share in (0.0, 1.0):
-        points = [np.array([np.log(hz), share]) for hz in _GRID_HZ]
-        tried += (costs := [(cost(point), point) for point in points])
-        ln_hz = vertex(np.log(_GRID_HZ), [each for each, _ in costs])
-        point = np.array([ln_hz, share])
-        tried.append((cost(point), point))
-    _, best = min(tried, key=lambda each: each[0])
-    toward = np.diag([0.3, 0.3 - 0.6 * best[1]])
-    found = minimize(cost, best, method="Nelder-Mead", options={
-        "maxfev": 22, "xatol": 0.01, "fatol": 0.1, "initial_simplex": [
-            best, best + toward[0], best + toward[1]]})
-    near, (ln_hz, _) = min((each for each in tried if each[1][1] == 0),
-                           key=lambda each: each[0])
-    if found.x[1] > 0 and near < found.fun + _CONSTANT_CHANCE:
-        # A law is applied beyond the light that told it, as where frames saturate:
-        # without evidence for one the bandwidth is constant.
-        constant = minimize_scalar(
-            lambda at: cost(np.array([at, 0.0])), method="bounded",
-            bounds=(ln_hz - 0.3, ln_hz + 0.3), options={"maxiter": 10})
-        if constant.fun < found.fun + _LAW_EVIDENCE:
-            found.x, found.fun = np.array([constant.x, 0.0]), constant.fun
-    hz, slope = _law(found.x, sample.bright)
-    step = np.array([0.1, 0.0])
-    bend = (cost(found.x + step) + cost(found.x - step) - 2 * found.fun) / 0.1**2
-    curvature_sigma = 1 / np.sqrt(max(bend, 1 / _LN_HZ_SIGMA**2))
-    at = 0.1 * sample.bright
+    cost = _Cost(sample)
+    ln_hz, costs = cost.coarse()
+    share = vertex(_GRID_SHARES, costs)
+    least = [cost.minimum(each, float(np.interp(
+        each, _GRID_SHARES, ln_hz + _ln_dim(_GRID_SHARES)) - _ln_dim(each)))
+        for each in {0.0, share, float(_GRID_SHARES[np.argmin(costs)])}]
+    constant = next(each for each in least if each.share == 0)
+    best = min(least, key=lambda each: each.cost)
+    # A law is applied beyond the light that told it, as where frames saturate:
+    # without evidence for one the bandwidth is constant.
+    if constant.cost < best.cost + _LAW_EVIDENCE:
+        best = constant
+    hz, slope = _law(best.share, best.ln_hz, sample.bright)
+    at = _DIM * sample.bright
     lag_s = _TURN_LAG_S * (_TURN_RATE_HZ / max(sample.events_per_s, 1.0)) ** _TURN_POWER
-    sigma = math.hypot(_CURVATURE_INFLATION * curvature_sigma, _MODEL_SIGMA,
+    sigma = math.hypot(_CURVATURE_INFLATION * best.sigma, _MODEL_SIGMA,
                        2 * np.pi * (hz + slope * at) * lag_s)
-    return Bandwidth(hz, slope, at, min(sigma, _LN_HZ_SIGMA))
+    return Bandwidth(float(hz), float(slope), at, min(sigma, _LN_HZ_SIGMA))
 
 
-def vertex(x: NDArray[np.float64], y: Sequence[float]) -> float:
-    """Return where the parabola through the least y and its neighbours is least."""
-    at = int(np.clip(np.argmin(y), 1, len(y) - 2))
-    near = slice(at - 1, at + 2)
-    bend, slope, _ = np.polyfit(x[near] - x[at], y[near], 2)
-    by = -slope / (2 * bend) if bend > 0 else 0.0
-    return float(x[at] + np.clip(by, x[at - 1] - x[at], x[at + 1] - x[at]))
+class _Minimum(NamedTuple):
+    """Where -ln L is least at a share, and the sigma of ln hz by its curvature."""
+
+    share: float
+    ln_hz: float
+    cost: float
+    sigma: float
 
 
-def _law(point: NDArray[np.float64], bright: float) -> tuple[float, float]:
-    hz, share = float(np.exp(point[0])), float(np.clip(point[1], 0, 1))
+class _Cost:
+    """-ln L of a sample at (share in proportion to the light, ln hz at bright light).
+
+    L is maximised over a common factor of all variances: at high speed they are stated
+    tens of times too large, and sum ln v would decide instead of the fit.
+    """
+
+    def __init__(self, sample: PixelSample) -> None:
+        self._sample = sample.with_leak_in_frames()
+
+    def __call__(
+        self, share: ArrayLike, ln_hz: NDArray[np.float64], every: int = 1,
+    ) -> NDArray[np.float64]:
+        """Return -ln L, shape (C,), by one in `every` pixels."""
+        found = self._sample.innovations(candidates_of(np.transpose(
+            _law(np.broadcast_to(share, ln_hz.shape), ln_hz, self._sample.bright))),
+            every)
+        n = found["count"]
+        scale = np.log(np.maximum(found["chi2"] / np.maximum(n, 1), 1e-9))
+        prior = ((ln_hz - _LN_HZ) / _LN_HZ_SIGMA) ** 2
+        return 0.5 * np.asarray(n * scale + found["log_variance"] + prior)
+
+    def coarse(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return ln hz of the minimum and its -ln L for each of `_GRID_SHARES`.
+
+        By a part of the pixels; the whole sample's -ln L is scaled up from theirs.
+        """
+        every = max(len(self._sample.pixels) // _COARSE_PIXELS, 1)
+        grid, ends = np.log(_GRID_HZ), _GRID_SHARES[[0, -1]]
+        rows = self(np.repeat(ends, len(grid)), np.tile(grid, 2), every)
+        first, last = (vertex(grid, row) + _ln_dim(share)
+                       for row, share in zip(rows.reshape(2, -1), ends, strict=True))
+        # At the dim light that tells most, the corner frequency hardly depends on the
+        # share: start on a line between the two ends.
+        start = first + _GRID_SHARES * (last - first) - _ln_dim(_GRID_SHARES)
+        x = start[:, None] + _COARSE_STEPS
+        y = self(np.repeat(_GRID_SHARES, len(_COARSE_STEPS)), x.ravel(), every)
+        y = y.reshape(x.shape)
+        return (np.array([vertex(*each) for each in zip(x, y, strict=True)]),
+                every * y.min(1))
+
+    def minimum(self, share: float, ln_hz: float) -> _Minimum:
+        """Return the minimum near ln_hz at a share, by all pixels."""
+        for step in _FINE_STEPS:
+            x = ln_hz + step * np.array([-1.0, 0.0, 1.0])
+            y = self(share, x)
+            ln_hz = vertex(x, y)
+        bend = (y[0] + y[2] - 2 * y[1]) / step**2
+        fall = 0.5 * bend * (ln_hz - x[1])**2 if bend > 0 else 0.0
+        return _Minimum(share, ln_hz, float(min(y[1] - fall, y.min())),
+                        1 / math.sqrt(max(bend, 1 / _LN_HZ_SIGMA**2)))
+
+
+def vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Return where the parabola through the least y and its neighbours is least.
+
+    No farther out than those neighbours.
+    """
+    at = min(max(int(np.argmin(y)), 1), len(y) - 2)
+    left, right = x[at - 1] - x[at], x[at + 1] - x[at]
+    down, up = (y[at - 1] - y[at]) / left, (y[at + 1] - y[at]) / right
+    bend = (up - down) / (right - left)
+    if not bend > 0:
+        return float(x[np.argmin(y)])
+    return float(x[at] + min(max(bend * left - down, left * 2 * bend),
+                             right * 2 * bend) / (2 * bend))
+
+
+def _law(share: Any, ln_hz: Any, bright: float) -> tuple[Any, Any]:
+    """Return hz and hz_per_intensity of a corner frequency at bright light."""
+    hz = np.exp(ln_hz)
     return hz * (1 - share), hz * share / bright
+
+
+def _ln_dim(share: Any) -> Any:
+    """Return ln of the corner frequency at dim light over that at bright light."""
+    return np.log(1 - share + share * _DIM)

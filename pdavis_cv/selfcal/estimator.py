@@ -1,7 +1,7 @@
 """The online self-calibration: looks on while a stream passes, gives an estimate."""
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,29 +10,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import sensor_shape
 from pdavis_cv.events import as_events
+from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths, fit_bandwidth
 from pdavis_cv.selfcal.noise import fit_event_noise
 from pdavis_cv.selfcal.pixel_sample import (
-    Item,
-    feed,
-    run_filter,
+    FILTER_NOISE,
+    MIN_DN,
+    PixelSample,
     select_busy_pixels,
-    without_dim_samples,
 )
 from pdavis_cv.selfcal.priors import LEAK_HZ, THRESHOLD_SIGMA
 from pdavis_cv.selfcal.thresholds import shrink_to_population, variance_inflation
 from pdavis_cv.selfcal.uncertainty import frame_systematics
+from pdavis_cv.selfcal.window import Item, PixelWindow, SensorWindow
 from pdavis_cv.sensor import Sensor
 
 __all__ = ["QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
 QUANTITIES = frozenset({"thresholds", "bandwidth", "noise"})
 """What a `SelfCalibration` can estimate."""
-
-_MAX_US, _MAX_EVENTS = 10_000_000, 5_000_000
-"""Upper bounds of the window: 10 s, 5 million events (65 MB)."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
 """Bounds on the factors on variances, of the ratio and of the scale."""
@@ -91,8 +89,9 @@ class SelfCalibration:
     """Estimates a camera's thresholds, bandwidth and event noise from passing data.
 
     Fed in order of time like a `Reconstructor`: a frame at its mid-exposure, corrected
-    by what is known of the camera.  It keeps a window from the first item on, bounded
-    in time and events, and ignores what comes after (`full`).
+    by what is known of the camera.  It keeps the last 10 s, 100 frames or 1 million
+    events of at most 8192 pixels, 25 MB at most; with `every_pixel` also the first 10 s
+    or 5 million events of all, 65 MB and the frames.
 
     Parameters
     ----------
@@ -111,6 +110,9 @@ class SelfCalibration:
         taken out of thresholds and bandwidth, the rest counts in the covariance.
     threshold_sigma : float
         Prior standard deviation of a pixel's thresholds about `nominal`, ln units.
+    every_pixel : bool
+        Keep what an estimate of every pixel's thresholds needs; without it, memory
+        is small and the window moves on with the stream.
 
     Raises
     ------
@@ -125,7 +127,7 @@ class SelfCalibration:
         sensor: Sensor | None = None, dark: bool = False,
         stated_bandwidth: tuple[float, float, float] | None = None,
         leak_hz: tuple[float, float] = LEAK_HZ,
-        threshold_sigma: float = THRESHOLD_SIGMA,
+        threshold_sigma: float = THRESHOLD_SIGMA, every_pixel: bool = True,
     ) -> None:
         if not threshold_sigma > 0:
             raise ValueError(
@@ -139,38 +141,33 @@ class SelfCalibration:
         self._nominal, self._sensor, self._dark = nominal, sensor, bool(dark)
         self._stated, self._leak_hz = stated_bandwidth, leak_hz
         self._sigma = float(threshold_sigma)
-        self._items: list[Item] = []
-        self._begin_us: int | None = None
-        self._events = 0
-        self._full = False
+        self._window = PixelWindow(self.shape)
+        self._whole = SensorWindow(self.shape) if every_pixel else None
 
     @property
     def full(self) -> bool:
-        """Whether the window is complete: what is fed from now on is ignored."""
-        return self._full
+        """Whether more data would only replace the oldest, or be ignored."""
+        return self._window.full if self._whole is None else self._whole.full
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events of the whole sensor, later than all before."""
         events = as_events(events)
-        if len(events) and self._takes(int(events["t"][0])):
-            self._items.append(events)
-            self._events += len(events)
+        if len(events):
+            self._window.add_events(events)
+            if self._whole is not None:
+                self._whole.add(events)
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame of the whole sensor, corrected, in order of mid-exposure."""
-        if self._takes(frame.mid_us):
-            self._items.append(frame)
+        self._window.add_frame(frame)
+        if self._whole is not None:
+            self._whole.add(frame)
 
     def add_wave(self, wave: Wave) -> None:
         """Take what the lamp does in a block of time (see `LampTracker`)."""
-        if not self._full:
-            self._items.append(wave)
-
-    def _takes(self, t_us: int) -> bool:
-        if self._begin_us is None:
-            self._begin_us = t_us
-        self._full |= (t_us - self._begin_us > _MAX_US or self._events > _MAX_EVENTS)
-        return not self._full
+        self._window.add_wave(wave)
+        if self._whole is not None:
+            self._whole.add(wave)
 
     def estimate(
         self, *, wanted: Collection[str] = QUANTITIES,
@@ -192,10 +189,14 @@ class SelfCalibration:
         if not QUANTITIES.issuperset(wanted):
             raise ValueError(
                 f"wanted must be among {sorted(QUANTITIES)}, got {sorted(wanted)}")
-        sample = select_busy_pixels(
-            self._items, self.shape, self._nominal, self._leak_hz)
+        if "thresholds" in wanted and self._whole is None:
+            raise ValueError(
+                "wanted: 'thresholds' need SelfCalibration(every_pixel=True), got "
+                "every_pixel=False")
+        sample = select_busy_pixels(self._window, self._nominal, self._leak_hz)
         found: Bandwidth | None = None
-        law = (0.0, 0.0) if bandwidth is None else (bandwidth[0], bandwidth[1])
+        law = (0.0, 0.0) if bandwidth is None else (
+            float(bandwidth[0]), float(bandwidth[1]))
         if sample is not None and "bandwidth" in wanted:
             found = fit_bandwidth(sample)
             law = found.law
@@ -203,47 +204,73 @@ class SelfCalibration:
                  if sample is not None and "noise" in wanted else None)
         if found is not None and self._stated is not None:
             found = combine_bandwidths(self._stated, found)
-        if "thresholds" not in wanted:
-            on, off = (np.broadcast_to(np.asarray(value, np.float64), self.shape)
-                       for value in self._nominal)
+        if "thresholds" in wanted and self._whole is not None:
+            theta, covariance, common = self._thresholds(self._whole, sample, law)
             return CameraEstimate(
-                theta_on=on, theta_off=off, bandwidth=found, noise=noise)
-        frames = [i for i, item in enumerate(self._items) if isinstance(item, ApsFrame)]
+                theta_on=theta[0], theta_off=theta[1], covariance=covariance,
+                bandwidth=found, noise=noise, common_scale_sigma=common)
+        on, off = (np.broadcast_to(np.asarray(value, np.float64), self.shape)
+                   for value in self._nominal)
+        return CameraEstimate(theta_on=on, theta_off=off, bandwidth=found, noise=noise)
+
+    def _thresholds(
+        self, whole: SensorWindow, sample: PixelSample | None,
+        law: tuple[float, float],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Return all thresholds, their covariance and the common scale's sigma."""
+        items = whole.items
+        frames = [i for i, item in enumerate(items) if isinstance(item, ApsFrame)]
         half = frames[len(frames) // 2] if frames else 0
-        method = run_filter(map(without_dim_samples, self._items[:half]), self.shape,
-                            *self._nominal, self._sigma, law)
+        on, off = self._nominal
+        method = KalmanFilter(
+            self.shape, theta_on=on, theta_off=off, threshold_sigma=self._sigma,
+            bandwidth=law, noise=FILTER_NOISE)
+        _feed(method, items[:half])
         after_half = method.thresholds
-        feed(method, map(without_dim_samples, self._items[half:]))
+        _feed(method, items[half:])
         theta, covariance = method.thresholds
         chi, _, n = method.misfit
         low_ratio, low_scale = _MIN_INFLATION
-        of_scale = (float(np.clip(chi / n, low_scale, _MAX_INFLATION)) if n else 1.0)
+        of_scale = float(np.clip(chi / n, low_scale, _MAX_INFLATION)) if n else 1.0
         of_ratio = variance_inflation(after_half, (theta, covariance))
         inflation = (of_scale if of_ratio is None else float(
             np.clip(of_ratio, low_ratio, _MAX_INFLATION)), of_scale)
         systematics = None if sample is None else sample.systematics(
-            law, frame_systematics(self._sensor, self._dark))
+            law, whole.activity(), frame_systematics(self._sensor, self._dark))
         theta, covariance = shrink_to_population(
             theta, covariance, self._nominal, self._sigma, inflation, systematics)
-        return CameraEstimate(
-            theta_on=theta[0], theta_off=theta[1], covariance=covariance,
-            bandwidth=found, noise=noise, common_scale_sigma=(
-                0.0 if systematics is None else systematics.common_scale_sigma))
+        return theta, covariance, (
+            0.0 if systematics is None else systematics.common_scale_sigma)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the window."""
-        return sum(
-            item.dn.nbytes + (0 if item.valid is None else item.valid.nbytes)
-            if isinstance(item, ApsFrame) else
-            0 if isinstance(item, Wave) else item.nbytes for item in self._items)
+        """Bytes of what is kept."""
+        return self._window.nbytes + (
+            0 if self._whole is None else self._whole.nbytes)
 
     def state(self) -> Mapping[str, Any]:
-        """Return the window, never changed later."""
-        return {"items": tuple(self._items), "begin_us": self._begin_us,
-                "events": self._events, "full": self._full}
+        """Return what is kept, never changed later."""
+        return {"window": self._window.state(),
+                "whole": None if self._whole is None else self._whole.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what `state` returned."""
-        self._items, self._begin_us = list(state["items"]), state["begin_us"]
-        self._events, self._full = state["events"], state["full"]
+        self._window.restore(state["window"])
+        if self._whole is not None:
+            self._whole.restore(state["whole"])
+
+
+def _feed(method: KalmanFilter, items: Iterable[Item]) -> None:
+    """Give a filter frames, the lamp's waves and events in their order.
+
+    Without the frames' samples below `MIN_DN`.
+    """
+    for item in items:
+        if isinstance(item, ApsFrame):
+            bright = item.dn >= MIN_DN
+            method.add_frame(item.replace(
+                valid=bright if item.valid is None else bright & item.valid))
+        elif isinstance(item, Wave):
+            method.add_wave(item)
+        else:
+            method.add_events(item)

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdavis_cv.reconstruct.kalman import NOISE
-from pdavis_cv.selfcal.pixel_sample import PixelSample
+from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
 
 __all__ = ["fit_event_noise"]
 
@@ -31,10 +31,7 @@ def fit_event_noise(sample: PixelSample, law: tuple[float, float]) -> float:
         Variance per second, thresholds^2, from a grid whose least value stands for all
         that is at or below `KalmanFilter`'s default.
     """
-    best, least = _GRID[0], np.inf
-    for each in _GRID:
-        chi, log, _ = sample.innovations(law, (NOISE[0], each, NOISE[2]))
-        if chi + log >= least:
-            break
-        best, least = each, chi + log
-    return best
+    candidates = candidates_of([law] * len(_GRID), NOISE)
+    candidates["noise_per_s"] = _GRID
+    found = sample.innovations(candidates)
+    return _GRID[int(np.argmin(found["chi2"] + found["log_variance"]))]

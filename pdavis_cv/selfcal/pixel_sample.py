@@ -1,27 +1,26 @@
-"""A sample of busy pixels, and the innovations of a filter run over their data."""
+"""A sample of busy pixels, and the innovations of candidate cameras over its data."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from copy import copy
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.reconstruct.kalman import KalmanFilter
-from pdavis_cv.reconstruct.lamp import Wave
-from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.reconstruct.kalman import LOOKAHEAD_US
+from pdavis_cv.reconstruct.kalman.filter import DN_PER_SHOT, READ_NOISE_DN
 from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA
 from pdavis_cv.selfcal.uncertainty import (
     FrameSystematics,
     PixelActivity,
     SystematicErrors,
 )
+from pdavis_cv.selfcal.window import USABLE_DN, PixelWindow
 
-__all__ = ["Item", "PixelSample", "feed", "run_filter", "select_busy_pixels",
-           "without_dim_samples"]
+__all__ = ["CANDIDATE_DTYPE", "FILTER_NOISE", "INNOVATIONS_DTYPE", "MIN_DN",
+           "PixelSample", "candidates_of", "select_busy_pixels"]
 
 FILTER_NOISE = (0.05, 1.3, 0.005)
 """As `KalmanFilter`'s ``noise``, but larger: what de-blurring leaves is correlated from
@@ -31,8 +30,8 @@ MIN_DN = 16.0
 """Below 16 DN ln(DN) is biased (convexity and offset), not merely noisy: thresholds
 come out up to 30 % too small."""
 
-_USABLE_DN, _USABLE_SHARE = 8, 0.8
-"""A pixel of the sample has at least 8 DN in at least 80 % of the frames."""
+_USABLE_SHARE = 0.8
+"""A pixel of the sample is usable in at least 80 % of the frames."""
 
 _MIN_FRAMES = 4
 """Fewer frames tell nothing."""
@@ -41,8 +40,8 @@ _MIN_FRAMES = 4
 # changes; and that of interpolation, which all pixels share.
 _MODEL_SHARE, _MODEL_MIN_SIGMA = 0.6, 0.002
 
-_SAMPLE_EVENTS, _SAMPLE_PIXELS, _SAMPLE_FRAMES = 60_000, 256, 100
-"""Upper bounds of the sample."""
+_SAMPLE_EVENTS, _SAMPLE_PIXELS, _MIN_SAMPLE_PIXELS = 30_000, 256, 16
+"""Bounds of the sample: events, and pixels by how many of them make those events."""
 
 _BUSY_QUANTILE, _BUSY_FACTOR = 0.95, 2.0
 """Busy: within a factor of two of the 95 % quantile of the counts.  Hot pixels have
@@ -55,221 +54,197 @@ are far from the others' fits no bandwidth, and would decide on it."""
 _BRIGHT_QUANTILE = 0.9
 """A bright pixel: this quantile of the frames' intensity."""
 
-_EVER = -(2**62), 2**62
+PIXEL_DTYPE = np.dtype([
+    ("start", "<i4"), ("stop", "<i4"), ("theta_on", "<f8"), ("theta_off", "<f8")])
+"""A pixel's events, from start to before stop, and its prior thresholds (ln units)."""
 
-Item = ApsFrame | Wave | NDArray[Any]
+READING_DTYPE = np.dtype([
+    ("log", "<f4"), ("variance", "<f4"), ("begin", "<i8"), ("middle", "<i8"),
+    ("end", "<i8"), ("known", "<i8")])
+"""A frame's ln intensity (ln DN/ms), the variance of its read and shot noise (0: not
+usable), its exposure, and up to when events are looked at (us)."""
+
+CANDIDATE_DTYPE = np.dtype([
+    ("noise_per_s", "<f8"), ("noise_per_event", "<f8"), ("hz", "<f8"),
+    ("hz_per_intensity", "<f8"), ("frame_sigma", "<f8")])
+"""A camera to try: process noise in thresholds^2 per second and per event, bandwidth
+in Hz and Hz per DN/ms, and what de-blurring leaves (ln units)."""
+
+INNOVATIONS_DTYPE = np.dtype([
+    ("chi2", "<f8"), ("log_variance", "<f8"), ("count", "<f8"), ("log_theta", "<f8")])
+"""Sums of e^2 / v and of ln v over the innovations e, their number, and the sum over
+pixels of ln theta_on + ln theta_off at the end."""
 
 
-def run_filter(
-    items: Iterable[Item], shape: tuple[int, int], on: ArrayLike, off: ArrayLike,
-    sigma: ArrayLike, bandwidth: tuple[float, float] | None,
+def candidates_of(
+    laws: Sequence[tuple[float, float]] | NDArray[np.float64],
     noise: tuple[float, float, float] = FILTER_NOISE,
-) -> KalmanFilter:
-    """Return the filter after all items; its parameters are `KalmanFilter`'s."""
-    method = KalmanFilter(shape, theta_on=on, theta_off=off, threshold_sigma=sigma,
-                          bandwidth=bandwidth, noise=noise)
-    feed(method, items)
-    return method
-
-
-def feed(method: KalmanFilter, items: Iterable[Item]) -> None:
-    """Give a filter frames, the lamp's waves and events in their order."""
-    for item in items:
-        if isinstance(item, ApsFrame):
-            method.add_frame(item)
-        elif isinstance(item, Wave):
-            method.add_wave(item)
-        else:
-            method.add_events(item)
-
-
-def without_dim_samples(item: Item) -> Item:
-    """Return the item; in a frame, samples below `MIN_DN` are not valid."""
-    if not isinstance(item, ApsFrame) or item.dn.min(initial=MIN_DN) >= MIN_DN:
-        return item
-    valid = item.dn >= MIN_DN
-    return _replaced(
-        item, item.dn, valid if item.valid is None else valid & item.valid)
-
-
-def _replaced(
-    frame: ApsFrame, dn: NDArray[np.float32], valid: NDArray[np.bool_] | None
-) -> ApsFrame:
-    """Return the frame with other values."""
-    return ApsFrame(
-        dn, frame.exposure_start_us, frame.exposure_end_us, valid=valid,
-        available_us=frame.available_us, full_scale_dn=frame.full_scale_dn)
+) -> NDArray[np.void]:
+    """Return candidates (hz, hz_per_intensity) with one noise, as `KalmanFilter`'s."""
+    out = np.zeros(len(laws), CANDIDATE_DTYPE)
+    out["hz"], out["hz_per_intensity"] = np.reshape(laws, (-1, 2)).T
+    out["frame_sigma"], out["noise_per_s"], out["noise_per_event"] = noise
+    return out
 
 
 class PixelSample:
-    """Data of some busy pixels, in one row, and how well a filter predicts them.
+    """Data of some busy pixels, and how well a camera that is assumed predicts them.
 
     Parameters
     ----------
-    pixels : ndarray of intp, shape (N,)
-        Their places in the flattened sensor.
-    items : list of Item
-        Frames (1, N), events and waves in order of time.
+    window : PixelWindow
+    chosen : ndarray of intp, shape (N,)
+        Places among the window's pixels.
     nominal : (on, off)
         Thresholds of the sensor, scalars or (H, W).
-    activity : PixelActivity
-        Of the whole sensor.
+    events_per_s : float
+        Rate of a pixel's events.
     leak_hz : (float, float)
         Leak events of a pixel per second, mean and standard deviation.
     """
 
     def __init__(
-        self, pixels: NDArray[np.intp], items: list[Item],
-        nominal: tuple[ArrayLike, ArrayLike], activity: PixelActivity,
+        self, window: PixelWindow, chosen: NDArray[np.intp],
+        nominal: tuple[ArrayLike, ArrayLike], events_per_s: float,
         leak_hz: tuple[float, float],
     ) -> None:
-        self.items, self.shape, self.leak_hz = items, (1, len(pixels)), leak_hz
-        self._pixels, self._activity = pixels, activity
-        sensor = activity.events_per_s.shape
-        self.on, self.off = (
-            np.broadcast_to(np.asarray(value, np.float64), sensor).ravel()[pixels][None]
-            for value in nominal)
-        bright = np.quantile(np.concatenate(
-            [item.dn.ravel() / max(item.exposure_ms, 1e-3) for item in items
-             if isinstance(item, ApsFrame)]), _BRIGHT_QUANTILE)
+        self.events_per_s, self.leak_hz = events_per_s, leak_hz
+        self.pixels = window.pixels[chosen]
+        place = np.full(len(window.pixels), -1, np.int32)
+        place[chosen] = np.arange(len(chosen))
+        events = window.events
+        at = place.take(events["x"])
+        order = np.argsort(at, kind="stable")
+        order = order[np.count_nonzero(at < 0):]
+        self._events, at = events.take(order), at.take(order)
+        self._traits = np.zeros(len(chosen), PIXEL_DTYPE)
+        self._traits["start"] = np.searchsorted(at, np.arange(len(chosen)))
+        self._traits["stop"] = np.searchsorted(at, np.arange(len(chosen)), "right")
+        for name, value in zip(("theta_on", "theta_off"), nominal, strict=True):
+            self._traits[name] = np.broadcast_to(
+                np.asarray(value, np.float64), window.shape).ravel()[self.pixels]
+        # A frame acts when the events around its exposure are there.
+        frames = [each for each in window.intervals if max(
+            each.known_us, int(each.exposure_us[1].max()) + LOOKAHEAD_US
+        ) <= window.seen_us]
+        self._dn = np.array([each.dn[chosen] for each in frames], np.float32).reshape(
+            len(frames), len(chosen))
+        self._usable = np.array([each.usable[chosen] for each in frames], bool).reshape(
+            len(frames), len(chosen))
+        self._frames = np.zeros(self._dn.shape, READING_DTYPE)
+        columns = self.pixels % window.shape[1]
+        for row, each in zip(self._frames, frames, strict=True):
+            for i, name in enumerate(("begin", "middle", "end")):
+                row[name] = each.exposure_us[i, columns]
+            row["known"] = max(
+                each.known_us, int(each.exposure_us[1].max()) + LOOKAHEAD_US)
+        self._exposure_ms = (self._frames["end"] - self._frames["begin"]) / 1000
+        self._waves, self._lit_us = window.waves
+        self._read(self._dn, self._usable)
+        bright = (np.quantile(self._dn / self._exposure_ms, _BRIGHT_QUANTILE)
+                  if self._dn.size else 0.0)
         self.bright = max(float(bright), 1e-3)
 
-    @property
-    def events_per_s(self) -> float:
-        """Events of a pixel per second."""
-        return float(np.mean(self._activity.events_per_s.ravel()[self._pixels]))
+    def _read(self, dn: NDArray[np.float32], usable: NDArray[np.bool_]) -> None:
+        """Make readings of the DN of frames, shape (F, N)."""
+        light = np.fmax(dn, 1)
+        self._frames["log"] = np.log(light) - np.log(self._exposure_ms)
+        self._frames["variance"] = np.where(
+            usable, (READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2, 0)
 
     def with_leak_in_frames(self) -> PixelSample:
         """Return the sample with frames that grow as the mean leak moves events' sums.
 
         The leak, left in, looks like a photoreceptor up to 7 % too slow.
         """
-        frames = [item for item in self.items if isinstance(item, ApsFrame)]
-        middle = float(np.mean([frame.mid_us for frame in frames]))
-        rate = self.leak_hz[0] * float(self.on.mean()) / 1e6
         other = copy(self)
-        other.items = [
-            _replaced(item, item.dn * math.exp(rate * (item.mid_us - middle)),
-                      item.valid)
-            if isinstance(item, ApsFrame) else item for item in self.items]
+        other._frames = self._frames.copy()
+        middle = other._frames["middle"]
+        rate = self.leak_hz[0] * float(self._traits["theta_on"].mean()) / 1e6
+        if middle.size:
+            other._frames["log"] += rate * (middle - middle.mean())
         return other
 
     def innovations(
-        self, law: tuple[float, float],
-        noise: tuple[float, float, float] = FILTER_NOISE,
-    ) -> tuple[float, float, int]:
-        """Return sum e^2 / v and sum ln v over the innovations e, and their number."""
-        chi, log, n = run_filter(
-            self.items, self.shape, self.on, self.off, THRESHOLD_SIGMA, law,
-            noise).misfit
-        return float(chi), float(log), int(n)
+        self, candidates: NDArray[np.void], every: int = 1
+    ) -> NDArray[np.void]:
+        """Return the innovations of a filter under each candidate.
+
+        Parameters
+        ----------
+        candidates : ndarray of CANDIDATE_DTYPE, shape (C,)
+        every : int
+            Of so many pixels one is looked at.
+
+        Returns
+        -------
+        ndarray of INNOVATIONS_DTYPE, shape (C,)
+        """
+        out = np.zeros(len(candidates), INNOVATIONS_DTYPE)
+        _kernels.sample_innovations(
+            self._events, np.ascontiguousarray(self._traits[::every]),
+            np.ascontiguousarray(self._frames[:, ::every]), self._waves, self._lit_us,
+            THRESHOLD_SIGMA, candidates, out)
+        return out
 
     def systematics(
-        self, law: tuple[float, float], frames: FrameSystematics
+        self, law: tuple[float, float], activity: PixelActivity,
+        frames: FrameSystematics,
     ) -> SystematicErrors:
         """Return the errors that innovations do not show, for the whole sensor."""
-        activity, scale = self._activity, self._log_scale(self.items, law)
-        brightened = self._log_scale(
-            [_replaced(item, item.dn + 1, item.valid) if isinstance(item, ApsFrame)
-             else item for item in self.items], law)
-        model_sigma = _MODEL_MIN_SIGMA
-        if law != (0.0, 0.0):
-            by_lag = abs(self._log_scale(self.items, (0.0, 0.0)) - scale)
-            model_sigma = math.hypot(_MODEL_MIN_SIGMA, _MODEL_SHARE * by_lag)
+        as_is, without_lag = self._log_scales([law, (0.0, 0.0)], 0.0)
+        brightened, = self._log_scales([law], 1.0)
+        model_sigma = math.hypot(_MODEL_MIN_SIGMA, _MODEL_SHARE * (without_lag - as_is))
         low = np.maximum(activity.min_dn, MIN_DN)
         high = np.maximum(activity.max_dn, MIN_DN)
         low = np.minimum(low, 0.99 * high)
         # An offset changes the contrast ln(high / low) by this, relatively, per DN.
         contrast = (1 / low - 1 / high) / np.log(high / low)
-        here = np.mean(contrast.ravel()[self._pixels])
-        per_dn = (brightened - scale) / here * contrast
+        here = np.mean(contrast.ravel()[self.pixels])
+        per_dn = (brightened - as_is) / here * contrast
         return SystematicErrors(
             activity.events_per_s / 2, per_dn, frames, model_sigma, self.leak_hz)
 
-    def _log_scale(self, items: list[Item], law: tuple[float, float]) -> float:
-        """Return the mean ln of the thresholds that a filter finds."""
-        theta, _ = run_filter(map(without_dim_samples, items), self.shape, self.on,
-                              self.off, THRESHOLD_SIGMA, law).thresholds
-        return float(np.mean(np.log(theta)))
+    def _log_scales(
+        self, laws: list[tuple[float, float]], offset_dn: float
+    ) -> NDArray[np.float64]:
+        """Return the mean ln of the thresholds found, for frames with an offset."""
+        other = copy(self)
+        other._frames = self._frames.copy()
+        dn = self._dn + np.float32(offset_dn)
+        other._read(dn, self._usable & (dn >= MIN_DN))
+        sums: NDArray[np.float64] = other.innovations(candidates_of(laws))["log_theta"]
+        return sums / (2 * len(self.pixels))
 
 
 def select_busy_pixels(
-    items: list[Item], shape: tuple[int, int], nominal: tuple[ArrayLike, ArrayLike],
+    window: PixelWindow, nominal: tuple[ArrayLike, ArrayLike],
     leak_hz: tuple[float, float],
 ) -> PixelSample | None:
     """Return some busy pixels, None if frames or events are too few."""
-    interval, polarities = np.zeros((2, 2, *shape), np.int32)
-    squares = np.zeros(shape, np.int64)
-    usable = np.zeros(shape, np.int64)
-    min_dn = np.full(shape, np.inf, np.float32)
-    max_dn = np.zeros(shape, np.float32)
-    mids: list[int] = []
-
-    def end_interval() -> None:
-        """Add the counts since the last frame."""
-        both = np.add(interval[0], interval[1], dtype=np.int64)
-        np.add(squares, both * both, out=squares)
-        np.add(polarities, interval, out=polarities)
-        interval.fill(0)
-
-    for item in items:
-        if isinstance(item, ApsFrame):
-            good = item.dn >= _USABLE_DN
-            usable += good if item.valid is None else good & item.valid
-            np.minimum(min_dn, item.dn, out=min_dn)
-            np.maximum(max_dn, item.dn, out=max_dn)
-            mids.append(item.mid_us)
-            end_interval()
-        elif not isinstance(item, Wave):
-            _kernels.count(item, *_EVER, interval)
-    end_interval()
-    counts = (polarities[0] + polarities[1]).ravel()
-    if len(mids) < _MIN_FRAMES:
+    intervals = window.intervals
+    if len(intervals) < _MIN_FRAMES:
         return None
-    seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
-    activity = PixelActivity(
-        squares / np.maximum(counts.reshape(shape) * seconds, 1e-9), min_dn, max_dn)
-    counts[usable.ravel() < _USABLE_SHARE * len(mids)] = 0
-    if not counts.any():
+    counts = np.array([each.counts[:, 0] for each in intervals])
+    total = counts.sum(0)
+    both = total.sum(0)
+    usable = np.sum([each.usable & (each.dn >= USABLE_DN) for each in intervals], 0)
+    busy = np.where(usable >= _USABLE_SHARE * len(intervals), both, 0)
+    if not busy.any():
         return None
-    level = np.quantile(counts[counts > 0], _BUSY_QUANTILE)
-    pixels = np.flatnonzero(
-        (counts >= level / _BUSY_FACTOR) & (counts <= level * _BUSY_FACTOR))
-    off, on = np.log(np.maximum(polarities.reshape(2, -1)[:, pixels], 0.5))
+    # A count that some pixel has, so that at least this one is busy.
+    level = np.quantile(busy[busy > 0], _BUSY_QUANTILE, method="nearest")
+    chosen = np.flatnonzero(
+        (busy >= level / _BUSY_FACTOR) & (busy <= level * _BUSY_FACTOR))
+    off, on = np.log(np.maximum(total[:, chosen], 0.5))
     balance = off - on
-    pixels = pixels[np.abs(balance - np.median(balance)) <= _MAX_BALANCE]
-    n = int(np.clip(_SAMPLE_EVENTS / level, 16, _SAMPLE_PIXELS))
-    pixels = np.sort(np.random.default_rng(0).permutation(pixels)[:n])
-    place = np.full(len(counts), -1, np.int32)
-    place[pixels] = np.arange(len(pixels))
-    rows, columns = np.unravel_index(pixels, shape)
-    part: list[Item] = []
-    frames = 0
-    pending: list[NDArray[Any]] = []
-    for item in items:
-        if isinstance(item, Wave):
-            part.append(item)
-            continue
-        if not isinstance(item, ApsFrame):
-            at = place.take(item["y"].astype(np.int32) * shape[1] + item["x"])
-            chosen = np.flatnonzero(at >= 0)
-            mine = item.take(chosen)
-            mine["x"], mine["y"] = at.take(chosen), 0
-            pending.append(mine)
-            continue
-        frames += 1
-        if frames > _SAMPLE_FRAMES:
-            break
-        if pending:
-            part.append(np.concatenate(pending))
-            pending = []
-        times = [np.broadcast_to(time, shape[1:])[columns] for time in (
-            item.exposure_start_us, item.exposure_end_us)]
-        valid = None if item.valid is None else item.valid[rows, columns][None]
-        part.append(ApsFrame(
-            item.dn[rows, columns][None], *times, valid=valid,
-            available_us=max(item.available_us, int(times[1].max())),
-            full_scale_dn=item.full_scale_dn))
-    if pending:
-        part.append(np.concatenate(pending))
-    return PixelSample(pixels, part, nominal, activity, leak_hz)
+    typical = np.quantile(balance, 0.5, method="nearest")
+    chosen = chosen[np.abs(balance - typical) <= _MAX_BALANCE]
+    n = int(np.clip(_SAMPLE_EVENTS / level, _MIN_SAMPLE_PIXELS, _SAMPLE_PIXELS))
+    chosen = np.sort(np.random.default_rng(0).permutation(chosen)[:n])
+    mids = [int(each.exposure_us[1].max()) for each in intervals]
+    seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
+    # Weighted by themselves: intervals with more events count more.
+    rates = np.sum(counts[..., chosen].sum(1, dtype=np.int64)**2, 0) / np.maximum(
+        both[chosen] * seconds, 1e-9)
+    return PixelSample(window, chosen, nominal, float(rates.mean()), leak_hz)

@@ -1,0 +1,328 @@
+"""Innovations of a pixel sample under many candidate cameras, in one call.
+
+For each candidate (bandwidth and noise) and each pixel a Kalman filter of (base,
+theta_on, theta_off) runs over the pixel's frames: the model and the equations are
+those of kalman_frame, whose sums of e^2 / v and ln v this returns per candidate.
+A pixel's events lie together in memory, so that no store of recent events is needed.
+"""
+from libc.stdint cimport int32_t, int64_t
+
+from _kernels._lamp cimport lamp_of, lamp_t, lit
+from _kernels._math cimport exp_f, log_f
+from _kernels._tracks cimport between, corner, lead, part_t, quiet, walk_t
+from _kernels._types cimport event_t
+
+cdef enum:
+    # A part of a lamp's period that two points are enough for.
+    FINE_US = 1500
+    # Fewer events between two frames are as likely noise: thresholds do not learn.
+    MIN_EVENTS = 3
+
+cdef int64_t NEVER = -4611686018427387904LL
+
+cdef packed struct pixel_t:
+    int32_t start           # its events: from start to before stop
+    int32_t stop
+    double theta_on         # prior
+    double theta_off
+
+cdef packed struct reading_t:
+    float log               # ln intensity
+    float variance          # of read and shot noise; 0 or less: no usable sample
+    int64_t begin           # exposure
+    int64_t middle
+    int64_t end
+    int64_t known           # events up to here are looked at
+
+cdef packed struct candidate_t:
+    double noise_per_s      # process noise, thresholds^2 per second and per event
+    double noise_per_event
+    double hz               # bandwidth: hz + hz_per_intensity * I
+    double hz_per_intensity
+    double frame_sigma      # what de-blurring leaves, ln
+
+cdef packed struct innovations_t:
+    double chi2             # sum of e^2 / v, 16 at most each
+    double log_variance     # sum of ln v
+    double count
+    double log_theta        # sum over pixels of ln theta_on + ln theta_off, at the end
+
+cdef struct state_t:
+    double base
+    double on
+    double off
+    double p00
+    double p01
+    double p02
+    double p11
+    double p12
+    double p22
+
+cdef struct blur_t:
+    # Integrals over the exposure of exp(part), and of it times counts.
+    double whole
+    double on
+    double off
+
+
+cdef inline void pass_event(walk_t* walk, const event_t* events,
+                            int32_t stop) noexcept nogil:
+    walk.t_prev = walk.t
+    walk.p_prev = walk.p
+    walk.t = events[walk.next].t
+    walk.p = events[walk.next].p
+    if walk.p:
+        walk.n_on += 1
+    else:
+        walk.n_off += 1
+    walk.next += 1
+    if walk.next >= stop:
+        walk.next = -1
+
+
+cdef inline double log_at(const walk_t* walk, const event_t* events, int64_t known,
+                          double t, const state_t* s, double level,
+                          const candidate_t* camera, const lamp_t* lamp,
+                          double* n_on, double* n_off) noexcept nogil:
+    """Log intensity less level at t, between walk and its next event; the counts."""
+    cdef double y, theta, hz = 0.0
+    cdef part_t part
+    if lamp.blocks > 0:
+        hz = corner(camera.hz, camera.hz_per_intensity,
+                    level + s.on * walk.n_on - s.off * walk.n_off)
+    if walk.next >= 0 and events[walk.next].t <= known:
+        part = between(walk, events[walk.next].t, events[walk.next].p, s.on, s.off,
+                       lamp, hz, t)
+    else:
+        part = quiet(walk.t, walk.p, <double>known, lamp, hz, t)
+    n_on[0] = walk.n_on
+    n_off[0] = walk.n_off
+    if part.p:
+        n_on[0] += part.fraction
+        theta = s.on
+    else:
+        n_off[0] += part.fraction
+        theta = -s.off
+    y = s.on * n_on[0] - s.off * n_off[0] + part.ripple
+    return y + lead(theta * part.rate + part.ripple_rate, level + y, camera.hz,
+                    camera.hz_per_intensity)
+
+
+cdef inline void add_segment(blur_t* total, const walk_t* walk, const event_t* events,
+                             int64_t known, double begin, double end,
+                             const state_t* s, double level, const candidate_t* camera,
+                             const lamp_t* lamp) noexcept nogil:
+    """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
+    cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
+    cdef double node = half * 0.5773502691896258, y, n_on, n_off
+    cdef int k
+    for k in range(2):
+        y = log_at(walk, events, known, middle + node if k else middle - node, s,
+                   level, camera, lamp, &n_on, &n_off)
+        y = half * exp_f(<float>y)
+        total.whole += y
+        total.on += y * n_on
+        total.off += y * n_off
+
+
+cdef blur_t integral(walk_t* walk, const event_t* events, int32_t stop,
+                     const reading_t* frame, const state_t* s, double level,
+                     const candidate_t* camera, const lamp_t* lamp) noexcept nogil:
+    """Integrate over the exposure, event by event, in parts that the lamp allows."""
+    cdef blur_t total
+    cdef double now = <double>frame.begin, end = <double>frame.end, until
+    cdef bint flickers = lit(lamp, now, end)
+    total.whole = 0.0
+    total.on = 0.0
+    total.off = 0.0
+    while True:
+        until = end
+        if walk.next >= 0 and events[walk.next].t < frame.end:
+            until = <double>events[walk.next].t
+        while flickers and until > now + FINE_US:
+            add_segment(&total, walk, events, frame.known, now, now + FINE_US, s,
+                        level, camera, lamp)
+            now += FINE_US
+        if until > now:
+            add_segment(&total, walk, events, frame.known, now, until, s, level,
+                        camera, lamp)
+            now = until
+        if walk.next < 0 or events[walk.next].t >= frame.end:
+            return total
+        pass_event(walk, events, stop)
+
+
+cdef inline void propagate(state_t* s, double n_on, double n_off,
+                           double process_noise) noexcept nogil:
+    """Move the reference past so many events: base += on n_on - off n_off."""
+    s.base += s.on * n_on - s.off * n_off
+    s.p00 += (n_on * n_on * s.p11 + n_off * n_off * s.p22 + process_noise
+              + 2.0 * (n_on * s.p01 - n_off * s.p02 - n_on * n_off * s.p12))
+    s.p01 += n_on * s.p11 - n_off * s.p12
+    s.p02 += n_on * s.p12 - n_off * s.p22
+
+
+cdef inline void update(state_t* s, double h_on, double h_off, double noise,
+                        double error, bint learn, innovations_t* out) noexcept nogil:
+    """Kalman update with measured = base + h_on on + h_off off, innovation error.
+
+    Without learn, thresholds stay what they are (Schmidt-Kalman update).
+    """
+    cdef double g0 = s.p00 + h_on * s.p01 + h_off * s.p02
+    cdef double g1 = s.p01 + h_on * s.p11 + h_off * s.p12
+    cdef double g2 = s.p02 + h_on * s.p12 + h_off * s.p22
+    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2, jump
+    out.log_variance += log_f(<float>v)
+    out.count += 1.0
+    if error * error > 16.0 * v:
+        # Lost events or a wrong sample: the base may have jumped, thresholds not.
+        out.chi2 += 16.0
+        jump = error * error
+        s.p00 += jump
+        g0 += jump
+        v += jump
+    else:
+        out.chi2 += error * error / v
+    k0 = g0 / v
+    k1 = g1 / v
+    k2 = g2 / v
+    s.base += k0 * error
+    s.p00 -= k0 * g0
+    s.p01 -= k0 * g1
+    s.p02 -= k0 * g2
+    if not learn:
+        return
+    s.on += k1 * error
+    s.off += k2 * error
+    s.p11 -= k1 * g1
+    s.p12 -= k1 * g2
+    s.p22 -= k2 * g2
+
+
+cdef inline double limited(double theta, double prior) noexcept nogil:
+    if theta < 0.3 * prior:
+        return 0.3 * prior
+    return 3.0 * prior if theta > 3.0 * prior else theta
+
+
+cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t* frame,
+                    Py_ssize_t frames, Py_ssize_t stride, double theta_sigma,
+                    const lamp_t* lamp, const candidate_t* camera,
+                    innovations_t* out) noexcept nogil:
+    cdef state_t s
+    cdef walk_t walk
+    cdef blur_t total
+    cdef double n_on, n_off, h_on, h_off, theta2, blur, level
+    cdef int64_t reference = 0
+    cdef int32_t counted = pixel.start, i
+    cdef int at_on, at_off
+    cdef bint fresh = True
+    cdef Py_ssize_t k
+    s.base = 0.0
+    s.on = pixel.theta_on
+    s.off = pixel.theta_off
+    s.p00 = 100.0
+    s.p01 = 0.0
+    s.p02 = 0.0
+    s.p11 = theta_sigma * theta_sigma
+    s.p12 = 0.0
+    s.p22 = s.p11
+    for k in range(frames):
+        if not frame.variance > 0.0:
+            frame += stride
+            continue
+        # Events since the reference, and those of the exposure before its middle.
+        n_on = 0.0
+        n_off = 0.0
+        while counted < pixel.stop and events[counted].t <= frame.middle:
+            if events[counted].p:
+                n_on += 1.0
+            else:
+                n_off += 1.0
+            counted += 1
+        at_on = 0
+        at_off = 0
+        i = counted
+        while i > pixel.start and events[i - 1].t > frame.begin:
+            i -= 1
+            if events[i].p:
+                at_on += 1
+            else:
+                at_off += 1
+        if fresh:
+            level = frame.log
+        else:
+            theta2 = 0.25 * (s.on + s.off) * (s.on + s.off)
+            propagate(&s, n_on, n_off, theta2 * (
+                camera.noise_per_s * 1e-6 * <double>(frame.middle - reference)
+                + camera.noise_per_event * (n_on + n_off)))
+            level = s.base
+        walk.t_prev = events[i - 2].t if i >= pixel.start + 2 else NEVER
+        walk.p_prev = events[i - 2].p if i >= pixel.start + 2 else 0
+        walk.t = events[i - 1].t if i > pixel.start else NEVER
+        walk.p = events[i - 1].p if i > pixel.start else 0
+        walk.next = i if i < pixel.stop else -1
+        walk.n_on = -at_on
+        walk.n_off = -at_off
+        if (walk.next < 0 or events[walk.next].t >= frame.end) and not lit(
+                lamp, <double>frame.begin, <double>frame.end):
+            # Less than a threshold over the whole exposure: its middle says it all.
+            blur = log_at(&walk, events, frame.known, 0.5 * (
+                <double>frame.begin + <double>frame.end), &s, level, camera, lamp,
+                &h_on, &h_off)
+            h_off = -h_off
+        else:
+            total = integral(&walk, events, pixel.stop, frame, &s, level, camera, lamp)
+            blur = log_f(<float>(total.whole / <double>(frame.end - frame.begin)))
+            h_on = total.on / total.whole
+            h_off = -total.off / total.whole
+        if fresh:
+            s.base = frame.log - blur
+        update(&s, h_on, h_off,
+               frame.variance + camera.frame_sigma * camera.frame_sigma,
+               frame.log - s.base - blur, not fresh and n_on + n_off >= MIN_EVENTS, out)
+        s.on = limited(s.on, pixel.theta_on)
+        s.off = limited(s.off, pixel.theta_off)
+        fresh = False
+        reference = frame.middle
+        frame += stride
+    out.log_theta += log_f(<float>s.on) + log_f(<float>s.off)
+
+
+def sample_innovations(const event_t[::1] events not None,
+                       const pixel_t[::1] pixels not None,
+                       const reading_t[:, ::1] frames not None,
+                       const double[:, ::1] waves not None, int64_t lit_us,
+                       double theta_sigma, const candidate_t[::1] candidates not None,
+                       innovations_t[::1] out not None):
+    """Add up the innovations of all pixels for each candidate.
+
+    events are those of the pixels, one pixel after the other, each in order of time;
+    frames (frame, pixel) in order of time, end > begin.  waves (blocks, 4) are the
+    lamp's from lit_us on, as in kalman_frame.  theta_sigma is the prior standard
+    deviation of a threshold.  out is overwritten.
+    """
+    cdef Py_ssize_t n = pixels.shape[0], c, i, m = candidates.shape[0]
+    cdef lamp_t lamp
+    cdef const event_t* first = NULL
+    if out.shape[0] != m:
+        raise ValueError("sample_innovations: out must have one row per candidate")
+    if frames.shape[1] != n or waves.shape[1] != 4:
+        raise ValueError("sample_innovations: frames or waves has a wrong shape")
+    for i in range(n):
+        if not 0 <= pixels[i].start <= pixels[i].stop <= events.shape[0]:
+            raise ValueError("sample_innovations: a pixel's events lie outside events")
+    if events.shape[0] > 0:
+        first = &events[0]
+    lamp = lamp_of(waves, lit_us)
+    with nogil:
+        for c in range(m):
+            out[c].chi2 = 0.0
+            out[c].log_variance = 0.0
+            out[c].count = 0.0
+            out[c].log_theta = 0.0
+            if frames.shape[0] == 0:
+                continue
+            for i in range(n):
+                run_pixel(first, &pixels[i], &frames[0, i], frames.shape[0], n,
+                          theta_sigma, &lamp, &candidates[c], &out[c])

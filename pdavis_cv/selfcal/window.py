@@ -1,0 +1,268 @@
+"""What is kept of a stream for self-calibration: bounded windows of recent data."""
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.reconstruct.lamp import Lamplight, Wave
+from pdavis_cv.recording.base import ApsFrame, joined
+from pdavis_cv.selfcal.uncertainty import PixelActivity
+
+__all__ = ["USABLE_DN", "Interval", "Item", "PixelWindow", "SensorWindow"]
+
+MAX_PIXELS = 8192
+"""Pixels that are looked at; the busy ones among them are enough to fit a camera."""
+
+MAX_FRAMES, MAX_US, MAX_EVENTS = 100, 10_000_000, 1_000_000
+"""Upper bounds of a `PixelWindow`: frames, time, events (13 MB)."""
+
+SENSOR_MAX_US, SENSOR_MAX_EVENTS = 10_000_000, 5_000_000
+"""Upper bounds of a `SensorWindow`: time, events (65 MB)."""
+
+USABLE_DN = 8
+"""Less is not a usable sample of a busy pixel."""
+
+_EVER = -(2**62), 2**62
+
+Item = ApsFrame | Wave | NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """A frame of the pixels looked at, and their events since the frame before.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        ``x`` is the place among the pixels.
+    counts : ndarray of int32, shape (2, 1, K)
+        OFF and ON events of each pixel.
+    dn : ndarray of float32, shape (K,)
+    usable : ndarray of bool, shape (K,)
+    exposure_us : ndarray of int64, shape (3, W)
+        Begin, middle and end, by column of the sensor.
+    known_us : int
+        End of the frame's exposure in all columns.
+    """
+
+    events: NDArray[Any]
+    counts: NDArray[np.int32]
+    dn: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    exposure_us: NDArray[np.int64]
+    known_us: int
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return (self.events.nbytes + self.counts.nbytes + self.dn.nbytes
+                + self.usable.nbytes + self.exposure_us.nbytes)
+
+
+class PixelWindow:
+    """The recent past of a random subset of the pixels; the oldest data are dropped.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width) of the sensor.
+
+    Attributes
+    ----------
+    shape : (int, int)
+    pixels : ndarray of intp, shape (K,)
+        Places in the flattened sensor.
+    seen_us : int
+        Time of the last item of the sensor.
+    full : bool
+        Whether anything was dropped.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.shape, size = shape, shape[0] * shape[1]
+        # The same pixels each time; all of them on a small sensor.
+        self.pixels = np.sort(np.random.default_rng(0).permutation(size)[:MAX_PIXELS])
+        self._place = np.full(size, -1, np.int32)
+        self._place[self.pixels] = np.arange(len(self.pixels))
+        self.seen_us, self.full = -(2**62), False
+        self._intervals: deque[Interval] = deque()
+        self._pending: list[NDArray[Any]] = []
+        self._counts = np.zeros((2, 1, len(self.pixels)), np.int32)
+        self._events = self._pending_events = 0
+        self._lamp = Lamplight()
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Take events of the whole sensor."""
+        if not len(events):
+            return
+        self.seen_us = int(events["t"][-1])
+        at = self._place.take(events["y"].astype(np.int32) * self.shape[1]
+                              + events["x"])
+        # Where no frame comes, the first events since the last one are kept: a rule
+        # that does not depend on how the stream was cut.
+        room = MAX_EVENTS - self._pending_events
+        chosen = np.flatnonzero(at >= 0)[:room]
+        mine = events.take(chosen)
+        mine["x"], mine["y"] = at.take(chosen), 0
+        _kernels.count(mine, *_EVER, self._counts)
+        self._pending.append(mine)
+        self._pending_events += len(mine)
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Take a frame of the whole sensor; it closes an interval."""
+        self.seen_us = max(self.seen_us, frame.mid_us)
+        exposure = np.empty((3, self.shape[1]), np.int64)
+        exposure[0], exposure[2] = frame.exposure_start_us, frame.exposure_end_us
+        exposure[1] = frame.column_mid_us
+        exposure[2] = np.maximum(exposure[2], exposure[0] + 1)
+        dn = frame.dn.ravel().take(self.pixels)
+        usable = dn >= 1
+        if frame.valid is not None:
+            usable &= frame.valid.ravel().take(self.pixels)
+        pending = self._take_pending()
+        self._events, self._pending_events = self._events + len(pending), 0
+        self._intervals.append(Interval(
+            pending, self._counts, dn, usable, exposure,
+            int(exposure[2].max())))
+        self._counts = np.zeros_like(self._counts)
+        self._drop_oldest()
+
+    def add_wave(self, wave: Wave) -> None:
+        """Take what the lamp does in a block of time."""
+        self._lamp.add(wave)
+
+    def _take_pending(self) -> NDArray[Any]:
+        pending, self._pending = self._pending, []
+        return joined(pending) if pending else np.empty(0, EVENT_DTYPE)
+
+    def _drop_oldest(self) -> None:
+        all_of_it = self._intervals
+        latest = int(all_of_it[-1].exposure_us[1].max())
+        while len(all_of_it) > 1 and (
+                len(all_of_it) > MAX_FRAMES or self._events > MAX_EVENTS
+                or latest - int(all_of_it[0].exposure_us[1].max()) > MAX_US):
+            self._events -= len(all_of_it.popleft().events)
+            self.full = True
+            self._lamp.forget(int(all_of_it[0].exposure_us[0].min()))
+
+    @property
+    def intervals(self) -> list[Interval]:
+        """What is kept, in order of time."""
+        return list(self._intervals)
+
+    @property
+    def events(self) -> NDArray[Any]:
+        """All events that are kept, those after the last frame too."""
+        self._pending = [self._take_pending()]
+        return joined([*(each.events for each in self._intervals), *self._pending])
+
+    @property
+    def waves(self) -> tuple[NDArray[np.float64], int]:
+        """The lamp's waves, a row per block, and when the first block begins."""
+        return self._lamp.waves, self._lamp.start_us
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what is kept."""
+        return (self.pixels.nbytes + self._place.nbytes + self._counts.nbytes
+                + sum(each.nbytes for each in self._intervals)
+                + sum(part.nbytes for part in self._pending) + self._lamp.waves.nbytes)
+
+    def state(self) -> tuple[Any, ...]:
+        """Return what is kept; never changed later."""
+        return (tuple(self._intervals), tuple(self._pending), self._counts.copy(),
+                self._events, self._pending_events, self.seen_us, self.full,
+                self._lamp.state())
+
+    def restore(self, state: tuple[Any, ...]) -> None:
+        """Take over what `state` returned."""
+        (intervals, pending, counts, self._events, self._pending_events, self.seen_us,
+         self.full, lamp) = state
+        self._intervals, self._pending = deque(intervals), list(pending)
+        self._counts = counts.copy()
+        self._lamp.restore(lamp)
+
+
+class SensorWindow:
+    """Everything from the first item on, up to a bound: what thresholds need.
+
+    Attributes
+    ----------
+    items : list of Item
+        Frames, events and the lamp's waves in order of time.
+    full : bool
+        Whether the bound is reached; later items are ignored.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
+        self.items: list[Item] = []
+        self.full = False
+        self._begin_us: int | None = None
+        self._events = 0
+
+    def add(self, item: Item) -> None:
+        """Take the next item."""
+        if isinstance(item, Wave):
+            t = item.start_us
+        else:
+            t = item.mid_us if isinstance(item, ApsFrame) else int(item["t"][0])
+        self._begin_us = t if self._begin_us is None else self._begin_us
+        self.full |= (t - self._begin_us > SENSOR_MAX_US
+                      or self._events > SENSOR_MAX_EVENTS)
+        if self.full:
+            return
+        self.items.append(item)
+        if isinstance(item, np.ndarray):
+            self._events += len(item)
+
+    def activity(self) -> PixelActivity:
+        """Return what each pixel has shown."""
+        interval, total = np.zeros((2, 2, *self._shape), np.int32)
+        squares = np.zeros(self._shape, np.int64)
+        min_dn = np.full(self._shape, np.inf, np.float32)
+        max_dn = np.zeros(self._shape, np.float32)
+        mids: list[int] = []
+
+        def end_interval() -> None:
+            """Add the counts since the last frame."""
+            both = np.add(interval[0], interval[1], dtype=np.int64)
+            np.add(squares, both * both, out=squares)
+            np.add(total, interval, out=total)
+            interval.fill(0)
+
+        for item in self.items:
+            if isinstance(item, ApsFrame):
+                np.minimum(min_dn, item.dn, out=min_dn)
+                np.maximum(max_dn, item.dn, out=max_dn)
+                mids.append(item.mid_us)
+                end_interval()
+            elif isinstance(item, np.ndarray):
+                _kernels.count(item, *_EVER, interval)
+        end_interval()
+        seconds = max(mids[-1] - mids[0], 1) / 1e6 / max(len(mids) - 1, 1)
+        return PixelActivity(
+            squares / np.maximum(total.sum(0) * seconds, 1e-9), min_dn, max_dn)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what is kept."""
+        return sum(
+            item.dn.nbytes + (0 if item.valid is None else item.valid.nbytes)
+            if isinstance(item, ApsFrame) else
+            0 if isinstance(item, Wave) else item.nbytes for item in self.items)
+
+    def state(self) -> tuple[Any, ...]:
+        """Return what is kept; never changed later."""
+        return tuple(self.items), self._begin_us, self._events, self.full
+
+    def restore(self, state: tuple[Any, ...]) -> None:
+        """Take over what `state` returned."""
+        items, self._begin_us, self._events, self.full = state
+        self.items = list(items)

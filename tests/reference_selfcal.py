@@ -1,0 +1,59 @@
+"""NumPy twin of the kernel that adds up innovations under candidate cameras."""
+import itertools
+
+import numpy as np
+from reference_kalman import Pixel
+
+
+def innovations(events, readings, theta, sigma, camera):
+    """Sums of e^2 / v and ln v of one pixel, their number, and its thresholds' ln.
+
+    events are (t, p), readings rows of (log, variance, begin, middle, end, known).
+    """
+    pixel = Pixel(*theta, sigma, (camera["hz"], camera["hz_per_intensity"], 0))
+    pixel.events = events
+    chi2 = log_variance = count = 0
+    since, reference = 0, None
+    for log, variance, begin, middle, end, known in readings:
+        if not variance > 0:
+            continue
+        here, fresh = pixel.next(middle), reference is None
+        n_on, n_off = pixel.counts(since, here)
+        if not fresh:
+            F = np.eye(3)
+            F[0, 1:] = n_on, -n_off
+            pixel.x, pixel.P = F @ pixel.x, F @ pixel.P @ F.T
+            pixel.P[0, 0] += pixel.x[1:].mean()**2 * (
+                camera["noise_per_s"] * 1e-6 * (middle - reference)
+                + camera["noise_per_event"] * (n_on + n_off))
+        level = log if fresh else pixel.x[0]
+        inner = sorted({t for t, _ in events if begin < t < end})
+        whole, weighted = 0.0, np.zeros(2)
+        for a, b in itertools.pairwise([begin, *inner, end]):
+            for node in (-1, 1) if inner else (0, 0):
+                n, y, u, *_ = pixel.value(
+                    (a + b) / 2 + node * (b - a) / np.sqrt(12), known, here, level)
+                light = (b - a) / 2 * np.exp(y + u)
+                whole, weighted = whole + light, weighted + light * n
+        H = np.array([1.0, *(weighted / whole * (1, -1))])
+        blur = np.log(whole / (end - begin))
+        if fresh:
+            pixel.x[0] = log - blur
+        error = log - pixel.x[0] - blur
+        v = H @ pixel.P @ H + variance + camera["frame_sigma"]**2
+        chi2 += min(error**2 / v, 16)
+        log_variance += np.log(v)
+        count += 1
+        if error**2 > 16 * v:
+            pixel.P[0, 0] += error**2
+            v += error**2
+        K = pixel.P @ H / v
+        gain = K.copy()
+        if fresh or n_on + n_off < 3:
+            gain[1:] = 0                    # Schmidt-Kalman: thresholds stay
+        pixel.x = pixel.x + gain * error
+        pixel.P = (pixel.P - np.outer(gain, K) * v - np.outer(K, gain) * v
+                   + np.outer(gain, gain) * v)
+        pixel.x[1:] = np.clip(pixel.x[1:], 0.3 * np.array(theta), 3 * np.array(theta))
+        since, reference = here, middle
+    return chi2, log_variance, count, np.log(pixel.x[1:]).sum()

@@ -1,0 +1,270 @@
+"""The online self-calibration: its window, its kernel, short and odd streams."""
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import reference_selfcal
+
+from pdavis_cv import _kernels, fuse
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.reconstruct.kalman import KalmanFilter
+from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.selfcal import SelfCalibration, window
+from pdavis_cv.selfcal.bandwidth import vertex
+from pdavis_cv.selfcal.pixel_sample import (
+    CANDIDATE_DTYPE,
+    INNOVATIONS_DTYPE,
+    PIXEL_DTYPE,
+    READING_DTYPE,
+    candidates_of,
+    select_busy_pixels,
+)
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+NOMINAL = (0.16, 0.18)
+BOTH = frozenset({"bandwidth", "noise"})
+
+
+@pytest.fixture(scope="module")
+def recording():
+    camera = Camera.preset("nominal", seed=3, size=(8, 8))
+    return camera.record(RotatingPolarizer(rpm=202.6, start_angle=1.0), 1.5)[0]
+
+
+def looked_on(recording, cuts=None, **options):
+    """Feed all frames by mid-exposure, and the events between them, cut or not."""
+    options.setdefault("every_pixel", False)
+    camera = SelfCalibration(recording.info.sensor_size, NOMINAL, **options)
+    events = recording.events()
+    frames = [frame for packet in recording.packets() for frame in packet.frames]
+    at = [0, *np.searchsorted(events["t"], [f.mid_us for f in frames]), len(events)]
+    for i, (start, stop) in enumerate(pairwise(at)):
+        for part in np.array_split(events[start:stop], cuts or 1):
+            camera.add_events(part)
+        if i < len(frames):
+            camera.add_frame(frames[i])
+    return camera
+
+
+def test_the_kernel_is_its_twin(recording):
+    camera = looked_on(recording)
+    sample = select_busy_pixels(camera._window, NOMINAL, (0.2, 0.08))
+    candidates = candidates_of([(250.0, 0.0), (0.0, 8.0), (20.0, 3.0)])
+    candidates["noise_per_s"][2] = 0.1
+    candidates["frame_sigma"][2] = 0.01
+    got = sample.innovations(candidates, every=20)
+    expected = np.zeros((3, 4))
+    for i in range(0, len(sample.pixels), 20):
+        start, stop, *theta = sample._traits[i]
+        mine = [(int(e["t"]), int(e["p"])) for e in sample._events[start:stop]]
+        for k, candidate in enumerate(candidates):
+            expected[k] += reference_selfcal.innovations(
+                mine, sample._frames[:, i].tolist(), theta, 0.035, candidate)
+    np.testing.assert_allclose(got.view(np.float64).reshape(3, 4), expected, rtol=1e-4)
+
+
+def test_the_innovations_are_those_of_the_kalman_filter(recording):
+    sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
+    law, noise = (200.0, 2.0), (0.05, 1.3, 0.005)
+    rows, columns = np.divmod(sample.pixels, 8)
+    events = recording.events()
+    place = np.full((8, 8), -1)
+    place[rows, columns] = np.arange(len(rows))
+    at = place[events["y"], events["x"]]
+    events = events[at >= 0]
+    events["x"], events["y"] = at[at >= 0], 0
+    method = KalmanFilter((1, len(rows)), theta_on=NOMINAL[0], theta_off=NOMINAL[1],
+                          threshold_sigma=0.035, bandwidth=law, noise=noise)
+    fed = 0
+    for packet in recording.packets():
+        for frame in packet.frames:
+            to = np.searchsorted(events["t"], frame.mid_us)
+            method.add_events(events[fed:to])
+            fed = to
+            method.add_frame(ApsFrame(
+                frame.dn[rows, columns][None], frame.exposure_start_us,
+                frame.exposure_end_us, available_us=frame.available_us,
+                valid=(None if frame.valid is None
+                       else frame.valid[rows, columns][None])))
+    method.add_events(events[fed:])
+    got = sample.innovations(candidates_of([law], noise))[0]
+    np.testing.assert_allclose([*got][:3], method.misfit, rtol=1e-5)
+    assert got["log_theta"] == pytest.approx(np.log(method.thresholds[0]).sum())
+
+
+def arguments(n=2, frames=3):
+    """Valid arguments of the kernel, the output last."""
+    events = np.zeros(0, EVENT_DTYPE)
+    return [events, np.zeros(n, PIXEL_DTYPE), np.zeros((frames, n), READING_DTYPE),
+            np.zeros((0, 4)), 0, 0.035, np.zeros(2, CANDIDATE_DTYPE),
+            np.zeros(2, INNOVATIONS_DTYPE)]
+
+
+@pytest.mark.parametrize(("n", "frames"), [(0, 0), (0, 3), (1, 0), (1, 1)])
+def test_the_kernel_takes_nothing(n, frames):
+    given = arguments(n, frames)
+    given[1]["theta_on"] = given[1]["theta_off"] = 0.2
+    for array in given[:4]:
+        array.flags.writeable = False
+    given[-1]["count"] = 5
+    _kernels.sample_innovations(*given)
+    assert np.all(given[-1]["count"] == 0)
+
+
+def test_the_kernel_refuses_shapes_that_do_not_fit():
+    for at, other, message in (
+            (-1, np.zeros(3, INNOVATIONS_DTYPE), "one row per candidate"),
+            (2, np.zeros((3, 1), READING_DTYPE), "wrong shape"),
+            (3, np.zeros((1, 3)), "wrong shape"),
+            (1, np.array([(0, 1, .2, .2)] * 2, PIXEL_DTYPE), "lie outside events")):
+        given = arguments()
+        given[at] = other
+        with pytest.raises(ValueError, match=message):
+            _kernels.sample_innovations(*given)
+
+
+def test_eight_threads_find_the_same(recording):
+    sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
+    candidates = candidates_of([(250.0, 0.0), (0.0, 8.0)])
+    with ThreadPoolExecutor(8) as pool:
+        results = list(pool.map(sample.innovations, [candidates] * 16))
+    assert all(np.array_equal(each, results[0]) for each in results)
+
+
+def test_an_estimate_does_not_depend_on_how_the_stream_was_cut(recording):
+    one, other = looked_on(recording), looked_on(recording, cuts=7)
+    assert one.estimate(wanted=BOTH).bandwidth == other.estimate(wanted=BOTH).bandwidth
+
+
+def test_an_estimate_changes_nothing_and_states_go_on_equally(recording):
+    camera = looked_on(recording)
+    first = camera.estimate(wanted=BOTH)
+    kept = pickle.loads(pickle.dumps(camera.state()))
+    late = recording.events()[:100]
+    late["t"] += 2_000_000
+    camera.add_events(late)
+    other = SelfCalibration((8, 8), NOMINAL, every_pixel=False)
+    other.restore(kept)
+    assert other.estimate(wanted=BOTH).bandwidth == first.bandwidth
+    assert other.estimate(wanted=BOTH).noise == first.noise
+
+
+def test_the_window_is_bounded_and_recent(recording, monkeypatch):
+    whole = looked_on(recording)
+    assert not whole.full
+    monkeypatch.setattr(window, "MAX_FRAMES", 12)
+    short = looked_on(recording)
+    assert short.full
+    assert len(short._window.intervals) == 12
+    assert short._window.intervals[-1].exposure_us.max() == (
+        whole._window.intervals[-1].exposure_us.max())
+    assert short.nbytes < 0.6 * whole.nbytes
+    assert short.estimate(wanted=BOTH).bandwidth.hz == pytest.approx(250, rel=0.25)
+
+
+@pytest.mark.parametrize("every_pixel", [False, True])
+def test_the_number_of_events_is_bounded(recording, monkeypatch, every_pixel):
+    monkeypatch.setattr(window, "MAX_EVENTS", 2000)
+    monkeypatch.setattr(window, "SENSOR_MAX_EVENTS", 2000)
+    camera = looked_on(recording, every_pixel=every_pixel)
+    assert camera.full
+    assert camera.nbytes < (1 + every_pixel) * 6000 * 13
+
+
+def test_without_frames_memory_is_bounded_too(monkeypatch):
+    monkeypatch.setattr(window, "MAX_EVENTS", 500)
+    camera = SelfCalibration((4, 4), every_pixel=False)
+    empty = camera.nbytes
+    events = np.zeros(100, EVENT_DTYPE)
+    for i in range(100):
+        events["t"] = i
+        camera.add_events(events)
+    assert camera.nbytes <= empty + 500 * 13
+    assert camera.estimate(wanted=BOTH).bandwidth is None
+
+
+@pytest.mark.parametrize("dn", [0.0, 5.0, np.nan, 1023.0])
+def test_frames_without_contrast_tell_nothing(dn):
+    """Nothing is busy, or nothing is usable: the prior stays."""
+    camera = SelfCalibration((4, 4), every_pixel=False)
+    rng = np.random.default_rng(0)
+    for i in range(10):
+        events = np.zeros(3, EVENT_DTYPE)
+        events["t"], events["p"] = 50_000 * i, rng.integers(0, 2, 3)
+        camera.add_events(events)
+        camera.add_frame(ApsFrame(np.full((4, 4), dn, np.float32), 50_000 * i + 10,
+                                  50_000 * i + 20_010))
+    found = camera.estimate(wanted=BOTH)
+    assert found.bandwidth is None or found.bandwidth.sigma > 0.5
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_short_slow_recordings_fuse(seed):
+    """10 to 100 RPM for .2 to 2 s: few events, odd counts, causal and not."""
+    rng = np.random.default_rng(seed)
+    camera = Camera.preset("nominal", seed=seed, size=(8, 8))
+    made, _ = camera.record(
+        RotatingPolarizer(rpm=rng.uniform(10, 100), start_angle=rng.uniform(0, 3)),
+        rng.uniform(0.2, 2.0))
+    for causal in (False, True):
+        images = list(fuse(made, method="kalman", causal=causal, fps=5))
+        assert all(np.isfinite(image.quad).all() for image in images)
+    looked_on(made, every_pixel=True).estimate(
+        wanted={"thresholds", "bandwidth", "noise"})
+
+
+def test_busy_pixels_are_found_where_counts_are_far_apart():
+    """The 95 % quantile lies between 1 and 100: no pixel within a factor of two."""
+    camera = SelfCalibration((5, 4), every_pixel=False)
+    for i in range(6):
+        n = np.array([1 if i == 0 else 0] * 19 + [20])
+        events = np.zeros(n.sum(), EVENT_DTYPE)
+        events["t"] = 50_000 * i + np.arange(n.sum())
+        events["y"], events["x"] = np.divmod(np.repeat(np.arange(20), n), 4)
+        camera.add_events(events)
+        camera.add_frame(ApsFrame(np.full((5, 4), 100, np.float32), 50_000 * i + 1000,
+                                  50_000 * i + 21_000))
+    assert len(select_busy_pixels(camera._window, NOMINAL, (0.2, 0.08)).pixels) >= 1
+    assert camera.estimate(wanted=BOTH).bandwidth is not None
+
+
+def test_a_stated_bandwidth_is_combined(recording):
+    alone = looked_on(recording).estimate(wanted=BOTH).bandwidth
+    stated = (alone.hz * 1.02, 0.0, alone.sigma)
+    both = looked_on(recording, stated_bandwidth=stated).estimate(wanted=BOTH).bandwidth
+    assert both.hz == pytest.approx(alone.hz * np.sqrt(1.02))
+    assert both.sigma == pytest.approx(alone.sigma / np.sqrt(2))
+
+
+def test_impossible_arguments_are_refused(recording):
+    with pytest.raises(ValueError, match="threshold_sigma must be positive"):
+        SelfCalibration((4, 4), threshold_sigma=0)
+    with pytest.raises(ValueError, match="leak_hz must be"):
+        SelfCalibration((4, 4), leak_hz=(0.3, -0.1))
+    camera = SelfCalibration((4, 4), every_pixel=False)
+    with pytest.raises(ValueError, match="wanted must be among"):
+        camera.estimate(wanted={"lamp"})
+    with pytest.raises(ValueError, match=r"every_pixel=True"):
+        camera.estimate(wanted={"thresholds"})
+    with pytest.raises(ValueError, match="thresholds were not estimated"):
+        _ = camera.estimate(wanted=BOTH).sigma
+
+
+@pytest.mark.parametrize("at", [-0.7, 0.05, 0.9])
+def test_a_parabola_s_vertex_is_found_on_uneven_points(at):
+    x = np.array([-1.0, -0.2, 0.3, 1.0])
+    assert vertex(x, 3 * (x - at)**2 + 5) == pytest.approx(at)
+    assert vertex(x, -x) == 1.0
+    assert vertex(x, np.ones(4)) in x
+
+
+def test_calibrated_frames_count(recording):
+    """A dark frame's presence makes the scale of the thresholds better known."""
+    wanted = {"thresholds", "noise"}
+    plain, dark = (looked_on(recording, dark=each, every_pixel=True).estimate(
+        wanted=wanted, bandwidth=(250.0, 0.0)) for each in (False, True))
+    assert np.median(dark.sigma) < 0.9 * np.median(plain.sigma)
+    assert dark.common_scale_sigma < plain.common_scale_sigma
+
