@@ -11,7 +11,8 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import output
 from pdavis_cv.sensor import Layout
 
-__all__ = ["DEMOSAIC_METHODS", "demosaic", "demosaic_valid"]
+__all__ = ["DEMOSAIC_METHODS", "HALF_SIZE", "demosaic", "demosaic_valid",
+           "demosaic_variance"]
 
 DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
 """What the ``demosaic`` arguments take."""
@@ -20,7 +21,10 @@ HALF_SIZE = frozenset(("superpixel", "binned"))
 """Those whose images have one pixel per 2x2 cell."""
 
 REACH = {"bilinear": 4, "superpixel": 0, "binned": 4, "guided": 6}
-"""Pixels beyond a region that its images depend on (of guided, 2 for the fill)."""
+"""Pixels beyond a region that its images depend on.
+
+Bilinear: one, and three where it extrapolates at a border.  Guided: four, and two more
+where it fills an unusable sample."""
 
 PIXEL_DTYPES = tuple(map(np.dtype, (np.uint8, np.uint16, np.float32)))
 
@@ -112,7 +116,7 @@ def demosaic(
     elif method == "guided":
         clean = _ALL_CLEAN
         if valid is not None and not valid.all():
-            mosaic = _filled(mosaic, valid)
+            mosaic = filled_samples(mosaic, valid)
             clean = _eroded(valid).view(np.uint8)
         _kernels.guided(mosaic, clean, places, _FLOOR, _ACROSS, _ADDITIVE,
                         scratch_rows(52, width), out)
@@ -163,6 +167,38 @@ def demosaic_valid(
     return _all_of_cell(reached) if method == "binned" else reached.copy()
 
 
+def demosaic_variance(
+    variance: NDArray[np.float32], layout: Layout, method: str = "bilinear", *,
+    valid: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Bring the samples' variances to where the channels of ``demosaic`` are.
+
+    A channel gets the variance that its samples have there, not that of their mean:
+    neighbouring results share samples, and a mean over a region counts them by
+    `pdavis_cv.analysis.pixels_per_sample`.
+
+    Parameters
+    ----------
+    variance : ndarray of float32, shape (H, W)
+        Of each sample, in any unit.
+    layout : Layout
+        Polarizer in front of each pixel.
+    method : {"bilinear", "superpixel", "binned", "guided"}
+        As in `demosaic`; for ``"guided"`` that is bilinear interpolation.
+    valid : ndarray of bool, shape (H, W)
+        True = usable; ``"guided"`` takes nothing from the others.
+
+    Returns
+    -------
+    ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for the two per cell
+    """
+    if method != "guided":
+        return demosaic(variance, layout, method)
+    if not valid.all():
+        variance = filled_samples(variance, valid)
+    return demosaic(variance, layout)
+
+
 _ALL_CLEAN = np.empty((0, 0), np.uint8)
 
 
@@ -177,7 +213,7 @@ def _checked_valid(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _all_of_cell(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     rows = valid[0::2] & valid[1::2]
-    return np.asarray(rows[:, 0::2] & rows[:, 1::2])
+    return np.ascontiguousarray(rows[:, 0::2] & rows[:, 1::2])
 
 
 def _all_of_three(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -203,7 +239,9 @@ def _eroded(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.ascontiguousarray(_and_beside(_and_beside(valid).T).T)
 
 
-def _filled(mosaic: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
+def filled_samples(
+    mosaic: NDArray[Any], valid: NDArray[np.bool_]
+) -> NDArray[np.float32]:
     """Replace unusable samples by the mean of the usable among four of their channel.
 
     They lie two pixels away; where there is none, keep them (0 for what is not finite).

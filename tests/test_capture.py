@@ -95,6 +95,7 @@ def test_without_conversion_pictures_are_their_float_plane(cap):
 
 
 @pytest.mark.parametrize("keywords", [{}, {"demosaic": "superpixel"},
+                                      {"demosaic": "binned"},
                                       {"roi": (3, 2, 9, 11)}])
 def test_the_event_picture_counts_events_since_the_image_before(ideal, keywords):
     events = np.concatenate([packet.events for packet in ideal.packets()])
@@ -187,6 +188,8 @@ def test_properties_describe_the_recording(ideal, cap):
     (p.CAP_PROP_PDAVIS_METHOD, p.METHODS.index("frames"), {"method": "frames"}),
     (p.CAP_PROP_PDAVIS_CUTOFF_HZ, 5.0, {"cutoff_hz": 5.0}),
     (p.CAP_PROP_PDAVIS_DEMOSAIC, 1, {"demosaic": "superpixel"}),
+    (p.CAP_PROP_PDAVIS_DEMOSAIC, 2, {"demosaic": "binned"}),
+    (p.CAP_PROP_PDAVIS_DEMOSAIC, 3, {"demosaic": "guided"}),
     (p.CAP_PROP_PDAVIS_CAUSAL, 1, {"causal": True}),
     (p.CAP_PROP_PDAVIS_GAIN, 3, {"gain": 3.0}),
     (p.CAP_PROP_PDAVIS_GAMMA, 2.2, {"gamma": 2.2}),
@@ -223,7 +226,7 @@ def test_a_change_of_the_rate_keeps_the_time(ideal):
 
 @pytest.mark.parametrize(("prop", "value"), [
     (p.CAP_PROP_PDAVIS_METHOD, 99), (p.CAP_PROP_PDAVIS_METHOD, 0.5),
-    (p.CAP_PROP_PDAVIS_DEMOSAIC, 2), (p.CAP_PROP_PDAVIS_FPS, 0),
+    (p.CAP_PROP_PDAVIS_DEMOSAIC, 4), (p.CAP_PROP_PDAVIS_FPS, 0),
     (p.CAP_PROP_PDAVIS_FPS, -3), (p.CAP_PROP_PDAVIS_FPS, math.nan),
     (p.CAP_PROP_PDAVIS_GAIN, 0), (p.CAP_PROP_PDAVIS_OUTPUT, 16),
     (p.CAP_PROP_PDAVIS_OUTPUT, -1), (p.CAP_PROP_PDAVIS_LAYOUT, 3202),
@@ -262,7 +265,7 @@ def sources(folder):
     half.write_bytes(b"#!AER-DAT4.0\r\n\x10\0\0")
     return {
         "missing": (folder / "missing.aedat4", "cannot be opened"),
-        "folder": (folder, "cannot open|not a recording|cannot be opened"),
+        "folder": (folder, "cannot open|cannot be opened|no recording that is one"),
         "text": (text, "not a recording"),
         "empty": (empty, "empty"),
         "half": (half, "half.aedat4"),
@@ -295,7 +298,7 @@ def test_an_unreadable_file_says_why(tmp_path):
         if root:
             os.seteuid(0)
     assert not cap.isOpened()
-    assert "cannot be opened: permission denied" in cap.last_error.lower()
+    assert "permission denied" in cap.last_error.lower()
 
 
 def test_a_recording_is_known_by_its_content(data_dir, tmp_path):

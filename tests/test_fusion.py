@@ -164,7 +164,8 @@ def test_a_frame_that_arrives_too_late_is_left_out_with_a_warning():
 
 @pytest.mark.parametrize("options", [
     {"method": "frames"}, {"method": "cf"}, {"method": "kalman"},
-    {"method": "kalman", "mode": "offline"}])
+    {"method": "kalman", "mode": "offline"},
+    {"method": "kalman", "demosaic": "guided"}])
 @pytest.mark.parametrize("roi", [
     (0, 0, 14, 12), (0, 0, 1, 1), (13, 11, 1, 1), (3, 5, 4, 2), (5, 0, 6, 7),
     (1, 1, 12, 10)])
@@ -179,10 +180,11 @@ def test_a_region_equals_the_crop_of_the_whole(polarizer, roi, options):
                 getattr(part, name), getattr(whole, name)[..., y:y + h, x:x + w])
 
 
-def test_a_superpixel_region_equals_the_crop_of_the_whole(polarizer):
+@pytest.mark.parametrize("demosaic", ["superpixel", "binned"])
+def test_a_region_of_cells_equals_the_crop_of_the_whole(polarizer, demosaic):
     recording, _ = polarizer
-    whole, = fuse(recording, times_us=[433_333], demosaic="superpixel")
-    part, = fuse(recording, times_us=[433_333], demosaic="superpixel", roi=(2, 4, 6, 8))
+    whole, = fuse(recording, times_us=[433_333], demosaic=demosaic)
+    part, = fuse(recording, times_us=[433_333], demosaic=demosaic, roi=(2, 4, 6, 8))
     assert whole.aop.shape == (6, 7)
     np.testing.assert_array_equal(part.aop, whole.aop[2:6, 1:4])
 

@@ -10,6 +10,7 @@ from pdavis_cv.analysis import (
     region_statistics,
 )
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.mosaic import DEMOSAIC_METHODS, HALF_SIZE
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout
 from pdavis_cv.simulation import rotating_polarizer
@@ -65,11 +66,11 @@ def test_pixels_that_are_not_valid_do_not_count():
     assert np.isnan(dead["dolp"])
 
 
-@pytest.mark.parametrize("method", ["bilinear", "superpixel"])
+@pytest.mark.parametrize("method", DEMOSAIC_METHODS)
 def test_standard_errors_are_the_scatter_of_many_recordings(method):
     """White noise on the mosaic, demosaiced: pixels then share information."""
     rng = np.random.default_rng(1)
-    shape, scale = (48, 48), 2 if method == "superpixel" else 1
+    shape, scale = (48, 48), 2 if method in HALF_SIZE else 1
     angles = np.deg2rad(np.tile(Layout.PDAVIS.angles_deg, (24, 24)))
     clean = 20 * (1 + 0.3 * np.cos(2 * (0.7 - angles)))
     roi = Roi.from_rectangle(8, 8, 32, 32)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.analysis.traces import pixels_per_sample, region_statistics
+from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 
 __all__ = ["SectorSummary", "Wheel", "summarise_sectors"]
@@ -120,7 +121,7 @@ class Wheel:
         if frame.t_us is None:
             raise ValueError("frame must have a time")
         demosaic = str(frame.provenance.get("demosaic"))
-        scale = 2 if demosaic == "superpixel" else 1
+        scale = 2 if demosaic in HALF_SIZE else 1
         left, top = (int(v) for v in frame.provenance.get("roi", (0, 0))[:2])
         height, width = (side * scale for side in frame.shape)
         x, y = self.centre[0] - left, self.centre[1] - top

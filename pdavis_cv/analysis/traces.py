@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.analysis.optics import subtract_background
 from pdavis_cv.analysis.roi import Roi
+from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.base import Recording
 
@@ -33,14 +34,19 @@ TRACE_DTYPE = np.dtype([
 second; ``pixels`` counts the usable ones, ``_se`` are standard errors of the region's
 value, ``_sd`` spreads over its pixels (circular for AoP).  NaN = not known."""
 
-# Bilinear demosaicing: an interpolated pixel has 9/16 of a sample's variance on
-# average, and a region's mean rests on a quarter as many samples as it has pixels.
-_PIXELS_PER_SAMPLE = {"bilinear": 64 / 9, "superpixel": 1.0}
+# How many times the variance of a region's mean exceeds that of as many independent
+# pixels.  Bilinear: a pixel has 9/16 of a sample's variance on average, and the mean
+# rests on a quarter as many samples as it has pixels.  Binned: weights (3, 1) / 4 along
+# both axes leave (5 / 8)^2.  Guided: measured, even light of DoLP .3 with white noise;
+# S0 is nearly each pixel's own, S1 and S2 are fitted in a window.
+_PIXELS_PER_SAMPLE = {
+    "bilinear": (64 / 9,) * 3, "superpixel": (1.0,) * 3, "binned": (64 / 25,) * 3,
+    "guided": (2.0, 15.0, 15.0)}
 
 
-def pixels_per_sample(demosaic: str) -> float:
-    """Return how many pixels share one sample's information after demosaicing."""
-    return _PIXELS_PER_SAMPLE.get(demosaic, 1.0)
+def pixels_per_sample(demosaic: str) -> tuple[float, float, float]:
+    """Return how many pixels of S0, S1 and S2 share one sample's information."""
+    return _PIXELS_PER_SAMPLE.get(demosaic, (1.0, 1.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +76,8 @@ class Traces:
 
 def region_statistics(
     quad: ArrayLike, stokes: ArrayLike, valid: NDArray[np.bool_], *,
-    estimate: str = "stokes", pixels_per_sample: float = 1.0,
+    estimate: str = "stokes",
+    pixels_per_sample: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> NDArray[Any]:
     """Summarise the pixels of one region in one image.
 
@@ -85,8 +92,9 @@ def region_statistics(
     estimate : {"stokes", "pixels"}
         Whether DoLP and AoP are those of the mean Stokes vector, or the mean and
         circular mean of the pixels' own.  A mean of DoLP is biased upward by noise.
-    pixels_per_sample : float
-        How many pixels share the information of one independent sample.
+    pixels_per_sample : (float, float, float)
+        How many pixels of S0, S1 and S2 share the information of one independent
+        sample.
 
     Returns
     -------
@@ -116,7 +124,7 @@ def region_statistics(
     row["i0"], row["i45"], row["i90"], row["i135"] = intensity.mean(1)
     mean = s.mean(1)
     row["s0"], row["s1"], row["s2"] = mean
-    effective = n / pixels_per_sample
+    share = np.sqrt(pixels_per_sample)
     polarized = np.hypot(s[1], s[2])
     dolp = polarized / s[0]
     unit = (s[1] + 1j * s[2]) / np.where(polarized > 0, polarized, 1)
@@ -128,15 +136,15 @@ def region_statistics(
         row["dolp"] = dolp.mean()
         row["aop"] = _axial(float(unit.mean().imag), float(unit.mean().real))
         if n > 1:
-            row["s0_se"] = np.std(s[0], ddof=1) / np.sqrt(effective)
-            row["dolp_se"] = row["dolp_sd"] / np.sqrt(effective)
-            row["aop_se"] = spread / np.sqrt(effective)
+            row["s0_se"] = np.std(s[0], ddof=1) * share[0] / np.sqrt(n)
+            row["dolp_se"] = row["dolp_sd"] * share[1] / np.sqrt(n)
+            row["aop_se"] = spread * share[1] / np.sqrt(n)
         return row
     length = float(np.hypot(mean[1], mean[2]))
     row["dolp"] = length / mean[0]
     row["aop"] = _axial(float(mean[2]), float(mean[1]))
     if n > 1:
-        covariance = np.cov(s) / effective
+        covariance = np.cov(s) * np.outer(share, share) / n
         row["s0_se"] = np.sqrt(covariance[0, 0])
         if length > 0:
             along = np.array(
@@ -185,7 +193,7 @@ class TraceRecorder:
         self._places: list[tuple[slice, slice, NDArray[np.bool_]]] = []
         self._shape: tuple[int, ...] = ()
         self._provenance: dict[str, Any] = {}
-        self._per_sample = 1.0
+        self._per_sample = pixels_per_sample("")
 
     def add(self, frame: PolarFrame) -> None:
         """Take in an image.
@@ -230,7 +238,7 @@ class TraceRecorder:
         x, y = (int(v) for v in self._provenance.get("roi", (0, 0))[:2])
         self._shape = frame.valid.shape
         masks = [roi.mask((self._shape[0], self._shape[1]), origin=(x, y),
-                          scale=2 if demosaic == "superpixel" else 1)
+                          scale=2 if demosaic in HALF_SIZE else 1)
                  for roi in self.rois]
         if (self._background is not None
                 and self._background.shape != (3, *self._shape)):

@@ -22,6 +22,7 @@ from pdavis_cv.capture.source import (
 )
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion
+from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording
@@ -158,7 +159,7 @@ class Session:
         until, after = self.cursor.t_us, self.cursor.previous_us
         if after is None:
             after = until - round(1e6 / (self.cursor.fps or 100.0))
-        step = 2 if fusion.provenance["demosaic"] == "superpixel" else 1
+        step = 2 if fusion.provenance["demosaic"] in HALF_SIZE else 1
         return picture.event_counts(
             self.recording, after, until, fusion.provenance["roi"], step)
 

@@ -16,7 +16,8 @@ from pdavis_cv.recording.base import Source
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
 __all__ = ["analyser_of", "check_calibration_fits", "check_layout_fits",
-           "chosen_layout", "mismatch_of", "resolved_extinction_ratio", "response_of"]
+           "chosen_layout", "gain_of", "mismatch_of", "resolved_extinction_ratio",
+           "response_of"]
 
 # A source that warned about its layout once does not do so again.
 _warned: weakref.WeakSet[Source] = weakref.WeakSet()
@@ -97,20 +98,37 @@ def analyser_of(
         Rows and columns of the sensor.
     layout : Layout
         Of the window.
-    demosaic : {"bilinear", "superpixel"}
-        How the responses are brought to one place, as intensities are.
+    demosaic : {"bilinear", "superpixel", "binned", "guided"}
+        How intensities are brought to one place.  So are the responses; with
+        ``"guided"`` bilinearly, without the pixels' gain.
     crop : (slice, slice) or None
         The part of the window that the image is; None = all of it.
     """
     if calibration is None or calibration.analyser is None:
         return None
-    part = calibration.analyser[window]
+    part, gain = calibration.analyser[window], gain_of(calibration, window, demosaic)
+    if gain is not None:
+        part, demosaic = part / gain[..., np.newaxis], "bilinear"
     response = np.stack([demosaic_mosaic(
         np.ascontiguousarray(part[..., i]), layout, demosaic) for i in range(3)],
         axis=1)
     if crop is not None:
         response = response[:, :, crop[0], crop[1]]
     return Analyser(response)
+
+
+def gain_of(
+    calibration: Calibration | None, window: tuple[slice, slice], demosaic: str
+) -> NDArray[np.float32] | None:
+    """Return what intensities are divided by before they are demosaiced, or None.
+
+    With ``"guided"`` the image is as sharp as the pixels, so what they differ in by
+    calibration must be taken out of each before; other methods blur it as they blur
+    the responses.
+    """
+    if demosaic != "guided" or calibration is None or calibration.analyser is None:
+        return None
+    return np.asarray(2 * calibration.analyser[window][..., 0], np.float32)
 
 
 def mismatch_of(sensor: Sensor | None) -> tuple[float, float, float]:

@@ -27,14 +27,15 @@ from pdavis_cv.fusion.camera import (
     check_calibration_fits,
     check_layout_fits,
     chosen_layout,
+    gain_of,
     mismatch_of,
     resolved_extinction_ratio,
     response_of,
 )
 from pdavis_cv.fusion.options import FusionOptions, takes_options
 from pdavis_cv.fusion.window import checked_roi, events_of, part_of, window_of
+from pdavis_cv.mosaic import HALF_SIZE, demosaic_valid, demosaic_variance
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
-from pdavis_cv.mosaic import demosaic_valid
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.lamp import LampTracker, Wave
@@ -218,11 +219,12 @@ class Fusion:
         self._crop = self._crop_of_window()
         self._analyser = analyser_of(
             self._calibration, self._window, self._window_layout, demosaic, self._crop)
+        self._gain = gain_of(self._calibration, self._window, demosaic)
         self._mismatch = mismatch_of(info.sensor)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
         x, y, width, height = self._roi
-        self.shape = ((height // 2, width // 2) if demosaic == "superpixel"
+        self.shape = ((height // 2, width // 2) if demosaic in HALF_SIZE
                       else (height, width))
 
         self._fps, self._times = options.rate, options.times
@@ -287,12 +289,16 @@ class Fusion:
             raise ValueError("image must follow a successful advance")
         estimate = self._current.read(self._t)
         intensity = self._current.intensity(estimate.log_intensity)
-        quad = demosaic_mosaic(intensity, self._window_layout, self._demosaic)
+        if self._gain is not None:
+            intensity /= self._gain
+        quad = demosaic_mosaic(intensity, self._window_layout, self._demosaic,
+                               valid=estimate.valid)
         valid = demosaic_valid(estimate.valid, self._window_layout, self._demosaic)
-        variance = None if estimate.variance is None else demosaic_mosaic(
-            estimate.variance, self._window_layout, self._demosaic)
+        variance = None if estimate.variance is None else demosaic_variance(
+            estimate.variance, self._window_layout, self._demosaic,
+            valid=estimate.valid)
         quality = self._current.quality
-        if quality is not None and self._demosaic == "superpixel":
+        if quality is not None and self._demosaic in HALF_SIZE:
             quality = quality[::2, ::2].copy()
         if self._crop is not None:
             rows, columns = self._crop
@@ -530,7 +536,7 @@ class Fusion:
         if (x, y, x + width, y + height) == (
                 columns.start, rows.start, columns.stop, rows.stop):
             return None
-        scale = 2 if self._demosaic == "superpixel" else 1
+        scale = 2 if self._demosaic in HALF_SIZE else 1
         top, left = (y - rows.start) // scale, (x - columns.start) // scale
         return (slice(top, top + height // scale),
                 slice(left, left + width // scale))

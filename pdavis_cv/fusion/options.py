@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import checked_choice
+from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.reconstruct.methods import factory_of
 from pdavis_cv.sensor import Layout
@@ -133,9 +134,9 @@ class FusionOptions:
         "contrast of the polarizers that S1 and S2 are corrected for: a number, "
         "nominal or none")
     demosaic: str = _option(
-        "bilinear", '{"bilinear", "superpixel"}',
+        "bilinear", '{"bilinear", "superpixel", "binned", "guided"}',
         "How the four channels are brought to one place; linear intensity is used.",
-        "text", choices=("bilinear", "superpixel"))
+        "text", choices=DEMOSAIC_METHODS)
     roi: tuple[int, int, int, int] | None = _option(
         None, "(int, int, int, int), optional",
         "(x, y, width, height) in sensor pixels; gives the crop of the full result.",
@@ -181,9 +182,10 @@ class FusionOptions:
                 raise TypeError(
                     f"{name} must be a {kind.__name__}, got {type(value).__name__}")
         _check_extinction_ratio(self.extinction_ratio)
-        if self.demosaic not in ("bilinear", "superpixel"):
+        if self.demosaic not in DEMOSAIC_METHODS:
             raise ValueError(
-                f"demosaic must be 'bilinear' or 'superpixel', got {self.demosaic!r}")
+                f"demosaic must be one of {', '.join(DEMOSAIC_METHODS)}, got "
+                f"{self.demosaic!r}")
         put("roi", _checked_roi(self.roi))
         put("causal", bool(self.causal))
         checked_choice(self.thresholds)

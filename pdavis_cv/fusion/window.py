@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.mosaic import HALF_SIZE, REACH
+
 __all__ = ["checked_roi", "events_of", "part_of", "window_of"]
 
 
@@ -21,9 +23,9 @@ def checked_roi(
         raise ValueError(
             f"roi (x, y, width, height) must lie inside the {width}x{height} sensor, "
             f"got {(x, y, w, h)}")
-    if demosaic == "superpixel" and any(value % 2 for value in (x, y, w, h)):
+    if demosaic in HALF_SIZE and any(value % 2 for value in (x, y, w, h)):
         raise ValueError(
-            f"roi must hold even numbers for demosaic='superpixel', got {(x, y, w, h)}")
+            f"roi must hold even numbers for demosaic={demosaic!r}, got {(x, y, w, h)}")
     return x, y, w, h
 
 
@@ -32,8 +34,7 @@ def window_of(
 ) -> tuple[slice, slice]:
     """Return the rows and columns that the roi's result depends on, cells whole."""
     x, y, w, h = roi
-    # Bilinear needs one pixel around, and three where it extrapolates at a border.
-    margin += 4 if demosaic == "bilinear" else 0
+    margin += REACH[demosaic]
     margin += margin % 2
 
     def side(start: int, length: int, limit: int) -> slice:

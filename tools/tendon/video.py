@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdavis_cv import EVENT_DTYPE, PolarFrame, Recording, render
+from pdavis_cv.mosaic import HALF_SIZE
 
 from .._images import tone_of
 
@@ -69,7 +70,7 @@ class TendonSheet:
     def picture(self, frame: PolarFrame, image: PolarFrame) -> render.Picture:
         """Compose one picture."""
         found, t = self.found, int(image.t_us or 0)
-        scale = 2 if image.provenance.get("demosaic") == "superpixel" else 1
+        scale = 2 if image.provenance.get("demosaic") in HALF_SIZE else 1
         left, top = (int(v) for v in image.provenance.get("roi", (0, 0))[:2])
         shape = (image.shape[0] * scale, image.shape[1] * scale)
         events = render.events_on(shape, self._events_until(t), origin=(left, top))
