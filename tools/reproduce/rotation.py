@@ -250,7 +250,7 @@ def page(figure: str, results: Sequence[Comparison], settings: Settings,
              f"{', '.join(f'{a:g}' for a in settings.starts_deg)} degrees. Mean "
              "absolute errors, AoP in degrees where the true DoLP exceeds 0.2, by "
              f"turns per minute (times {OFF_LOCK}: none is locked to the frame clock), "
-             "from 1 s on. Thresholds are the nominal ones, nothing is tuned.", ""]
+             "from 1 s on. Thresholds are those that the maker would state.", ""]
     for result in results:
         for camera in cameras:
             rows = [row for row in result.rows

@@ -364,7 +364,7 @@ def run(case: Case, settings: Settings, takes: Takes) -> Iterator[Row]:
 
 
 def fuse_parameters(method: Method, case: Case) -> dict[str, Any]:
-    """Return what `fuse` is told: nothing that is tuned to a recording.
+    """Return what `fuse` is told: nothing that was chosen for the recording.
 
     Of a simulated camera the thresholds that its maker would state are known.
     """
