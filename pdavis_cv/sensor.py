@@ -24,7 +24,8 @@ THRESHOLD_SIGMA = 0.035
 """Prior standard deviation of a pixel's thresholds about those of the sensor, ln units.
 
 "3.5 %" of Brandli et al. (IEEE J. Solid-State Circuits 49, 2014), read as an absolute
-contrast; 2.1 % in Lichtsteiner et al. (43, 2008), 0.03 in v2e.
+contrast; 2.1 % in Lichtsteiner et al. (43, 2008), 0.03 in v2e.  Of thresholds near 0.17
+it is 20 %, which leaves room for a nominal value that is off.
 """
 
 

@@ -19,7 +19,7 @@ from pdavis_cv.calibration.instrument import background
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
 from pdavis_cv.selfcal import LEAK_HZ
-from pdavis_cv.sensor import CHANNELS, resolve_layout
+from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 
 from ._calibration_report import Page, write_report
 from ._common import (
@@ -421,7 +421,7 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
                             help="layout up to a constant angle")
     if part in ("thresholds", "all"):
         parser.add_argument("--nominal", type=lambda text: tuple(numbers(text, 2)),
-                            metavar="ON,OFF", default=(0.2, 0.2),
+                            metavar="ON,OFF", default=NOMINAL_THRESHOLDS,
                             help="expected thresholds, ln units; default 0.2,0.2")
         parser.add_argument("--leak-hz", type=lambda text: tuple(numbers(text, 2)),
                             metavar="MEAN,SD", default=LEAK_HZ,

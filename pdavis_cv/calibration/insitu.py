@@ -28,7 +28,7 @@ from pdavis_cv.selfcal import (
 )
 from pdavis_cv.selfcal.estimator import QUANTITIES
 from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA
-from pdavis_cv.sensor import Sensor
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["bandwidth_in_situ", "learned", "receptors", "thresholds_in_situ"]
 
@@ -39,7 +39,7 @@ LEARNED_SIGMA = 0.003
 def thresholds_in_situ(
     recording: Recording,
     *,
-    nominal: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
     sigma: float = THRESHOLD_SIGMA,
     bandwidth: Bandwidth | str | None = "in-situ",
     calibration: Calibration | None = None,
@@ -100,7 +100,7 @@ def thresholds_in_situ(
 def bandwidth_in_situ(
     recording: Recording,
     *,
-    nominal: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
     calibration: Calibration | None = None,
     start_us: int | None = None,
     stop_us: int | None = None,

@@ -24,7 +24,7 @@ from pdavis_cv.calibration.thresholds import checked_choice
 from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.reconstruct.methods import factory_of
-from pdavis_cv.sensor import Layout
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 
 __all__ = ["FusionOptions", "OptionFacts", "names_options", "takes_options"]
 
@@ -157,7 +157,7 @@ class FusionOptions:
         "looked at before its time.", "thresholds",
         "calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     nominal_thresholds: tuple[ArrayLike, ArrayLike] = _option(
-        (0.2, 0.2), "(on, off)",
+        NOMINAL_THRESHOLDS, "(on, off)",
         'Natural-log units; used for "nominal", and where nothing better is known.',
         "pair", "thresholds ON,OFF where nothing better is known")
     denoise: bool | Mapping[str, Any] = _option(

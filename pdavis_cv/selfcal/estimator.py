@@ -25,7 +25,7 @@ from pdavis_cv.selfcal.priors import LEAK_HZ, THRESHOLD_SIGMA
 from pdavis_cv.selfcal.thresholds import shrink_to_population, variance_inflation
 from pdavis_cv.selfcal.uncertainty import frame_systematics
 from pdavis_cv.selfcal.window import Item, PixelWindow, SensorWindow
-from pdavis_cv.sensor import Sensor
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
@@ -123,7 +123,7 @@ class SelfCalibration:
 
     def __init__(
         self, sensor_size: Sequence[int],
-        nominal: tuple[ArrayLike, ArrayLike] = (0.2, 0.2), *,
+        nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS, *,
         sensor: Sensor | None = None, dark: bool = False,
         stated_bandwidth: tuple[float, float, float] | None = None,
         leak_hz: tuple[float, float] = LEAK_HZ,

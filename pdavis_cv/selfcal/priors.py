@@ -1,6 +1,8 @@
 """Prior knowledge about a DAVIS pixel, before its own data are looked at."""
 from __future__ import annotations
 
+from pdavis_cv.sensor import THRESHOLD_SIGMA
+
 __all__ = ["LEAK_HZ", "THRESHOLD_SIGMA", "TYPICAL_BANDWIDTH", "USUAL_BANDWIDTH",
            "USUAL_MISMATCH"]
 
@@ -12,13 +14,6 @@ of the light their effect is constant, so a recording at one speed hardly tells 
 the ratio of the thresholds.  0.1 per second at room temperature (Nozaki and Delbruck,
 IEEE Trans. Electron Devices 64, 2017), more in bright light and at low thresholds
 (specifications of the PDAVIS paper: 0.7 at the lowest, under 26 DN/ms).
-"""
-
-THRESHOLD_SIGMA = 0.035
-"""Prior standard deviation of a threshold about its nominal value, ln units.
-
-For nominal thresholds near 0.17 this is 20 %: the chip-to-chip spread of the nominal
-value and the pixel-to-pixel mismatch together.
 """
 
 USUAL_MISMATCH = 0.035
