@@ -5,8 +5,10 @@ bounds checks on; for sanitizers add CFLAGS/LDFLAGS.  Each flavour has its own
 build folder: setuptools compares times, not flags, and would reuse the other's.
 """
 import os
+import re
 import sys
 import sysconfig
+from pathlib import Path
 
 from setuptools import Extension, setup
 
@@ -42,12 +44,16 @@ SHARED = (
     "_check.pxd",
     "_clones.h",
     "_double.pxd",
+    "_estimate.pxd",
     "_film.h",
     "_guided.h",
+    "_lag.pxd",
     "_lamp.pxd",
     "_math.pxd",
+    "_model.pxd",
     "_picture.h",
     "_pixel.pxd",
+    "_rest.h",
     "_rows.pxd",
     "_stencil.h",
     "_tracks.pxd",
@@ -73,11 +79,22 @@ else:
               "-fno-math-errno", "-fno-trapping-math"]
 
 
+def shared_by(source):
+    """Files of SHARED that a source is compiled with: what is cimported or included."""
+    text = Path("_kernels", source).read_text()
+    found = {f"{stem}.pxd" for stem in re.findall(r"_kernels\.(\w+) cimport", text)}
+    found.update(re.findall(r'"(_\w+\.h)"', text))
+    missing = found.difference(SHARED)
+    if missing:
+        raise SystemExit(f"setup.py: SHARED lacks {', '.join(sorted(missing))}")
+    return found.union(*(shared_by(other) for other in found))
+
+
 def kernel(name):
     ext = Extension(
         f"pdavis_cv._kernels.{name}",
         sources=[f"_kernels/{name}.pyx"],
-        depends=[f"_kernels/{name}" for name in SHARED],
+        depends=[f"_kernels/{file}" for file in sorted(shared_by(f"{name}.pyx"))],
         include_dirs=["_kernels"],
         extra_compile_args=CFLAGS,
         define_macros=[("PDAVIS_CV_DEBUG", str(int(DEBUG))),

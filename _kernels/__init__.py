@@ -17,7 +17,7 @@ from ._elementwise import exp, mismatch, reconcile
 from ._events import count, surface, voxel
 from ._floor import floor_sum
 from ._guided import guided
-from ._kalman import kalman_frame, kalman_read
+from ._kalman import kalman_frame, kalman_read, kalman_rest, rest_read
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
@@ -36,7 +36,7 @@ from ._redundancy import redundancy_sample, redundancy_solve
 from ._selfcal import sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
-from ._store import store_commit, store_link, store_pass, store_push
+from ._store import store_commit, store_link, store_push, store_unlink
 
 __all__ = [
     "DEBUG",
@@ -65,6 +65,7 @@ __all__ = [
     "hue_bgr",
     "kalman_frame",
     "kalman_read",
+    "kalman_rest",
     "lamp_push",
     "lamp_wave",
     "leak_events",
@@ -83,6 +84,7 @@ __all__ = [
     "reconcile",
     "redundancy_sample",
     "redundancy_solve",
+    "rest_read",
     "sample_innovations",
     "smooth_gap",
     "smooth_past",
@@ -91,8 +93,8 @@ __all__ = [
     "stokes",
     "store_commit",
     "store_link",
-    "store_pass",
     "store_push",
+    "store_unlink",
     "superpixel",
     "surface",
     "tone_bgr",

@@ -7,11 +7,13 @@ all pixels pass on.
 """
 from libc.stdint cimport int64_t
 
+from _kernels._model cimport wave_t
+
 cdef enum:
     BLOCK_US = 100000
 
 cdef struct lamp_t:
-    const double* waves     # four numbers a block
+    const wave_t* waves     # one a block
     int64_t blocks
     int64_t start
 
@@ -34,33 +36,35 @@ cdef extern from *:
     double cos_turns "pd_cos_turns"(double u) noexcept nogil
 
 
-cdef inline lamp_t lamp_of(const double[:, ::1] waves,
-                           int64_t start) noexcept nogil:
-    """Return the lamp of waves (blocks, 4), which must outlive it."""
+cdef inline lamp_t lamp_of(const wave_t[::1] waves) noexcept nogil:
+    """Return the lamp of these waves, one per block, which must outlive it."""
     cdef lamp_t lamp
     lamp.blocks = waves.shape[0]
-    lamp.waves = &waves[0, 0] if lamp.blocks > 0 else NULL
-    lamp.start = start
+    lamp.waves = NULL
+    lamp.start = 0
+    if lamp.blocks > 0:
+        lamp.waves = &waves[0]
+        lamp.start = waves[0].start_us
     return lamp
 
 
-cdef inline const double* wave_at(const lamp_t* lamp, double t) noexcept nogil:
+cdef inline const wave_t* wave_at(const lamp_t* lamp, double t) noexcept nogil:
     """Return the wave of the block of t, NULL if there is none."""
     cdef double since = t - <double>lamp.start
     cdef int64_t block
     if lamp.blocks == 0 or since < 0.0:
         return NULL
     block = <int64_t>(since / BLOCK_US)
-    return lamp.waves + 4 * block if block < lamp.blocks else NULL
+    return lamp.waves + block if block < lamp.blocks else NULL
 
 
 cdef inline bint lit(const lamp_t* lamp, double begin, double end) noexcept nogil:
     """Tell whether the lamp flickers at either time."""
-    cdef const double* wave = wave_at(lamp, begin)
-    if wave != NULL and wave[0] > 0.0:
+    cdef const wave_t* wave = wave_at(lamp, begin)
+    if wave != NULL and wave.turns_per_us > 0.0:
         return True
     wave = wave_at(lamp, end)
-    return wave != NULL and wave[0] > 0.0
+    return wave != NULL and wave.turns_per_us > 0.0
 
 
 cdef extern from *:
@@ -74,21 +78,23 @@ cdef extern from *:
     /* The ripple of a wave (see lamp_t) turns after its block's beginning, and its
        change per second, as a pixel passes it on whose corner frequency is hz; 0: as it
        is.  Not inlined: where lamps are steady, that would slow everything down. */
-    static PD_SELDOM double pd_ripple(const double *wave, double turns, double hz,
+    static PD_SELDOM double pd_ripple(double turns_per_us, double cosine, double sine,
+                                      int of_light, double turns, double hz,
                                       double *rate) {
         double c = pd_cos_turns(turns), s = pd_cos_turns(turns - 0.25);
-        if (hz > 0 && wave[3] > 0) {
+        if (hz > 0 && of_light) {
             /* Of e^(i w t), the low-pass leaves e^(i w t) / (1 + i lag). */
-            double lag = 1e6 * wave[0] / hz, share = 1 / (1 + lag * lag), passed;
+            double lag = 1e6 * turns_per_us / hz, share = 1 / (1 + lag * lag), passed;
             passed = share * (c + lag * s);
             s = share * (s - lag * c);
             c = passed;
         }
-        *rate = 6283185.307179586 * wave[0] * (wave[2] * c - wave[1] * s);
-        return wave[1] * c + wave[2] * s;
+        *rate = 6283185.307179586 * turns_per_us * (sine * c - cosine * s);
+        return cosine * c + sine * s;
     }
     """
-    double ripple_of "pd_ripple"(const double* wave, double turns, double hz,
+    double ripple_of "pd_ripple"(double turns_per_us, double cosine, double sine,
+                                 bint of_light, double turns, double hz,
                                  double* rate) noexcept nogil
 
 
@@ -98,10 +104,11 @@ cdef inline double ripple(const lamp_t* lamp, double hz, double t,
 
     As a pixel passes it on whose corner frequency is hz; 0: as it is.
     """
-    cdef const double* wave = wave_at(lamp, t)
+    cdef const wave_t* wave = wave_at(lamp, t)
     cdef double since = t - <double>lamp.start
-    if wave == NULL or wave[0] <= 0.0:
+    if wave == NULL or wave.turns_per_us <= 0.0:
         rate[0] = 0.0
         return 0.0
     since -= BLOCK_US * <double>(<int64_t>(since / BLOCK_US))
-    return ripple_of(wave, wave[0] * since, hz, rate)
+    return ripple_of(wave.turns_per_us, wave.cosine, wave.sine, wave.of_light > 0.0,
+                     wave.turns_per_us * since, hz, rate)

@@ -6,83 +6,108 @@ eigenvector of the moments of n_i exp(E_i), relative errors being equal: see
 docs/theory/events.md.
 """
 from libc.math cimport fabs, sqrt
+from libc.stdint cimport int64_t
 
+from _kernels._estimate cimport read_level, reading_t, walk_to
+from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._math cimport exp_f, log_f
-from _kernels._tracks cimport track_t
+from _kernels._model cimport state_t, stored_t, track_t, tuning_t, wave_t
 
-# What a pixel remembers of its counts: weight, means relative to now of all events and
-# of ON events, their squares and product about the means.
-cdef enum:
-    WEIGHT = 0
-    MEAN_ALL = 1
-    MEAN_ON = 2
-    VAR_ALL = 3
-    COV_ON = 4
-    VAR_ON = 5
-    BALANCE = 6
+cdef packed struct policy_t:
+    double keep             # of the moments, from one comparison to the next
+    double ratio_sigma      # of ln(theta_on / theta_off) over pixels
+    double forget           # of the balance, per event
+    double loss             # of the level of a macropixel, per comparison
+    double pull             # towards equal mean squares, as relative variance
+    double least            # comparisons before a first solution
 
-# Moments of a macropixel: ten products, the weight, samples since the last solution.
-cdef enum:
-    SUM = 10
-    SINCE = 11
-    MOMENTS = 12
+cdef packed struct balance_t:
+    # A pixel's curve of ON events against all events: weight, means relative to now,
+    # their squares and product about the means.  null: its weight in the sum of the
+    # macropixel's intensities that is 0 for all light.
+    double weight
+    double mean_all
+    double mean_on
+    double var_all
+    double cov_on
+    double var_on
+    double null
+
+cdef packed struct moments_t:
+    double product[10]      # of weighted intensities, upper triangle by rows
+    double weight
+    double since            # comparisons since the last solution
+    float ratio             # of the two smallest eigenvalues, 1: no solution
+    float smallest          # of them: a relative variance
+
+cdef extern from *:
+    """
+    /* A line through N periods is wrong by up to 3 / (2 N)^2 (see rebalance). */
+    #define LINE_ERROR 3.0
+    #define PART_LEAST 0.05         /* of a pixel's events are ON, or OFF, at least */
+    #define GAIN_LEAST 0.02         /* of the unit vector of gains: not positive else */
+    #define RATIO_LEAST 1e-6        /* the smallest eigenvalue that rounding leaves */
+    """
+    const double LINE_ERROR
+    const double PART_LEAST
+    const double GAIN_LEAST
+    const double RATIO_LEAST
 
 
-cdef inline void remember(double* m, double n_on, double n_off,
+cdef inline void remember(balance_t* m, double n_on, double n_off,
                           double per_event) noexcept nogil:
     """Add a point of the curve of ON events against all events."""
     cdef double n = n_on + n_off, keep = exp_f(<float>(-n * per_event)), w, all_, on
-    m[MEAN_ALL] -= n
-    m[MEAN_ON] -= n_on
-    m[WEIGHT] *= keep
-    m[VAR_ALL] *= keep
-    m[COV_ON] *= keep
-    m[VAR_ON] *= keep
-    w = m[WEIGHT] + n
-    all_ = -m[MEAN_ALL]
-    on = -m[MEAN_ON]
-    m[VAR_ALL] += n * m[WEIGHT] / w * all_ * all_
-    m[COV_ON] += n * m[WEIGHT] / w * all_ * on
-    m[VAR_ON] += n * m[WEIGHT] / w * on * on
-    m[MEAN_ALL] += all_ * n / w
-    m[MEAN_ON] += on * n / w
-    m[WEIGHT] = w
+    m.mean_all -= n
+    m.mean_on -= n_on
+    m.weight *= keep
+    m.var_all *= keep
+    m.cov_on *= keep
+    m.var_on *= keep
+    w = m.weight + n
+    all_ = -m.mean_all
+    on = -m.mean_on
+    m.var_all += n * m.weight / w * all_ * all_
+    m.cov_on += n * m.weight / w * all_ * on
+    m.var_on += n * m.weight / w * on * on
+    m.mean_all += all_ * n / w
+    m.mean_on += on * n / w
+    m.weight = w
 
 
-cdef inline void rebalance(const double* m, const double* prior, double sigma,
-                           double* s) noexcept nogil:
-    """Set thresholds (sum as in prior) so that the sum of events has no trend.
+cdef inline void rebalance(const balance_t* m, double sigma, state_t* s) noexcept nogil:
+    """Set thresholds (sum as in the prior) so that the sum of events has no trend.
 
     sigma is that of ln(on / off) before.  A pixel that is far from the prior is taken
     for what it is as soon as its events show it.
     """
-    cdef double total = prior[0] + prior[1], travel = 0.25 * total * m[WEIGHT]
+    cdef double total = s.prior_on + s.prior_off, travel = 0.25 * total * m.weight
     cdef double before, part, swing, error, ratio, believed
-    if m[VAR_ALL] <= 0.0:
+    if m.var_all <= 0.0:
         return
     # A line through N periods is wrong by up to 3 / (2 N)^2.  1 / (2 N) is the swing
     # of the sum of events by their number: of all of it, or of what the line leaves
     # once light of a range of e^4 must have turned round.
-    part = m[COV_ON] / m[VAR_ALL]
-    swing = prior[1] / total
-    swing = 4.0 * (m[VAR_ON] / m[VAR_ALL] - 2.0 * swing * part + swing * swing)
+    part = m.cov_on / m.var_all
+    swing = s.prior_off / total
+    swing = 4.0 * (m.var_on / m.var_all - 2.0 * swing * part + swing * swing)
     if swing >= 1.0:
         return
-    error = 4.0 * (m[VAR_ON] / m[VAR_ALL] - part * part)
+    error = 4.0 * (m.var_on / m.var_all - part * part)
     error = error if error > 4.0 / (travel * travel) else 4.0 / (travel * travel)
-    error = 3.0 * (error if error < swing else swing)
-    part = part if part > 0.05 else 0.05
-    part = part if part < 0.95 else 0.95
-    before = log_f(<float>(prior[0] / prior[1]))
+    error = LINE_ERROR * (error if error < swing else swing)
+    part = part if part > PART_LEAST else PART_LEAST
+    part = part if part < 1.0 - PART_LEAST else 1.0 - PART_LEAST
+    before = log_f(<float>(s.prior_on / s.prior_off))
     ratio = log_f(<float>((1.0 - part) / part)) - before
     believed = ratio * ratio - error * error
     believed = believed if believed > sigma * sigma else sigma * sigma
     ratio = exp_f(<float>(before + ratio * believed / (believed + error * error)))
-    s[1] = total * ratio / (1.0 + ratio)
-    s[2] = total - s[1]
+    s.theta_on = total * ratio / (1.0 + ratio)
+    s.theta_off = total - s.theta_on
 
 
-cdef inline void add_moments(double* m, const double* value,
+cdef inline void add_moments(moments_t* m, const double* value,
                              double keep) noexcept nogil:
     cdef double norm = 0.0
     cdef int i, j, k = 0
@@ -91,71 +116,88 @@ cdef inline void add_moments(double* m, const double* value,
     norm = 1.0 / norm
     for i in range(4):
         for j in range(i, 4):
-            m[k] = m[k] * keep + value[i] * value[j] * norm
+            m.product[k] = m.product[k] * keep + value[i] * value[j] * norm
             k += 1
-    m[SUM] = m[SUM] * keep + 1.0
-    m[SINCE] += 1.0
+    m.weight = m.weight * keep + 1.0
+    m.since += 1.0
 
 
-def redundancy_sample(const float[:, ::1] log not None,
-                      const float[:, ::1] null not None,
-                      const double[:, :, ::1] prior not None,
-                      const double[::1] tuning not None,
+def redundancy_sample(int64_t t, int64_t known, const stored_t[::1] store not None,
+                      Py_ssize_t begin, Py_ssize_t stop,
+                      const tuning_t[::1] tuning not None,
+                      const policy_t[::1] policy not None,
+                      const wave_t[::1] waves not None,
                       track_t[:, ::1] tracks not None,
-                      double[:, :, ::1] state not None,
-                      double[:, :, ::1] balance not None,
-                      double[:, :, ::1] moments not None):
-    """Take the intensities of one time; fold the counts in tracks into the state.
+                      state_t[:, ::1] states not None,
+                      balance_t[:, ::1] balance not None,
+                      moments_t[:, ::1] moments not None):
+    """Take the intensities at t; fold the counts in tracks into the states.
 
-    log is what the state and tracks show at that time.  state is (row, column, (base,
-    on, off, ...)) as for `kalman_read`.  Macropixels without an event since the last
-    time are left alone.  tuning: what is kept of the moments, sigma of ln(on / off),
-    what is forgotten of the balance per event, and what the level loses.
+    Of the macropixels of the stored events [begin, stop), the ones counted since the
+    last time; the others stay what they are.  tracks chains the events after them.
     """
-    cdef Py_ssize_t h = log.shape[0], w = log.shape[1], rows = h // 2, columns = w // 2
-    cdef Py_ssize_t r, c, y, x
-    cdef int i
-    cdef double value[4]
-    cdef double level, loss, n_on, n_off
-    cdef bint quiet
-    cdef double* s
-    if (null.shape[0] != h or null.shape[1] != w or prior.shape[0] != h
-            or prior.shape[1] != w or tracks.shape[0] != h or tracks.shape[1] != w
-            or state.shape[0] != h or state.shape[1] != w or balance.shape[0] != h
-            or balance.shape[1] != w or moments.shape[0] != rows
-            or moments.shape[1] != columns):
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i
+    cdef lamp_t lamp
+    if (states.shape[0] != h or states.shape[1] != w or balance.shape[0] != h
+            or balance.shape[1] != w or moments.shape[0] != h // 2
+            or moments.shape[1] != w // 2):
         raise ValueError("redundancy_sample: all images must have one shape")
-    if (prior.shape[2] != 2 or state.shape[2] != 9 or balance.shape[2] != BALANCE
-            or moments.shape[2] != MOMENTS or tuning.shape[0] != 4):
+    if (tuning.shape[0] != 1 or policy.shape[0] != 1 or begin < 0
+            or stop > store.shape[0]):
         raise ValueError("redundancy_sample: an array has a wrong length")
+    lamp = lamp_of(waves)
     with nogil:
-        for r in range(rows):
-            for c in range(columns):
-                quiet = True
-                level = 0.0
-                for i in range(4):
-                    y = 2 * r + i // 2
-                    x = 2 * c + i % 2
-                    level += 0.25 * log[y, x]
-                    if tracks[y, x].n_on != 0 or tracks[y, x].n_off != 0:
-                        quiet = False
-                if quiet:
-                    continue
-                loss = level * tuning[3]
-                for i in range(4):
-                    y = 2 * r + i // 2
-                    x = 2 * c + i % 2
-                    value[i] = null[y, x] * exp_f(<float>(log[y, x] - level))
-                    s = &state[y, x, 0]
-                    n_on = tracks[y, x].n_on
-                    n_off = tracks[y, x].n_off
-                    s[0] += s[1] * n_on - s[2] * n_off - loss
-                    tracks[y, x].n_on = 0
-                    tracks[y, x].n_off = 0
-                    if n_on + n_off > 0.0:
-                        remember(&balance[y, x, 0], n_on, n_off, tuning[2])
-                        rebalance(&balance[y, x, 0], &prior[y, x, 0], tuning[1], s)
-                add_moments(&moments[r, c, 0], value, tuning[0])
+        for i in range(begin, stop):
+            if store[i].y < h // 2 * 2 and store[i].x < w // 2 * 2:
+                sample_cell(t, known, &store[0], store[i].y // 2 * 2,
+                            store[i].x // 2 * 2, &tuning[0], &policy[0], &lamp, tracks,
+                            states, balance, moments)
+
+
+cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_t y0,
+                      Py_ssize_t x0, const tuning_t* tuning, const policy_t* policy,
+                      const lamp_t* lamp, track_t[:, ::1] tracks,
+                      state_t[:, ::1] states, balance_t[:, ::1] balance,
+                      moments_t[:, ::1] moments) noexcept nogil:
+    """Do it for one macropixel, unless it was done: then its counts are 0."""
+    cdef reading_t r
+    cdef double value[4]
+    cdef float log[4]
+    cdef double level = 0.0, loss, n_on, n_off
+    cdef bint quiet = True
+    cdef Py_ssize_t y, x
+    cdef track_t* track
+    cdef state_t* s
+    cdef int i
+    for i in range(4):
+        track = &tracks[y0 + i // 2, x0 + i % 2]
+        if track.n_on != 0 or track.n_off != 0:
+            quiet = False
+    if quiet:
+        return
+    for i in range(4):
+        y = y0 + i // 2
+        x = x0 + i % 2
+        walk_to(&r.walk, t, store, &tracks[y, x])
+        read_level(&r, t, known, store, tuning, lamp, &states[y, x])
+        log[i] = <float>(r.level + r.lag)
+        level += 0.25 * log[i]
+    loss = level * policy.loss
+    for i in range(4):
+        y = y0 + i // 2
+        x = x0 + i % 2
+        value[i] = balance[y, x].null * exp_f(<float>(log[i] - level))
+        track = &tracks[y, x]
+        s = &states[y, x]
+        n_on = track.n_on
+        n_off = track.n_off
+        s.base += s.theta_on * n_on - s.theta_off * n_off - loss
+        track.n_on = 0
+        track.n_off = 0
+        if n_on + n_off > 0.0:
+            remember(&balance[y, x], n_on, n_off, policy.forget)
+            rebalance(&balance[y, x], policy.ratio_sigma, s)
+    add_moments(&moments[y0 // 2, x0 // 2], value, policy.keep)
 
 
 cdef inline void rotate(double* a, double* v, int p, int q) noexcept nogil:
@@ -185,7 +227,7 @@ cdef inline void rotate(double* a, double* v, int p, int q) noexcept nogil:
         v[4 * k + q] = s * x + c * y
 
 
-cdef inline double smallest(const double* m, double pull, double* gain,
+cdef inline double smallest(const moments_t* m, double pull, double* gain,
                             double* least) noexcept nogil:
     """Gains from moments; the ratio of the two smallest eigenvalues, 1 if none fits.
 
@@ -198,13 +240,13 @@ cdef inline double smallest(const double* m, double pull, double* gain,
     cdef int i, j, k = 0, at = 0
     for i in range(4):
         k = (4 * i) - (i * (i - 1)) // 2
-        if m[k] <= 1e-12 * m[SUM]:
+        if m.product[k] <= 1e-12 * m.weight:
             return 1.0
-        scale[i] = 1.0 / sqrt(m[k])
+        scale[i] = 1.0 / sqrt(m.product[k])
     k = 0
     for i in range(4):
         for j in range(i, 4):
-            a[4 * i + j] = m[k] * scale[i] * scale[j] - 0.25 * pull
+            a[4 * i + j] = m.product[k] * scale[i] * scale[j] - 0.25 * pull
             a[4 * j + i] = a[4 * i + j]
             k += 1
         a[5 * i] += pull
@@ -225,46 +267,41 @@ cdef inline double smallest(const double* m, double pull, double* gain,
         sign += v[4 * i + at]
     for i in range(4):
         gain[i] = v[4 * i + at] if sign > 0.0 else -v[4 * i + at]
-        if gain[i] < 0.02:
+        if gain[i] < GAIN_LEAST:
             return 1.0
         gain[i] *= scale[i]
-    least[0] = low if low > 1e-6 else 1e-6
+    least[0] = low if low > RATIO_LEAST else RATIO_LEAST
     other -= pull              # what the moments themselves say
     return least[0] / other if other > least[0] else 1.0
 
 
-def redundancy_solve(double pull, double least, double[:, :, ::1] moments not None,
-                     double[:, :, ::1] state not None,
-                     float[:, :, ::1] quality not None):
-    """Move each base so that the gains of its macropixel become 1; set quality.
+def redundancy_solve(const policy_t[::1] policy not None,
+                     moments_t[:, ::1] moments not None,
+                     state_t[:, ::1] states not None):
+    """Move each base so that the gains of its macropixel become 1; set its ratio.
 
-    quality is (row, column, (ratio, least)): the ratio of the two smallest eigenvalues,
-    1 without solution, and the smallest.  Macropixels with fewer than `least` samples
-    are left alone.  pull is what a direction
-    other than that of equal mean squares costs.
+    Macropixels without a comparison since the last time, or with too few, are left
+    alone.
     """
-    cdef Py_ssize_t rows = moments.shape[0], columns = moments.shape[1]
-    cdef Py_ssize_t r, c
+    cdef Py_ssize_t rows = moments.shape[0], columns = moments.shape[1], r, c
     cdef double gain[4]
     cdef double mean, rest
     cdef int i, j, k
-    cdef double* m
-    if (state.shape[0] // 2 != rows or state.shape[1] // 2 != columns
-            or quality.shape[0] != rows or quality.shape[1] != columns
-            or quality.shape[2] != 2):
+    cdef moments_t* m
+    if states.shape[0] // 2 != rows or states.shape[1] // 2 != columns:
         raise ValueError("redundancy_solve: all images must have one shape")
-    if moments.shape[2] != MOMENTS or state.shape[2] != 9:
-        raise ValueError("redundancy_solve: an array has a wrong length")
+    if policy.shape[0] != 1:
+        raise ValueError("redundancy_solve: policy must be one record")
     with nogil:
         for r in range(rows):
             for c in range(columns):
-                m = &moments[r, c, 0]
-                if m[SINCE] == 0.0 or m[SUM] < least:
+                m = &moments[r, c]
+                if m.since == 0.0 or m.weight < policy[0].least:
                     continue
-                m[SINCE] = 0.0
+                m.since = 0.0
                 rest = 1.0
-                quality[r, c, 0] = <float>smallest(m, pull, gain, &rest)
-                quality[r, c, 1] = <float>rest
+                m.ratio = <float>smallest(m, policy[0].pull, gain, &rest)
+                m.smallest = <float>rest
                 if rest >= 1.0:
                     continue
                 mean = 0.0
@@ -273,10 +310,10 @@ def redundancy_solve(double pull, double least, double[:, :, ::1] moments not No
                     mean += 0.25 * gain[i]
                 for i in range(4):
                     gain[i] -= mean
-                    state[2 * r + i // 2, 2 * c + i % 2, 0] += gain[i]
+                    states[2 * r + i // 2, 2 * c + i % 2].base += gain[i]
                     gain[i] = exp_f(<float>gain[i])
                 k = 0
                 for i in range(4):
                     for j in range(i, 4):
-                        m[k] *= gain[i] * gain[j]
+                        m.product[k] *= gain[i] * gain[j]
                         k += 1

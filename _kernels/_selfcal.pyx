@@ -7,9 +7,12 @@ A pixel's events lie together in memory, so that no store of recent events is ne
 """
 from libc.stdint cimport int32_t, int64_t
 
+from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
-from _kernels._tracks cimport between, corner, lead, part_t, quiet, walk_t
+from _kernels._model cimport tuning_t, wave_t
+from _kernels._tracks cimport (
+    LONG_AGO, at_rest, between, drift, part_t, quiet, still, walk_t)
 from _kernels._types cimport event_t
 
 cdef enum:
@@ -17,8 +20,6 @@ cdef enum:
     FINE_US = 1500
     # Fewer events between two frames are as likely noise: thresholds do not learn.
     MIN_EVENTS = 3
-
-cdef int64_t NEVER = -4611686018427387904LL
 
 cdef packed struct pixel_t:
     int32_t start           # its events: from start to before stop
@@ -82,17 +83,18 @@ cdef inline void pass_event(walk_t* walk, const event_t* events,
 
 cdef inline double log_at(const walk_t* walk, const event_t* events, int64_t known,
                           double t, const state_t* s, double level,
-                          const candidate_t* camera, const lamp_t* lamp,
+                          const tuning_t* camera, const lamp_t* lamp,
                           double* n_on, double* n_off) noexcept nogil:
     """Log intensity less level at t, between walk and its next event; the counts."""
     cdef double y, theta, hz = 0.0
     cdef part_t part
     if lamp.blocks > 0:
-        hz = corner(camera.hz, camera.hz_per_intensity,
-                    level + s.on * walk.n_on - s.off * walk.n_off)
+        hz = corner(camera, level + s.on * walk.n_on - s.off * walk.n_off)
     if walk.next >= 0 and events[walk.next].t <= known:
         part = between(walk, events[walk.next].t, events[walk.next].p, s.on, s.off,
                        lamp, hz, t)
+    elif at_rest(walk.t, <int64_t>t):
+        part = still(walk, lamp, hz, t)
     else:
         part = quiet(walk.t, walk.p, <double>known, lamp, hz, t)
     n_on[0] = walk.n_on
@@ -104,13 +106,12 @@ cdef inline double log_at(const walk_t* walk, const event_t* events, int64_t kno
         n_off[0] += part.fraction
         theta = -s.off
     y = s.on * n_on[0] - s.off * n_off[0] + part.ripple
-    return y + lead(theta * part.rate + part.ripple_rate, level + y, camera.hz,
-                    camera.hz_per_intensity)
+    return y + lead(theta * part.rate + part.ripple_rate, level + y, camera)
 
 
 cdef inline void add_segment(blur_t* total, const walk_t* walk, const event_t* events,
                              int64_t known, double begin, double end,
-                             const state_t* s, double level, const candidate_t* camera,
+                             const state_t* s, double level, const tuning_t* camera,
                              const lamp_t* lamp) noexcept nogil:
     """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
     cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
@@ -127,7 +128,7 @@ cdef inline void add_segment(blur_t* total, const walk_t* walk, const event_t* e
 
 cdef blur_t integral(walk_t* walk, const event_t* events, int32_t stop,
                      const reading_t* frame, const state_t* s, double level,
-                     const candidate_t* camera, const lamp_t* lamp) noexcept nogil:
+                     const tuning_t* camera, const lamp_t* lamp) noexcept nogil:
     """Integrate over the exposure, event by event, in parts that the lamp allows."""
     cdef blur_t total
     cdef double now = <double>frame.begin, end = <double>frame.end, until
@@ -207,7 +208,7 @@ cdef inline double limited(double theta, double prior) noexcept nogil:
 
 cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t* frame,
                     Py_ssize_t frames, Py_ssize_t stride, double theta_sigma,
-                    const lamp_t* lamp, const candidate_t* camera,
+                    const lamp_t* lamp, const tuning_t* camera,
                     innovations_t* out) noexcept nogil:
     cdef state_t s
     cdef walk_t walk
@@ -253,13 +254,12 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
             level = frame.log
         else:
             theta2 = 0.25 * (s.on + s.off) * (s.on + s.off)
-            propagate(&s, n_on, n_off, theta2 * (
-                camera.noise_per_s * 1e-6 * <double>(frame.middle - reference)
-                + camera.noise_per_event * (n_on + n_off)))
+            propagate(&s, n_on, n_off, theta2 * drift(
+                frame.middle - reference, n_on + n_off, camera))
             level = s.base
-        walk.t_prev = events[i - 2].t if i >= pixel.start + 2 else NEVER
+        walk.t_prev = events[i - 2].t if i >= pixel.start + 2 else LONG_AGO
         walk.p_prev = events[i - 2].p if i >= pixel.start + 2 else 0
-        walk.t = events[i - 1].t if i > pixel.start else NEVER
+        walk.t = events[i - 1].t if i > pixel.start else LONG_AGO
         walk.p = events[i - 1].p if i > pixel.start else 0
         walk.next = i if i < pixel.stop else -1
         walk.n_on = -at_on
@@ -292,29 +292,30 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
 def sample_innovations(const event_t[::1] events not None,
                        const pixel_t[::1] pixels not None,
                        const reading_t[:, ::1] frames not None,
-                       const double[:, ::1] waves not None, int64_t lit_us,
-                       double theta_sigma, const candidate_t[::1] candidates not None,
+                       const wave_t[::1] waves not None, double theta_sigma,
+                       const candidate_t[::1] candidates not None,
                        innovations_t[::1] out not None):
     """Add up the innovations of all pixels for each candidate.
 
     events are those of the pixels, one pixel after the other, each in order of time;
-    frames (frame, pixel) in order of time, end > begin.  waves (blocks, 4) are the
-    lamp's from lit_us on, as in kalman_frame.  theta_sigma is the prior standard
+    frames (frame, pixel) in order of time, end > begin.  waves are the lamp's,
+    as in kalman_frame.  theta_sigma is the prior standard
     deviation of a threshold.  out is overwritten.
     """
     cdef Py_ssize_t n = pixels.shape[0], c, i, m = candidates.shape[0]
     cdef lamp_t lamp
+    cdef tuning_t camera
     cdef const event_t* first = NULL
     if out.shape[0] != m:
         raise ValueError("sample_innovations: out must have one row per candidate")
-    if frames.shape[1] != n or waves.shape[1] != 4:
-        raise ValueError("sample_innovations: frames or waves has a wrong shape")
+    if frames.shape[1] != n:
+        raise ValueError("sample_innovations: frames has a wrong shape")
     for i in range(n):
         if not 0 <= pixels[i].start <= pixels[i].stop <= events.shape[0]:
             raise ValueError("sample_innovations: a pixel's events lie outside events")
     if events.shape[0] > 0:
         first = &events[0]
-    lamp = lamp_of(waves, lit_us)
+    lamp = lamp_of(waves)
     with nogil:
         for c in range(m):
             out[c].chi2 = 0.0
@@ -323,6 +324,11 @@ def sample_innovations(const event_t[::1] events not None,
             out[c].log_theta = 0.0
             if frames.shape[0] == 0:
                 continue
+            camera.leak_per_s = candidates[c].noise_per_s
+            camera.noise_per_event = candidates[c].noise_per_event
+            camera.bandwidth_hz = candidates[c].hz
+            camera.bandwidth_hz_per_intensity = candidates[c].hz_per_intensity
+            camera.frame_sigma = candidates[c].frame_sigma
             for i in range(n):
                 run_pixel(first, &pixels[i], &frames[0, i], frames.shape[0], n,
-                          theta_sigma, &lamp, &candidates[c], &out[c])
+                          theta_sigma, &lamp, &camera, &out[c])

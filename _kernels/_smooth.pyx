@@ -4,13 +4,13 @@ Two filters per pixel, one forward and one backward in time, meet at t: the same
 Rauch-Tung-Striebel smoother (Fraser & Potter 1969).  Only the offset of log intensity
 is filtered; base + theta_on n_on - theta_off n_off is known up to it.
 """
-from libc.stdint cimport int32_t, int64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t
 
+from _kernels._estimate cimport LEAST_VARIANCE, part_at, theta_squared, walk_to
+from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_of, lamp_t
-from _kernels._tracks cimport (
-    between, corner, drift, lead, lead_variance, node_t, part_t, quiet, start, step,
-    track_t, walk_t)
-from _kernels._types cimport event_t
+from _kernels._model cimport node_t, state_t, stored_t, track_t, tuning_t, wave_t
+from _kernels._tracks cimport drift, part_t, walk_t
 
 cdef packed struct past_t:
     # What the samples before say of the base; var < 0: there was none.
@@ -69,25 +69,25 @@ cdef inline double retreat(past_t* after, const node_t* node, int64_t t,
 
 
 def smooth_past(const node_t[:, ::1] nodes not None, const int64_t[::1] times not None,
-                const double[:, :, ::1] state not None, past_t[:, ::1] past not None):
+                const state_t[:, ::1] states not None, past_t[:, ::1] past not None):
     """Take a frame into the past: nodes as kalman_frame left them, times by column."""
     cdef Py_ssize_t h = past.shape[0], w = past.shape[1], y, x
     if (nodes.shape[0] != h or nodes.shape[1] != w or times.shape[0] != w
-            or state.shape[0] != h or state.shape[1] != w or state.shape[2] != 9):
+            or states.shape[0] != h or states.shape[1] != w):
         raise ValueError("smooth_past: all images must have one shape")
     with nogil:
         for y in range(h):
             for x in range(w):
                 if nodes[y, x].noise > 0:
-                    advance(&past[y, x], &nodes[y, x], times[x], state[y, x, 1],
-                            state[y, x, 2])
+                    advance(&past[y, x], &nodes[y, x], times[x],
+                            states[y, x].theta_on, states[y, x].theta_off)
 
 
 def smooth_gap(const node_t[:, :, ::1] nodes not None,
                const int64_t[:, ::1] times not None,
                const int32_t[::1] order not None,
                const int32_t[::1] passed not None,
-               const double[:, :, ::1] state not None,
+               const state_t[:, ::1] states not None,
                const past_t[:, ::1] past not None, gap_t[:, ::1] out not None):
     """What frames before and after a time say of each pixel's base.
 
@@ -97,9 +97,8 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
     cdef Py_ssize_t h = past.shape[0], w = past.shape[1], n = order.shape[0]
     cdef Py_ssize_t slots = nodes.shape[0], y, x, i
     if (nodes.shape[1] != h or nodes.shape[2] != w or times.shape[0] != slots
-            or times.shape[1] != w or passed.shape[0] != w or state.shape[0] != h
-            or state.shape[1] != w or state.shape[2] != 9 or out.shape[0] != h
-            or out.shape[1] != w):
+            or times.shape[1] != w or passed.shape[0] != w or states.shape[0] != h
+            or states.shape[1] != w or out.shape[0] != h or out.shape[1] != w):
         raise ValueError("smooth_gap: all images must have one shape")
     for i in range(n):
         if order[i] < 0 or order[i] >= slots:
@@ -110,8 +109,8 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
     with nogil:
         for y in range(h):
             for x in range(w):
-                meet(nodes, times, order, passed[x], y, x, state[y, x, 1],
-                     state[y, x, 2], &past[y, x], &out[y, x])
+                meet(nodes, times, order, passed[x], y, x, states[y, x].theta_on,
+                     states[y, x].theta_off, &past[y, x], &out[y, x])
 
 
 cdef inline void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
@@ -136,66 +135,52 @@ cdef inline void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times
         i -= 1
 
 
-def smooth_read(int64_t t, int64_t known, const event_t[::1] store not None,
-                const int32_t[::1] link not None,
-                const int32_t[:, ::1] first not None,
-                const double[::1] tuning not None,
-                const double[:, ::1] waves not None, int64_t lit_us,
+def smooth_read(int64_t t, int64_t known, const stored_t[::1] store not None,
+                const tuning_t[::1] tuning not None, const wave_t[::1] waves not None,
                 const track_t[:, ::1] tracks not None,
                 const gap_t[:, ::1] gaps not None,
-                const double[:, :, ::1] state not None, double most,
-                float[:, ::1] out not None, float[:, ::1] variance not None,
-                unsigned char[:, ::1] valid not None):
+                const state_t[:, ::1] states not None, float[:, ::1] out not None,
+                float[:, ::1] variance not None, uint8_t[:, ::1] valid not None):
     """Log intensity and its variance at t from the events up to known > t.
 
-    tracks counts all events up to some time before t, first and link chain those
-    after it.  variance is -1 where there is no frame on either side; out then counts
-    from 0.  valid is 1 where it is at most `most`, not counting that of the lag.
-    waves (turns per us, cosine, sine, 1 if of the light) are the lamp's, a row per
-    block from lit_us on.
+    tracks counts all events up to some time before t, and chains those after it.
+    variance is 0 where there is no frame on either side; out then counts from 0.
+    valid is as in kalman_read.
     """
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n = store.shape[0]
-    cdef Py_ssize_t y, x
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], y, x
     cdef lamp_t lamp
-    if (gaps.shape[0] != h or gaps.shape[1] != w or state.shape[0] != h
-            or state.shape[1] != w or out.shape[0] != h or out.shape[1] != w
+    if (gaps.shape[0] != h or gaps.shape[1] != w or states.shape[0] != h
+            or states.shape[1] != w or out.shape[0] != h or out.shape[1] != w
             or variance.shape[0] != h or variance.shape[1] != w
-            or valid.shape[0] != h or valid.shape[1] != w
-            or first.shape[0] != h or first.shape[1] != w):
+            or valid.shape[0] != h or valid.shape[1] != w):
         raise ValueError("smooth_read: all images must have one shape")
-    if (state.shape[2] != 9 or tuning.shape[0] != 5 or waves.shape[1] != 4
-            or link.shape[0] != n or n == 0):
-        raise ValueError(
-            "smooth_read: state, tuning, waves, store or link has a wrong length")
-    lamp = lamp_of(waves, lit_us)
+    if tuning.shape[0] != 1 or store.shape[0] == 0:
+        raise ValueError("smooth_read: tuning or store has a wrong length")
+    lamp = lamp_of(waves)
     with nogil:
         for y in range(h):
             for x in range(w):
-                read_pixel(t, known, &store[0], &link[0], first[y, x], &tuning[0],
-                           &lamp, &tracks[y, x], &gaps[y, x], &state[y, x, 0], most,
-                           &out[y, x], &variance[y, x], &valid[y, x])
+                read_smoothed(t, known, &store[0], &tuning[0], &lamp, &tracks[y, x],
+                              &gaps[y, x], &states[y, x], &out[y, x], &variance[y, x],
+                              &valid[y, x])
 
 
-cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
-                     const int32_t* link, int32_t first, const double* tuning,
-                     const lamp_t* lamp, const track_t* track, const gap_t* gap,
-                     const double* s, double most, float* out, float* variance,
-                     unsigned char* valid) noexcept nogil:
+cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
+                        const tuning_t* tuning, const lamp_t* lamp,
+                        const track_t* track, const gap_t* gap, const state_t* s,
+                        float* out, float* variance,
+                        unsigned char* valid) noexcept nogil:
     cdef walk_t walk
     cdef part_t part
-    cdef double m_on = 0.0, m_off = 0.0, theta, theta2, level = 0.0, v, u
+    cdef double on = s.theta_on, off = s.theta_off, theta2 = theta_squared(s)
+    cdef double m_on = 0.0, m_off = 0.0, theta, level = 0.0, v, u
     cdef double a = 0.0, b = 0.0, left, whole, share, hz = 0.0
-    start(&walk, track.prev, track.last, first)
-    walk.n_on = track.n_on
-    walk.n_off = track.n_off
-    while walk.next >= 0 and store[walk.next].t <= t:
-        step(&walk, store, link)
-    theta2 = 0.25 * (s[1] + s[2]) * (s[1] + s[2])
+    walk_to(&walk, t, store, track)
     # Thresholds crossed since the sample before, and until the one after.
     if gap.before.var >= 0:
         m_on = walk.n_on - gap.before.n_on
         m_off = walk.n_off - gap.before.n_off
-        level = gap.before.base + s[1] * m_on - s[2] * m_off
+        level = gap.before.base + on * m_on - off * m_off
         v = theta2 * drift(t - gap.before.t, m_on + m_off, tuning)
         a = gap.before.var + v
         if gap.after.var >= 0:
@@ -212,8 +197,8 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
             - walk.n_off, tuning)
     if gap.after.var >= 0:
         b = gap.after.var + left
-        u = gap.after.base - (s[1] * (gap.after.n_on - walk.n_on)
-                              - s[2] * (gap.after.n_off - walk.n_off))
+        u = gap.after.base - (on * (gap.after.n_on - walk.n_on)
+                              - off * (gap.after.n_off - walk.n_off))
         share = a / (a + b + 1e-30) if gap.before.var >= 0 else 1.0
         m_on = (1.0 - share) * m_on - share * (gap.after.n_on - walk.n_on)
         m_off = (1.0 - share) * m_off - share * (gap.after.n_off - walk.n_off)
@@ -222,32 +207,28 @@ cdef void read_pixel(int64_t t, int64_t known, const event_t* store,
     elif gap.before.var >= 0:
         v = a
     else:
-        level = s[1] * walk.n_on - s[2] * walk.n_off
+        level = on * walk.n_on - off * walk.n_off
         v = -1.0
     # What is crossed of the next threshold, and the lag of the photoreceptor.
     if lamp.blocks > 0:
-        hz = corner(tuning[2], tuning[3], level)
-    if walk.next >= 0 and store[walk.next].t <= known:
-        part = between(&walk, store[walk.next].t, store[walk.next].p, s[1], s[2],
-                       lamp, hz, <double>t)
-    else:
-        part = quiet(walk.t, walk.p, <double>known, lamp, hz, <double>t)
-    theta = s[1] if part.p else -s[2]
+        hz = corner(tuning, level)
+    part = part_at(&walk, store, known, on, off, lamp, hz, <double>t)
+    theta = on if part.p else -off
     level += theta * part.fraction + part.ripple
-    u = lead(theta * part.rate + part.ripple_rate, level, tuning[2], tuning[3])
+    u = lead(theta * part.rate + part.ripple_rate, level, tuning)
     out[0] = <float>(level + u)
     if v < 0:
-        variance[0] = -1.0
+        variance[0] = 0.0
         valid[0] = 0
         return
     if part.p:
         m_on += part.fraction
     else:
         m_off += part.fraction
-    v += (theta2 * part.var + m_on * m_on * s[6] + m_off * m_off * s[8]
-          - 2.0 * m_on * m_off * s[7])
-    v = v if v > 1e-8 else 1e-8
-    u = lead_variance(u, theta2 * part.rate_var, s[2] * part.fall, level,
-                      tuning)
-    variance[0] = <float>(v + u)
-    valid[0] = v <= most
+    v += (theta2 * part.var + m_on * m_on * s.var_on + m_off * m_off * s.var_off
+          - 2.0 * m_on * m_off * s.cov_on_off)
+    v = v if v > LEAST_VARIANCE else LEAST_VARIANCE
+    valid[0] = v <= tuning.valid_variance
+    a = tuning.offset_dn * s.pull
+    variance[0] = <float>(v + a * a + lead_variance(
+        u, theta2 * part.rate_var, off * part.fall, level, tuning))

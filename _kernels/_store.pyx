@@ -1,33 +1,64 @@
-"""Store of recent events, and what each pixel remembers of them (see _tracks.pxd)."""
-from libc.stdint cimport int32_t, int64_t
+"""Store of recent events, and what each pixel remembers of them (see _model.pxd)."""
+from libc.stdint cimport int32_t, int64_t, uint8_t
 
-from _kernels._tracks cimport track_t
+from _kernels._model cimport stored_t, track_t
 from _kernels._types cimport event_t
 
 
-def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t h,
-               Py_ssize_t w, Py_ssize_t at, event_t[::1] store not None):
-    """Copy events to store from index at; return how many were taken.
+cdef inline Py_ssize_t enlist(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
+                              int32_t[::1] pixels,
+                              uint8_t[:, ::1] listed) noexcept nogil:
+    if listed[y, x] or n >= pixels.shape[0]:
+        return n
+    listed[y, x] = 1
+    pixels[n] = <int32_t>(y * listed.shape[1] + x)
+    return n + 1
 
-    Stops at the first event outside h x w, or before its predecessor (the first:
-    before last).
+
+def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t at,
+               stored_t[::1] store not None, int32_t[::1] pixels not None,
+               Py_ssize_t listed_before, uint8_t[:, ::1] listed not None,
+               bint by_cell):
+    """Copy events to store from index at; return how many, and the list's length.
+
+    Stops at the first event outside the image, or before its predecessor (the first:
+    before last).  The pixels of those taken are listed: appended to pixels (row * width
+    + column, the first `listed_before` are there) unless their flag is set; by_cell:
+    all pixels of their macropixels.
     """
-    cdef Py_ssize_t n = events.shape[0], i
+    cdef Py_ssize_t n = events.shape[0], h = listed.shape[0], w = listed.shape[1]
+    cdef Py_ssize_t i, m = listed_before, y, x
     if at < 0 or at + n > store.shape[0]:
         raise ValueError("store_push: store must have room for the events")
+    if pixels.shape[0] != h * w or m < 0:
+        raise ValueError("store_push: pixels must have room for the image")
     with nogil:
         for i in range(n):
-            if (events[i].y >= h or events[i].x >= w or events[i].p > 1
-                    or events[i].t < last):
+            y = events[i].y
+            x = events[i].x
+            if y >= h or x >= w or events[i].p > 1 or events[i].t < last:
                 break
             last = events[i].t
-            store[at + i] = events[i]
+            store[at + i].t = last
+            store[at + i].x = events[i].x
+            store[at + i].y = events[i].y
+            store[at + i].p = events[i].p
+            store[at + i].next = -1
+            if listed[y, x]:
+                continue
+            if by_cell:
+                for y in range(events[i].y // 2 * 2, min(events[i].y // 2 * 2 + 2, h)):
+                    for x in range(events[i].x // 2 * 2,
+                                   min(events[i].x // 2 * 2 + 2, w)):
+                        m = enlist(y, x, m, pixels, listed)
+            else:
+                m = enlist(y, x, m, pixels, listed)
         else:
             i = n
-    return i
+    return i, m
 
 
-def store_commit(const event_t[::1] store not None, Py_ssize_t at, Py_ssize_t stop,
+def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t stop,
                  int64_t until, track_t[:, ::1] tracks not None):
     """Count stored events from index at on, t <= until; return the first one left."""
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
@@ -51,48 +82,35 @@ def store_commit(const event_t[::1] store not None, Py_ssize_t at, Py_ssize_t st
     return i
 
 
-def store_pass(const event_t[::1] store not None, Py_ssize_t at, Py_ssize_t stop,
-               int64_t until, int64_t[:, :, ::1] stamps not None):
-    """Note each pixel's last two stamps of stored events from index at on, t <= until.
+def store_link(stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
+               track_t[:, ::1] tracks not None):
+    """Chain stored events [start, stop) by pixel, from `first` in tracks on.
 
-    Returns the first one left.
+    No other events may be chained from these tracks (see `store_unlink`).
     """
-    cdef Py_ssize_t h = stamps.shape[0], w = stamps.shape[1], i, y, x
-    if at < 0 or stop > store.shape[0]:
-        raise ValueError("store_pass: indices must lie in store")
-    if stamps.shape[2] != 2:
-        raise ValueError("store_pass: stamps must be (h, w, 2)")
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
+    if start < 0 or stop > store.shape[0]:
+        raise ValueError("store_link: indices must lie in store")
     with nogil:
-        i = at
-        while i < stop and store[i].t <= until:
-            y = store[i].y
-            x = store[i].x
-            if y >= h or x >= w:
-                break
-            stamps[y, x, 0] = stamps[y, x, 1]
-            stamps[y, x, 1] = 2 * store[i].t + store[i].p
-            i += 1
-    return i
-
-
-def store_link(const event_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
-               int32_t[::1] link not None, int32_t[:, ::1] first not None):
-    """Chain stored events [start, stop) by pixel.
-
-    first is each pixel's first one, link[i] the next one after i; -1 for none.
-    """
-    cdef Py_ssize_t h = first.shape[0], w = first.shape[1], i, y, x
-    if start < 0 or stop > store.shape[0] or link.shape[0] != store.shape[0]:
-        raise ValueError("store_link: indices must lie in store and link")
-    with nogil:
-        for y in range(h):
-            for x in range(w):
-                first[y, x] = -1
         i = stop - 1
         while i >= start:
             y = store[i].y
             x = store[i].x
             if y < h and x < w:
-                link[i] = first[y, x]
-                first[y, x] = <int32_t>i
+                store[i].next = tracks[y, x].first
+                tracks[y, x].first = <int32_t>i
             i -= 1
+
+
+def store_unlink(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
+                 track_t[:, ::1] tracks not None):
+    """Take the chains of stored events [start, stop) off tracks again."""
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
+    if start < 0 or stop > store.shape[0]:
+        raise ValueError("store_unlink: indices must lie in store")
+    with nogil:
+        for i in range(start, stop):
+            y = store[i].y
+            x = store[i].x
+            if y < h and x < w:
+                tracks[y, x].first = -1

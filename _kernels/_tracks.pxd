@@ -6,28 +6,23 @@ from libc.stdint cimport int32_t, int64_t
 
 from _kernels._lamp cimport lamp_t, ripple
 from _kernels._math cimport exp_f
-from _kernels._types cimport event_t
-
-cdef packed struct track_t:
-    int64_t prev            # stamp of the last but one committed event
-    int64_t last            # stamp of the last one
-    int32_t n_off           # committed since the reference
-    int32_t n_on
-
-cdef packed struct node_t:
-    # A frame as it measured one pixel: base + h_on theta_on + h_off theta_off at the
-    # last event before its middle, up to noise (a variance; 0 or less: no sample).
-    float level
-    float h_on
-    float h_off
-    float noise
-    float drift             # variance since the sample before
-    int32_t n_on            # all events up to the middle
-    int32_t n_off
+from _kernels._model cimport stored_t, track_t, tuning_t
 
 cdef enum:
     # What the lamp did at an event so long ago is not remembered.
     STALE_US = 10000000
+    # Without an event for so long the light is taken to be at rest.
+    REST_US = 1000000
+
+cdef extern from *:
+    """
+    #define LONG_AGO -4611686018427387904   /* -2^62: stands for no event */
+    #define REST_VARIANCE (1 / 3.0)     /* thresholds^2: anywhere in the dead band */
+    #define SETTLED_VARIANCE 0.02       /* the same, once a sample has measured it */
+    """
+    const int64_t LONG_AGO
+    const double REST_VARIANCE
+    const double SETTLED_VARIANCE
 
 cdef struct walk_t:
     # A place in a pixel's events: the last two passed, the next index, counts passed.
@@ -56,11 +51,15 @@ cdef struct part_t:
 
 cdef inline bint never(int64_t t) noexcept nogil:
     """Tell that a time stands for no event; differences stay far from 2**63."""
-    return t <= -4611686018427387904LL
+    return t <= LONG_AGO
 
 
-cdef inline void step(walk_t* walk, const event_t* store,
-                      const int32_t* link) noexcept nogil:
+cdef inline bint at_rest(int64_t last, int64_t t) noexcept nogil:
+    """Tell whether a pixel is at rest at t if it had no event since `last`."""
+    return never(last) or t - last >= REST_US
+
+
+cdef inline void step(walk_t* walk, const stored_t* store) noexcept nogil:
     walk.t_prev = walk.t
     walk.p_prev = walk.p
     walk.t = store[walk.next].t
@@ -69,17 +68,16 @@ cdef inline void step(walk_t* walk, const event_t* store,
         walk.n_on += 1
     else:
         walk.n_off += 1
-    walk.next = link[walk.next]
+    walk.next = store[walk.next].next
 
 
-cdef inline void start(walk_t* walk, int64_t prev, int64_t last,
-                       int32_t first) noexcept nogil:
-    """Begin after the events with these two stamps."""
-    walk.t_prev = prev >> 1
-    walk.p_prev = prev & 1
-    walk.t = last >> 1
-    walk.p = last & 1
-    walk.next = first
+cdef inline void start(walk_t* walk, const track_t* track) noexcept nogil:
+    """Begin after the two events that a track remembers."""
+    walk.t_prev = track.prev >> 1
+    walk.p_prev = track.prev & 1
+    walk.t = track.last >> 1
+    walk.p = track.last & 1
+    walk.next = track.first
     walk.n_on = 0
     walk.n_off = 0
 
@@ -90,7 +88,7 @@ cdef inline part_t nothing(int p) noexcept nogil:
     part.p = p
     part.fraction = 0.0
     part.rate = 0.0
-    part.var = 0.3
+    part.var = REST_VARIANCE
     part.rate_var = 0.0
     part.fall = 0.0
     part.ripple = 0.0
@@ -98,15 +96,9 @@ cdef inline part_t nothing(int p) noexcept nogil:
     return part
 
 
-cdef inline double drift(int64_t dt, double n, const double* tuning) noexcept nogil:
-    """Variance in theta^2 that dt microseconds and n events add."""
-    return tuning[0] * 1e-6 * <double>dt + tuning[1] * n
-
-
-cdef inline double corner(double hz, double hz_per_level,
-                          double level) noexcept nogil:
-    """Corner frequency of a pixel that shows level."""
-    return hz if hz_per_level <= 0.0 else hz + hz_per_level * exp_f(<float>level)
+cdef inline double drift(int64_t dt, double n, const tuning_t* tuning) noexcept nogil:
+    """Process noise: variance in theta^2 that dt microseconds and n events add."""
+    return tuning.leak_per_s * 1e-6 * <double>dt + tuning.noise_per_event * n
 
 
 cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
@@ -205,6 +197,15 @@ cdef inline void add_ripple(part_t* part, const lamp_t* lamp, double hz, int64_t
                        - ripple(lamp, hz, <double>t0, &_))
 
 
+cdef inline part_t still(const walk_t* walk, const lamp_t* lamp, double hz,
+                         double t) noexcept nogil:
+    """Part of a pixel at rest: none is known, but what the lamp adds."""
+    cdef part_t part = nothing(walk.p)
+    if not never(walk.t):
+        add_ripple(&part, lamp, hz, walk.t, t)
+    return part
+
+
 cdef inline part_t ahead(const walk_t* walk, double on, double off,
                          const lamp_t* lamp, double hz, double t) noexcept nogil:
     """Part crossed at t from the last two events alone, nothing known beyond t.
@@ -275,67 +276,3 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     part.rate_var *= 1e12 / (gap * gap)
     add_ripple(&part, lamp, hz, walk.t, t)
     return part
-
-
-cdef inline double lead_variance(double u, double rate_var, double fall,
-                                 double shown, const double* tuning) noexcept nogil:
-    """Variance of lead's result u.
-
-    From that of the slope, per second squared, and the relative error of the corner
-    frequency, by the derivatives of the equation that lead solves.  A pixel that is as
-    fast as its light is bright shows no fall faster than 1/e of its corner frequency
-    (times 2 pi), and what it falls to beyond is lost: fall is per second.  tuning as in
-    kalman_frame.
-    """
-    cdef double hz = tuning[2], e = 0.0, d, v, lost = 0.0
-    if hz <= 0.0 and tuning[3] <= 0.0:
-        return 0.0
-    if tuning[3] > 0.0:
-        e = tuning[3] * exp_f(<float>shown)
-        lost = fall * 0.15915494309189535 * e / ((hz + e) * (hz + e))
-        # Measured on turning polarizers from 200 to 1000 RPM.
-        lost = 2.0 * (lost - 0.2) if lost > 0.2 else 0.0
-        lost = lost if lost < 0.6 else 0.6
-        e = tuning[3] * exp_f(<float>(shown + u))
-    d = hz + e * (1.0 + u)
-    if d < 0.05 * (hz + e):
-        d = 0.05 * (hz + e)
-    v = tuning[4] * u * (hz + e)
-    v = (0.02533 * rate_var + v * v) / (d * d) + lost * lost
-    return v if v < 1.0 else 1.0
-
-
-cdef inline double lead(double slope, double shown, double hz,
-                        double hz_per_level) noexcept nogil:
-    """Log intensity minus what a low-pass pixel shows of it.
-
-    slope is that of the log intensity shown, per second.  The pixel follows
-    y' = 2 pi (hz + hz_per_level I) (ln I - y): solved for ln I - y.  Where I is far
-    below what is shown, its size is lost; -0.85 is the limit that can be told.
-    """
-    cdef double c, u, e, f, g, level
-    cdef int _
-    if hz_per_level <= 0.0:
-        if hz <= 0.0:
-            return 0.0
-        u = slope * 0.15915494309189535 / hz
-        return 3.0 if u > 3.0 else -3.0 if u < -3.0 else u
-    c = slope * 0.15915494309189535
-    level = exp_f(<float>shown)
-    f = hz + hz_per_level * level
-    u = c / f
-    if u < 0.02 and u > -0.02:
-        return u * (1.0 - u * hz_per_level * level / f)
-    u = 0.0
-    for _ in range(8):
-        e = hz_per_level * level * exp_f(<float>u)
-        g = u * (hz + e) - c
-        f = hz + e * (1.0 + u)
-        if f < 0.05 * (hz + e):
-            f = 0.05 * (hz + e)
-        g /= f
-        u -= g
-        u = 2.0 if u > 2.0 else -0.85 if u < -0.85 else u
-        if g < 1e-4 and g > -1e-4:
-            break
-    return u

@@ -37,6 +37,7 @@ __all__ = [
     "hue_bgr",
     "kalman_frame",
     "kalman_read",
+    "kalman_rest",
     "lamp_push",
     "lamp_wave",
     "leak_events",
@@ -55,6 +56,7 @@ __all__ = [
     "reconcile",
     "redundancy_sample",
     "redundancy_solve",
+    "rest_read",
     "sample_innovations",
     "smooth_gap",
     "smooth_past",
@@ -63,8 +65,8 @@ __all__ = [
     "stokes",
     "store_commit",
     "store_link",
-    "store_pass",
     "store_push",
+    "store_unlink",
     "superpixel",
     "surface",
     "tone_bgr",
@@ -140,17 +142,22 @@ def guided(
     across: float, additive: float, scratch: _F32, out: _F32,
 ) -> None: ...
 def kalman_frame(
-    sample: _F32, noise: _F32, per_dn: _F32, times: NDArray[np.int64], known: int,
-    store: NDArray[Any], link: NDArray[np.int32], first: NDArray[np.int32],
-    old: NDArray[np.int64], committed: int, prior: _F64, tuning: _F64,
-    waves: _F64, lit_us: int, tracks: NDArray[Any], reference: NDArray[np.int64],
-    state: _F64, pull: _F64, chi: _F64, totals: NDArray[np.int32], nodes: NDArray[Any],
+    samples: NDArray[Any], exposures: NDArray[Any], known: int, store: NDArray[Any],
+    old: NDArray[Any], committed: int, tuning: NDArray[Any], waves: NDArray[Any],
+    tracks: NDArray[Any], states: NDArray[Any], innovations: _F64, nodes: NDArray[Any],
 ) -> None: ...
 def kalman_read(
-    t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
-    first: NDArray[np.int32], tuning: _F64, waves: _F64, lit_us: int,
-    tracks: NDArray[Any], reference: NDArray[np.int64], state: _F64, most: float,
-    out: _F32, variance: _F32, valid: _U8,
+    t: int, known: int, epoch: int, store: NDArray[Any], tuning: NDArray[Any],
+    waves: NDArray[Any], tracks: NDArray[Any], states: NDArray[Any],
+    pixels: NDArray[np.int32], out: _F32, variance: _F32, valid: _U8,
+) -> None: ...
+def kalman_rest(
+    now: int, epoch: int, by_cell: bool, tuning: NDArray[Any], tracks: NDArray[Any],
+    states: NDArray[Any], pixels: NDArray[np.int32], listed: _U8, planes: _F32,
+) -> int: ...
+def rest_read(
+    planes: _F32, dt: float, tuning: NDArray[Any], out: _F32, variance: _F32,
+    valid: _U8,
 ) -> None: ...
 def lamp_push(
     events: NDArray[Any], at: int, until: int, h: int, w: int, shift: int, on: float,
@@ -185,35 +192,37 @@ def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
 ) -> None: ...
 def sample_innovations(
-    events: NDArray[Any], pixels: NDArray[Any], frames: NDArray[Any], waves: _F64,
-    lit_us: int, theta_sigma: float, candidates: NDArray[Any], out: NDArray[Any],
+    events: NDArray[Any], pixels: NDArray[Any], frames: NDArray[Any],
+    waves: NDArray[Any], theta_sigma: float, candidates: NDArray[Any],
+    out: NDArray[Any],
 ) -> None: ...
 def smooth_gap(
     nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],
-    passed: NDArray[np.int32], state: _F64, past: NDArray[Any], out: NDArray[Any],
+    passed: NDArray[np.int32], states: NDArray[Any], past: NDArray[Any],
+    out: NDArray[Any],
 ) -> None: ...
 def smooth_past(
-    nodes: NDArray[Any], times: NDArray[np.int64], state: _F64, past: NDArray[Any],
+    nodes: NDArray[Any], times: NDArray[np.int64], states: NDArray[Any],
+    past: NDArray[Any],
 ) -> None: ...
 def smooth_read(
-    t: int, known: int, store: NDArray[Any], link: NDArray[np.int32],
-    first: NDArray[np.int32], tuning: _F64, waves: _F64, lit_us: int,
-    tracks: NDArray[Any], gaps: NDArray[Any], state: _F64, most: float, out: _F32,
+    t: int, known: int, store: NDArray[Any], tuning: NDArray[Any], waves: NDArray[Any],
+    tracks: NDArray[Any], gaps: NDArray[Any], states: NDArray[Any], out: _F32,
     variance: _F32, valid: _U8,
 ) -> None: ...
 def store_commit(
     store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any]
 ) -> int: ...
 def store_link(
-    store: NDArray[Any], start: int, stop: int, link: NDArray[np.int32],
-    first: NDArray[np.int32],
+    store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
 ) -> None: ...
-def store_pass(
-    store: NDArray[Any], at: int, stop: int, until: int, stamps: NDArray[np.int64]
-) -> int: ...
+def store_unlink(
+    store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
+) -> None: ...
 def store_push(
-    events: NDArray[Any], last: int, h: int, w: int, at: int, store: NDArray[Any]
-) -> int: ...
+    events: NDArray[Any], last: int, at: int, store: NDArray[Any],
+    pixels: NDArray[np.int32], listed_before: int, listed: _U8, by_cell: bool,
+) -> tuple[int, int]: ...
 def pixel_events(
     light: NDArray[np.float64], slope: NDArray[np.float64],
     analyser: NDArray[np.float64] | None, pixels: NDArray[np.float64],
@@ -228,11 +237,13 @@ def read_out(
     pending: NDArray[np.uint8], out: NDArray[Any]
 ) -> tuple[int, int, int]: ...
 def redundancy_sample(
-    log: _F32, null: _F32, prior: _F64, tuning: _F64, tracks: NDArray[Any],
-    state: _F64, balance: _F64, moments: _F64,
+    t: int, known: int, store: NDArray[Any], begin: int, stop: int,
+    tuning: NDArray[Any], policy: NDArray[Any], waves: NDArray[Any],
+    tracks: NDArray[Any], states: NDArray[Any], balance: NDArray[Any],
+    moments: NDArray[Any],
 ) -> None: ...
 def redundancy_solve(
-    pull: float, least: float, moments: _F64, state: _F64, quality: _F32
+    policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any]
 ) -> None: ...
 def sort_events(
     events: NDArray[Any], start: int, counts: NDArray[np.int32], out: NDArray[Any]

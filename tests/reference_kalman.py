@@ -6,6 +6,9 @@ import numpy as np
 
 US = 1e-6
 BLOCK, STALE, FINE = 100_000, 10_000_000, 1_500
+REST = 1_000_000
+# Anywhere between the two thresholds; the same once a sample has measured it.
+UNKNOWN, SETTLED = np.mean(np.linspace(-1, 1, 100_001) ** 2), 0.02
 
 
 def ripple_of(waves):
@@ -39,7 +42,7 @@ def between(before, t0, p0, t1, p1, steps, r, t):
     lamp adds, and per second; steps are (on, -off), r its ripple and rate at a time.
     """
     if t0 is None:
-        return p1, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0
+        return p1, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
     r = r if t1 - t0 < STALE else steady
     change = r(t1)[0] - r(t0)[0]
     since = r(t0)[0] - r(before[0])[0] if before and t0 - before[0] < STALE else 0
@@ -76,7 +79,7 @@ def after(t0, r, t):
 
 def quiet(t0, p0, known, r, t):
     if t0 is None:
-        return p0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0
+        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
     s, hz = (t - t0) / (known - t0), 1e6 / (known - t0)
     return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, 0.08, 0.3 * hz**2, 0.0, *after(
         t0, r, t)
@@ -84,7 +87,7 @@ def quiet(t0, p0, known, r, t):
 
 def ahead(before, t0, p0, steps, r, t):
     if before is None:
-        return p0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0
+        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
     gap, p, same, room = t0 - before[0], p0, before[1] == p0, 1.0
     if t - before[0] < STALE:
         change = r(t0)[0] - r(before[0])[0]
@@ -168,8 +171,9 @@ class Node:
 class Pixel:
     """One pixel's events (t, p) and the state (base, on, off) with covariance."""
 
-    def __init__(self, on, off, sigma, bandwidth, ripple=steady):
-        self.events, self.bandwidth, self.ripple = [], bandwidth, ripple
+    def __init__(self, on, off, sigma, bandwidth, ripple=None):
+        self.events, self.bandwidth = [], bandwidth
+        self.ripple = ripple or steady
         self.x = np.array([0.0, on, off])
         self.P = np.diag([100.0, sigma**2, sigma**2])
         self.prior, self.since, self.reference = np.array([on, off]), 0, None
@@ -187,6 +191,9 @@ class Pixel:
 
         if i < len(self.events) and self.events[i][0] <= known:
             return between(before, *last, *self.events[i], steps, ripple, t)
+        if last[0] is None or t - last[0] >= REST:
+            return (last[1], 0.0, 0.0, UNKNOWN, 0.0, 0.0,
+                    *(after(last[0], ripple, t) if i else (0.0, 0.0)))
         if known > t:
             return quiet(*last, known, ripple, t)
         return ahead(before, *last, steps, ripple, t)
@@ -271,6 +278,11 @@ class Pixel:
         n, y, u, spread, lag = self.value(t, known, self.since, self.x[0])
         F = np.array([1.0, n[0], -n[1]])
         theta2 = self.x[1:].mean() ** 2
+        last = self.events[i - 1][0] if i else -np.inf
+        following = i < len(self.events) and self.events[i][0] <= known
+        if (self.ripple is steady and t - last >= REST and not following
+                and self.reference is not None and self.reference >= last):
+            spread = theta2 * SETTLED
         variance = F @ self.P @ F + spread + theta2 * (
             0.1 * US * (t - (self.reference or 0)) + 0.0003 * (i - self.since))
         fresh = self.reference is None
@@ -374,7 +386,8 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
     valid = np.zeros(shape, bool)
     log_ms = [np.log(f.exposure_ms) if f.exposure_ms else 0.0 for f in frames]
     for at in np.ndindex(*shape):
-        pixel = Pixel(on[at], off[at], sigma, bandwidth, ripple_of(waves))
+        lamp = ripple_of(waves) if any(wave.hz for wave in waves) else steady
+        pixel = Pixel(on[at], off[at], sigma, bandwidth, lamp)
         mine = events[(events["y"] == at[0]) & (events["x"] == at[1])]
         pixel.events = [(int(t), int(p)) for t, p in zip(mine["t"], mine["p"],
                                                         strict=True)]

@@ -16,9 +16,17 @@ from pdavis_cv import (
     fuse,
 )
 from pdavis_cv.analysis import Scorer
-from pdavis_cv.reconstruct.kalman.smoother import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
 from pdavis_cv.reconstruct.lamp import BLOCK_US, Wave
-from pdavis_cv.reconstruct.tracks import TRACK_DTYPE
+from pdavis_cv.reconstruct.model import (
+    GAP_DTYPE,
+    NODE_DTYPE,
+    PAST_DTYPE,
+    STATE_DTYPE,
+    STORED_DTYPE,
+    TRACK_DTYPE,
+    TUNING_DTYPE,
+    WAVE_DTYPE,
+)
 from pdavis_cv.simulation import Camera, RotatingPolarizer, ideal
 
 SHAPE = (3, 4)
@@ -305,33 +313,82 @@ def test_a_pixel_without_a_sample_before_t_is_known_from_the_one_after():
 
 @pytest.mark.parametrize(("kernel", "changes", "message"), [
     (_kernels.smooth_past, {"times": np.zeros(3, np.int64)}, "smooth_past: all"),
-    (_kernels.smooth_past, {"state": np.zeros((2, 2, 8))}, "smooth_past: all"),
+    (_kernels.smooth_past, {"states": np.zeros((2, 3), STATE_DTYPE)},
+     "smooth_past: all"),
     (_kernels.smooth_gap, {"order": np.array([7], np.int32)}, "order must hold"),
     (_kernels.smooth_gap, {"passed": np.array([0, 2], np.int32)}, "passed must lie"),
     (_kernels.smooth_gap, {"times": np.zeros((2, 2), np.int64)}, "smooth_gap: all"),
-    (_kernels.smooth_read, {"tuning": np.zeros(4)}, "smooth_read: state, tuning"),
+    (_kernels.smooth_read, {"tuning": np.zeros(2, TUNING_DTYPE)},
+     "smooth_read: tuning"),
     (_kernels.smooth_read, {"out": np.zeros((2, 3), np.float32)}, "smooth_read: all"),
 ])
 def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
     nodes, times = np.zeros((1, 2, 2), NODE_DTYPE), np.zeros((1, 2), np.int64)
     past, gaps = np.zeros((2, 2), PAST_DTYPE), np.zeros((2, 2), GAP_DTYPE)
-    state, order, passed = np.full((2, 2, 9), 0.2), np.zeros(1, np.int32), np.zeros(
-        2, np.int32)
+    states, order, passed = np.zeros((2, 2), STATE_DTYPE), np.zeros(
+        1, np.int32), np.zeros(2, np.int32)
     gaps["before"]["var"] = gaps["after"]["var"] = 0.01
+    tracks = np.zeros((2, 2), TRACK_DTYPE)
+    tracks["first"] = -1
     arguments = {
         _kernels.smooth_past: dict(
-            nodes=nodes[0], times=times[0], state=state, past=past),
+            nodes=nodes[0], times=times[0], states=states, past=past),
         _kernels.smooth_gap: dict(
-            nodes=nodes, times=times, order=order, passed=passed, state=state,
+            nodes=nodes, times=times, order=order, passed=passed, states=states,
             past=past, out=gaps),
         _kernels.smooth_read: dict(
-            t=0, known=1, store=np.zeros(1, EVENT_DTYPE), link=np.zeros(1, np.int32),
-            first=np.full((2, 2), -1, np.int32), tuning=np.zeros(5),
-            waves=np.zeros((0, 4)), lit_us=0, tracks=np.zeros((2, 2), TRACK_DTYPE),
-            gaps=gaps, state=state, most=0.25,
-            out=np.zeros((2, 2), np.float32), variance=np.zeros((2, 2), np.float32),
-            valid=np.zeros((2, 2), np.uint8)),
+            t=0, known=1, store=np.zeros(1, STORED_DTYPE),
+            tuning=np.zeros(1, TUNING_DTYPE), waves=np.zeros(0, WAVE_DTYPE),
+            tracks=tracks, gaps=gaps, states=states, out=np.zeros((2, 2), np.float32),
+            variance=np.zeros((2, 2), np.float32), valid=np.zeros((2, 2), np.uint8)),
     }[kernel]
     kernel(*arguments.values())
     with pytest.raises(ValueError, match=message):
         kernel(*{**arguments, **changes}.values())
+
+
+def test_a_pixel_at_rest_is_read_as_if_it_were_listed():
+    """Which pixels the reader has found at rest changes no bit."""
+    events, frames = long_stream(n=3000)
+    shape = (4, 6)
+    often, once = make(shape, offset_dn=0.5), make(shape, offset_dn=0.5)
+    for stop in range(0, 3_000_000, 20_000):
+        part = (events["t"] >= stop) & (events["t"] < stop + 20_000)
+        for method in (often, once):
+            feed(method, events[part],
+                 [f for f in frames if stop <= f.mid_us < stop + 20_000])
+        if often._clock.last_us > 0:
+            often.read(often._clock.last_us)
+    last = events[:1].copy()
+    last["t"] = 4_400_000
+    for method in (often, once):
+        method.add_events(last)
+    for t in (4_500_000, 9_000_000, 4_360_000):
+        assert same(often.read(t), once.read(t))
+        assert same(often.read(t), make_again(often).read(t))
+    assert often._reader.n == 1
+
+
+def make_again(method):
+    other = make(method.shape, offset_dn=0.5)
+    other.assign(method)
+    return other
+
+
+@pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])
+def test_a_filter_goes_on_with_another_bandwidth_and_noise(mode):
+    events, frames = long_stream(n=5000)
+    shape, law, noise = (4, 6), (200.0, 1.0, 0.05), (0.01, 0.02, 0.0001, 0.5)
+    plain, told, late = make(shape, mode=mode), make(
+        shape, mode=mode, bandwidth=law, noise=noise), make(shape, mode=mode)
+    late.retune(bandwidth=law, noise=noise)
+    for method in (plain, told, late):
+        feed(method, events, frames)
+    assert late.parameters["bandwidth"] == law
+    assert late.parameters["noise"] == noise
+    assert same(told.read(3_100_000), late.read(3_100_000))
+    before = plain.thresholds
+    plain.retune(bandwidth=law)
+    assert same(before, plain.thresholds)
+    with pytest.raises(TypeError, match="retune takes bandwidth and noise, got leak"):
+        plain.retune(leak=3)

@@ -15,13 +15,26 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays,
 )
-from pdavis_cv.reconstruct.redundancy import EventRedundancy, null_of
-from pdavis_cv.reconstruct.tracks import TRACK_DTYPE
+from pdavis_cv.reconstruct.model import (
+    STATE_DTYPE,
+    STORED_DTYPE,
+    TRACK_DTYPE,
+    TUNING_DTYPE,
+    WAVE_DTYPE,
+)
+from pdavis_cv.reconstruct.redundancy import (
+    BALANCE_DTYPE,
+    MOMENTS_DTYPE,
+    POLICY_DTYPE,
+    EventRedundancy,
+    null_of,
+)
 from pdavis_cv.simulation import Camera, Fan, FlatLight, RotatingPlate
 
 KEEP, SIGMA, PER_EVENT, LOSS = 0.98, 0.06, 1 / 300, 0.006
-TUNING = np.array([KEEP, SIGMA, PER_EVENT, LOSS])
 PULL, LEAST = 1e-3, 8
+TUNING = np.zeros(1, TUNING_DTYPE)
+POLICY = np.array([(KEEP, SIGMA, PER_EVENT, LOSS, PULL, LEAST)], POLICY_DTYPE)
 
 
 def make(shape=(6, 8), on=0.16, off=0.18, **options):
@@ -36,60 +49,88 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
     rows, columns = shape[0] // 2, shape[1] // 2
     null = null_of(None, shape) * rng.uniform(0.9, 1, shape).astype(np.float32)
     prior = rng.uniform(0.1, 0.3, (*shape, 2))
-    state = np.zeros((*shape, 9))
-    state[..., 1:3] = prior
-    balance, moments = np.zeros((*shape, 6)), np.zeros((rows, columns, 12))
-    quality = np.ones((rows, columns, 2), np.float32)
-    tracks = np.zeros(shape, TRACK_DTYPE)
+    states, tracks, balance, moments = arrays(shape)
+    for part, theta in zip(("on", "off"), np.moveaxis(prior, -1, 0), strict=True):
+        states[f"theta_{part}"] = states[f"prior_{part}"] = theta
+    balance["null"] = null
+    store = one_event_each(shape)
 
     def of(array, r, c):
         return array[2 * r:2 * r + 2, 2 * c:2 * c + 2].reshape(4, *array.shape[2:])
 
-    twins = {(r, c): Macropixel(of(null, r, c), of(prior, r, c), *TUNING)
+    twins = {(r, c): Macropixel(of(balance["null"], r, c), of(prior, r, c), KEEP, SIGMA,
+                                PER_EVENT, LOSS)
              for r in range(rows) for c in range(columns)}
     phase = np.array([[0, 1], [3, 2]]) * np.pi / 2
     phase = np.tile(phase, (rows + 1, columns + 1))[:shape[0], :shape[1]]
     gains = rng.normal(0, 0.5, shape)
     for k in range(samples):
-        log = np.log(1 + 0.8 * np.cos(0.3 * k + phase)) - gains + state[..., 0]
-        log = (log + rng.normal(0, noise, shape)).astype(np.float32)
-        tracks["n_on"], tracks["n_off"] = rng.poisson(0.6, (2, *shape))
-        counts = tracks["n_on"].copy(), tracks["n_off"].copy()
-        _kernels.redundancy_sample(
-            log, null, prior, TUNING, tracks, state, balance, moments)
+        log = np.log(1 + 0.8 * np.cos(0.3 * k + phase)) - gains + states["base"]
+        log = log + rng.normal(0, noise, shape)
+        on, off = rng.poisson(0.6, (2, *shape))
+        tracks["n_on"], tracks["n_off"] = on, off
+        # The base from which these counts lead to that log.
+        states["base"] = log - states["theta_on"] * on + states["theta_off"] * off
         for at, twin in twins.items():
-            twin.sample(of(log, *at).astype(float), *(of(n, *at) for n in counts))
+            twin.base = of(states["base"], *at).copy()
+        _kernels.redundancy_sample(
+            k, k, store, 0, len(store), TUNING, POLICY, np.zeros(0, WAVE_DTYPE), tracks,
+            states, balance, moments)
+        for at, twin in twins.items():
+            twin.sample(of(log, *at), of(on, *at), of(off, *at))
         if k % 5 == 4:
-            _kernels.redundancy_solve(PULL, LEAST, moments, state, quality)
+            _kernels.redundancy_solve(POLICY, moments, states)
             for twin in twins.values():
                 twin.solve(PULL, LEAST)
     for at, twin in twins.items():
-        mine = of(state, *at)
-        np.testing.assert_allclose(mine[:, 1:3], twin.theta, rtol=1e-5)
+        mine = of(states, *at)
+        np.testing.assert_allclose(mine["theta_on"], twin.theta[:, 0], rtol=1e-5)
+        np.testing.assert_allclose(mine["theta_off"], twin.theta[:, 1], rtol=1e-5)
         if not twin.definite:
             continue
-        np.testing.assert_allclose(mine[:, 0], twin.base, atol=3e-4)
+        np.testing.assert_allclose(mine["base"], twin.base, atol=3e-4)
+        got = moments[at]["ratio"], moments[at]["smallest"]
         np.testing.assert_allclose(
-            quality[at], (twin.ratio, twin.least), rtol=1e-3, atol=1e-5)
+            got, (twin.ratio, twin.least), rtol=1e-3, atol=1e-5)
+
+
+def arrays(shape):
+    """States, tracks, balance and moments of a sensor that has seen nothing."""
+    tracks = np.zeros(shape, TRACK_DTYPE)
+    tracks["prev"] = tracks["last"] = -(2**63)
+    tracks["first"] = -1
+    moments = np.zeros((shape[0] // 2, shape[1] // 2), MOMENTS_DTYPE)
+    moments["ratio"] = moments["smallest"] = 1
+    return (np.zeros(shape, STATE_DTYPE), tracks, np.zeros(shape, BALANCE_DTYPE),
+            moments)
+
+
+def one_event_each(shape):
+    store = np.zeros(shape[0] * shape[1], STORED_DTYPE)
+    store["y"], store["x"] = (places.ravel() for places in np.indices(shape))
+    store["next"] = -1
+    return store
 
 
 def test_kernels_refuse_arrays_that_do_not_fit():
     shape = (4, 4)
-    images = [np.zeros(shape, np.float32), np.zeros(shape, np.float32),
-              np.zeros((*shape, 2)), TUNING, np.zeros(shape, TRACK_DTYPE),
-              np.zeros((*shape, 9)), np.zeros((*shape, 6)), np.zeros((2, 2, 12))]
-    _kernels.redundancy_sample(*images)
-    for i, image in enumerate(images):
-        wrong = [*images]
-        wrong[i] = np.zeros((*image.shape[:-1], image.shape[-1] + 1), image.dtype)
+    states, tracks, balance, moments = arrays(shape)
+    start = 0, 0, one_event_each(shape)
+    shaped = [TUNING, POLICY, np.zeros(0, WAVE_DTYPE), tracks, states, balance, moments]
+    _kernels.redundancy_sample(*start, 0, 16, *shaped)
+    for i in (0, 1, 4, 5, 6):
+        wrong = [*shaped]
+        wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_sample: "):
-            _kernels.redundancy_sample(*wrong)
-    solved = images[7], images[5], np.zeros((2, 2, 2), np.float32)
-    for i, image in enumerate(solved):
+            _kernels.redundancy_sample(*start, 0, 16, *wrong)
+    with pytest.raises(ValueError, match="redundancy_sample: an array has a wrong"):
+        _kernels.redundancy_sample(*start, 0, 17, *shaped)
+    solved = [POLICY, moments, states]
+    for i in range(3):
         wrong = [*solved]
-        wrong[i] = np.zeros((*image.shape[:-1], image.shape[-1] + 1), image.dtype)
+        wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_solve: "):
-            _kernels.redundancy_solve(PULL, LEAST, *wrong)
+            _kernels.redundancy_solve(*wrong)
 
 
 @pytest.mark.parametrize(("rpm", "aop_deg", "dolp"), [

@@ -10,6 +10,7 @@ import reference_selfcal
 from pdavis_cv import _kernels, fuse
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.kalman import KalmanFilter
+from pdavis_cv.reconstruct.model import WAVE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal import SelfCalibration, window
 from pdavis_cv.selfcal.bandwidth import vertex
@@ -98,7 +99,7 @@ def arguments(n=2, frames=3):
     """Valid arguments of the kernel, the output last."""
     events = np.zeros(0, EVENT_DTYPE)
     return [events, np.zeros(n, PIXEL_DTYPE), np.zeros((frames, n), READING_DTYPE),
-            np.zeros((0, 4)), 0, 0.035, np.zeros(2, CANDIDATE_DTYPE),
+            np.zeros(0, WAVE_DTYPE), 0.035, np.zeros(2, CANDIDATE_DTYPE),
             np.zeros(2, INNOVATIONS_DTYPE)]
 
 
@@ -117,7 +118,6 @@ def test_the_kernel_refuses_shapes_that_do_not_fit():
     for at, other, message in (
             (-1, np.zeros(3, INNOVATIONS_DTYPE), "one row per candidate"),
             (2, np.zeros((3, 1), READING_DTYPE), "wrong shape"),
-            (3, np.zeros((1, 3)), "wrong shape"),
             (1, np.array([(0, 1, .2, .2)] * 2, PIXEL_DTYPE), "lie outside events")):
         given = arguments()
         given[at] = other

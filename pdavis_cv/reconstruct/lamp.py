@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import sensor_shape
+from pdavis_cv.reconstruct.model import WAVE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BLOCK_US", "LampTracker", "Lamplight", "Wave"]
@@ -62,42 +63,42 @@ class Lamplight:
 
     Attributes
     ----------
-    waves : ndarray of float64, shape (blocks, 4)
-        Turns per us, cosine, sine, 1 if of the light; none if the lamp is steady.
-    start_us : int
-        Beginning of the first of them.
+    waves : ndarray of WAVE_DTYPE, shape (blocks,)
+        One per block of `BLOCK_US`, in order; none if the lamp is steady.
     """
 
     def __init__(self) -> None:
-        self._all, self.start_us = np.empty((0, 4)), 0
-        self.waves = self._all
+        self._all = self.waves = np.empty(0, WAVE_DTYPE)
 
     def add(self, wave: Wave) -> None:
         """Take the wave of the next block, or of a first one."""
-        if wave.start_us != self.start_us + len(self._all) * BLOCK_US:
-            self._all, self.start_us = self._all[:0], wave.start_us
-        row = 1e-6 * wave.hz, wave.cosine, wave.sine, float(wave.of_light)
-        self._show(np.concatenate([self._all, [row]]))
+        row = np.array([(wave.start_us, 1e-6 * wave.hz, wave.cosine, wave.sine,
+                         float(wave.of_light))], WAVE_DTYPE)
+        all_ = self._all
+        if len(all_) and wave.start_us != int(all_["start_us"][-1]) + BLOCK_US:
+            all_ = all_[:0]
+        self._show(np.concatenate([all_, row]))
 
     def forget(self, before_us: int) -> None:
         """Drop the blocks that end before a time."""
-        n = min((before_us - self.start_us) // BLOCK_US, len(self._all))
+        if not len(self._all):
+            return
+        n = min((before_us - int(self._all["start_us"][0])) // BLOCK_US,
+                len(self._all))
         if n > 0:
-            self.start_us += n * BLOCK_US
             self._show(self._all[n:].copy())
 
-    def _show(self, waves: NDArray[np.float64]) -> None:
+    def _show(self, waves: NDArray[Any]) -> None:
         self._all = waves
-        self.waves = waves if waves[:, 0].any() else waves[:0]
+        self.waves = waves if waves["turns_per_us"].any() else waves[:0]
 
-    def state(self) -> tuple[int, NDArray[np.float64]]:
+    def state(self) -> NDArray[Any]:
         """Return what there is; the array is never changed."""
-        return self.start_us, self._all
+        return self._all
 
-    def restore(self, state: tuple[int, NDArray[np.float64]]) -> None:
+    def restore(self, state: NDArray[Any]) -> None:
         """Take over what `state` returned."""
-        self.start_us, waves = state
-        self._show(waves)
+        self._show(state)
 
 
 class LampTracker:

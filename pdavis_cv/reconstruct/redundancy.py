@@ -14,15 +14,16 @@ from pdavis_cv._checks import output, positive, sensor_shape
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
+from pdavis_cv.reconstruct.model import STATE_DTYPE, TUNING_DTYPE
 from pdavis_cv.reconstruct.stream_clock import (
     StreamClock,
     checked_bandwidth,
     checked_threshold,
 )
-from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
+from pdavis_cv.reconstruct.tracks import LONG_AGO, LOOKAHEAD_US, Reader, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["EventRedundancy"]
+__all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "EventRedundancy"]
 
 STEP_US = 2_000
 """Interval at which the four channels are compared."""
@@ -40,6 +41,21 @@ RATIO_SIGMA = 0.06
 PULL = 1e-3
 """What a direction away from equal mean squares costs, as relative variance."""
 VALID_QUALITY = 0.3
+
+POLICY_DTYPE = np.dtype([
+    (name, "<f8") for name in (
+        "keep", "ratio_sigma", "forget", "loss", "pull", "least")])
+"""See ``policy_t`` in the kernel."""
+
+BALANCE_DTYPE = np.dtype([
+    (name, "<f8") for name in (
+        "weight", "mean_all", "mean_on", "var_all", "cov_on", "var_on", "null")])
+"""A pixel's curve of ON events against all, and its weight in the macropixel's sum."""
+
+MOMENTS_DTYPE = np.dtype([
+    ("product", "<f8", (10,)), ("weight", "<f8"), ("since", "<f8"),
+    ("ratio", "<f4"), ("smallest", "<f4")])
+"""Moments of a macropixel's weighted intensities, and what their eigenvalues tell."""
 
 
 class EventRedundancy(Reconstructor):
@@ -100,26 +116,41 @@ class EventRedundancy(Reconstructor):
         self.lookahead_us: int = int(lookahead_us)
         self._bandwidth = checked_bandwidth(bandwidth)
         self._response = None if response is None else np.array(response, np.float64)
-        self._null = null_of(self._response, self.shape)
-        self._lag = np.array([0.0, 0.0, *self._bandwidth])
+        self._tuning = np.zeros(1, TUNING_DTYPE)
+        self._tune()
         loss = -math.expm1(-2e-6 * math.pi * self._cutoff_hz * STEP_US)
-        self._tuning = np.array([math.exp(-1 / WINDOW), RATIO_SIGMA, 1 / MEMORY, loss])
-        self._prior = np.empty((*self.shape, 2))
-        self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
-        self._states = np.zeros((*self.shape, 9))
-        self._states[..., 1:3] = self._prior
-        self._states[..., 3] = -1
-        self._reference = np.zeros(self.shape, np.int64)
+        self._policy = np.array([(
+            math.exp(-1 / WINDOW), RATIO_SIGMA, 1 / MEMORY, loss, PULL, LEAST)],
+            POLICY_DTYPE)
+        self._states = np.zeros(self.shape, STATE_DTYPE)
+        for part, theta in (("on", self._theta_on), ("off", self._theta_off)):
+            self._states[f"theta_{part}"] = self._states[f"prior_{part}"] = theta
         cells = (self.shape[0] // 2, self.shape[1] // 2)
-        self._balance = np.zeros((*self.shape, 6))
-        self._moments = np.zeros((*cells, 12))
-        self._quality = np.ones((*cells, 2), np.float32)
+        self._balance = np.zeros(self.shape, BALANCE_DTYPE)
+        self._balance["null"] = null_of(self._response, self.shape)
+        self._moments = np.zeros(cells, MOMENTS_DTYPE)
+        self._moments["ratio"] = self._moments["smallest"] = 1
         self._tracks = Tracks(self.shape, self.lookahead_us)
+        self._reader = Reader(self.shape, by_cell=True)
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
         self._unsolved = False
-        self._shown = self._quality     # as of the last time read
+
+    def _tune(self) -> None:
+        for name, value in zip(
+                ("bandwidth_hz", "bandwidth_hz_per_intensity", "bandwidth_sigma"),
+                self._bandwidth, strict=True):
+            self._tuning[name] = value
+
+    def retune(self, **learned: Any) -> None:
+        """Go on with another bandwidth (see `Reconstructor.retune`)."""
+        if learned.keys() - {"bandwidth"}:
+            raise TypeError(f"retune takes bandwidth, got {', '.join(sorted(learned))}")
+        if "bandwidth" in learned:
+            self._bandwidth = checked_bandwidth(learned["bandwidth"])
+        self._tune()
+        self._reader.forget()
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -132,21 +163,21 @@ class EventRedundancy(Reconstructor):
     def quality(self) -> NDArray[np.float32]:
         """Ratio of the two smallest eigenvalues, 1 = unknown; shape (H, W).
 
-        As of the last time that was read.
+        As of the last time seen.
         """
-        return self._by_pixel(0)
+        return self._by_pixel("ratio")
 
-    def _by_pixel(self, known: int) -> NDArray[np.float32]:
+    def _by_pixel(self, name: str) -> NDArray[np.float32]:
         out = np.ones(self.shape, np.float32)
-        rows, columns, _ = self._shown.shape
-        out[:2 * rows, :2 * columns] = (
-            self._shown[..., known].repeat(2, 0).repeat(2, 1))
+        rows, columns = self._moments.shape
+        cells = out[:2 * rows, :2 * columns].reshape(rows, 2, columns, 2)
+        cells[:] = self._moments[name][:, None, :, None]
         return out
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
         events = as_events(events)
-        taken = self._tracks.push(events, self._clock.last_us)
+        taken = self._tracks.push(events, self._clock.last_us, self._reader)
         if taken and self._next is None:
             self._next = int(events["t"][0]) // STEP_US + 1
         try:
@@ -172,12 +203,14 @@ class EventRedundancy(Reconstructor):
         tracks = self._tracks
         while self._next is not None and self._next * STEP_US <= until_us:
             k, before = self._next, tracks.committed
-            tracks.commit(k * STEP_US)
+            t = k * STEP_US
+            tracks.commit(t)
             self._next = k + 1
             if tracks.committed != before:
-                log, _ = self._log(k * STEP_US)
+                tracks.chain_pending()
                 _kernels.redundancy_sample(
-                    log, self._null, self._prior, self._tuning, tracks.tracks,
+                    t, t + self.lookahead_us, tracks.store, before, tracks.committed,
+                    self._tuning, self._policy, self._lamp.waves, tracks.tracks,
                     self._states, self._balance, self._moments)
                 self._unsolved = True
             else:
@@ -189,61 +222,54 @@ class EventRedundancy(Reconstructor):
                     self._next = min(self._next, -(-(k + 1) // SOLVE_EVERY)
                                      * SOLVE_EVERY)
             if k % SOLVE_EVERY == 0 and self._unsolved:
-                _kernels.redundancy_solve(
-                    PULL, LEAST, self._moments, self._states, self._quality)
+                _kernels.redundancy_solve(self._policy, self._moments, self._states)
                 self._unsolved = False
         self._lamp.forget(until_us - MEMORY_US)
-
-    def _log(
-        self, t: int, out: NDArray[np.float32] | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        tracks = self._tracks
-        log = np.empty(self.shape, np.float32) if out is None else out
-        variance = np.empty(self.shape, np.float32)
-        tracks.chain_pending()
-        _kernels.kalman_read(
-            t, t + self.lookahead_us, tracks.store, tracks.link, tracks.first,
-            self._lag, self._lamp.waves, self._lamp.start_us, tracks.tracks,
-            self._reference, self._states, 0.0, log, variance,
-            np.empty(self.shape, np.uint8))
-        return log, variance
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
         t = int(t_us)
         self._clock.check_read(t + self.lookahead_us)
         log = output(out, self.shape, np.float32)
-        due = self._next is not None and self._next * STEP_US <= t and (
-            self._unsolved or self._tracks.waiting_us is not None)
-        before = self._kept(whole=False) if due else None
-        self._compare(t)
-        self._log(t, log)
-        self._shown = self._quality.copy()
-        if before is not None:
-            self._restore(before)
-        return Estimate(log, self._by_pixel(1), self._by_pixel(0) < VALID_QUALITY)
+        rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
+        self._reader.read(
+            t, t + self.lookahead_us, rest, 0, self._tracks, self._states,
+            self._tuning, self._lamp.waves, log, np.empty(self.shape, np.float32),
+            np.empty(self.shape, np.uint8))
+        return Estimate(
+            log, self._by_pixel("smallest"), self.quality < VALID_QUALITY)
+
+    def assign(self, other: Reconstructor) -> None:
+        """Take over the state of an equal one (see `Reconstructor.assign`)."""
+        if not isinstance(other, EventRedundancy) or other.shape != self.shape:
+            raise ValueError(f"other must be an equal EventRedundancy, got {other!r}")
+        self._bandwidth = other._bandwidth
+        self._tune()
+        self._tracks.assign(other._tracks)
+        self._take(other._clock.last_us, other._states, other._balance, other._moments,
+                   other._next, other._unsolved, other._lamp.state())
 
     def _state(self) -> Mapping[str, Any]:
-        return self._kept(whole=True)
-
-    def _kept(self, whole: bool) -> Mapping[str, Any]:
-        """Return the state; only what comparisons change unless whole."""
-        return {"last_us": self._clock.last_us,
-                "tracks": self._tracks.state() if whole else self._tracks.mark(),
-                "state": self._states.copy(), "balance": self._balance.copy(),
-                "moments": self._moments.copy(), "quality": self._quality.copy(),
-                "next": self._next, "unsolved": self._unsolved,
-                "lamp": self._lamp.state()}
+        return {"tracks": self._tracks.state(), "rest": (
+            self._clock.last_us, self._states.copy(), self._balance.copy(),
+            self._moments.copy(), self._next, self._unsolved, self._lamp.state())}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
-        self._clock.last_us = state["last_us"]
         self._tracks.restore(state["tracks"])
-        self._states[:] = state["state"]
-        self._balance[:] = state["balance"]
-        self._moments[:] = state["moments"]
-        self._quality[:] = state["quality"]
-        self._next, self._unsolved = state["next"], state["unsolved"]
-        self._lamp.restore(state["lamp"])
+        self._take(*state["rest"])
+
+    def _take(
+        self, last_us: int, states: NDArray[Any], balance: NDArray[Any],
+        moments: NDArray[Any], following: int | None, unsolved: bool,
+        lamp: NDArray[Any],
+    ) -> None:
+        self._clock.last_us = last_us
+        np.copyto(self._states, states)
+        np.copyto(self._balance, balance)
+        np.copyto(self._moments, moments)
+        self._next, self._unsolved = following, unsolved
+        self._lamp.restore(lamp)
+        self._reader.forget()
 
 
 def null_of(

@@ -1,4 +1,4 @@
-"""Recent events, for methods that look a little ahead or back."""
+"""Recent events, and a reader of states that leaves pixels at rest alone."""
 from __future__ import annotations
 
 from bisect import bisect_right
@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.reconstruct.model import REST_PLANES, STORED_DTYPE, TRACK_DTYPE
 
-__all__ = ["TRACK_DTYPE", "Tracks", "as_bytes"]
-
-TRACK_DTYPE = np.dtype(
-    [("prev", "<i8"), ("last", "<i8"), ("n_off", "<i4"), ("n_on", "<i4")])
-"""Stamps of a pixel's last two events (2 t + p), and counts since a reference."""
+__all__ = ["Reader", "Tracks", "as_bytes"]
 
 LOOKAHEAD_US = 50_000
 """How long a pixel's next event is waited for, unless nothing may be waited for."""
 
 LONG_AGO = -(2**62)
+SWEEP_US = 100_000
+"""How often, in stream time, the reader looks for pixels that came to rest."""
+
 _LEAST = 1 << 14
 
 
@@ -45,33 +44,37 @@ class Tracks:
         Of the committed events.
     late : ndarray of TRACK_DTYPE, shape (H, W), or (0, 0)
         Of the events that `commit_late` has committed; counts are never reset.
-    old : ndarray of int64, shape (H, W, 2)
-        Stamps of the last two events passed.
-    store : ndarray of EVENT_DTYPE, shape (capacity,)
-    link : ndarray of int32, shape (capacity,)
-    first : ndarray of int32, shape (H, W)
-        Chains by pixel, valid after `chain` until the next change.
+    old : ndarray of TRACK_DTYPE, shape (H, W)
+        Of the events passed.
+    store : ndarray of STORED_DTYPE, shape (capacity,)
+        Chained by pixel from one of the three, the one that was chained last.
+    committed : int
+        Index of the first event that is not committed.
     """
 
     def __init__(
         self, shape: tuple[int, int], keep_us: int, *, late: bool = False
     ) -> None:
-        self.tracks = np.zeros(shape, TRACK_DTYPE)
+        self.tracks, self.old = (np.zeros(shape, TRACK_DTYPE) for _ in range(2))
         self.late = np.zeros(shape if late else (0, 0), TRACK_DTYPE)
-        for tracks in (self.tracks, self.late):
+        for tracks in self._all:
             tracks["prev"] = tracks["last"] = 2 * LONG_AGO
-        self.old = np.full((*shape, 2), 2 * LONG_AGO, np.int64)
-        self.first = np.full(shape, -1, np.int32)
-        self.store = np.zeros(_LEAST, EVENT_DTYPE)
-        self.link = np.zeros(_LEAST, np.int32)
+            tracks["first"] = -1
+        self.store = np.zeros(_LEAST, STORED_DTYPE)
         self.keep_us = int(keep_us)
         self.committed = self._passed = self._late = self._stop = 0
+        self._chained: tuple[NDArray[Any], int, int] | None = None
 
-    def push(self, events: NDArray[Any], last_us: int) -> int:
-        """Append events; return how many were taken (see `store_push`)."""
+    @property
+    def _all(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        return self.tracks, self.old, self.late
+
+    def push(self, events: NDArray[Any], last_us: int, reader: Reader) -> int:
+        """Append events and list their pixels; return how many were taken."""
         self._make_room(len(events))
-        taken = _kernels.store_push(
-            events, last_us, *self.tracks.shape, self._stop, self.store)
+        taken, reader.n = _kernels.store_push(
+            events, last_us, self._stop, self.store, reader.pixels, reader.n,
+            reader.listed, reader.by_cell)
         self._stop += taken
         return taken
 
@@ -94,82 +97,173 @@ class Tracks:
                 self.store, self._late, self._stop, until_us, self.late)
 
     def chain_since(self, t_us: int) -> None:
-        """Pass all committed events up to t_us, and chain those after them."""
-        self._passed = _kernels.store_pass(
+        """Pass all committed events up to t_us, and chain those after them to old."""
+        self._passed = _kernels.store_commit(
             self.store, self._passed, self.committed, t_us, self.old)
-        self._chain(self._passed)
+        self._chain(self.old, self._passed, self._stop)
 
     def chain_pending(self) -> None:
-        """Chain the events that are not committed yet."""
-        self._chain(self.committed)
+        """Chain the events that are not committed yet to tracks."""
+        self._chain(self.tracks, self.committed, self._stop)
 
     def chain_late(self, until_us: int) -> None:
-        """Chain the events not committed late yet, up to until_us and no further."""
+        """Chain to late the events not committed there, up to until_us."""
         stop = bisect_right(self.store["t"], until_us, self._late, self._stop)
-        _kernels.store_link(self.store, self._late, stop, self.link, self.first)
+        self._chain(self.late, self._late, stop)
 
-    def _chain(self, start: int) -> None:
-        _kernels.store_link(self.store, start, self._stop, self.link, self.first)
+    def _chain(self, tracks: NDArray[Any], start: int, stop: int) -> None:
+        old = self._chained
+        if old is not None and old[0] is tracks and old[1:] == (start, stop):
+            return
+        self.unchain()
+        _kernels.store_link(self.store, start, stop, tracks)
+        self._chained = tracks, start, stop
+
+    def unchain(self) -> None:
+        """Take the chains off again: they do not outlive a move of the store."""
+        if self._chained is not None:
+            tracks, start, stop = self._chained
+            _kernels.store_unlink(self.store, start, stop, tracks)
+            self._chained = None
 
     def _make_room(self, n: int) -> None:
         if self._stop + n <= len(self.store):
             return
+        self.unchain()
         if self.committed:
             recent = int(self.store["t"][self.committed - 1]) - self.keep_us
-            self._passed = _kernels.store_pass(
+            self._passed = _kernels.store_commit(
                 self.store, self._passed, self.committed, recent, self.old)
         drop = self._begin
         # Half of the room is left for what comes, so that moving stays rare.
         room = max(len(self.store), 2 * (self._stop - drop + n))
         old = as_bytes(self.store[drop:self._stop])
         if room > len(self.store):
-            self.store = np.empty(room, EVENT_DTYPE)
-            self.link = np.zeros(room, np.int32)
+            self.store = np.empty(room, STORED_DTYPE)
         as_bytes(self.store)[:old.size] = old
         self._stop -= drop
-        self._shift(-drop)
+        self._passed -= drop
+        self.committed -= drop
+        self._late -= drop
 
     @property
     def _begin(self) -> int:
         """Index of the first event that is still of use."""
         return min(self._passed, self._late) if self.late.size else self._passed
 
-    @property
-    def _places(self) -> tuple[int, int, int]:
-        return self._passed, self.committed, self._late
-
-    def _shift(self, by: int) -> None:
-        self._passed += by
-        self.committed += by
-        self._late += by
-
-    def mark(self) -> Mapping[str, Any]:
-        """Return copies of what committing and passing change."""
-        return {"tracks": self.tracks.copy(), "late": self.late.copy(),
-                "old": self.old.copy(), "keep_us": self.keep_us,
-                "places": self._places}
+    def assign(self, other: Tracks) -> None:
+        """Take over what an equal one holds."""
+        self.unchain()
+        other.unchain()
+        for mine, theirs in zip(self._all, other._all, strict=True):
+            np.copyto(mine, theirs)
+        self.keep_us = other.keep_us
+        begin = other._begin
+        self._take(as_bytes(other.store[begin:other._stop]),
+                   (other._passed, other.committed, other._late), begin)
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
+        self.unchain()
         begin = self._begin
-        places = tuple(place - begin for place in self._places)
-        return {**self.mark(), "places": places,
-                "store": as_bytes(self.store[begin:self._stop]).copy()}
+        return {"tracks": [tracks.copy() for tracks in self._all],
+                "keep_us": self.keep_us, "store": as_bytes(
+                    self.store[begin:self._stop]).copy(),
+                "places": (self._passed - begin, self.committed - begin,
+                           self._late - begin)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `state`, or `mark` just before, returned."""
-        self.tracks[:], self.late[:] = state["tracks"], state["late"]
-        self.old[:] = state["old"]
-        self._passed, self.committed, self._late = state["places"]
+        """Take over copies of what `state` returned."""
+        self.unchain()
+        for mine, kept in zip(self._all, state["tracks"], strict=True):
+            np.copyto(mine, kept)
         self.keep_us = state["keep_us"]
-        if "store" not in state:
-            return
-        n = state["store"].size // EVENT_DTYPE.itemsize
+        self._take(state["store"], state["places"], 0)
+
+    def _take(
+        self, stored: NDArray[np.uint8], places: tuple[int, int, int], begin: int
+    ) -> None:
+        n = stored.size // STORED_DTYPE.itemsize
         if n > len(self.store):
-            self.store = np.empty(2 * n, EVENT_DTYPE)
-            self.link = np.zeros(2 * n, np.int32)
-        as_bytes(self.store)[:state["store"].size] = state["store"]
+            self.store = np.empty(2 * n, STORED_DTYPE)
+        as_bytes(self.store)[:stored.size] = stored
         self._stop = n
+        self._passed, self.committed, self._late = (at - begin for at in places)
+
+
+class Reader:
+    """Reads states at a time; pixels at rest are computed once, not at each read.
+
+    Nothing in it is a state: what is read does not depend on what it remembers.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width).
+    by_cell : bool
+        Macropixels come to rest as a whole: events change all four states.
+
+    Attributes
+    ----------
+    pixels : ndarray of int32, shape (H * W,)
+        Begins with the list of the pixels that may not be at rest.
+    n : int
+        Length of the list.
+    listed : ndarray of uint8, shape (H, W)
+        1 = in the list.
+    """
+
+    def __init__(self, shape: tuple[int, int], *, by_cell: bool = False) -> None:
+        self.by_cell = by_cell
+        self.n = shape[0] * shape[1]
+        self.pixels = np.arange(self.n, dtype=np.int32)
+        self.listed = np.ones(shape, np.uint8)
+        self._every = self.pixels.copy()
+        self._planes = np.zeros((REST_PLANES, *shape), np.float32)
+        self._swept_us: int | None = None
+
+    def forget(self) -> None:
+        """Note that all states may have changed."""
+        self._swept_us = None
+
+    def read(
+        self, t_us: int, known_us: int, rest_us: int, epoch_us: int, tracks: Tracks,
+        states: NDArray[Any], tuning: NDArray[Any], waves: NDArray[Any],
+        log: NDArray[np.float32], variance: NDArray[np.float32],
+        valid: NDArray[np.uint8],
+    ) -> None:
+        """Write log intensity, variance and validity at t_us.
+
+        Parameters
+        ----------
+        t_us, known_us : int
+            When; up to when events are known.
+        rest_us : int
+            No later read is of a time before this one.
+        epoch_us : int
+            Not before the time of any state; a function of the stream alone.
+        tracks, states, tuning, waves
+            What is read.
+        log, variance : ndarray of float32, shape (H, W)
+        valid : ndarray of uint8, shape (H, W)
+        """
+        tracks.chain_pending()
+        pixels = self._every
+        if not len(waves):
+            if self._swept_us is None:
+                self.pixels[:] = self._every
+                self.n = len(self.pixels)
+            if self._swept_us is None or rest_us - self._swept_us >= SWEEP_US:
+                self.n = _kernels.kalman_rest(
+                    rest_us, epoch_us, self.by_cell, tuning, tracks.tracks, states,
+                    self.pixels[:self.n], self.listed, self._planes)
+                self._swept_us = rest_us
+            _kernels.rest_read(
+                self._planes, 1e-6 * (t_us - epoch_us), tuning, log, variance, valid)
+            pixels = self.pixels[:self.n]
+        _kernels.kalman_read(
+            t_us, known_us, epoch_us, tracks.store, tuning, waves, tracks.tracks,
+            states, pixels, log, variance, valid)
 
 
 def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:

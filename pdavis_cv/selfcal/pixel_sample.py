@@ -139,7 +139,7 @@ class PixelSample:
             row["known"] = max(
                 each.known_us, int(each.exposure_us[1].max()) + LOOKAHEAD_US)
         self._exposure_ms = (self._frames["end"] - self._frames["begin"]) / 1000
-        self._waves, self._lit_us = window.waves
+        self._waves = window.waves
         self._read(self._dn, self._usable)
         bright = (np.quantile(self._dn / self._exposure_ms, _BRIGHT_QUANTILE)
                   if self._dn.size else 0.0)
@@ -183,7 +183,7 @@ class PixelSample:
         out = np.zeros(len(candidates), INNOVATIONS_DTYPE)
         _kernels.sample_innovations(
             self._events, np.ascontiguousarray(self._traits[::every]),
-            np.ascontiguousarray(self._frames[:, ::every]), self._waves, self._lit_us,
+            np.ascontiguousarray(self._frames[:, ::every]), self._waves,
             THRESHOLD_SIGMA, candidates, out)
         return out
 

@@ -163,9 +163,9 @@ class PixelWindow:
         return joined([*(each.events for each in self._intervals), *self._pending])
 
     @property
-    def waves(self) -> tuple[NDArray[np.float64], int]:
-        """The lamp's waves, a row per block, and when the first block begins."""
-        return self._lamp.waves, self._lamp.start_us
+    def waves(self) -> NDArray[Any]:
+        """The lamp's waves, a record per block (WAVE_DTYPE)."""
+        return self._lamp.waves
 
     @property
     def nbytes(self) -> int:

@@ -14,14 +14,21 @@ from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
-from pdavis_cv.reconstruct.kalman.smoother import NODE_DTYPE, Smoother
+from pdavis_cv.reconstruct.kalman.smoother import Smoother
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
+from pdavis_cv.reconstruct.model import (
+    EXPOSURE_DTYPE,
+    NODE_DTYPE,
+    SAMPLE_DTYPE,
+    STATE_DTYPE,
+    TUNING_DTYPE,
+)
 from pdavis_cv.reconstruct.stream_clock import (
     StreamClock,
     checked_bandwidth,
     checked_threshold,
 )
-from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks
+from pdavis_cv.reconstruct.tracks import LONG_AGO, LOOKAHEAD_US, Reader, Tracks
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["LOOKAHEAD_US", "KalmanFilter"]
@@ -47,7 +54,7 @@ READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
 # Committed events are kept this long, and at least twice the longest exposure.
 KEEP_US = 100_000
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
-_NO_NODES, _NO_TOTALS = np.zeros((0, 0), NODE_DTYPE), np.zeros((0, 0, 2), np.int32)
+_NO_NODES = np.zeros((0, 0), NODE_DTYPE)
 
 
 class KalmanFilter(Reconstructor):
@@ -73,7 +80,7 @@ class KalmanFilter(Reconstructor):
     lookahead_us : int, optional
         Default 50,000 when buffered, 500,000 offline, 0 when causal (no other value
         is possible).
-    threshold_sigma : float or array_like of shape (2, H, W)
+    threshold_sigma : float or array_like of shape (2,) or (2, H, W)
         Standard deviation of the thresholds given (ON, OFF), natural-log units;
         0 keeps them as they are.
     bandwidth : (float, float) or (float, float, float), optional
@@ -153,26 +160,55 @@ class KalmanFilter(Reconstructor):
             raise ValueError(
                 f"offset_dn must be finite and not negative, got {offset_dn}")
         self._offset_dn = float(offset_dn)
-        self._pull = np.zeros(self.shape)
-        self._tuning = np.array([*self._noise[1:3], *self._bandwidth])
-        self._prior = np.empty((*self.shape, 2))
-        self._prior[..., 0], self._prior[..., 1] = self._theta_on, self._theta_off
-        self._states = np.zeros((*self.shape, 9))
-        self._states[..., 1:3] = self._prior
-        self._states[..., 3] = -1
-        self._states[..., 6] = self._sigma[0] ** 2
-        self._states[..., 8] = self._sigma[1] ** 2
-        self._reference = np.zeros(self.shape, np.int64)
+        self._tuning = np.zeros(1, TUNING_DTYPE)
+        self._tuning["offset_dn"] = self._offset_dn
+        self._tuning["valid_variance"] = VALID_VARIANCE
+        self._tune()
+        self._states = np.zeros(self.shape, STATE_DTYPE)
+        for part, theta, sigma in zip(
+                ("on", "off"), (self._theta_on, self._theta_off), self._sigma,
+                strict=True):
+            self._states[f"theta_{part}"] = self._states[f"prior_{part}"] = theta
+            self._states[f"var_{part}"] = sigma**2
         offline = mode == "offline"
         self._tracks = Tracks(self.shape, KEEP_US + self._wait_us, late=offline)
         self._smoother = Smoother(self.shape) if offline else None
+        self._reader = Reader(self.shape)
+        self._epoch_us = 0      # not before the last sample of any pixel
         self._saturated = Saturated(
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
             self._bandwidth)
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._frames: tuple[_Frame, ...] = ()
-        self._chi = np.zeros(3)
+        self._innovations = np.zeros(3)
+        self._fed = 0           # how often anything was
+        self._scratch: tuple[KalmanFilter, int, int] | None = None
+
+    def _tune(self) -> None:
+        names = ("bandwidth_hz", "bandwidth_hz_per_intensity", "bandwidth_sigma",
+                 "frame_sigma", "leak_per_s", "noise_per_event", "shot_share")
+        for name, value in zip(names, (*self._bandwidth, *self._noise), strict=True):
+            self._tuning[name] = value
+
+    def retune(self, **learned: Any) -> None:
+        """Go on with another bandwidth or noise (see `Reconstructor.retune`)."""
+        unknown = learned.keys() - self.needs.learned
+        if unknown:
+            raise TypeError(
+                f"retune takes bandwidth and noise, got {', '.join(sorted(unknown))}")
+        if "bandwidth" in learned:
+            self._bandwidth = checked_bandwidth(learned["bandwidth"])
+            self._saturated.retune(self._bandwidth)
+        if "noise" in learned:
+            self._noise = _checked_noise(learned["noise"])
+        self._tune()
+        self._changed()
+
+    def _changed(self) -> None:
+        """Note that what was computed ahead holds no more, and states may differ."""
+        self._fed += 1
+        self._reader.forget()
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -190,8 +226,9 @@ class KalmanFilter(Reconstructor):
         The covariance has shape (H, W, 2, 2).
         """
         s = self._states
-        return (np.moveaxis(s[..., 1:3], -1, 0).copy(),
-                s[..., [6, 7, 7, 8]].reshape(*self.shape, 2, 2))
+        covariance = [s["var_on"], s["cov_on_off"], s["cov_on_off"], s["var_off"]]
+        return (np.stack([s["theta_on"], s["theta_off"]]),
+                np.stack(covariance, -1).reshape(*self.shape, 2, 2))
 
     @property
     def misfit(self) -> NDArray[np.float64]:
@@ -201,12 +238,13 @@ class KalmanFilter(Reconstructor):
         -------
         ndarray of float64, shape (3,)
         """
-        return self._chi.copy()
+        return self._innovations.copy()
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
         events = as_events(events)
-        taken = self._tracks.push(events, self._clock.last_us)
+        self._fed += 1
+        taken = self._tracks.push(events, self._clock.last_us, self._reader)
         self._saturated.add_events(events[:taken])
         try:
             self._clock.took(events, taken)
@@ -216,9 +254,11 @@ class KalmanFilter(Reconstructor):
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame; it acts when the events that it needs are there."""
         self._clock.check_frame(frame)
-        waiting = _Frame(frame, self._wait_us, self._noise)
+        self._fed += 1
+        waiting = _Frame(frame, self._wait_us)
         self._frames = (*self._frames, waiting)
-        self._saturated.add_frame(frame, waiting.sample, waiting.noise > 0)
+        self._saturated.add_frame(
+            frame, waiting.samples["log"], waiting.samples["variance"] > 0)
         longest = int(np.max(np.subtract(frame.exposure_end_us,
                                          frame.exposure_start_us)))
         delay = frame.available_us - int(np.min(frame.exposure_start_us))
@@ -227,38 +267,49 @@ class KalmanFilter(Reconstructor):
 
     def add_wave(self, wave: Wave) -> None:
         """Tell how the lamp flickers (see `Reconstructor.add_wave`)."""
+        self._fed += 1
         self._lamp.add(wave)
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
-        t, ahead = int(t_us), self.lookahead_us
-        self._clock.check_read(t + ahead)
+        t = int(t_us)
+        seen = t + self.lookahead_us
+        self._clock.check_read(seen)
         log = output(out, self.shape, np.float32)
         variance = np.empty(self.shape, np.float32)
         valid = np.empty(self.shape, np.bool_)
-        due = any(frame.known_us <= t + ahead for frame in self._frames)
-        before = self._kept(whole=False) if due else None
-        if due:
-            self._settle(t + ahead)
-        recent = self._tracks
+        due = sum(frame.known_us <= seen for frame in self._frames)
+        one = self._ahead(due, seen) if due else self
+        one._show(t, log, variance, valid.view(np.uint8))
+        self._saturated.fill(t, log, variance, valid)
+        return Estimate(log, variance, valid)
+
+    def _ahead(self, due: int, seen_us: int) -> KalmanFilter:
+        """Return a filter that has used the first `due` frames that wait here."""
+        if self._scratch is None:
+            one, fed, done = KalmanFilter(self.shape, **self.parameters), -1, 0
+        else:
+            one, fed, done = self._scratch
+        if (fed, done) != (self._fed, due):
+            one._take(self)
+            one._settle(seen_us)
+            self._scratch = one, self._fed, due
+        return one
+
+    def _show(
+        self, t: int, log: NDArray[np.float32], variance: NDArray[np.float32],
+        valid: NDArray[np.uint8],
+    ) -> None:
         if self._smoother is not None:
             self._smoother.read(
-                t, t + self._wait_us, recent, self._tuning,
-                self._lamp, self._states, VALID_VARIANCE, log, variance, valid)
-        else:
-            recent.chain_pending()
-            _kernels.kalman_read(
-                t, t + ahead, recent.store, recent.link, recent.first, self._tuning,
-                self._lamp.waves, self._lamp.start_us, recent.tracks, self._reference,
-                self._states, VALID_VARIANCE, log, variance, valid.view(np.uint8))
-        if self._offset_dn:
-            off = (self._offset_dn * self._pull) ** 2
-            variance += np.where(variance >= 0, off, 0).astype(np.float32)
-        if before is not None:
-            self._restore(before)
-        self._saturated.fill(t, log, variance, valid)
-        np.maximum(variance, 0, out=variance)
-        return Estimate(log, variance, valid)
+                t, t + self._wait_us, self._tracks, self._tuning, self._lamp.waves,
+                self._states, log, variance, valid)
+            return
+        # Reads of an earlier time than the last one may follow, down to the last seen.
+        rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
+        self._reader.read(
+            t, t + self.lookahead_us, rest, self._epoch_us, self._tracks, self._states,
+            self._tuning, self._lamp.waves, log, variance, valid)
 
     def _settle(self, seen_us: int) -> None:
         """Commit what lies in the past of every later read, and use due frames."""
@@ -269,89 +320,96 @@ class KalmanFilter(Reconstructor):
         while self._frames and self._frames[0].known_us <= seen_us:
             frame, *rest = self._frames
             self._frames = tuple(rest)
-            nodes, totals = _NO_NODES, _NO_TOTALS
-            if smoother is not None:
-                nodes, totals = smoother.slot(frame.times[1]), smoother.totals
-            recent.chain_since(int(frame.times[0].min()))
+            middles = frame.exposures["middle"]
+            nodes = _NO_NODES if smoother is None else smoother.slot(middles)
+            recent.chain_since(int(frame.exposures["begin"].min()))
             _kernels.kalman_frame(
-                frame.sample, frame.noise, frame.per_dn, frame.times, frame.known_us,
-                recent.store, recent.link, recent.first, recent.old, recent.committed,
-                self._prior, self._tuning, self._lamp.waves, self._lamp.start_us,
-                recent.tracks, self._reference, self._states, self._pull, self._chi,
-                totals, nodes)
+                frame.samples, frame.exposures, frame.known_us, recent.store,
+                recent.old, recent.committed, self._tuning, self._lamp.waves,
+                recent.tracks, self._states, self._innovations, nodes)
+            self._epoch_us = max(self._epoch_us, int(middles.max()))
+            self._reader.forget()
             if smoother is not None:
                 smoother.pass_until(
                     frame.known_us - self.lookahead_us, self._states)
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
-    def _state(self) -> Mapping[str, Any]:
-        return self._kept(whole=True)
+    def assign(self, other: Reconstructor) -> None:
+        """Take over the state of an equal filter (see `Reconstructor.assign`)."""
+        if not isinstance(other, KalmanFilter) or other.shape != self.shape:
+            raise ValueError(f"other must be an equal KalmanFilter, got {other!r}")
+        self._take(other)
+        self._saturated.assign(other._saturated)
 
-    def _kept(self, whole: bool) -> Mapping[str, Any]:
-        """Return the state; only what using a frame changes unless whole."""
-        tracks, smoother = self._tracks, self._smoother
-        return {"last_us": self._clock.last_us, "frames": self._frames,
-                "tracks": tracks.state() if whole else tracks.mark(),
-                "reference": self._reference.copy(), "state": self._states.copy(),
-                "chi": self._chi.copy(), "pull": self._pull.copy(),
-                "lamp": self._lamp.state(),
-                "saturated": self._saturated.state() if whole else None, "smoother": (
-                    None if smoother is None else
-                    smoother.state() if whole else smoother.mark())}
+    def _take(self, other: KalmanFilter) -> None:
+        """Take over everything but what is known of saturated pixels."""
+        self._noise, self._bandwidth = other._noise, other._bandwidth
+        np.copyto(self._tuning, other._tuning)
+        np.copyto(self._states, other._states)
+        np.copyto(self._innovations, other._innovations)
+        self._clock.last_us, self._epoch_us = other._clock.last_us, other._epoch_us
+        self._frames = other._frames
+        self._tracks.assign(other._tracks)
+        self._lamp.restore(other._lamp.state())
+        if self._smoother is not None and other._smoother is not None:
+            self._smoother.assign(other._smoother)
+        self._changed()
+
+    def _state(self) -> Mapping[str, Any]:
+        smoother = self._smoother
+        return {"last_us": self._clock.last_us, "epoch_us": self._epoch_us,
+                "frames": self._frames, "tracks": self._tracks.state(),
+                "states": self._states.copy(), "lamp": self._lamp.state(),
+                "innovations": self._innovations.copy(),
+                "saturated": self._saturated.state(),
+                "smoother": None if smoother is None else smoother.state()}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
-        self._clock.last_us = state["last_us"]
+        self._clock.last_us, self._epoch_us = state["last_us"], state["epoch_us"]
         self._frames = state["frames"]
         self._tracks.restore(state["tracks"])
-        self._reference[:] = state["reference"]
-        self._states[:] = state["state"]
-        self._chi[:] = state["chi"]
-        self._pull[:] = state["pull"]
+        np.copyto(self._states, state["states"])
+        np.copyto(self._innovations, state["innovations"])
         self._lamp.restore(state["lamp"])
-        if state["saturated"] is not None:
-            self._saturated.restore(state["saturated"])
+        self._saturated.restore(state["saturated"])
         if self._smoother is not None:
             self._smoother.restore(state["smoother"])
+        self._changed()
 
 
 class _Frame:
     """A frame that waits for the events of its exposure; never changed."""
 
-    __slots__ = ("known_us", "noise", "per_dn", "sample", "times")
+    __slots__ = ("exposures", "known_us", "samples")
 
-    def __init__(
-        self, frame: ApsFrame, lookahead_us: int,
-        noise: tuple[float, float, float, float],
-    ) -> None:
-        self.sample, valid = log_samples(frame)
+    def __init__(self, frame: ApsFrame, lookahead_us: int) -> None:
+        log, valid = log_samples(frame)
         dn = np.maximum(frame.dn, 1)
-        sigma, _, _, share = noise
-        variance = share * (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2 + sigma**2
-        self.noise = np.where(valid, variance, 0).astype(np.float32)
-        self.per_dn = (1 / dn).astype(np.float32)
-        width = frame.shape[1]
-        self.times = np.empty((3, width), np.int64)
-        self.times[0], self.times[2] = frame.exposure_start_us, frame.exposure_end_us
-        self.times[1] = frame.column_mid_us
+        self.samples = np.empty(frame.shape, SAMPLE_DTYPE)
+        self.samples["log"], self.samples["per_dn"] = log, 1 / dn
+        self.samples["variance"] = np.where(
+            valid, (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2, 0)
+        self.exposures = np.empty(frame.shape[1], EXPOSURE_DTYPE)
+        self.exposures["begin"] = frame.exposure_start_us
+        self.exposures["end"] = frame.exposure_end_us
+        self.exposures["middle"] = frame.column_mid_us
         # What is known when the frame acts must not depend on the packets.
-        waited = int(self.times[1].max()) + lookahead_us
-        self.known_us = max(int(self.times[2].max()), waited if lookahead_us else (
-            frame.available_us))
+        waited = int(self.exposures["middle"].max()) + lookahead_us
+        self.known_us = max(int(self.exposures["end"].max()), waited if lookahead_us
+                            else frame.available_us)
 
 
 def _checked_sigma(
     value: ArrayLike, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
     sigma = np.array(value, np.float64)
-    if sigma.shape not in ((), (2, *shape)):
+    if sigma.shape not in ((), (2,), (2, *shape)):
         raise ValueError(
-            f"threshold_sigma must be a scalar or have shape {(2, *shape)}, got "
-            f"{sigma.shape}")
+            f"threshold_sigma must be a scalar or have shape (2,) or {(2, *shape)}, "
+            f"got {sigma.shape}")
     if not np.all(np.isfinite(sigma) & (sigma >= 0)):
         raise ValueError("threshold_sigma must be finite and not negative")
-    sigma = np.broadcast_to(sigma, (2, *shape)) if sigma.ndim else np.array(
-        [sigma, sigma])
-    return sigma.copy()
+    return sigma if sigma.ndim else np.array([sigma, sigma])
 
 
 def _checked_noise(value: Sequence[float]) -> tuple[float, float, float, float]:

@@ -24,8 +24,9 @@ PRIOR_SIGMA = 0.3
 class Saturated:
     """What is known of pixels that have never had a usable sample.
 
-    Only the events of macropixels with such a pixel are looked at, from the first
-    frame on; where every pixel has had a sample this costs next to nothing.
+    Macropixels with such a pixel in the first frame are put side by side, as the cells
+    of a sensor of their own that `EventRedundancy` sees; later frames measure some of
+    them.  Where every pixel has had a sample this costs next to nothing.
 
     Parameters
     ----------
@@ -48,46 +49,80 @@ class Saturated:
     ) -> None:
         self.response = None if response is None else np.array(response, np.float64)
         self._shape, self._bandwidth = shape, bandwidth
-        self._options: dict[str, Any] = {"theta_on": theta_on, "theta_off": theta_off,
-                         "lookahead_us": lookahead_us, "response": self.response}
-        self._never = np.ones(shape, np.bool_)
-        self._watched = np.zeros(shape, np.bool_)
+        self._thresholds, self._lookahead_us = (theta_on, theta_off), lookahead_us
+        # Of the pixels of macropixel i, by place in the cell: flat index on the sensor.
+        self._pixels = np.empty((4, 0), np.intp)
+        # What of a sensor's column, by pixel, is its cell's first column; -1: not here.
+        self._column = np.empty((0, 0), np.int32)
         self._bound = np.zeros(shape, np.float32)
+        self._level: float | None = None    # log intensity that saturates
         self._method: EventRedundancy | None = None
         null_of(self.response, shape)  # refuses an impossible response
 
-    def _make(self, level: float) -> EventRedundancy:
+    def _make(self, pixels: NDArray[np.intp], level: float) -> None:
+        """Begin to watch macropixels, pixels (4, n), under light of so much or more."""
+        self._pixels, self._level = pixels, level
+        count = pixels.shape[1]
+        self._column = np.full(self._shape, -1, np.int32)
+        self._column.ravel()[pixels] = 2 * np.arange(count)
+
+        def gathered(values: ArrayLike) -> NDArray[np.float64]:
+            by_pixel = np.broadcast_to(values, self._shape + np.shape(values)[2:])
+            flat = by_pixel.reshape(-1, *by_pixel.shape[2:])[pixels]
+            # (place, cell) to (row, cell, column) to (row, column of all cells).
+            cells = flat.reshape(2, 2, count, *flat.shape[2:]).swapaxes(1, 2)
+            return cells.reshape(2, 2 * count, *flat.shape[2:]).astype(np.float64)
+
+        response = self.response
+        if response is not None and response.shape != (2, 2, 3):
+            response = gathered(response)
+        on, off = (gathered(theta) for theta in self._thresholds)
+        self._method = EventRedundancy(
+            (2, 2 * count), theta_on=on, theta_off=off, response=response,
+            lookahead_us=self._lookahead_us, bandwidth=self._law(level))
+
+    def _law(self, level: float) -> tuple[float, float, float]:
         # The photoreceptors are as fast as the least light that saturates makes them.
         hz, slope, sigma = self._bandwidth
-        return EventRedundancy(
-            self._shape, bandwidth=(hz + slope * math.exp(level), 0.0, sigma),
-            **self._options)
+        return hz + slope * math.exp(level), 0.0, sigma
+
+    def retune(self, bandwidth: tuple[float, float, float]) -> None:
+        """Go on with another bandwidth."""
+        self._bandwidth = bandwidth
+        if self._method is not None and self._level is not None:
+            self._method.retune(bandwidth=self._law(self._level))
 
     def add_frame(
         self, frame: ApsFrame, sample: NDArray[np.float32], usable: NDArray[np.bool_]
     ) -> None:
-        """Note which pixels this frame measures; sample is what `log_samples` gives."""
-        self._never &= ~usable
-        self._watched = _cells_with(self._never)
+        """Note a frame; sample is what `log_samples` gives."""
         # Of pixels that are not usable the converter's end: a bound is all there is.
         self._bound = sample
-        if self._method is None and self._watched.any():
-            self._method = self._make(
-                math.log(frame.full_scale_dn) - float(log_exposure(frame)[0]))
+        if self._level is None:
+            level = math.log(frame.full_scale_dn) - float(log_exposure(frame)[0])
+            pixels = _cells_with(~usable)
+            if pixels.size:
+                self._make(pixels, level)
+            else:
+                self._level = level
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events, after those and the frames before."""
-        if self._method is None or not self._watched.any():
+        if self._method is None:
             return
-        mine = events[self._watched[events["y"], events["x"]]]
+        column = self._column[events["y"], events["x"]]
+        here = column >= 0
+        mine = events[here]
         if len(mine):
+            mine["x"] = column[here] + mine["x"] % 2
+            mine["y"] %= 2
             self._method.add_events(mine)
 
     def fill(
         self, t_us: int, log: NDArray[np.float32], variance: NDArray[np.float32],
         valid: NDArray[np.bool_],
     ) -> None:
-        """Complete an estimate where its variance is negative: nothing is known.
+        """Complete an estimate where its variance is 0: nothing is known.
 
         There it becomes the last frame's sample, which is a bound (a lower one where
         the pixel saturates), and where the events tell enough, what they tell.
@@ -101,64 +136,64 @@ class Saturated:
         valid : ndarray of bool, shape (H, W)
             Set where the variance is then at most `VALID_VARIANCE`.
         """
-        unknown = variance < 0
-        if not unknown.any():
+        unknown = np.flatnonzero(variance == 0)
+        if not len(unknown):
             return
-        log[unknown] = self._bound[unknown]
+        log.ravel()[unknown] = self._bound.ravel()[unknown]
         if self._method is None:
             return
-        shown, rest, enough = self._method.read(t_us)
-        assert rest is not None
-        rows, columns = (side // 2 for side in self._shape)
-        whole = np.zeros(self._shape, np.bool_)
-        whole[:2 * rows, :2 * columns] = True
-        unknown &= whole
+        pixels = self._pixels
+        missing = variance.ravel()[pixels] == 0
+        if not missing.any():
+            return
+        estimate = self._method.read(t_us)
+        assert estimate.variance is not None
+        shown, rest, enough, quality = (
+            plane.reshape(2, -1, 2).swapaxes(1, 2).reshape(4, -1)
+            for plane in (estimate.log_intensity, estimate.variance, estimate.valid,
+                          self._method.quality))
         # The offset of a macropixel: from the pixels that are known, else the bound.
-        known = (whole & ~unknown)[:2 * rows, :2 * columns]
-        apart = np.where(known, (log - shown)[:2 * rows, :2 * columns], 0)
-        count = _summed(known.astype(np.float32))
-        bound = _summed(self._bound[:2 * rows, :2 * columns]) / 4
-        offset = np.where(count > 0, _summed(apart) / np.maximum(count, 1), bound)
-        at = np.nonzero(unknown & enough)
-        log[at] = shown[at] + offset[at[0] // 2, at[1] // 2]
+        count = (~missing).sum(0)
+        apart = np.where(missing, 0, log.ravel()[pixels] - shown).sum(0)
+        bound = self._bound.ravel()[pixels].sum(0) / 4
+        offset = np.where(count > 0, apart / np.maximum(count, 1), bound)
+        here = missing & enough
+        at = pixels[here]
+        log.ravel()[at] = (shown + offset)[here]
         # Where the gains are less certain, the prior of equal mean squares has a say.
-        variance[at] = rest[at] + PRIOR_SIGMA**2 * self._method.quality[at]
-        valid[at] = variance[at] <= VALID_VARIANCE
+        variance.ravel()[at] = (rest + PRIOR_SIGMA**2 * quality)[here]
+        valid.ravel()[at] = variance.ravel()[at] <= VALID_VARIANCE
+
+    def assign(self, other: Saturated) -> None:
+        """Take over what an equal one holds."""
+        self._bandwidth, self._bound = other._bandwidth, other._bound
+        if other._method is None or other._level is None:
+            self._level, self._method = other._level, None
+            return
+        if self._method is None or not np.array_equal(self._pixels, other._pixels):
+            self._make(other._pixels, other._level)
+        assert self._method is not None
+        self._method.assign(other._method)
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
-        return {"never": self._never.copy(), "bound": self._bound,
+        return {"bound": self._bound, "pixels": self._pixels, "level": self._level,
                 "method": None if self._method is None else self._method.snapshot()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `state` returned."""
-        self._never[:] = state["never"]
-        self._bound, snapshot = state["bound"], state["method"]
-        self._watched = np.zeros(self._shape, np.bool_)
+        self._bound, self._level = state["bound"], state["level"]
         self._method = None
-        if snapshot is not None:
-            self._watched = _cells_with(self._never)
-            self._method = EventRedundancy(
-                self._shape, bandwidth=snapshot.parameters["bandwidth"],
-                **self._options)
-            self._method.restore(snapshot)
+        if state["method"] is not None:
+            self._make(state["pixels"], state["level"])
+            assert self._method is not None
+            self._method.restore(state["method"])
 
 
-def _summed(plane: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the sums over macropixels of a plane of even size."""
-    rows, columns = plane.shape
-    total: NDArray[np.float32] = plane.reshape(
-        rows // 2, 2, columns // 2, 2).sum((1, 3))
-    return total
-
-
-def _cells_with(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels of whole macropixels with a marked one."""
+def _cells_with(marked: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the flat indices (4, n) of the pixels of macropixels with a marked one."""
     rows, columns = (side // 2 for side in marked.shape)
-    out = np.zeros(marked.shape, np.bool_)
-    even = marked[:2 * rows, :2 * columns]
-    if even.any():
-        pairs = even[::2] | even[1::2]
-        cells = pairs[:, ::2] | pairs[:, 1::2]
-        out[:2 * rows, :2 * columns] = cells.repeat(2, 0).repeat(2, 1)
-    return out
+    pairs = marked[:2 * rows:2, :2 * columns] | marked[1:2 * rows:2, :2 * columns]
+    row, column = np.nonzero(pairs[:, ::2] | pairs[:, 1::2])
+    return np.stack([np.ravel_multi_index((2 * row + i, 2 * column + j), marked.shape)
+                     for i in (0, 1) for j in (0, 1)])

@@ -1,0 +1,23 @@
+/* Pixels at rest, a row at a time: see _estimate.pxd, show_rest, for one of them. */
+#ifndef PDAVIS_CV_REST_H
+#define PDAVIS_CV_REST_H
+
+#include "_clones.h"
+
+/* dt seconds after the epoch of `at_epoch`; a negative variance there is none. */
+PDAVIS_CLONES PDAVIS_UNUSED static void rest_row(
+    const float *restrict at_epoch, const float *restrict per_s,
+    const float *restrict offset, float dt, float least, float most, ptrdiff_t n,
+    float *restrict variance, unsigned char *restrict valid)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        float v = at_epoch[i] + per_s[i] * dt;
+        float known = at_epoch[i] < 0 ? 0.0f : 1.0f;
+        v = v > least ? v : least;
+        variance[i] = known * (v + offset[i]);
+        valid[i] = (unsigned char)((v <= most) & (at_epoch[i] >= 0));
+    }
+}
+
+#endif

@@ -1,0 +1,73 @@
+"""Records that the Kalman method shares with its kernels (``_kernels/_model.pxd``)."""
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["EXPOSURE_DTYPE", "GAP_DTYPE", "NODE_DTYPE", "PAST_DTYPE", "REST_PLANES",
+           "SAMPLE_DTYPE", "STATE_DTYPE", "STORED_DTYPE", "TRACK_DTYPE",
+           "TUNING_DTYPE", "WAVE_DTYPE"]
+
+STORED_DTYPE = np.dtype([
+    ("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1"), ("next", "<i4")])
+"""An event (t in us) and the index of its pixel's next one, -1 for none."""
+
+TRACK_DTYPE = np.dtype([
+    ("prev", "<i8"), ("last", "<i8"), ("n_off", "<i4"), ("n_on", "<i4"),
+    ("first", "<i4")])
+"""Stamps (2 t + p) of a pixel's last two events, counts of events since the last
+sample, and the index of the first stored event after them, -1 for none."""
+
+STATE_DTYPE = np.dtype([
+    ("base", "<f8"), ("theta_on", "<f8"), ("theta_off", "<f8"),
+    ("var_base", "<f8"), ("cov_base_on", "<f8"), ("cov_base_off", "<f8"),
+    ("var_on", "<f8"), ("cov_on_off", "<f8"), ("var_off", "<f8"),
+    ("prior_on", "<f8"), ("prior_off", "<f8"), ("pull", "<f8"),
+    ("sampled_us", "<i8"), ("samples", "<i4"), ("seen_on", "<i4"),
+    ("seen_off", "<i4")])
+"""State (base, theta_on, theta_off) of a pixel and its covariance, natural-log units.
+
+base is the log intensity (ln DN/ms) at the last event before ``sampled_us``, the middle
+of the exposure of the last sample used; ``samples`` counts those (0: the base means
+nothing), ``seen_on`` and ``seen_off`` all events up to then.  The priors are the
+thresholds started from; ``pull`` is d(base) / d(offset of all frames), ln per DN.
+"""
+
+TUNING_DTYPE = np.dtype([
+    ("leak_per_s", "<f8"), ("noise_per_event", "<f8"), ("bandwidth_hz", "<f8"),
+    ("bandwidth_hz_per_intensity", "<f8"), ("bandwidth_sigma", "<f8"),
+    ("frame_sigma", "<f8"), ("shot_share", "<f8"), ("offset_dn", "<f8"),
+    ("valid_variance", "<f8")])
+"""Process noise: variance of the sum of events, in thresholds^2, per second and per
+event.  Photoreceptor: corner frequency in Hz, what an intensity of 1 DN/ms adds to it,
+relative error of both.  Measurement noise: sigma of ln intensity that de-blurring
+leaves, factor of the read and shot noise's variance, sigma in DN of an offset of all
+frames.  Variance (ln^2) up to which an estimate is valid."""
+
+SAMPLE_DTYPE = np.dtype([("log", "<f4"), ("variance", "<f4"), ("per_dn", "<f4")])
+"""A frame's ln intensity, variance of its read and shot noise (ln^2; 0: no usable
+sample), and what 1 DN more adds to it."""
+
+EXPOSURE_DTYPE = np.dtype([("begin", "<i8"), ("middle", "<i8"), ("end", "<i8")])
+"""Exposure of a column, us."""
+
+WAVE_DTYPE = np.dtype([
+    ("start_us", "<i8"), ("turns_per_us", "<f8"), ("cosine", "<f8"), ("sine", "<f8"),
+    ("of_light", "<f8")])
+"""Ripple of a lamp in one block (see `Wave`)."""
+
+NODE_DTYPE = np.dtype([
+    ("level", "<f4"), ("h_on", "<f4"), ("h_off", "<f4"), ("noise", "<f4"),
+    ("drift", "<f4"), ("n_on", "<i4"), ("n_off", "<i4")])
+"""What a frame said of one pixel."""
+
+PAST_DTYPE = np.dtype([
+    ("base", "<f8"), ("var", "<f8"), ("t", "<i8"), ("n_on", "<i4"), ("n_off", "<i4")])
+"""What the frames on one side of a time say of one pixel."""
+
+GAP_DTYPE = np.dtype([
+    ("before", PAST_DTYPE), ("after", PAST_DTYPE), ("drift", "<f8")])
+"""What those on both sides say."""
+
+REST_PLANES = 4
+"""Of a pixel at rest: log intensity, its variance at an epoch, what is added to that
+per second, and the variance of an offset of all frames; float32."""
