@@ -29,7 +29,7 @@ from .._common import (
     progress,
     roi_option,
 )
-from . import denoise, light, network, rotation
+from . import demosaic, denoise, light, network, rotation
 from .page import (
     beside_stem,
     save_figure,
@@ -137,6 +137,16 @@ def _denoising(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, denoise.denoise_page(rows)), []
 
 
+def _demosaicing(figure: str, stem: Path, settings: Settings) -> Result:
+    """Demosaicing methods against whole images."""
+    rows = list(demosaic.demosaic_cases(settings))
+    write_csv(beside_stem(stem, ".csv"), demosaic.columns(),
+              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, demosaic.demosaic_figure(settings))
+    return write_page(stem, demosaic.demosaic_page(rows)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -166,6 +176,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
     "all": ("all of these, as STEM-fig2 and so on, and a table of them", _all),
+    "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
     "network": ("networks on events alone, on these and on moving textures", _networks),
 }
@@ -205,8 +216,10 @@ def _parser() -> argparse.ArgumentParser:
         "--methods", nargs="+", choices=[*METHODS, *network.METHODS], metavar="NAME",
         help=f"of {_named(METHODS)}; of network {_named(network.METHODS)}; default all")
     parser.add_argument(
-        "--scenes", nargs="+", default=[], choices=network.SCENES, metavar="SCENE",
-        help=f"network: of {_named(network.SCENES)}; default all")
+        "--scenes", nargs="+", default=[], metavar="SCENE",
+        help=f"network: of {_named(network.SCENES)}, default all; demosaic: folders of "
+             "four images per scene, named alike up to the angle at the end "
+             "(cup_0.png, cup_45.png, cup_90.png, cup_135.png), instead of made ones")
     parser.add_argument(
         "--weights", nargs="+", default=[], metavar="FILE",
         help="network: npz files, or a checkpoint of the published FireNet, instead of "
@@ -262,6 +275,11 @@ def _settings(args: argparse.Namespace) -> Settings:
         raise UsageError(
             f"--seconds must exceed 1.1, as the first second settles, got "
             f"{args.seconds:g}")
+    if args.figure != "demosaic":
+        unknown = [name for name in args.scenes if name not in network.SCENES]
+        if unknown:
+            raise UsageError(
+                f"--scenes must be of {_named(network.SCENES)}, got {unknown[0]!r}")
     step = args.step_us or (5077 if args.quick else 1013)
     if step <= 0:
         raise UsageError(f"--step-us must be positive, got {step}")
