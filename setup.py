@@ -24,6 +24,7 @@ KERNELS = (
     "_demosaic",
     "_denoise",
     "_elementwise",
+    "_event_words",
     "_events",
     "_floor",
     "_guided",

@@ -14,6 +14,7 @@ from ._bus import read_out, sort_events
 from ._demosaic import bilinear, binned, superpixel
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, mismatch, reconcile
+from ._event_words import evt2_words, evt3_words, text_events
 from ._events import count, surface, voxel
 from ._floor import floor_sum
 from ._guided import guided
@@ -59,6 +60,8 @@ __all__ = [
     "denoise_events",
     "denoise_rates",
     "dolp",
+    "evt2_words",
+    "evt3_words",
     "exp",
     "floor_sum",
     "guided",
@@ -97,6 +100,7 @@ __all__ = [
     "store_unlink",
     "superpixel",
     "surface",
+    "text_events",
     "tone_bgr",
     "unpack_10p",
     "unpack_12p",

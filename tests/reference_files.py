@@ -1,4 +1,7 @@
 """Plain NumPy twins of the kernels that decode and encode files."""
+import re
+from decimal import Decimal
+
 import numpy as np
 
 from pdavis_cv import EVENT_DTYPE
@@ -52,3 +55,64 @@ def aedat2_words(data, height, width):
     out["t"], out["x"] = t[inside], x[inside]
     out["y"], out["p"] = height - 1 - y[inside], address[inside] >> 11 & 1
     return out
+
+
+def words(data, version, height, width):
+    """Decode words of EVT2 or EVT3, one by one; times never jump by a second."""
+    out, last, loops, high, low = [], -(1 << 61), 0, None, 0
+    row = column = polarity = 0
+
+    def put(t, x, y, p):
+        nonlocal last
+        if x < width and y < height and t >= last:
+            out.append((t, x, y, p))
+            last = t
+
+    for word in data.tolist():
+        kind = word >> (28 if version == 2 else 12)
+        value = word & (0xFFFFFFF if version == 2 else 0xFFF)
+        if kind == 8:
+            span = 28 if version == 2 else 12
+            if high is not None and high - value > 1 << (span - 1):
+                loops += 1
+            low = 0 if value != high else low
+            high = value
+            base = (loops << span) + value << (6 if version == 2 else 12)
+        elif version == 2 and kind in (0, 1) and high is not None:
+            put(base + (word >> 22 & 63), word >> 11 & 2047, word & 2047, kind)
+        elif version == 3 and kind == 0:
+            row = value & 2047
+        elif version == 3 and kind == 6:
+            low = value
+        elif version == 3 and kind == 2 and high is not None:
+            put(base + low, value & 2047, row, value >> 11)
+        elif version == 3 and kind == 3:
+            column, polarity = value & 2047, value >> 11
+        elif version == 3 and kind in (4, 5):
+            bits = 12 if kind == 4 else 8
+            for i in range(bits):
+                if word >> i & 1 and high is not None:
+                    put(base + low, column + i, row, polarity)
+            column += bits
+    return out
+
+
+def text_rows(lines, order):
+    """Return rows of t, x, y, p, nanounits of t, and how many lines are bad."""
+    rows, bad = [], 0
+    for line in lines:
+        parts = line.replace(",", " ").replace(";", " ").split()
+        if not parts or parts[0][0] == "#" or parts[0][0].isalpha():
+            continue
+        if len(parts) != 4 or any(
+                re.fullmatch(r"[-+]?([0-8]?\d{1,18}(\.\d*)?|\.\d+)", part) is None
+                for part in parts):
+            bad += 1
+            continue
+        values = dict(zip(order, map(Decimal, parts), strict=True))
+        if any(values[name] % 1 for name in "xyp"):
+            bad += 1
+            continue
+        nano = int(values["t"] % 1 * 10**9)
+        rows.append([*(int(values[name]) for name in "txyp"), nano])
+    return rows, bad

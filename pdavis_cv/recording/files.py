@@ -12,8 +12,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
+from pdavis_cv.recording.timeline import Clock
 from pdavis_cv.sensor import Layout
 
 __all__ = ["FileReader", "FileRecording", "ProblemLog", "clock_text"]
@@ -245,6 +250,48 @@ class FileRecording(Recording):
             raise RecordingError(f"{self._path}: {unit} {at}: {count} {message}")
         self._log.add(kind, at, message, count=count,
                       offset=at if unit == "byte" else None)
+
+    def _checked(self, columns: Sequence[NDArray[Any]], clock: Clock, at: int, *,
+                 unit: str = "byte") -> NDArray[Any]:
+        """Return those events that lie on the sensor and in order; count the others.
+
+        Parameters
+        ----------
+        columns : four of ndarray, shape (N,)
+            t in us, int64, which is changed in place; x, y; p, where negative is OFF.
+        clock : Clock
+            Time of the events before these.
+        at, unit
+            As in `_count`.
+
+        Returns
+        -------
+        ndarray of EVENT_DTYPE, shape (M,)
+        """
+        t, x, y, p = columns
+        height, width = self._info.sensor_size
+        if p.dtype.kind not in "bu":
+            p = np.where(p < 0, 0, p)  # some writers use -1 for OFF
+        inside = (x < width) & (y < height) & (p <= 1)
+        for side in (x, y):
+            if side.dtype.kind != "u":
+                inside &= side >= 0
+        keep, segments = clock.order(t)
+        if segments:
+            self._log.add("segment", at, "time jumped back by more than a second: a "
+                          "new segment, moved to follow the one before")
+        for kind, good, message in (
+                ("outside sensor", inside, "events outside the sensor were dropped"),
+                ("backward time", keep, "events were dropped because time ran "
+                 "backward")):
+            self._count(at, kind, len(good) - int(np.count_nonzero(good)), message,
+                        unit=unit)
+        good = inside & keep
+        count = int(np.count_nonzero(good))
+        events = np.empty(count, EVENT_DTYPE)
+        for name, column in zip("txyp", (t, x, y, p), strict=True):
+            events[name] = column if count == len(good) else column[good]
+        return events
 
     @property
     def path(self) -> Path:

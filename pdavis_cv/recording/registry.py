@@ -57,6 +57,29 @@ BUILT_IN = (
         reader=f"{_ROOM}.hdf5.reader:Hdf5Recording",
         writer=f"{_ROOM}.hdf5.writer:write_dsec"),
     Format(
+        name="rpg", title="HDF5 of rpg and Monash", suffixes=(".h5", ".hdf5"),
+        magic=(b"\x89HDF\r\n\x1a\n",), holds=frozenset(("events", "frames")),
+        extra="hdf5", reader=f"{_ROOM}.hdf5.reader:Hdf5Recording"),
+    Format(
+        name="prophesee", title="Prophesee RAW (EVT2, EVT3) and DAT", holds=_EVENTS,
+        suffixes=(".raw", ".dat"), sniff=f"{_ROOM}.prophesee:is_prophesee",
+        reader=f"{_ROOM}.prophesee:PropheseeRecording"),
+    Format(
+        name="rosbag", title="ROS 1 and ROS 2 bags", suffixes=(".bag",), extra="ros",
+        magic=(b"#ROSBAG V2.0",), folder="metadata.yaml",
+        holds=frozenset(("events", "frames")),
+        reader=f"{_ROOM}.rosbag:RosRecording"),
+    Format(
+        name="numpy", title="NumPy arrays of events", holds=_EVENTS,
+        suffixes=(".npy", ".npz"), magic=(b"\x93NUMPY", b"PK\x03\x04"),
+        read_options=("sensor_size",),
+        reader=f"{_ROOM}.event_lists:NumpyRecording"),
+    Format(
+        name="text", title="events as lines of text", holds=_EVENTS,
+        suffixes=(".csv", ".txt"), sniff=f"{_ROOM}.event_lists:is_text_events",
+        read_options=("sensor_size", "columns"),
+        reader=f"{_ROOM}.event_lists:TextRecording"),
+    Format(
         name="mosaic", title="video or images of a polarization camera",
         holds=frozenset(("frames",)), needs_layout=True, read_options=("fps",),
         extra="cv2", reader=f"{_ROOM}.mosaic_source:open_mosaic"),

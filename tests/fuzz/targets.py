@@ -102,5 +102,32 @@ def _read(path):
     return count
 
 
-TARGETS = {"aedat4": _aedat4, "aedat2": _aedat2, "aedat31": _aedat31, "hdf5": _hdf5}
+def _prophesee():
+    from event_bytes import dat_file, evt2_file, evt3_file
+    source = recording((12, 16), 0).events()
+    return [make(source, (12, 16)) for make in (evt2_file, evt3_file, dat_file)]
+
+
+def _lists():
+    from event_bytes import npy_file, npz_file, text_file
+    source = recording((12, 16), 0).events()
+    return [npy_file(source), npz_file(source), text_file(source)]
+
+
+def _rpg():
+    if importlib.util.find_spec("h5py") is None:
+        return []
+    from event_bytes import rpg_file
+    return [_written(rpg_file, recording((12, 16), 3))]
+
+
+def _ros1():
+    if importlib.util.find_spec("rosbags") is None:
+        return []
+    from event_bytes import ros1_file
+    return [_written(ros1_file, recording((12, 16), 0).events(), (12, 16))]
+
+
+TARGETS = {"aedat4": _aedat4, "aedat2": _aedat2, "aedat31": _aedat31, "hdf5": _hdf5,
+           "prophesee": _prophesee, "lists": _lists, "rpg": _rpg, "ros1": _ros1}
 """Name of a parser -> its corpus; each is read by `fuzz_one`."""

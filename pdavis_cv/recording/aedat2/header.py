@@ -11,9 +11,7 @@ __all__ = ["CHIP_SIZES", "Header", "bias_currents", "read_header"]
 
 MAX_HEADER = 4 << 20
 USUAL_HEADER = 1 << 16
-CHIP_SIZES = {"davis346": (260, 346),
-              "davi346": (260, 346),  # so the INI's aedat4to2 spells it
-              "davis240": (180, 240), "davis640": (480, 640),
+CHIP_SIZES = {"davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
               "davis208": (192, 208), "davis128": (128, 128)}
 """(height, width) by the first letters of the chip class."""
 
@@ -63,7 +61,8 @@ class Header:
     @property
     def size(self) -> tuple[int, int] | None:
         """Sensor (height, width) of the chip, None if the chip is not known."""
-        name = (self.chip or "").lower()
+        # The INI's aedat4to2 spells it DAVI346.
+        name = (self.chip or "").lower().replace("davi3", "davis3")
         return next((size for start, size in CHIP_SIZES.items()
                      if name.startswith(start)), None)
 

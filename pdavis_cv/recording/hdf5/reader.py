@@ -1,8 +1,10 @@
-"""HDF5 in the layouts of E2P (events and frames) and of DSEC (events).
+"""HDF5 in the layouts of E2P (events and frames), DSEC (events) and rpg (both).
 
 E2P: ``/events`` (N, 4) of t, x, y, p, ``/frame`` (K, H, W), ``/frame_ts``,
-``/frame_idx``.  DSEC: ``/events/{t,x,y,p}``, ``/ms_to_idx``, ``/t_offset``.  What
-they do not hold (exposure, IMU, triggers) stands beside it under ``/pdavis``.
+``/frame_idx``.  DSEC: ``/events/{t,x,y,p}``, ``/ms_to_idx``, ``/t_offset``.  The
+layout of rpg and Monash: ``/events/{ts,xs,ys,ps}``, ``/images/image000000000`` with an
+attribute ``timestamp``, ``sensor_resolution``.  What they do not hold (exposure, IMU,
+triggers) stands beside it under ``/pdavis``.
 """
 from __future__ import annotations
 
@@ -92,6 +94,9 @@ class Hdf5Recording(FileRecording):
             with _reading():
                 self._columns = self._find_events()
                 self._frames = self._dataset(self._file, "frame", 3)
+                images = self._file.get("images")
+                if self._frames is None and isinstance(images, h5py.Group):
+                    self._frames = _Images(images, self._dataset)
                 return self._make_info(layout)
         except _LostError as error:
             raise RecordingError(f"{path}: the file is damaged: {error}") from error
@@ -131,11 +136,24 @@ class Hdf5Recording(FileRecording):
                 return t.astype(np.int64) + offset, x, y, p
 
             return read
+        if isinstance(events, h5py_module().Group) and all(
+                k in events for k in ("ts", "xs", "ys", "ps")):
+            columns = [self._dataset(events, k, 1) for k in ("ts", "xs", "ys", "ps")]
+            self._format, self._length = "HDF5 (rpg)", min(map(len, columns))
+            self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
+            unit = _unit(self._first(lambda rows: columns[0][rows]))
+
+            def read_rpg(rows: slice) -> tuple[NDArray[Any], ...]:
+                t, x, y, p = (column[rows] for column in columns)
+                return _microseconds(t, unit), x, y, p
+
+            return read_rpg
         table = self._dataset(self._file, "events", 2) if "events" in self._file else (
             None)
         if table is None or table.shape[1] != 4:
             raise RecordingError(
-                f"{self._path}: no /events of E2P (N, 4) or DSEC (t, x, y, p); it "
+                f"{self._path}: no /events of E2P (N, 4), DSEC (t, x, y, p) or "
+                "rpg (ts, xs, ys, ps); it "
                 f"holds {', '.join(self._file) or 'nothing'}")
         self._format, self._length = "HDF5 (E2P)", len(table)
         self._piece = (table.chunks or (CHUNK,))[0]
@@ -158,9 +176,10 @@ class Hdf5Recording(FileRecording):
 
     def _make_info(self, layout: Layout | None) -> RecordingInfo:
         attributes = self._file.attrs
-        if "sensor_size" in attributes:
-            height, width = (int(side) for side in attributes["sensor_size"])
-        elif self._frames is not None:
+        stated = attributes.get("sensor_size", attributes.get("sensor_resolution"))
+        if stated is not None:
+            height, width = (int(side) for side in stated[:2])
+        elif self._frames is not None and len(self._frames):
             height, width = self._frames.shape[1:]
         else:
             # DSEC does not say: take the first events' hull, a DAVIS346 at least.
@@ -172,7 +191,8 @@ class Hdf5Recording(FileRecording):
             raise RecordingError(
                 f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, the file says "
                 f"{width}x{height}")
-        if self._frames is not None and self._frames.shape[1:] != (height, width):
+        if self._frames is not None and len(self._frames) and (
+                self._frames.shape[1:] != (height, width)):
             raise RecordingError(
                 f"{self._path}: frames are of shape {self._frames.shape[1:]}, the "
                 f"sensor is {(height, width)}")
@@ -250,24 +270,7 @@ class Hdf5Recording(FileRecording):
                                for at in range(row, stop, step)])
             self._damage(row, f"events {row} .. {stop}", error)
             return np.empty(0, EVENT_DTYPE)
-        t, x, y, p = columns
-        height, width = self._info.sensor_size
-        p = np.where(p < 0, 0, p)  # some writers use -1 for OFF
-        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (p <= 1)
-        keep, segments = clock.order(t)
-        if segments:
-            self._log.add("segment", row, "time jumped back by more than a second: a "
-                          "new segment, moved to follow the one before")
-        for kind, good, message in (
-                ("outside sensor", inside, "events outside the sensor were dropped"),
-                ("backward time", keep, "events were dropped because time ran "
-                 "backward")):
-            self._count(row, kind, int(np.count_nonzero(~good)), message, unit="row")
-        good = inside & keep
-        events = np.empty(int(np.count_nonzero(good)), EVENT_DTYPE)
-        for name, column in zip("txyp", (t, x, y, p), strict=True):
-            events[name] = column[good]
-        return events
+        return self._checked(columns, clock, row, unit="row")
 
     def _table(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
         """Return the IMU samples or triggers that our writer put beside the rest."""
@@ -299,10 +302,13 @@ class Hdf5Recording(FileRecording):
             return []
         try:
             with _reading():
-                stamps = self._dataset(self._file, "frame_ts", 1)
-                if stamps is None:
-                    return []
-                raw = stamps[()]
+                if isinstance(self._frames, _Images):
+                    raw = self._frames.times
+                else:
+                    stamps = self._dataset(self._file, "frame_ts", 1)
+                    if stamps is None:
+                        return []
+                    raw = stamps[()]
                 mids = _microseconds(raw, _unit(raw))
                 rows = np.stack([self._extra(name, mids) for name in (
                     "exposure_start_us", "exposure_end_us", "available_us")], 1)
@@ -363,6 +369,37 @@ class Hdf5Recording(FileRecording):
             "damage", key, f"{what} cannot be read ({error})",
             start_us=place.start if place else None,
             stop_us=place.ready if place else None, warning=DamagedFileWarning)
+
+
+class _Images:
+    """The images of rpg's layout, a dataset each, as one stack.
+
+    Parameters
+    ----------
+    group : h5py.Group
+        ``/images``; those without a number ``timestamp`` are left out.
+    dataset : callable
+        From (group, name, dimensions) to a dataset of numbers that was checked.
+    """
+
+    def __init__(self, group: Any, dataset: Callable[[Any, str, int], Any]) -> None:
+        found = [(float(group[name].attrs["timestamp"]), name) for name in group
+                 if "timestamp" in group[name].attrs]
+        found.sort()
+        self._group, self._dataset = group, dataset
+        self._names = [name for _, name in found]
+        self.times = np.array([t for t, _ in found], np.float64)
+        first = dataset(group, self._names[0], 2).shape if found else (0, 0)
+        self.shape = (len(found), *first)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, k: int) -> NDArray[Any]:
+        image: NDArray[Any] = self._dataset(self._group, self._names[k], 2)[()]
+        if image.shape != self.shape[1:]:
+            raise ValueError(f"an image of shape {image.shape}")
+        return image
 
 
 class _Place(NamedTuple):

@@ -1,0 +1,281 @@
+"""Events as plain lists: lines of text (CSV), and arrays of NumPy."""
+from __future__ import annotations
+
+import math
+import re
+import zipfile
+from collections.abc import Mapping
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.sequential import SequentialRecording, likely_size
+from pdavis_cv.recording.timeline import FAR, Clock
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["NumpyRecording", "TextRecording", "is_text_events"]
+
+CHUNK = 1 << 18
+"""Rows of arrays, and bytes of text, that are read at once."""
+MAX_SIDE = 8192
+MOST_RATIO = 1100
+"""Deflate packs at most 1032 to 1; a file that promises more is damaged."""
+NANOSECONDS_FROM = 10**17
+"""Whole times beyond this (of 5138 in us, of 1973 in ns) are nanoseconds."""
+
+_NAMES = {"t": "t", "ts": "t", "timestamp": "t", "timestamps": "t", "time": "t",
+          "x": "x", "xs": "x", "y": "y", "ys": "y", "p": "p", "ps": "p", "pol": "p",
+          "polarity": "p", "on": "p"}
+"""What columns are called."""
+_LINE = re.compile(
+    rb"\s*[-+]?\d+(\.\d*)?([\s,;]+[-+]?\d+(\.\d*)?){3}[\s,;]*")
+
+
+def is_text_events(start: bytes) -> bool:
+    """Tell whether a file begins with lines of four numbers, after names or remarks."""
+    for number, line in enumerate(start.split(b"\n")[:-1]):
+        text = line.strip()
+        if _LINE.fullmatch(line):
+            return True
+        names = re.split(r"[\s,;]+", text.decode("latin-1").lower())
+        if text and not text.startswith(b"#") and (
+                number > 20 or not set(names) <= set(_NAMES)):
+            return False
+    return False
+
+
+class _EventList(SequentialRecording):
+    """What lists of events have in common: they say no size, and their units vary."""
+
+    def _facts(self, kind: str, layout: Layout | None,
+               size: tuple[int, int] | None) -> RecordingInfo:
+        """Return the facts; looks at the first events where the size is not given."""
+        if size is None:
+            _, x, y, _ = self._columns(self._begin)[0]
+            size = likely_size(int(max(x.max(initial=0), 0)),
+                               int(max(y.max(initial=0), 0)))
+            self._log.add("unknown size", None, "the file does not give the sensor's "
+                          f"size: {size[1]}x{size[0]} holds the first events; "
+                          "sensor_size=(height, width) says another")
+        height, width = (int(side) for side in size)
+        if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+            raise RecordingError(
+                f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, got "
+                f"{width}x{height}")
+        return RecordingInfo(
+            format=kind, sensor_size=(height, width), layout=layout, frame_count=0,
+            imu_count=0, trigger_count=0,
+            sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None)
+
+    def _columns(self, at: int) -> tuple[tuple[NDArray[Any], ...], int]:
+        """Return t (us), x, y, p of the piece at a place, and the next place."""
+        raise NotImplementedError
+
+    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
+        columns, after = self._columns(at)
+        if not len(columns[0]):
+            return np.empty(0, EVENT_DTYPE), after
+        return self._checked(columns, clock, at, unit=self._unit), after
+
+    _unit = "row"
+
+
+class TextRecording(_EventList):
+    """A list of events as text, a line each; see `open_recording`.
+
+    Numbers stand between blanks, commas, semicolons or tabs.  Times with a point are
+    seconds, whole ones microseconds, or nanoseconds beyond 10**17.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Not used: such files hold one camera.
+    sensor_size : (int, int), optional
+        (height, width); default: the smallest usual one that holds the first events.
+    columns : str, optional
+        Order of the columns, e.g. ``"xypt"``; default: as the first line names them,
+        else ``"txyp"``.
+    """
+
+    _unit = "byte"
+
+    def _open(self, layout: Layout | None, camera: str | None, *,
+              sensor_size: tuple[int, int] | None = None,
+              columns: str | None = None) -> RecordingInfo:
+        self._reader = self._bytes()
+        start = self._reader.read(0, 4096)
+        order = self._named(start) if columns is None else columns
+        if sorted(order) != sorted("txyp"):
+            raise ValueError(
+                f"columns must be the letters txyp in some order, got {order!r}")
+        self._order = np.array(["txyp".index(name) for name in order], np.int64)
+        self._scale = self._time_unit(start)
+        return self._facts("text", layout, sensor_size)
+
+    def _named(self, start: bytes) -> str:
+        """Return the order that a line of names gives, txyp if there is none."""
+        for line in start.split(b"\n"):
+            names = re.split(r"[\s,;#]+", line.decode("latin-1").lower().strip(" #\r"))
+            if len(names) == 4 and {_NAMES.get(name) for name in names} == set("txyp"):
+                return "".join(_NAMES[name] for name in names)
+            if _LINE.fullmatch(line):
+                break
+        return "txyp"
+
+    def _time_unit(self, start: bytes) -> str:
+        """Return what times are in: s, us or ns."""
+        place = int(np.flatnonzero(self._order == 0)[0])
+        for line in start.split(b"\n")[:-1]:
+            if _LINE.fullmatch(line):
+                time = re.split(rb"[\s,;]+", line.strip())[place]
+                if b"." in time:
+                    return "s"
+                return "ns" if int(time) > NANOSECONDS_FROM else "us"
+        return "us"
+
+    def _columns(self, at: int) -> tuple[tuple[NDArray[Any], ...], int]:
+        data = self._reader.read(at, CHUNK)
+        if at + len(data) == self._reader.size and not data.endswith(b"\n") and data:
+            data += b"\n"  # the last line of a file need not end
+        rows = np.empty((5, len(data) // 8 + 1), np.int64)
+        done, count, bad = _kernels.text_events(
+            np.frombuffer(data, np.uint8), 0, self._order, rows)
+        if not done and len(data) >= CHUNK:
+            raise RecordingError(
+                f"{self._path}: byte {at}: a line of more than {CHUNK} bytes")
+        self._count(at, "bad line", bad, "lines are not four numbers")
+        whole, x, y, p, nano = rows[:, :count]
+        if self._scale == "s":
+            whole = np.clip(whole, -FAR // 10**6, FAR // 10**6)
+            t = whole * 1_000_000 + (nano + 500) // 1000
+        else:
+            t = whole // 1000 if self._scale == "ns" else whole.copy()
+        return (t, x, y, p), min(at + done, self._reader.size)
+
+
+class NumpyRecording(_EventList):
+    """A list of events in ``.npy`` or ``.npz``; see `open_recording`.
+
+    ``.npy``: fields t, x, y, p (or their usual other names), or four columns in this
+    order.  ``.npz``: an array each, or one of those under any name.  Times with
+    fractions are seconds, whole ones microseconds, or nanoseconds beyond 10**17.  An
+    ``.npy`` file is read in pieces, an ``.npz`` file as a whole.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Not used: such files hold one camera.
+    sensor_size : (int, int), optional
+        (height, width); default: the smallest usual one that holds the first events.
+    """
+
+    def _open(self, layout: Layout | None, camera: str | None, *,
+              sensor_size: tuple[int, int] | None = None) -> RecordingInfo:
+        self._reader = self._bytes()
+        try:
+            found = self._arrays()
+        except RecordingError:
+            raise
+        except Exception as error:  # NumPy raises anything for a damaged header
+            raise RecordingError(
+                f"{self._path}: not arrays that can be read: {error}") from None
+        self._arrays_of = _events_of(found, str(self._path))
+        self._scale = self._time_unit()
+        return self._facts("NumPy", layout, sensor_size)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays of the file by name; their sizes are checked first."""
+        if self._reader.read(0, 2) != b"PK":
+            return {"": np.load(self._path, mmap_mode="r", allow_pickle=False)}
+        with zipfile.ZipFile(self._path) as archive:
+            members = archive.infolist()
+            if sum(m.file_size for m in members) > MOST_RATIO * self._reader.size:
+                raise ValueError("more numbers than a file of this size can hold")
+            return {member.filename.removesuffix(".npy").lower(): _array(
+                archive.open(member), member.file_size) for member in members}
+
+    def _time_unit(self) -> str:
+        t = np.asarray(self._arrays_of[0][:CHUNK])
+        if t.dtype.kind == "f" and np.any(t[np.isfinite(t)] % 1):
+            return "s"
+        return "ns" if len(t) and t[0] > NANOSECONDS_FROM else "us"
+
+    def _columns(self, at: int) -> tuple[tuple[NDArray[Any], ...], int]:
+        self._reader.read(0, 1)  # raises once the recording is closed
+        t, x, y, p = (np.asarray(a[at:at + CHUNK]) for a in self._arrays_of)
+        after = at + len(t)
+        if t.dtype.kind == "f":
+            t = np.rint(t * (1e6 if self._scale == "s" else 1.0))
+            t = np.where(np.abs(t) < FAR, t, -FAR)  # dropped, and what is no number
+        elif self._scale == "ns":
+            t = t // 1000
+        return (t.astype(np.int64), *map(_whole, (x, y, p))), after
+
+
+def _array(file: IO[bytes], size: int) -> NDArray[Any]:
+    """Return the array of a member of ``.npz``, whose size is in bytes."""
+    with file:
+        version = np.lib.format.read_magic(file)
+        read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
+                else np.lib.format.read_array_header_2_0)
+        shape, fortran, dtype = read(file)
+        if dtype.hasobject or dtype.itemsize * math.prod(shape) > size:
+            raise ValueError(f"an array of shape {shape} in {size} bytes")
+        data = np.frombuffer(file.read(), dtype, math.prod(shape))
+    return data.reshape(shape, order="F" if fortran else "C")
+
+
+def _events_of(found: dict[str, NDArray[Any]], path: str
+               ) -> tuple[NDArray[Any], ...]:
+    """Return the arrays t, x, y, p that a file holds, of the same length.
+
+    Raises
+    ------
+    RecordingError
+        If there are none.
+    """
+    def named(columns: Mapping[str, NDArray[Any]]) -> tuple[NDArray[Any], ...] | None:
+        by_name = {_NAMES[name.lower()]: column for name, column in columns.items()
+                   if name.lower() in _NAMES}
+        if set(by_name) != set("txyp"):
+            return None
+        chosen = tuple(by_name[name] for name in "txyp")
+        good = len({a.shape for a in chosen}) == 1 and all(
+            a.ndim == 1 and a.dtype.kind in "iufb" for a in chosen)
+        return chosen if good else None
+
+    events = named(found)
+    for array in found.values():
+        if events is not None:
+            break
+        names = array.dtype.names
+        if names is not None and array.ndim == 1:
+            events = named({name: array[name] for name in names})
+        elif array.ndim == 2 and array.shape[1] == 4 and array.dtype.kind in "iuf":
+            events = tuple(array.T)
+    if events is None:
+        what = ", ".join(f"{name or 'an array'} {a.shape} {a.dtype}"
+                         for name, a in found.items())
+        raise RecordingError(
+            f"{path}: no events: arrays t, x, y, p are needed, one with such fields, "
+            f"or one of shape (N, 4); it holds {what or 'nothing'}")
+    return events
+
+
+def _whole(column: NDArray[Any]) -> NDArray[Any]:
+    """Return coordinates or polarities as integers; what is no number lies outside."""
+    if column.dtype.kind == "f":
+        return np.where(np.isfinite(column), np.clip(column, -1, MAX_SIDE), -1).astype(
+            np.int64)
+    return column.view(np.uint8) if column.dtype.kind == "b" else column

@@ -1,0 +1,243 @@
+"""Prophesee's RAW (EVT2, EVT3) and DAT files: events alone.
+
+Facts: the formats as Prophesee documents them.  Of the libraries that read them,
+expelliarmus is under GPL and faery under LGPL: the words are decoded here.
+"""
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.sequential import SequentialRecording, likely_size
+from pdavis_cv.recording.timeline import Clock, Timeline
+from pdavis_cv.sensor import Layout
+
+__all__ = ["PropheseeRecording", "WordStream", "is_prophesee"]
+
+MAX_HEADER = 1 << 16
+MAX_SIDE = 8192
+CHUNK = 1 << 18
+"""Bytes that are decoded at once."""
+_CHIPS = (("320", (320, 320)), ("imx636", (720, 1280)), ("gen4", (720, 1280)),
+          ("gen3", (480, 640)))
+"""(height, width) by a part of the plugin's or generation's name."""
+
+# Places in the kernels' states.
+HIGH, TIME, UNTIMED, WORD_STATE = 0, 1, 6, 7
+FILLED, OFFSET, OUTSIDE, BACKWARD = 0, 2, 3, 4
+
+
+def is_prophesee(start: bytes) -> bool:
+    """Tell whether a file's first bytes are a header of Prophesee's."""
+    lines = [line for line in start.split(b"\n") if line.startswith(b"%")]
+    return bool(lines) and re.search(
+        rb"%\s*(evt \d|format EVT|geometry|Data file containing|plugin_name"
+        rb"|system_ID|camera_integrator_name|integrator_name)",
+        b"\n".join(lines)) is not None
+
+
+class WordStream:
+    """Decodes words of EVT2 or EVT3 to events; goes on from call to call.
+
+    Parameters
+    ----------
+    version : {2, 3}
+    size : (int, int)
+        Sensor (height, width).
+    """
+
+    def __init__(self, version: int, size: tuple[int, int]) -> None:
+        self.version, self.size = version, size
+        self.dtype = np.dtype("<u4" if version == 2 else "<u2")
+        self._stream = np.zeros(WORD_STATE, np.int64)
+        self._stream[HIGH] = -1
+        self.jumps = 0
+
+    @property
+    def untimed(self) -> int:
+        """Events that were skipped because no time came before them."""
+        return int(self._stream[UNTIMED])
+
+    def events(self, words: NDArray[np.unsignedinteger], clock: Clock) -> NDArray[Any]:
+        """Return the events of words that lie on the sensor and in order.
+
+        Parameters
+        ----------
+        words : ndarray of uint32 (EVT2) or uint16 (EVT3), shape (N,)
+        clock : Clock
+            Its state counts what was dropped.
+
+        Returns
+        -------
+        ndarray of EVENT_DTYPE, shape (M,)
+        """
+        two = self.version == 2
+        kernel = _kernels.evt2_words if two else _kernels.evt3_words
+        # What is never written costs no memory.
+        out = np.empty(len(words) if two else 12 * len(words) + 12, EVENT_DTYPE)
+        clock.state[FILLED], done, self.jumps = 0, 0, 0
+        while done < len(words):
+            done, jump = kernel(
+                words, done, *self.size, self._stream, clock.state, out)
+            if jump:
+                clock.jump(int(self._stream[TIME] + clock.state[OFFSET]))
+                self.jumps += 1
+        return out[:int(clock.state[FILLED])]
+
+
+class PropheseeRecording(SequentialRecording):
+    """A recording in Prophesee's RAW or DAT; see `open_recording`.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Must be part of the header's camera or serial number if given.
+    """
+
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        self._reader = self._bytes()
+        facts = self._header()
+        name = " ".join(facts.get(key, "") for key in (
+            "integrator_name", "camera_integrator_name", "plugin_name", "system_ID"
+            )).strip() or None
+        serial = facts.get("serial_number")
+        if camera is not None and camera.lower() not in f"{name} {serial}".lower():
+            raise RecordingError(
+                f"{self._path}: no camera named {camera!r}: it is {name} {serial}")
+        self._version = self._kind(facts)
+        size = self._sensor_size(facts)
+        if size is None:
+            size = self._hull()
+            self._log.add("unknown size", None, "the header does not give the sensor's "
+                          f"size: {size[1]}x{size[0]} holds the first events")
+        return RecordingInfo(
+            format="DAT" if self._version == 0 else f"RAW (EVT{self._version})",
+            sensor_size=size, writer=facts.get("generator", "Prophesee"), camera=name,
+            serial=serial, layout=layout, frame_count=0, imu_count=0, trigger_count=0,
+            event_count=(self._reader.size - self._begin) // 8 if (
+                self._version == 0) else None,
+            header={"first_row": "top", **facts})
+
+    def _header(self) -> dict[str, str]:
+        """Return the header's lines by their first word; note where they end."""
+        data = self._reader.read(0, MAX_HEADER)
+        at = 0
+        facts: dict[str, str] = {}
+        while data[at:at + 1] == b"%":
+            end = data.find(b"\n", at)
+            if end < 0:
+                break
+            line = data[at + 1:end].strip().decode("latin-1")
+            at = end + 1
+            if line == "end":
+                break
+            key, _, value = line.partition(" ")
+            facts.setdefault(key, value.strip())
+        self._begin = at
+        return facts
+
+    def _kind(self, facts: dict[str, str]) -> int:
+        """Return 2 or 3 for RAW, 0 for DAT, whose two bytes after the header are read.
+
+        Raises
+        ------
+        RecordingError
+            If the events are of another kind.
+        """
+        if facts.get("Data", "").startswith("file containing"):
+            kind, size = self._reader.read(self._begin, 2).ljust(2, b"\0")
+            if kind not in (0, 12) or size != 8:
+                raise RecordingError(
+                    f"{self._path}: byte {self._begin}: events of type {kind} and "
+                    f"{size} bytes, but those of DAT are of type 0 or 12 and 8 bytes")
+            self._begin += 2
+            return 0
+        stated = facts.get("format", "").partition(";")[0] or facts.get("evt", "2.0")
+        version = stated.upper().removeprefix("EVT").strip()
+        if version not in ("2", "2.0", "3", "3.0"):
+            raise RecordingError(
+                f"{self._path}: byte 0: EVT{version} is not read, EVT2 and EVT3 are")
+        return int(version[0])
+
+    def _sensor_size(self, facts: dict[str, str]) -> tuple[int, int] | None:
+        options = dict(part.split("=", 1) for part in facts.get(
+            "format", "").split(";")[1:] if "=" in part)
+        width, _, height = facts.get("geometry", "").partition("x")
+        for high, wide in ((options.get("height"), options.get("width")),
+                           (height, width), (facts.get("Height"), facts.get("Width")),
+                           (facts.get("height"), facts.get("width"))):
+            if not (high or "").strip().isdecimal() or not (
+                    wide or "").strip().isdecimal():
+                continue
+            size = int(high or 0), int(wide or 0)
+            if not (0 < size[0] <= MAX_SIDE and 0 < size[1] <= MAX_SIDE):
+                raise RecordingError(
+                    f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, the header "
+                    f"says {size[1]}x{size[0]}")
+            return size
+        names = " ".join(facts.get(key, "") for key in (
+            "plugin_name", "sensor_generation", "sensor_name")).lower()
+        return next((size for part, size in _CHIPS if part in names), None)
+
+    def _hull(self) -> tuple[int, int]:
+        """Return a size that holds the first events."""
+        if self._version == 0:
+            words = self._words(self._begin).reshape(-1, 2)[:, 1]
+            x, y = words & 0x3FFF, words >> 14 & 0x3FFF
+        else:
+            stream = WordStream(self._version, (2048, 2048))
+            events = stream.events(self._words(self._begin), Clock(Timeline()))
+            x, y = events["x"], events["y"]
+        return likely_size(int(x.max(initial=0)), int(y.max(initial=0)))
+
+    def _words(self, at: int) -> NDArray[np.unsignedinteger]:
+        """Return the whole words of the piece at a byte."""
+        dtype = np.dtype("<u2" if self._version == 3 else "<u4")
+        size = 8 if self._version == 0 else dtype.itemsize
+        data = self._reader.read(at, CHUNK)
+        words: NDArray[np.unsignedinteger] = np.frombuffer(
+            data, dtype, len(data) // size * (size // dtype.itemsize))
+        return words
+
+    def _first(self) -> WordStream | None:
+        return WordStream(self._version, self._info.sensor_size) if (
+            self._version) else None
+
+    def _next(self, at: int, clock: Clock, state: WordStream | None
+              ) -> tuple[NDArray[Any], int]:
+        words = self._words(at)
+        if not len(words):
+            if at < self._reader.size:
+                self._log.damage(
+                    at, f"byte {at}: the file ends inside a word", offset=at)
+            return np.empty(0, EVENT_DTYPE), at
+        after = at + words.nbytes
+        if state is None:
+            t, word = words.reshape(-1, 2).T
+            return self._checked(
+                (t.astype(np.int64), word & 0x3FFF, word >> 14 & 0x3FFF, word >> 28),
+                clock, at), after
+        before, clock.state[[OUTSIDE, BACKWARD]] = state.untimed, 0
+        events = state.events(words, clock)
+        if state.jumps:
+            self._log.add("segment", at, "time jumped back by more than a second: a "
+                          "new segment, moved to follow the one before", offset=at)
+        for kind, count, message in (
+                ("outside sensor", clock.state[OUTSIDE], "events outside the sensor "
+                 "were dropped"),
+                ("backward time", clock.state[BACKWARD], "events were dropped because "
+                 "time ran backward"),
+                ("untimed", state.untimed - before, "events before the first time were "
+                 "skipped")):
+            self._count(at, kind, int(count), message)
+        return events, after

@@ -1,0 +1,330 @@
+"""ROS 1 and ROS 2 bags: events of dvs_msgs and event_camera_msgs, and grey images.
+
+The containers are read by the library rosbags; messages are decoded here, because an
+object per event would take a hundred times as long.
+"""
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.packetise import Batch, packetise
+from pdavis_cv.recording.prophesee import BACKWARD, OFFSET, OUTSIDE, WordStream
+from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["RosRecording"]
+
+HORIZON_US = 500_000
+"""How far events and images of a bag may interleave imperfectly in time."""
+MAX_SIDE = 8192
+MAX_MESSAGE = 1 << 28
+EVENT_ARRAYS = "dvs_msgs/msg/EventArray"
+EVENT_PACKETS = "event_camera_msgs/msg/EventPacket"
+IMAGES = "sensor_msgs/msg/Image"
+_ROS1 = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])
+# In CDR numbers are aligned: the pattern repeats from the second event on.
+_ROS2 = np.dtype({"names": ["x", "y", "s", "ns", "p"], "itemsize": 16,
+                  "formats": ["<u2", "<u2", "<i4", "<u4", "u1"],
+                  "offsets": [0, 2, 6, 10, 14]})
+_GREY = {"mono8": ("u1", 255), "8UC1": ("u1", 255), "mono16": ("u2", 65535),
+         "16UC1": ("u2", 65535)}
+
+
+class _Message:
+    """Reads the fields of one message in their order.
+
+    Parameters
+    ----------
+    data : bytes
+        As the bag holds it.
+    cdr : bool
+        ROS 2: aligned, with a head of four bytes; else ROS 1.
+    """
+
+    def __init__(self, data: bytes, cdr: bool) -> None:
+        self.data, self._cdr, self._at = data, cdr, 4 if cdr else 0
+        if cdr and data[1:2] not in (b"\x01", b"\x00"):
+            raise ValueError(f"an encapsulation {data[:4]!r}")
+        if cdr and data[1] == 0:
+            raise ValueError("big-endian numbers")
+
+    def number(self, code: str) -> int:
+        """Return one number; code as in `struct`."""
+        size = struct.calcsize(code)
+        if self._cdr:
+            self._at += -(self._at - 4) % size
+        value: int = struct.unpack_from("<" + code, self.data, self._at)[0]
+        self._at += size
+        return value
+
+    def block(self) -> bytes:
+        """Return a sequence of bytes, or the bytes of a text."""
+        size = self.number("I")
+        if size > len(self.data) - self._at:
+            raise ValueError(f"{size} bytes in a message of {len(self.data)}")
+        self._at += size
+        return self.data[self._at - size:self._at]
+
+    def text(self) -> str:
+        """Return a text."""
+        return self.block().rstrip(b"\0").decode("latin-1")
+
+    def header(self) -> int:
+        """Return the time of a std_msgs/Header in ns."""
+        if not self._cdr:
+            self.number("I")  # seq
+        seconds = self.number("i" if self._cdr else "I")
+        nanoseconds = self.number("I")
+        self.text()
+        return seconds * 1_000_000_000 + nanoseconds
+
+    def size(self) -> tuple[int, int]:
+        """Return (height, width)."""
+        height, width = self.number("I"), self.number("I")
+        if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+            raise ValueError(f"a size of {width}x{height}")
+        return height, width
+
+    def events(self) -> tuple[NDArray[Any], ...]:
+        """Return t in us, x, y, p of a sequence of dvs_msgs/Event."""
+        count, at, data = self.number("I"), self._at, self.data
+        if not self._cdr:
+            if count * _ROS1.itemsize > len(data) - at:
+                raise ValueError(f"{count} events in a message of {len(data)} bytes")
+            rows = np.frombuffer(data, _ROS1, count, at)
+        else:
+            # Of the first event the times follow the place at once.
+            aligned = at + -(at - 4) % 4
+            needed = 13 + 16 * (count - 1) if count else 0
+            if needed > len(data) - aligned:
+                raise ValueError(f"{count} events in a message of {len(data)} bytes")
+            whole = bytearray(16 * count)
+            if count:
+                whole[0:4] = data[aligned:aligned + 4]
+                whole[6:15] = data[aligned + 4:aligned + 13]
+                rest = data[aligned + 14:aligned + 14 + 16 * (count - 1)]
+                whole[16:16 + len(rest)] = rest
+            rows = np.frombuffer(whole, _ROS2, count)
+        t = rows["s"].astype(np.int64) * 1_000_000 + rows["ns"] // 1000
+        return t, rows["x"], rows["y"], rows["p"]
+
+
+class RosRecording(FileRecording):
+    """A recording in a ROS bag; see `open_recording`.
+
+    Events of ``dvs_msgs/EventArray`` and of ``event_camera_msgs/EventPacket`` (in the
+    encodings ``mono`` and ``evt3``), grey ``sensor_msgs/Image``.  Times are those of
+    the messages; the exposure of images is not known.
+
+    Parameters
+    ----------
+    path : path
+        A ``.bag`` file, or the folder of a ROS 2 bag.
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+        Part of the topics' names, where the bag holds several cameras.
+    """
+
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        try:
+            from rosbags import rosbag1, rosbag2
+        except ImportError:
+            raise ImportError(
+                "ROS bags need a package: pip install 'pdavis-cv[ros]'") from None
+        self._cdr = self._path.is_dir()
+        errors = (rosbag1.ReaderError, rosbag2.ReaderError, OSError, ValueError,
+                  KeyError, TypeError, AttributeError, IndexError, EOFError,
+                  AssertionError, MemoryError, struct.error)
+        self._errors = errors
+        self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
+        self._closed = False
+        self._closing.callback(setattr, self, "_closed", True)
+        try:
+            with self._kind(self._path) as bag:
+                self._topics = self._choose(bag.connections, camera)
+                size = self._sensor_size(bag)
+        except RecordingError:
+            raise
+        except errors as error:
+            raise RecordingError(
+                f"{self._path}: not a bag that can be read: {error}") from error
+        images = sum(kind == IMAGES for _, kind in self._topics)
+        return RecordingInfo(
+            format=f"ROS {2 if self._cdr else 1} bag", sensor_size=size, layout=layout,
+            camera=", ".join(sorted(topic for topic, _ in self._topics)),
+            sensor=Sensor.PDAVIS if size == Sensor.PDAVIS.size else None,
+            frame_count=None if images else 0, imu_count=0, trigger_count=0,
+            event_count=None if images < len(self._topics) else 0, wall_clock_us=0)
+
+    def _choose(self, connections: Sequence[Any], camera: str | None
+                ) -> set[tuple[str, str]]:
+        """Return (topic, type) of the events and of the images."""
+        known = [c for c in connections
+                 if c.msgtype in (EVENT_ARRAYS, EVENT_PACKETS, IMAGES)
+                 and (camera is None or camera in c.topic)]
+        for what, kinds in (("events", (EVENT_ARRAYS, EVENT_PACKETS)),
+                            ("images", (IMAGES,))):
+            topics = sorted({c.topic for c in known if c.msgtype in kinds})
+            if len(topics) > 1:
+                raise RecordingError(
+                    f"{self._path}: several topics of {what}, pass camera=: "
+                    f"{', '.join(topics)}")
+        if not known:
+            topics = sorted({f"{c.topic} ({c.msgtype})" for c in connections})
+            raise RecordingError(
+                f"{self._path}: neither events nor images"
+                + (f" of a camera named {camera!r}" if camera else "")
+                + f"; it holds {', '.join(topics) or 'nothing'}")
+        return {(c.topic, c.msgtype) for c in known}
+
+    def _of(self, bag: Any) -> Iterator[tuple[str, str, bytes]]:
+        """Give (topic, type, data) of the messages of an open bag that are wanted."""
+        wanted = [c for c in bag.connections if (c.topic, c.msgtype) in self._topics]
+        for connection, _, data in bag.messages(wanted):
+            yield connection.topic, connection.msgtype, data
+
+    def _sensor_size(self, bag: Any) -> tuple[int, int]:
+        for _, _, data in self._of(bag):
+            message = _Message(data, self._cdr)
+            message.header()
+            return message.size()
+        raise RecordingError(f"{self._path}: neither events nor images in its topics")
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        if self._closed:
+            raise ValueError(f"{self._path.name}: recording is closed")
+        return packetise(self._batches(), start_us, stop_us)
+
+    def _batches(self) -> Iterator[Batch]:
+        timeline = Timeline()
+        clocks = {name: Clock(timeline) for name in ("events", "frames")}
+        words = WordStream(3, self._info.sensor_size)
+        promised = NEVER
+        both = len(self._topics) > 1
+        for number, (topic, kind, data) in enumerate(self._messages()):
+            batch = Batch()
+            try:
+                message = _Message(data, self._cdr)
+                if kind == IMAGES:
+                    batch.frames = self._frame(
+                        message, clocks["frames"], number, promised)
+                elif kind == EVENT_ARRAYS:
+                    message.header()
+                    message.size()
+                    batch.events = self._checked(
+                        message.events(), clocks["events"], number, unit="message")
+                else:
+                    batch.events = self._packet(
+                        message, clocks["events"], words, number)
+            except (ValueError, struct.error) as error:
+                self._log.damage(number, f"message {number}, of {topic}, is damaged: "
+                                 f"{error}", offset=0)
+                continue
+            if batch.events is not None and len(batch.events) and (
+                    batch.events["t"][0] < promised):
+                late = batch.events["t"] < promised
+                self._count(number, "backward time", int(late.sum()), "events came "
+                            "later than the images after them", unit="message")
+                batch.events = batch.events[~late]
+            newest = max(clock.last for clock in clocks.values())
+            promised = batch.complete_us = max(promised, newest - (
+                HORIZON_US if both else 0))
+            yield batch
+
+    def _messages(self) -> Iterator[tuple[str, str, bytes]]:
+        """Give (topic, type, data); what the library cannot read ends them.
+
+        Each reading opens the bag for itself: the library's readers have one position.
+        """
+        with ExitStack() as stack:
+            try:
+                messages = self._of(stack.enter_context(self._kind(self._path)))
+                ahead = next(messages, None)
+            except self._errors as error:
+                self._lost(error)
+                return
+            while ahead is not None:
+                if self._closed:
+                    raise ValueError(f"{self._path.name}: recording is closed")
+                yield ahead
+                try:
+                    ahead = next(messages, None)
+                except self._errors as error:
+                    self._lost(error)
+                    return
+
+    def _lost(self, error: Exception) -> None:
+        self._log.damage("end", f"the bag cannot be read further: {error}", offset=0)
+
+    def _frame(self, message: _Message, clock: Clock, number: int, promised: int
+               ) -> list[ApsFrame]:
+        t = np.array([message.header() // 1000], np.int64)
+        size = message.size()
+        encoding = message.text()
+        big = message.number("B")
+        step = message.number("I")
+        data = message.block()
+        if size != self._info.sensor_size or encoding not in _GREY:
+            self._count(number, "wrong image", 1, f"images are {size[1]}x{size[0]} "
+                        f"{encoding}, not grey or not the sensor's size",
+                        unit="message")
+            return []
+        kind, full = _GREY[encoding]
+        dtype = np.dtype((">" if big else "<") + kind)
+        if step < size[1] * dtype.itemsize or len(data) < step * size[0]:
+            raise ValueError(f"{len(data)} bytes for {size[0]} rows of {step}")
+        rows = np.frombuffer(data, np.uint8, step * size[0]).reshape(size[0], step)
+        image = np.ascontiguousarray(rows[:, :size[1] * dtype.itemsize]).view(dtype)
+        keep, _ = clock.order(t)
+        if not keep[0] or t[0] <= promised:
+            self._count(number, "backward time", 1, "images were dropped because time "
+                        "ran backward", unit="message")
+            return []
+        return [ApsFrame(image, int(t[0]), int(t[0]), full_scale_dn=full)]
+
+    def _packet(self, message: _Message, clock: Clock, words: WordStream, number: int
+                ) -> NDArray[Any]:
+        """Return the events of an event_camera_msgs/EventPacket."""
+        stamp = message.header() // 1000
+        message.size()
+        message.number("Q")  # seq
+        base = message.number("Q")
+        encoding = message.text()
+        big = message.number("B")
+        data = message.block()
+        if big or encoding not in ("mono", "evt3"):
+            raise RecordingError(
+                f"{self._path}: events in the encoding {encoding!r}"
+                f"{', big-endian,' if big else ''} are not read, mono and evt3 are")
+        if encoding == "mono":
+            word = np.frombuffer(data, "<u8", len(data) // 8)
+            t = ((word & 0xFFFFFFFF).astype(np.int64) + base) // 1000
+            columns = t, word >> 32 & 0xFFFF, word >> 48 & 0x7FFF, word >> 63
+            return self._checked(columns, clock, number, unit="message")
+        if clock.last == NEVER:
+            # The sensor counts from its own start; the stamp is of the first event.
+            first = WordStream(3, words.size).events(
+                np.frombuffer(data, "<u2", len(data) // 2), Clock(Timeline()))
+            clock.state[OFFSET] = stamp - int(first["t"][0]) if len(first) else 0
+        clock.state[[OUTSIDE, BACKWARD]] = 0
+        events = words.events(np.frombuffer(data, "<u2", len(data) // 2), clock)
+        for kind, count, text in (
+                ("outside sensor", clock.state[OUTSIDE], "events outside the sensor "
+                 "were dropped"),
+                ("backward time", clock.state[BACKWARD], "events were dropped because "
+                 "time ran backward")):
+            self._count(number, kind, int(count), text, unit="message")
+        return events

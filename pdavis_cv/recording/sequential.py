@@ -1,0 +1,109 @@
+"""Events of formats without an index, which can only be read from their beginning."""
+from __future__ import annotations
+
+from abc import abstractmethod
+from bisect import bisect_left
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.base import Packet, joined
+from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.timeline import Clock, Marks, Timeline
+
+__all__ = ["SequentialRecording", "likely_size"]
+
+MARK_PLACES = 1 << 20
+"""Least distance of the places where reading can begin again, bytes or rows."""
+_SIZES = ((260, 346), (480, 640), (720, 1280))
+"""(height, width) of usual sensors, for files that do not say theirs."""
+
+
+def likely_size(x: int, y: int) -> tuple[int, int]:
+    """Return the (height, width) of the smallest usual sensor that holds a pixel.
+
+    Parameters
+    ----------
+    x, y : int
+        Largest column and row of some events.
+    """
+    return next(((h, w) for h, w in _SIZES if y < h and x < w), (y + 1, x + 1))
+
+
+class SequentialRecording(FileRecording):
+    """A file of events alone, in pieces; the first reading notes where they begin.
+
+    A format gives `_begin`, where the first piece is, and implements `_next`.
+    """
+
+    _begin = 0
+
+    def _first(self) -> Any:
+        """Return what decoding knows before the first piece."""
+        return None
+
+    @abstractmethod
+    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
+        """Return the events of the piece at a place, and the next place.
+
+        Parameters
+        ----------
+        at : int
+            Place: a byte, or a row.
+        clock : Clock
+            Time of the events before; goes on.
+        state : object
+            As `_first` made it; goes on.
+
+        Returns
+        -------
+        events : ndarray of EVENT_DTYPE, shape (N,)
+        after : int
+            The same place at the end.
+        """
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        return packetise(self._batches(start_us), start_us, stop_us)
+
+    def events(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> NDArray[Any]:
+        """Return the events of start_us <= time < stop_us as one array."""
+        parts = [np.empty(0, EVENT_DTYPE)]
+        for batch in self._batches(start_us):
+            events = batch.events
+            if events is None or not len(events):
+                continue
+            lo = 0 if start_us is None else bisect_left(events["t"], start_us)
+            hi = len(events) if stop_us is None else bisect_left(events["t"], stop_us)
+            parts.append(events[lo:hi])
+            if hi < len(events):
+                break
+        return joined(parts)
+
+    def _batches(self, start_us: int | None) -> Iterator[Batch]:
+        at, clock, state = self._begin, Clock(Timeline()), self._first()
+        if start_us is not None:
+            mark = self._marks.before(cell_start(start_us))
+            if mark is not None:
+                at, clock, state = mark
+        while True:
+            self._marks.note(at, clock.last, (at, clock, state))
+            events, after = self._next(at, clock, state)
+            if after == at:
+                return
+            at = after
+            yield Batch(events, complete_us=clock.last)
+
+    @property
+    def _marks(self) -> Marks:
+        if "_made_marks" not in self.__dict__:
+            self._made_marks = Marks(MARK_PLACES)
+        return self._made_marks

@@ -1,0 +1,122 @@
+"""Files of events byte by byte, from the formats' descriptions, not our readers."""
+import io
+
+import numpy as np
+
+
+def evt2_file(events, size=(480, 640), *, header=None):
+    """Return a RAW file of EVT2: 32-bit words, times in two parts."""
+    words, high = [], None
+    for t, x, y, p in events.tolist():
+        if t >> 6 != high:
+            high = t >> 6
+            words.append(8 << 28 | high & 0xFFFFFFF)
+        words.append(p << 28 | (t & 63) << 22 | x << 11 | y)
+    head = header or f"% evt 2.0\n% geometry {size[1]}x{size[0]}\n% end\n".encode()
+    return head + np.array(words, "<u4").tobytes()
+
+
+def evt3_file(events, size=(480, 640), *, header=None):
+    """Return a RAW file of EVT3: 16-bit words; neighbours go into vectors."""
+    words, before, i = [], (None, None, None), 0
+    rows = events.tolist()
+    while i < len(rows):
+        t, x, y, p = rows[i]
+        high, low, row = before
+        if t >> 12 != high:
+            words.append(8 << 12 | t >> 12 & 0xFFF)
+            low = None
+        if t & 0xFFF != low:
+            words.append(6 << 12 | t & 0xFFF)
+        if y != row:
+            words.append(y)
+        before = t >> 12, t & 0xFFF, y
+        group = [x]
+        while i + len(group) < len(rows):
+            nt, nx, ny, np_ = rows[i + len(group)]
+            if (nt, ny, np_) != (t, y, p) or not group[-1] < nx < x + 20:
+                break
+            group.append(nx)
+        if len(group) > 1:
+            words.append(3 << 12 | p << 11 | x)
+            bits = sum(1 << (column - x) for column in group)
+            words += [4 << 12 | bits & 0xFFF, 5 << 12 | bits >> 12 & 0xFF]
+        else:
+            words.append(2 << 12 | p << 11 | x)
+        i += len(group)
+    head = header or (
+        f"% format EVT3;height={size[0]};width={size[1]}\n% end\n".encode())
+    return head + np.array(words, "<u2").tobytes()
+
+
+def dat_file(events, size=(480, 640)):
+    """Return a DAT file of CD events: 32-bit time and place."""
+    words = np.empty((len(events), 2), "<u4")
+    words[:, 0] = events["t"]
+    words[:, 1] = (events["x"].astype("u4") | events["y"].astype("u4") << 14
+                   | events["p"].astype("u4") << 28)
+    head = ("% Data file containing CD events.\n% Version 2\n"
+            "% Date 2020-01-01 00:00:00\n"
+            f"% Height {size[0]}\n% Width {size[1]}\n")
+    return head.encode() + bytes([12, 8]) + words.tobytes()
+
+
+def text_file(events, *, line="{t} {x} {y} {p}\n"):
+    """Return lines of text."""
+    return "".join(line.format(t=t, x=x, y=y, p=p, s=f"{t // 10**6}.{t % 10**6:06d}")
+                   for t, x, y, p in events.tolist()).encode()
+
+
+def npy_file(events):
+    """Return an ``.npy`` file with the fields of the events."""
+    file = io.BytesIO()
+    np.save(file, events)
+    return file.getvalue()
+
+
+def npz_file(events):
+    """Return an ``.npz`` file with an array for each field."""
+    file = io.BytesIO()
+    np.savez(file, **{name: events[name] for name in "txyp"})
+    return file.getvalue()
+
+
+def rpg_file(path, recording, *, offset=1_500_000_000):
+    """Write HDF5 as rpg's and Monash's tools do: seconds, a dataset per image."""
+    import h5py
+    with h5py.File(path, "w") as file:
+        events = recording.events()
+        group = file.create_group("events")
+        group["ts"] = events["t"] / 1e6 + offset
+        group["xs"] = events["x"].astype(np.int16)
+        group["ys"] = events["y"].astype(np.int16)
+        group["ps"] = events["p"].astype(bool)
+        file.attrs["sensor_resolution"] = recording.info.sensor_size
+        images = file.create_group("images")
+        for packet in recording.packets():
+            for frame in packet.frames:
+                image = images.create_dataset(
+                    f"image{len(images):09d}", data=(frame.dn / 4).astype(np.uint8))
+                image.attrs["timestamp"] = frame.mid_us / 1e6 + offset
+                image.attrs["size"] = frame.shape
+
+
+def ros1_file(path, events, size):
+    """Write a ROS 1 bag of dvs_msgs/EventArray, its messages packed by hand."""
+    import struct
+
+    from rosbags import rosbag1
+    definition = ("std_msgs/Header header\nuint32 height\nuint32 width\n"
+                  "dvs_msgs/Event[] events\n")
+    path.unlink(missing_ok=True)
+    with rosbag1.Writer(path) as bag:
+        topic = bag.add_connection("/dvs/events", "dvs_msgs/msg/EventArray",
+                                   msgdef=definition, md5sum="0" * 32)
+        for part in np.array_split(events, max(len(events) // 20_000, 4)):
+            rows = np.zeros(len(part), [("x", "<u2"), ("y", "<u2"), ("s", "<u4"),
+                                        ("n", "<u4"), ("p", "u1")])
+            rows["x"], rows["y"], rows["p"] = part["x"], part["y"], part["p"]
+            rows["s"], rows["n"] = part["t"] // 10**6, part["t"] % 10**6 * 1000
+            head = struct.pack("<IIII", 0, 0, 0, 0) + struct.pack(
+                "<III", *size, len(part))
+            bag.write(topic, int(part["t"][-1]) * 1000, head + rows.tobytes())

@@ -1,0 +1,295 @@
+"""Prophesee RAW and DAT, lists of events as text and arrays, HDF5 of rpg."""
+import pickle
+
+import numpy as np
+import pytest
+import reference_files as reference
+from event_bytes import (
+    dat_file,
+    evt2_file,
+    evt3_file,
+    npy_file,
+    npz_file,
+    rpg_file,
+    text_file,
+)
+from test_aedat4 import joined
+from test_aedat4_writer import small
+
+from pdavis_cv import (
+    EVENT_DTYPE,
+    Layout,
+    RecordingError,
+    _kernels,
+    fuse,
+    open_recording,
+)
+from pdavis_cv.recording.prophesee import WordStream
+from pdavis_cv.recording.timeline import Clock, Timeline
+from pdavis_cv.tools.main import main
+
+SIZE = (480, 640)
+
+
+def some_events(n=3000, size=SIZE, seed=0, step=40):
+    rng = np.random.default_rng(seed)
+    events = np.zeros(n, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, step * n, n)) + 5000
+    events["y"], events["x"] = rng.integers(0, size[0], n), rng.integers(0, size[1], n)
+    events["p"] = rng.integers(0, 2, n)
+    events[100:130]["t"] = events["t"][100]  # a row of neighbours, as EVT3 packs them
+    events["y"][100:130], events["x"][100:130] = 7, 50 + 2 * np.arange(30)
+    return events
+
+
+MAKERS = {"evt2.raw": evt2_file, "evt3.raw": evt3_file, "x.dat": dat_file,
+          "x.npy": lambda e, size: npy_file(e), "x.npz": lambda e, size: npz_file(e),
+          "x.csv": lambda e, size: b"t,x,y,p\r\n" + text_file(
+              e, line="{t},{x},{y},{p}\r\n"),
+          "x.txt": lambda e, size: text_file(e, line="{s} {x} {y} {p}\n")[:-1]}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_events_are_read_whole_and_by_interval(tmp_path, name):
+    events = some_events(200_000 if name != "x.txt" else 40_000)
+    path = tmp_path / name
+    path.write_bytes(MAKERS[name](events, SIZE))
+    with open_recording(path) as recording:
+        assert recording.info.sensor_size == SIZE
+        assert recording.info.frame_count == 0
+        inside = events[len(events) // 2:][:500]
+        lo, hi = int(inside["t"][0]), int(inside["t"][-1]) + 1
+        expected = events[(events["t"] >= lo) & (events["t"] < hi)]
+        # Before and after the index is made by the first whole reading.
+        np.testing.assert_array_equal(recording.events(lo, hi), expected)
+        np.testing.assert_array_equal(recording.events(), events)
+        np.testing.assert_array_equal(joined(recording.packets())[0], events)
+        np.testing.assert_array_equal(recording.events(lo, hi), expected)
+        np.testing.assert_array_equal(joined(recording.packets(lo, hi))[0], expected)
+        assert {p.kind for p in recording.problems} <= {"unknown size"}
+        with pickle.loads(pickle.dumps(recording)) as again:
+            np.testing.assert_array_equal(again.events(lo, hi), expected)
+    with pytest.raises(ValueError, match="recording is closed"):
+        recording.events()
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_what_lies_outside_or_runs_backward_is_counted(tmp_path, name):
+    events = some_events(300)
+    events["x"][10] = 700
+    events["t"][20] = events["t"][19] - 1
+    path = tmp_path / name
+    path.write_bytes(MAKERS[name](events, SIZE))
+    options = {} if name.endswith(("raw", "dat")) else {"sensor_size": SIZE}
+    with open_recording(path, **options) as recording:
+        found = recording.events()
+        kinds = {p.kind: p.count for p in recording.problems}
+    assert kinds["outside sensor"] == 1
+    assert kinds["backward time"] >= 1
+    assert len(found) == 299 - kinds["backward time"]
+    with open_recording(path, bad_events="raise", **options) as recording:
+        with pytest.raises(RecordingError, match="1 events outside the sensor"):
+            recording.events()
+
+
+@pytest.mark.parametrize(("make", "loop"), [(evt2_file, 1 << 34), (evt3_file, 1 << 24)])
+def test_time_goes_on_where_its_counter_begins_anew(tmp_path, make, loop):
+    events = some_events(1000, step=4)
+    events["t"] += loop - 7000
+    (tmp_path / "x.raw").write_bytes(make(events, SIZE))
+    expected = events.copy()
+    expected["t"] -= loop - 7000
+    with open_recording(tmp_path / "x.raw") as recording:
+        found = recording.events()
+    found["t"] -= found["t"][0] - expected["t"][0]
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("make", [evt2_file, evt3_file])
+def test_a_jump_back_begins_a_new_segment(tmp_path, make):
+    one, two = some_events(500), some_events(500, seed=1)
+    one["t"] += 3_000_000
+    (tmp_path / "x.raw").write_bytes(make(one, SIZE) + make(
+        two, SIZE).partition(b"% end\n")[2])
+    with open_recording(tmp_path / "x.raw") as recording:
+        found = recording.events()
+        assert [p.kind for p in recording.problems] == ["segment"]
+    assert len(found) == 1000
+    assert found["t"][500] == one["t"][-1] + 1
+    np.testing.assert_array_equal(np.diff(found["t"][500:]), np.diff(two["t"]))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_words_equal_their_twin(version):
+    rng = np.random.default_rng(0)
+    bits = 28 if version == 2 else 12
+    kinds = (0, 1, 10, 14) if version == 2 else (0, 2, 3, 4, 5, 6, 7, 10, 14)
+    words = (rng.choice(kinds, 20_000) << bits | rng.integers(0, 1 << bits, 20_000)
+             ).astype(np.uint32 if version == 2 else np.uint16)
+    words[7::50] = (8 << bits | np.arange(400)).astype(words.dtype)
+    for size in (SIZE, (12, 16)):
+        clock, stream = Clock(Timeline()), WordStream(version, size)
+        got = np.concatenate([stream.events(part, clock) for part in np.array_split(
+            words, 7)])
+        expected = reference.words(words, version, *size)
+        assert got.tolist() == expected
+        assert len(expected) > (10 if size == SIZE else -1)
+
+
+def test_kernels_refuse_arrays_of_the_wrong_shape():
+    out, state = np.empty(50, EVENT_DTYPE), np.zeros(6, np.int64)
+    stream = np.zeros(7, np.int64)
+    for kernel, dtype in ((_kernels.evt2_words, np.uint32),
+                          (_kernels.evt3_words, np.uint16)):
+        words = np.zeros(4, dtype)
+        for wrong in ((words, 5, 4, 4, stream, state, out),
+                      (words, 0, 4, 4, stream[:3], state, out),
+                      (words, 0, 4, 4, stream, state[:3], out),
+                      (words, 0, 4, 4, stream, state - 1, out)):
+            with pytest.raises(ValueError, match=kernel.__name__):
+                kernel(*wrong)
+        assert kernel(words[:0], 0, 4, 4, stream, state, out) == (0, 0)
+    for order, rows in (([0, 1, 2], (5, 4)), ([0, 1, 2, 4], (5, 4)),
+                        ([0, 1, 2, 3], (4, 4))):
+        with pytest.raises(ValueError, match="text_events"):
+            _kernels.text_events(np.zeros(3, np.uint8), 0, np.array(order, np.int64),
+                                 np.empty(rows, np.int64))
+
+
+LINES = ["1 2 3 1", "-5,6;7\t0", "  8 9 10 1  ", "", "# words", "1 2 3", "1 2 3 4 5",
+         "1.5 2 3 1", "2.000000001 3 4 0", ".5 1 1 1", "5. 1 1 1", "1 2.5 3 1",
+         "12345678901234567890 1 1 1", "9123456789012345678 1 1 1",
+         "8123456789012345678 1 1 1", "1 2 3 x", "t x y p", "1 2.0 3.00 1\r",
+         "-1.25 1 1 1", "1e5 1 1 1", "1.1234567899 1 1 1", "- 1 1 1"]
+
+
+def test_lines_of_text_equal_their_twin():
+    data = "\n".join([*LINES, "cut 1 2"]).encode()
+    for order in ("txyp", "xypt", "pyxt"):
+        out = np.full((5, 40), -99, np.int64)
+        places = np.array(["txyp".index(name) for name in order], np.int64)
+        end, count, bad = _kernels.text_events(
+            np.frombuffer(data, np.uint8), 0, places, out)
+        rows, wrong = reference.text_rows(LINES, order)
+        assert out[:, :count].T.tolist() == rows
+        assert bad == wrong
+        assert data[end:] == b"cut 1 2"
+
+
+@pytest.mark.parametrize(("header", "size"), [
+    (b"% evt 2.0\n% geometry 320x240\n", (240, 320)),
+    (b"% Date 2020\n% evt 2.0\n% plugin_name hal_plugin_gen31_fx3\n", (480, 640)),
+    (b"% system_ID 49\n% evt 2.0\n% sensor_generation 4.2\n% plugin_name hal_imx636\n",
+     (720, 1280)),
+    (b"% evt 2.0\n", (480, 640))])
+def test_the_size_comes_from_the_header_or_the_events(tmp_path, header, size):
+    events = some_events(200, (200, 400))
+    events["y"][0] = 200
+    events["x"] %= 320
+    (tmp_path / "x").write_bytes(evt2_file(events, header=header))
+    with open_recording(tmp_path / "x") as recording:
+        expected = size if size != (480, 640) or b"plugin" in header else (260, 346)
+        assert recording.info.sensor_size == expected
+        np.testing.assert_array_equal(recording.events(), events)
+
+
+@pytest.mark.parametrize(("data", "message"), [
+    (b"% format EVT21;height=4;width=4\n% end\n", "EVT21 is not read, EVT2 and EVT3"),
+    (b"% evt 4.0\n% end\n", "EVT4.0 is not read"),
+    (b"% evt 3.0\n% geometry 0x9\n% end\n", r"must lie in 1\.\.8192.* 0x9"),
+    (b"% Data file containing CD events\n" + bytes([14, 8]), "events of type 14"),
+    (b"% Data file containing CD events\n", "events of type 0 and 0 bytes"),
+    (b"% a TeX file\n", "not a recording, first bytes b'% a TeX"),
+    (b"\x93NUMPY\x01\x00", "not arrays that can be read"),
+    (b"PK\x03\x04", "not arrays that can be read"),
+    (b"1 2 3\n", "not a recording"),
+    (b"a,b,c\n1,2,3\n", "not a recording")])
+def test_what_is_no_recording_is_refused_by_name(tmp_path, data, message):
+    (tmp_path / "x.raw").write_bytes(data)
+    with pytest.raises(RecordingError, match=rf"x\.raw: .*{message}"):
+        open_recording(tmp_path / "x.raw")
+
+
+def test_a_file_that_ends_inside_a_word_is_damaged(tmp_path):
+    events = some_events(150)
+    (tmp_path / "x.dat").write_bytes(dat_file(events) + b"abc")
+    with open_recording(tmp_path / "x.dat") as recording:
+        with pytest.warns(UserWarning, match="ends inside a word"):
+            assert len(recording.events()) == 150
+
+
+# Lists ---------------------------------------------------------------------------
+
+
+def read(path, **options):
+    with open_recording(path, **options) as recording:
+        return recording.events(), recording
+
+
+@pytest.mark.parametrize(("line", "names", "columns"), [
+    ("{x},{y},{p},{t}\n", "x,y,polarity,timestamp\n", None),
+    ("{x} {y} {t} {p}\n", "", "xytp"),
+    ("{p};{t};{x};{y}\n", "# p;t;x;y\n", None),
+    ("{t}000 {x} {y} {p}\n", "", None)])
+def test_text_says_its_columns_or_is_told(tmp_path, line, names, columns):
+    events = some_events(200)
+    if "000" in line:
+        events["t"] += 10**15
+    (tmp_path / "x.csv").write_bytes(names.encode() + text_file(events, line=line))
+    found, _ = read(tmp_path / "x.csv", columns=columns)
+    np.testing.assert_array_equal(found, events)
+
+
+def test_lines_that_are_not_events_are_counted(tmp_path):
+    (tmp_path / "x").write_bytes(b"1 2 3 1\n4 5\n6 7 8 0\nnothing\n9 1 1 -1")
+    found, recording = read(tmp_path / "x")
+    assert found.tolist() == [(1, 2, 3, 1), (6, 7, 8, 0), (9, 1, 1, 0)]
+    assert {p.kind: p.count for p in recording.problems}["bad line"] == 1
+    with pytest.raises(ValueError, match="columns must be the letters txyp"):
+        open_recording(tmp_path / "x", columns="txy")
+    assert main(["info", str(tmp_path / "x"), "--scan"]) == 0
+
+
+def test_arrays_of_several_forms_are_read(tmp_path):
+    events = some_events(300)
+    plain = np.stack([events[k].astype(float) for k in "txyp"], 1)
+    seconds = plain.copy()
+    seconds[:, 0] /= 1e6
+    signed = plain.astype(np.int64)
+    signed[:, 3] = 2 * signed[:, 3] - 1
+    other = np.zeros(300, [("timestamp", "u8"), ("x", "i2"), ("y", "i2"), ("on", "?")])
+    for name, field in zip(other.dtype.names, "txyp", strict=True):
+        other[name] = events[field]
+    for k, array in enumerate((plain, seconds, signed, other)):
+        np.save(tmp_path / f"{k}.npy", array)
+        found, _ = read(tmp_path / f"{k}.npy")
+        np.testing.assert_array_equal(found, events)
+    np.savez_compressed(tmp_path / "x.npz", events=other)
+    np.testing.assert_array_equal(read(tmp_path / "x.npz")[0], events)
+    np.savez(tmp_path / "y.npz", a=np.zeros(3))
+    with pytest.raises(RecordingError, match=r"no events: .* holds a \(3,\) float64"):
+        open_recording(tmp_path / "y.npz")
+    np.save(tmp_path / "z.npy", np.array([{}], object), allow_pickle=True)
+    with pytest.raises(RecordingError, match="not arrays that can be read"):
+        open_recording(tmp_path / "z.npy")
+
+
+# HDF5 of rpg ---------------------------------------------------------------------
+
+
+def test_rpg_files_are_read(tmp_path):
+    pytest.importorskip("h5py")
+    source = small()
+    rpg_file(tmp_path / "x.h5", source, offset=100)
+    with open_recording(tmp_path / "x.h5") as recording:
+        assert recording.info.format == "HDF5 (rpg)"
+        assert recording.info.sensor_size == (12, 16)
+        assert recording.info.frame_count == 3
+        events, frames, _, _ = joined(recording.packets())
+        image = next(fuse(recording, method="frames", layout=Layout.PDAVIS))
+    expected, images, _, _ = joined(source.packets())
+    expected["t"] += 100_000_000
+    np.testing.assert_array_equal(events, expected)
+    assert [f.mid_us for f in frames] == [f.mid_us + 100_000_000 for f in images]
+    np.testing.assert_array_equal(frames[0].dn, 4 * np.floor(images[0].dn / 4))
+    assert image.t_us == frames[0].mid_us
