@@ -46,6 +46,7 @@ SHARED = (
     "_clones.h",
     "_double.pxd",
     "_estimate.pxd",
+    "_extrapolation.h",
     "_film.h",
     "_guided.h",
     "_lag.pxd",

@@ -10,7 +10,7 @@ from _kernels._estimate cimport LEAST_VARIANCE, part_at, theta_squared, walk_to
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._model cimport node_t, state_t, stored_t, track_t, tuning_t, wave_t
-from _kernels._tracks cimport drift, part_t, walk_t
+from _kernels._tracks cimport SETTLED_VARIANCE, at_rest, drift, part_t, walk_t
 
 cdef packed struct past_t:
     # What the samples before say of the base; var < 0: there was none.
@@ -213,6 +213,10 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     if lamp.blocks > 0:
         hz = corner(tuning, level)
     part = part_at(&walk, store, known, on, off, lamp, hz, <double>t)
+    if (lamp.blocks == 0 and at_rest(walk.t, t) and gap.before.var >= 0
+            and gap.before.t >= walk.t
+            and (walk.next < 0 or store[walk.next].t > known)):
+        part.var = SETTLED_VARIANCE
     theta = on if part.p else -off
     level += theta * part.fraction + part.ripple
     u = lead(theta * part.rate + part.ripple_rate, level, tuning)

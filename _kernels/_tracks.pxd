@@ -19,10 +19,61 @@ cdef extern from *:
     #define LONG_AGO -4611686018427387904   /* -2^62: stands for no event */
     #define REST_VARIANCE (1 / 3.0)     /* thresholds^2: anywhere in the dead band */
     #define SETTLED_VARIANCE 0.02       /* the same, once a sample has measured it */
+    /* Gaps are at least this long (us): a pixel's events are not closer but in bursts,
+       whose stamps say nothing of how fast the light changes. */
+    #define GAP_LEAST_US 100.0
+    #define AHEAD_LEAST_US 200.0
+    /* A parabola from one event to the next of the other sign turns half a threshold
+       beyond the first, (sqrt 3 - 1) / 2 of the gap after it; at the latest a whole
+       one, sqrt 2 - 1 of the gap. */
+    #define TURN_HALF 0.3660254037844386
+    #define TURN_MOST 0.41421356237309515
+    /* Variances of the part (thresholds^2) and of its slope (thresholds^2 per gap^2):
+       studies/kalman_interpolation.py.  Between two events of one sign; where the light
+       has turned and the event before tells how fast it was; where it does not; where
+       no event has followed yet. */
+    #define SAME_VARIANCE 0.0005
+    #define SAME_RATE_VARIANCE 0.0008
+    #define TURNED_VARIANCE 0.003
+    #define TURNED_RATE_VARIANCE 0.02
+    #define UNSURE_VARIANCE 0.05
+    #define UNSURE_RATE_VARIANCE 1.0
+    #define QUIET_VARIANCE 0.08
+    #define QUIET_RATE_VARIANCE 0.3
+    /* Under a flickering lamp: the least part of a threshold that the light alone is
+       taken to have crossed in a gap; below half of one the lamp made the event, and
+       the light has not turned; bounds of what is left of a threshold for the light. */
+    #define LIGHT_LEAST 0.1
+    #define LIGHT_TURNED 0.5
+    #define ROOM_LEAST 0.3
+    #define ROOM_MOST 2.0
     """
     const int64_t LONG_AGO
     const double REST_VARIANCE
     const double SETTLED_VARIANCE
+    const double GAP_LEAST_US
+    const double AHEAD_LEAST_US
+    const double TURN_HALF
+    const double TURN_MOST
+    const double SAME_VARIANCE
+    const double SAME_RATE_VARIANCE
+    const double TURNED_VARIANCE
+    const double TURNED_RATE_VARIANCE
+    const double UNSURE_VARIANCE
+    const double UNSURE_RATE_VARIANCE
+    const double QUIET_VARIANCE
+    const double QUIET_RATE_VARIANCE
+    const double LIGHT_LEAST
+    const double LIGHT_TURNED
+    const double ROOM_LEAST
+    const double ROOM_MOST
+
+cdef extern from "_extrapolation.h":
+    const double AHEAD[][4]
+    const int AHEAD_NODES
+    const int AHEAD_KNEE
+    const double AHEAD_FINE
+    const double AHEAD_COARSE
 
 cdef struct walk_t:
     # A place in a pixel's events: the last two passed, the next index, counts passed.
@@ -114,17 +165,17 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     hz passes it on.
     """
     cdef part_t part = nothing(p1)
-    cdef double gap = <double>(t1 - walk.t), s, q, turn = 0.366, last = 0.0, next = 0.0
+    cdef double gap = <double>(t1 - walk.t), s, q, turn = TURN_HALF, last = 0.0, next = 0.0
     cdef double here = 0.0, now, change = 0.0, _
     cdef bint same = walk.p == p1
     cdef bint flickers = lamp.blocks > 0 and t1 - walk.t < STALE_US
     if never(walk.t):
         return part
-    if gap < 100.0:
-        gap = 100.0
+    if gap < GAP_LEAST_US:
+        gap = GAP_LEAST_US
     s = (t - <double>walk.t) / gap
-    part.var = 0.0005
-    part.rate_var = 0.0008
+    part.var = SAME_VARIANCE
+    part.rate_var = SAME_RATE_VARIANCE
     if flickers:
         last = on if walk.p else -off
         next = on if p1 else -off
@@ -140,13 +191,13 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
         part.fall = 0.0 if p1 else part.rate
     else:
         if never(walk.t_prev) or walk.p_prev != walk.p:
-            part.var = 0.05
-            part.rate_var = 1.0
+            part.var = UNSURE_VARIANCE
+            part.rate_var = UNSURE_RATE_VARIANCE
         else:
-            part.var = 0.003
-            part.rate_var = 0.02
+            part.var = TURNED_VARIANCE
+            part.rate_var = TURNED_RATE_VARIANCE
             q = <double>(walk.t - walk.t_prev)
-            q = q if q > 100.0 else 100.0
+            q = q if q > GAP_LEAST_US else GAP_LEAST_US
             part.fall = 1e6 / q if p1 else 0.0
             q /= gap
             if flickers:
@@ -156,7 +207,7 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
                 last = off if p1 else on
                 next = on if p1 else off
             turn = (last - q * q * next) / (2.0 * (last + q * next) + 1e-30)
-            turn = 0.0 if turn < 0.0 else 0.414 if turn > 0.414 else turn
+            turn = 0.0 if turn < 0.0 else TURN_MOST if turn > TURN_MOST else turn
         q = 1.0 / (1.0 - 2.0 * turn)
         part.fraction = s * (s - 2.0 * turn) * q
         part.rate = (2.0 * s - 2.0 * turn) * q * 1e6 / gap
@@ -179,8 +230,8 @@ cdef inline part_t quiet(int64_t t0, int p0, double known, const lamp_t* lamp,
     cdef double gap = known - <double>t0, s
     if never(t0):
         return part
-    part.var = 0.08
-    part.rate_var = 0.3e12 / (gap * gap)
+    part.var = QUIET_VARIANCE
+    part.rate_var = QUIET_RATE_VARIANCE * 1e12 / (gap * gap)
     s = (t - <double>t0) / gap
     part.fraction = 2.0 * s * (1.0 - s)
     part.rate = (2.0 - 4.0 * s) * 1e6 / gap
@@ -210,14 +261,16 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
                          const lamp_t* lamp, double hz, double t) noexcept nogil:
     """Part crossed at t from the last two events alone, nothing known beyond t.
 
-    Means and variances of the part and of its slope, as functions of the time since
-    the last event over the last interval, for turning polarizers of any degree seen by
-    a low-pass pixel: on at nearly the same rate, then more and more likely to have
-    turned.  After a turn it goes on fast, unless one of the events was noise.  Under a
-    lamp that flickers this holds for the light less its ripple.
+    Means and variances of the part and of its slope, given that no event has followed,
+    by the time since the last event over the last gap: the prior, an ensemble of
+    turning lights that may stop, is stated in studies/kalman_extrapolation.py, which
+    tabulates them.  Long silence means rest.  Under a lamp that flickers this holds
+    for the light less its ripple.
     """
     cdef part_t part = nothing(walk.p)
-    cdef double gap = <double>(walk.t - walk.t_prev), u, change, room = 1.0, _
+    cdef double gap = <double>(walk.t - walk.t_prev), u, change, room = 1.0, w, _
+    cdef int node
+    cdef const double* low
     cdef bint same = walk.p_prev == walk.p
     if never(walk.t_prev):
         return part
@@ -230,47 +283,36 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
             part.p = change > 0.0
             change = change / on if change > 0.0 else -change / off
             # Less than half a threshold is no turn.
-            same = walk.p_prev == part.p or change < 0.5
-            gap /= change if change > 0.1 else 0.1
+            same = walk.p_prev == part.p or change < LIGHT_TURNED
+            gap /= change if change > LIGHT_LEAST else LIGHT_LEAST
         # How much of it the light may have crossed without an event.
         room = ripple(lamp, hz, t, &_) - ripple(lamp, hz, <double>walk.t, &_)
         room = 1.0 - room / on if part.p else 1.0 + room / off
-        room = 0.3 if room < 0.3 else 2.0 if room > 2.0 else room
-    if gap < 200.0:
-        gap = 200.0
+        room = room if room > ROOM_LEAST else ROOM_LEAST
+        room = room if room < ROOM_MOST else ROOM_MOST
+    if gap < AHEAD_LEAST_US:
+        gap = AHEAD_LEAST_US
     u = (t - <double>walk.t) / (gap * room)
+    if u < AHEAD_KNEE * AHEAD_FINE:
+        w = u / AHEAD_FINE
+        node = <int>w
+        w -= node
+    else:
+        w = u / AHEAD_COARSE - AHEAD_KNEE * AHEAD_FINE / AHEAD_COARSE
+        w = w if w < AHEAD_NODES - 1 - AHEAD_KNEE else AHEAD_NODES - 1 - AHEAD_KNEE
+        node = <int>w
+        w -= node
+        node += AHEAD_KNEE
+    if node == AHEAD_NODES - 1:
+        add_ripple(&part, lamp, hz, walk.t, t)
+        return part
+    low = AHEAD[node if same else AHEAD_NODES + node]
+    part.fraction = low[0] + w * (low[4] - low[0])
+    part.rate = low[1] + w * (low[5] - low[1])
+    part.var = low[2] + w * (low[6] - low[2])
+    part.rate_var = low[3] + w * (low[7] - low[3])
     if same:
         part.fall = 0.0 if part.p else 1e6 / gap
-        part.var = 0.1 * u * u + 0.005 if u < 1.5 else 0.23
-        part.rate_var = 0.04 + 0.25 * u if u < 1.0 else 0.29
-        if u < 0.8:
-            part.fraction = 0.86 * u
-            part.rate = 0.93 - 0.18 * u
-        elif u < 1.2:
-            part.fraction = 0.688 if u < 1.1 else 0.688 - 0.57 * (u - 1.1)
-            part.rate = 0.786 - 1.59 * (u - 0.8)
-        elif u < 5.0:
-            part.fraction = (0.688 - 0.57 * (u - 1.1) if u < 1.45
-                             else 0.488 - 0.26 * (u - 1.45))
-            part.rate = 0.15 - 0.7 * (u - 1.2) if u < 2.25 else -0.585
-        else:
-            part.fraction = -0.435
-    else:
-        part.var = 0.05
-        part.rate_var = 1.7
-        if u < 0.15:
-            part.fraction = 4.5 * u
-            part.rate = 4.7
-        elif u < 0.3:
-            part.fraction = 0.675 + 1.1 * (u - 0.15)
-            part.rate = 4.7 - 8.8 * (u - 0.15)
-        elif u < 0.6:
-            part.fraction = 0.84 - 0.97 * (u - 0.3)
-            part.rate = 3.38 - 11.27 * (u - 0.3)
-        elif u < 2.0:
-            part.fraction = 0.549 - 0.178 * (u - 0.6)
-        else:
-            part.fraction = 0.3
     part.fraction *= room
     part.rate *= 1e6 / gap
     part.rate_var *= 1e12 / (gap * gap)

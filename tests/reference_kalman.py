@@ -1,6 +1,10 @@
 """The Kalman method in plain float64 NumPy, a pixel at a time."""
+import functools
+import importlib
 import itertools
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -85,6 +89,20 @@ def quiet(t0, p0, known, r, t):
         t0, r, t)
 
 
+@functools.cache
+def prior():
+    """Nodes and table of the stated prior, made by its study."""
+    folder = str(Path(__file__).resolve().parent.parent / "studies")
+    sys.path.insert(0, folder)
+    try:
+        study = importlib.import_module("kalman_extrapolation")
+        return study.NODES, study.table()
+    finally:
+        sys.path.remove(folder)
+        for name in ("kalman_extrapolation", "common"):
+            sys.modules.pop(name, None)
+
+
 def ahead(before, t0, p0, steps, r, t):
     if before is None:
         return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
@@ -100,25 +118,11 @@ def ahead(before, t0, p0, steps, r, t):
         room = np.clip(1 - (r(t)[0] - r(t0)[0]) / steps[1 - p], 0.3, 2)
     gap = max(gap, 200)
     u = (t - t0) / (gap * room)
-    if same:
-        fraction = np.interp(u, [0, 0.8], [0, 0.688]) if u < 1.1 else np.select(
-            [u < 1.45, u < 5], [0.688 - 0.57 * (u - 1.1), 0.488 - 0.26 * (u - 1.45)],
-            -0.435)
-        rate = np.select(
-            [u < 0.8, u < 1.2, u < 2.25, u < 5],
-            [0.93 - 0.18 * u, 0.786 - 1.59 * (u - 0.8), 0.15 - 0.7 * (u - 1.2),
-             -0.585], 0)
-        spread = (0.1 * u**2 + 0.005 if u < 1.5 else 0.23), min(
-            0.04 + 0.25 * u, 0.29)
-    else:
-        fraction = np.select(
-            [u < 0.15, u < 0.3, u < 0.6, u < 2],
-            [4.5 * u, 0.675 + 1.1 * (u - 0.15), 0.84 - 0.97 * (u - 0.3),
-             0.549 - 0.178 * (u - 0.6)], 0.3)
-        rate = np.select(
-            [u < 0.15, u < 0.3, u < 0.6],
-            [4.7, 4.7 - 8.8 * (u - 0.15), 3.38 - 11.27 * (u - 0.3)], 0)
-        spread = 0.05, 1.7
+    nodes, table = prior()
+    if u >= nodes[-1]:
+        return p, 0.0, 0.0, UNKNOWN, 0.0, 0.0, *after(t0, r, t)
+    fraction, rate, *spread = (
+        np.interp(u, nodes, column) for column in table[0 if same else 1].T)
     fall = 1e6 / gap if same and p == 0 else 0.0
     return (p, fraction * room, rate * 1e6 / gap, spread[0],
             spread[1] * (1e6 / gap) ** 2, fall, *after(t0, r, t))
@@ -278,10 +282,7 @@ class Pixel:
         n, y, u, spread, lag = self.value(t, known, self.since, self.x[0])
         F = np.array([1.0, n[0], -n[1]])
         theta2 = self.x[1:].mean() ** 2
-        last = self.events[i - 1][0] if i else -np.inf
-        following = i < len(self.events) and self.events[i][0] <= known
-        if (self.ripple is steady and t - last >= REST and not following
-                and self.reference is not None and self.reference >= last):
+        if self.reference is not None and self.settled(i, t, known, self.reference):
             spread = theta2 * SETTLED
         variance = F @ self.P @ F + spread + theta2 * (
             0.1 * US * (t - (self.reference or 0)) + 0.0003 * (i - self.since))
@@ -289,6 +290,13 @@ class Pixel:
         variance = max(variance, 1e-8)
         return (self.x[0] + y + u, 0.0 if fresh else variance + lag,
                 not fresh and variance <= 0.25)
+
+    def settled(self, i, t, known, sampled):
+        """Whether it is at rest, and a sample has come since the last event."""
+        last = self.events[i - 1][0] if i else -np.inf
+        following = i < len(self.events) and self.events[i][0] <= known
+        return (self.ripple is steady and t - last >= REST and not following
+                and sampled >= last)
 
     def path(self, start, stop):
         """Counts (on, -off) from one place among the events to another."""
@@ -371,6 +379,8 @@ class Pixel:
         u, spread, lag = self.lag(p, rate, slope, spread, level)
         if not here:
             return level + u, 0.0, False
+        if after and self.settled(i, t, known, places[after - 1][0]):
+            spread = theta2 * SETTLED
         m = m + fraction * sign
         variance += spread + m @ self.P[1:, 1:] @ m
         variance = max(variance, 1e-8)

@@ -369,6 +369,29 @@ def test_a_pixel_at_rest_is_read_as_if_it_were_listed():
     assert often._reader.n == 1
 
 
+@pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])
+def test_light_that_has_stopped_is_shown_as_frames_have_it(mode):
+    """Part of a threshold after the last event; frames then say where the light is."""
+    method, theta, gap = make((1, 1), 0.2, 0.2, mode=mode), 0.2, 5_000
+    events = np.zeros(8, EVENT_DTYPE)
+    events["t"], events["p"] = np.arange(1, 9) * gap, 1
+    stopped = 8.4 * gap     # .4 thresholds after the last event
+
+    def log(t):
+        return np.log(20) + theta * np.minimum(t, stopped) / gap
+
+    frames = []
+    for start in range(0, 2_000_000, 50_000):
+        dn = 10 * np.exp(log(start + np.arange(50, 10_000, 100))).mean()
+        frames.append(ApsFrame(np.full((1, 1), dn), start, start + 10_000))
+    feed(method, events, frames)
+    last = frames[-1].mid_us
+    for t in (last + 10_000, last + 5_000_000):
+        estimate = method.read(t)
+        assert abs(estimate.log_intensity[0, 0] - log(t)) < 0.1 * theta
+        assert estimate.variance[0, 0] < (0.3 * theta) ** 2 + 0.1 * theta**2 * 5
+
+
 def make_again(method):
     other = make(method.shape, offset_dn=0.5)
     other.assign(method)
