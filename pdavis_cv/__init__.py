@@ -80,7 +80,9 @@ _HOME = {
     "Calibration": "calibration.model",
     "DEFAULT_METHOD": "reconstruct.methods",
     "FusionOptions": "fusion.options",
+    "bandwidth_in_situ": "fusion.learning",
     "fuse": "fusion.engine",
+    "thresholds_in_situ": "fusion.learning",
     "patched_cv2": "adapters.patching",
     "CaptureStatus": "capture.video",
     "VideoCapture": "capture.video",
@@ -208,6 +210,7 @@ __all__ = [
     "analysis",
     "aop",
     "as_events",
+    "bandwidth_in_situ",
     "calibration",
     "cds",
     "debias_dolp",
@@ -227,6 +230,7 @@ __all__ = [
     "slices",
     "source_from_packets",
     "stokes",
+    "thresholds_in_situ",
     "time_surface",
     "unpack",
     "voxel_grid",
@@ -297,7 +301,12 @@ if TYPE_CHECKING:
         time_surface,
         voxel_grid,
     )
-    from pdavis_cv.fusion import FusionOptions, fuse
+    from pdavis_cv.fusion import (
+        FusionOptions,
+        bandwidth_in_situ,
+        fuse,
+        thresholds_in_situ,
+    )
     from pdavis_cv.mosaic import demosaic
     from pdavis_cv.packed import unpack
     from pdavis_cv.polarimetry import PolarFrame, polarization

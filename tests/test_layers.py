@@ -18,7 +18,6 @@ LINES = (
     ("calibration", "selfcal"),
     ("simulation", "training"),
     ("reconstruct",),
-    ("_feed",),
     ("live",),
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events"),

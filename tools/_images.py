@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
-from pdavis_cv._feed import first_time
+from pdavis_cv.fusion import Fusion
 
 from ._common import UsageError
 
@@ -46,7 +46,7 @@ def grid_times(
     UsageError
         If there is no image in the interval.
     """
-    start = first_time(recording) if start_us is None else start_us
+    start = Fusion(recording, method="frames", start_us=start_us).start_us
     end = recording.scan().stop_us if stop_us is None else stop_us
     if start is None or end is None or start >= end:
         raise UsageError(

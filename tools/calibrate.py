@@ -14,10 +14,10 @@ from pdavis_cv.aps import clip_level
 from pdavis_cv.calibration.align import alignment
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
-from pdavis_cv.calibration.insitu import thresholds_in_situ
 from pdavis_cv.calibration.instrument import background
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
+from pdavis_cv.fusion import thresholds_in_situ
 from pdavis_cv.selfcal import LEAK_HZ
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 

@@ -1,6 +1,5 @@
 """What is known about one specimen of a camera, and how it is measured."""
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, mean_frame
-from pdavis_cv.calibration.insitu import bandwidth_in_situ, thresholds_in_situ
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.sweep import fit_sweep, read_sweep
@@ -8,7 +7,6 @@ from pdavis_cv.calibration.thresholds import thresholds_from_biases
 
 __all__ = [
     "Calibration",
-    "bandwidth_in_situ",
     "dark_frame",
     "detect_layout",
     "fit_sweep",
@@ -16,5 +14,4 @@ __all__ = [
     "mean_frame",
     "read_sweep",
     "thresholds_from_biases",
-    "thresholds_in_situ",
 ]

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv.fusion import Fusion, FusionSnapshot
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.base import nbytes
+from pdavis_cv.recording.base import Recording
 
 __all__ = ["Bookmark", "Cursor"]
 
@@ -41,18 +43,26 @@ class Cursor:
     After any movement the state is what reading one image after the other up to
     there would have left, to the bit: going back restores the last snapshot before
     the place and replays from it, without making images.  Snapshots are kept as
-    they are passed, one in 2 s of recording time; there are at most 64 of them and
-    at most 256 MiB; beyond that every second one is given up and the spacing
-    doubles.
+    they are passed, one in 2 s of recording time; there are at most 64 of them, and
+    all they hold is at most 256 MiB; beyond that every second one is given up and the
+    spacing doubles.
 
     Parameters
     ----------
     fusion : Fusion
-        At its beginning; belongs to the Cursor from now on.
+        Of a Recording, at its beginning; belongs to the Cursor from now on.
+
+    Raises
+    ------
+    TypeError
+        If the fusion is of a Source that is read once.
     """
 
     def __init__(self, fusion: Fusion) -> None:
-        self.fusion = fusion
+        if not isinstance(fusion.recording, Recording):
+            raise TypeError(
+                "a position needs a Recording, got a Source that is read once")
+        self.fusion, self._recording = fusion, fusion.recording
         self.previous_us: int | None = None
         self.spacing_us = SPACING_US
         self._kept: list[Bookmark] = []
@@ -135,10 +145,14 @@ class Cursor:
         last = self._kept[-1].snapshot.t_us if self._kept else self.fusion.start_us
         if t is None or last is None or t - last < self.spacing_us:
             return
+        # The next one is as large as the last: it must fit before it is taken.
+        self._thin(MOST_BYTES - nbytes(self._kept[-1:]))
         self._kept.append(self.bookmark())
-        size = sum(part.nbytes for part in self._kept[-1].snapshot.state.state.values()
-                   if isinstance(part, np.ndarray))
-        if len(self._kept) > max(2, min(MOST_SNAPSHOTS, MOST_BYTES // max(size, 1))):
+        self._thin(MOST_BYTES)
+
+    def _thin(self, most_bytes: int) -> None:
+        while len(self._kept) > 1 and (
+                len(self._kept) > MOST_SNAPSHOTS or nbytes(self._kept) > most_bytes):
             del self._kept[::2]
             self.spacing_us *= 2
 
@@ -204,7 +218,7 @@ class Cursor:
         return k + 1
 
     def _last_stop(self) -> int | None:
-        recording = self.fusion.recording
+        recording = self._recording
         if recording.info.stop_us is not None:
             return recording.info.stop_us
         return recording.scan().stop_us
@@ -212,7 +226,7 @@ class Cursor:
     def _frame_times(self) -> NDArray[np.int64]:
         start = self.fusion.start_us
         stop = self.fusion.stop_us
-        times = [frame.mid_us for packet in self.fusion.recording.packets()
+        times = [frame.mid_us for packet in self._recording.packets()
                  for frame in packet.frames]
         return np.array([t for t in sorted(set(times))
                          if (start is None or t >= start)

@@ -1,10 +1,13 @@
 """fuse(): polarization images at any time.  For everybody who has a recording.
 
-The one place that orders time: `engine` feeds a method what a recording holds and
-reads images from it, of the part of the sensor that `window` says, as `options` ask
-for; `camera` says what is known of the polarizers.
+The one place that orders time.  `options` say what is asked for, `camera` what is known
+of the polarizers; `feed` puts the samples of a source in order, `learning` finds out
+what the method must know, `states` take it in, of the part of the sensor that `window`
+says; `images` are made of what they tell; `engine` leads from one to the next.
 """
 from pdavis_cv.fusion.engine import Fusion, FusionSnapshot, fuse
+from pdavis_cv.fusion.learning import bandwidth_in_situ, thresholds_in_situ
 from pdavis_cv.fusion.options import FusionOptions
 
-__all__ = ["Fusion", "FusionOptions", "FusionSnapshot", "fuse"]
+__all__ = ["Fusion", "FusionOptions", "FusionSnapshot", "bandwidth_in_situ", "fuse",
+           "thresholds_in_situ"]

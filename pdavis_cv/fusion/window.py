@@ -1,19 +1,81 @@
-"""The part of the sensor that a region's result depends on, and what belongs to it."""
+"""The part of the sensor that a region's result depends on."""
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.mosaic import HALF_SIZE, REACH
+from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.sensor import Layout
 
-__all__ = ["checked_roi", "events_of", "part_of", "window_of"]
+__all__ = ["Window", "checked_roi", "window_of"]
+
+Roi = tuple[int, int, int, int]
 
 
-def checked_roi(
-    roi: tuple[int, int, int, int] | None, size: tuple[int, int], demosaic: str
-) -> tuple[int, int, int, int]:
+@dataclass(frozen=True)
+class Window:
+    """Rows and columns of a sensor that are computed, polarizer cells whole.
+
+    Parameters
+    ----------
+    rows, columns : slice
+        With start and stop.
+    size : (int, int)
+        (height, width) of the sensor.
+    """
+
+    rows: slice
+    columns: slice
+    size: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the window."""
+        return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
+
+    def layout(self, whole: Layout) -> Layout:
+        """Return the layout of the window."""
+        return whole.crop(self.columns.start, self.rows.start)
+
+    def events(self, events: NDArray[Any]) -> NDArray[Any]:
+        """Return the events of the window, in its coordinates."""
+        if self.shape == self.size:
+            return events
+        x, y = events["x"], events["y"]
+        inside: NDArray[Any] = events[
+            (x >= self.columns.start) & (x < self.columns.stop)
+            & (y >= self.rows.start) & (y < self.rows.stop)]
+        inside["x"] -= self.columns.start
+        inside["y"] -= self.rows.start
+        return inside
+
+    def frame(self, frame: ApsFrame) -> ApsFrame:
+        """Return the frame of the window."""
+        return frame.cropped(self.rows, self.columns)
+
+    def plane(self, value: Any) -> Any:
+        """Return the window of an array over the sensor; anything else as it is."""
+        if isinstance(value, np.ndarray) and value.shape[-2:] == self.size:
+            return np.ascontiguousarray(value[..., self.rows, self.columns])
+        return value
+
+    def crop_of(self, roi: Roi, demosaic: str) -> tuple[slice, slice] | None:
+        """Return the part of the window's image that a region is; None = all of it."""
+        x, y, width, height = roi
+        top, left = y - self.rows.start, x - self.columns.start
+        if (top, left, height, width) == (0, 0, *self.shape):
+            return None
+        scale = 2 if demosaic in HALF_SIZE else 1
+        top, left, height, width = (
+            side // scale for side in (top, left, height, width))
+        return slice(top, top + height), slice(left, left + width)
+
+
+def checked_roi(roi: Roi | None, size: tuple[int, int], demosaic: str) -> Roi:
     """Return (x, y, width, height) if it lies inside the sensor."""
     height, width = size
     if roi is None:
@@ -30,9 +92,21 @@ def checked_roi(
 
 
 def window_of(
-    roi: tuple[int, int, int, int], size: tuple[int, int], demosaic: str, margin: int
-) -> tuple[slice, slice]:
-    """Return the rows and columns that the roi's result depends on, cells whole."""
+    roi: Roi, size: tuple[int, int], demosaic: str, margin: int
+) -> Window:
+    """Return the window that the roi's result depends on.
+
+    Parameters
+    ----------
+    roi : (int, int, int, int)
+        (x, y, width, height).
+    size : (int, int)
+        (height, width) of the sensor.
+    demosaic : str
+        One of ``DEMOSAIC_METHODS``.
+    margin : int
+        Pixels around a pixel that the method's result for it depends on.
+    """
     x, y, w, h = roi
     margin += REACH[demosaic]
     margin += margin % 2
@@ -41,27 +115,4 @@ def window_of(
         lo, hi = start - start % 2 - margin, start + length + margin
         return slice(max(lo, 0), min(hi + hi % 2, limit))
 
-    return side(y, h, size[0]), side(x, w, size[1])
-
-
-def part_of(
-    theta: NDArray[np.float32] | float, rows: slice, columns: slice
-) -> NDArray[np.float32] | float:
-    """Return the part of thresholds that belongs to a window."""
-    return theta if isinstance(theta, float) else np.ascontiguousarray(
-        theta[rows, columns])
-
-
-def events_of(
-    events: NDArray[Any], window: tuple[slice, slice], size: tuple[int, int]
-) -> NDArray[Any]:
-    """Return the events of a window of a sensor, in its coordinates."""
-    (rows, columns), (height, width) = window, size
-    if (rows.start, rows.stop, columns.start, columns.stop) == (0, height, 0, width):
-        return events
-    x, y = events["x"], events["y"]
-    inside: NDArray[Any] = events[(x >= columns.start) & (x < columns.stop)
-                                  & (y >= rows.start) & (y < rows.stop)]
-    inside["x"] -= columns.start
-    inside["y"] -= rows.start
-    return inside
+    return Window(side(y, h, size[0]), side(x, w, size[1]), size)

@@ -169,6 +169,11 @@ class LampTracker:
         bright = frame.dn[np.ix_(rows, columns)] / max(frame.exposure_ms, 1e-3)
         self._corners[:len(rows), :len(columns)] = self._hz + self._slope * bright
 
+    def retune(self, bandwidth: Sequence[float] | None) -> None:
+        """Go on with another bandwidth; how bright it is the next frame says."""
+        self._hz, self._slope, *_ = bandwidth or (0.0, 0.0)
+        self._corners[:] = self._hz
+
     def advance(self, t_us: int) -> Iterator[Wave]:
         """Pass to t_us: all events up to it have been there."""
         self._seen_us = max(self._seen_us, t_us)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.calibration.insitu import thresholds_in_situ
+from pdavis_cv.fusion import thresholds_in_situ
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.recording.memory import recording_from_arrays

@@ -165,11 +165,7 @@ class KalmanFilter(Reconstructor):
         self._tuning["valid_variance"] = VALID_VARIANCE
         self._tune()
         self._states = np.zeros(self.shape, STATE_DTYPE)
-        for part, theta, sigma in zip(
-                ("on", "off"), (self._theta_on, self._theta_off), self._sigma,
-                strict=True):
-            self._states[f"theta_{part}"] = self._states[f"prior_{part}"] = theta
-            self._states[f"var_{part}"] = sigma**2
+        self._begin_thresholds()
         offline = mode == "offline"
         self._tracks = Tracks(self.shape, KEEP_US + self._wait_us, late=offline)
         self._smoother = Smoother(self.shape) if offline else None
@@ -191,8 +187,22 @@ class KalmanFilter(Reconstructor):
         for name, value in zip(names, (*self._bandwidth, *self._noise), strict=True):
             self._tuning[name] = value
 
+    def _begin_thresholds(self) -> None:
+        """Set the thresholds to their prior, whatever they were found to be."""
+        states = self._states
+        for part, theta, sigma in zip(
+                ("on", "off"), (self._theta_on, self._theta_off), self._sigma,
+                strict=True):
+            states[f"theta_{part}"] = states[f"prior_{part}"] = theta
+            states[f"var_{part}"], states[f"cov_base_{part}"] = sigma**2, 0
+        states["cov_on_off"] = 0
+
     def retune(self, **learned: Any) -> None:
-        """Go on with another bandwidth or noise (see `Reconstructor.retune`)."""
+        """Go on with another bandwidth or noise (see `Reconstructor.retune`).
+
+        With another bandwidth the thresholds begin again from their prior: what they
+        were found to be made up for a lag that was not there.
+        """
         unknown = learned.keys() - self.needs.learned
         if unknown:
             raise TypeError(
@@ -200,6 +210,7 @@ class KalmanFilter(Reconstructor):
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
+            self._begin_thresholds()
         if "noise" in learned:
             self._noise = _checked_noise(learned["noise"])
         self._tune()

@@ -1,4 +1,4 @@
-"""Samples of a recording in the order in which a reconstruction takes them."""
+"""Samples of a source in the order in which a reconstruction takes them."""
 from __future__ import annotations
 
 import warnings
@@ -10,9 +10,13 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import ExposureWarning
-from pdavis_cv.recording.base import ApsFrame, Recording
+from pdavis_cv.recording.base import ApsFrame, Packet
 
-__all__ = ["Feed", "first_time"]
+__all__ = ["LONGEST_DELAY_US", "Feed"]
+
+LONGEST_DELAY_US = 2_000_000
+"""A camera with frames gives its first within this time of its first sample, and none
+arrives later than this after its mid-exposure; us of stream time."""
 
 # How long events wait for a frame that may still arrive and act before them, at
 # least; four times the longest delay seen so far if that is more.
@@ -22,7 +26,7 @@ _NEVER, _FOREVER = -(2**62), 2**62
 
 
 class Feed:
-    """Iterates over events and frames of a recording in time order.
+    """Iterates over events and frames of a stream of packets in time order, once.
 
     A frame counts at its mid-exposure, which lies before its arrival: events are
     held back until the next frame is known or cannot act on them any more.  With
@@ -30,29 +34,35 @@ class Feed:
 
     Parameters
     ----------
-    recording : Recording
+    packets : iterator of Packet
     after_us : int, optional
-        Leave out the events up to this time, inclusive.
+        Up to this time, inclusive, there are no events.
     frames_after_us : int, optional
         Leave out the frames whose mid-exposure is not after this.
     by_arrival : bool
         Frames by ``available_us`` rather than by ``mid_us``.
+    has_frames : bool
+        False if it is known that there is no frame.
+    stop_us : int, optional
+        One past the last sample, where that is known.
     reached_us : int, optional
         A sample at or after this time is known to exist: `reached_us` of another Feed.
     """
 
     def __init__(
         self,
-        recording: Recording,
-        after_us: int | None = None,
-        frames_after_us: int | None = None,
+        packets: Iterator[Packet],
         *,
         by_arrival: bool,
+        has_frames: bool = True,
+        stop_us: int | None = None,
+        after_us: int | None = None,
+        frames_after_us: int | None = None,
         reached_us: int | None = None,
     ) -> None:
         self._frames_after, self._by_arrival = frames_after_us, by_arrival
-        self.has_frames = recording.info.frame_count != 0
-        self._packets = recording.packets(None if after_us is None else after_us + 1)
+        self.has_frames = has_frames
+        self._packets = packets
         self._events: deque[NDArray[Any]] = deque()
         self._frames: deque[ApsFrame] = deque()
         self._reached_us = _NEVER if reached_us is None else reached_us
@@ -60,8 +70,25 @@ class Feed:
         self._last_mid_us = _NEVER      # of the latest frame read
         self._given_us = _NEVER if after_us is None else after_us  # handed out
         self._done = False
-        self._wait_us = _LOOKAHEAD_US if self.has_frames and not by_arrival else 0
-        self._stop_us = recording.info.stop_us
+        self._wait_us = _LOOKAHEAD_US if has_frames and not by_arrival else 0
+        self._stop_us = stop_us
+
+    def first_us(self) -> int | None:
+        """Mid-exposure of the first frame, to be asked before anything is handed out.
+
+        Time of the first event if no frame comes within `LONGEST_DELAY_US` of the first
+        sample; None if there is neither.
+        """
+        first: int | None = None
+        while not self._frames and self._read():
+            if self._events:
+                first = int(self._events[0]["t"][0]) if first is None else first
+                if not self.has_frames or self._last_us - first > LONGEST_DELAY_US:
+                    break
+        if self._frames:
+            return self._frames[0].mid_us
+        self.has_frames = False
+        return int(self._events[0]["t"][0]) if self._events else None
 
     def until(self, t_us: int | None) -> Iterator[ApsFrame | NDArray[Any]]:
         """Yield what has not been handed out yet, up to t_us inclusive.
@@ -81,14 +108,16 @@ class Feed:
             yield from self._release(min(self._settled_us(), target))
         yield from self._release(target)
 
-    def next_frame_mid(self, after_us: int) -> int | None:
-        """Mid-exposure of the first frame in store or to come after after_us."""
-        while True:
-            for frame in self._frames:
-                if frame.mid_us > after_us:
-                    return frame.mid_us
-            if not self._read():
-                return None
+    def frame_mid(self, after_us: int) -> int | None:
+        """Mid-exposure of the first frame after after_us among those read so far."""
+        return next((frame.mid_us for frame in self._frames
+                     if frame.mid_us > after_us), None)
+
+    def read_on(self) -> int | None:
+        """Read some more; return up to when no later frame can act, None at the end."""
+        if not self._read():
+            return None
+        return self._last_us - 1 - max(self._wait_us, LONGEST_DELAY_US)
 
     @property
     def reached_us(self) -> int:
@@ -165,16 +194,3 @@ class Feed:
                 self._events[0] = events[n:]
                 yield events[:n]
             return
-
-
-def first_time(recording: Recording) -> int | None:
-    """Mid-exposure of the first frame, else the time of the first event, else None."""
-    first_event: int | None = None
-    for packet in recording.packets():
-        if packet.frames:
-            return packet.frames[0].mid_us
-        if first_event is None and len(packet.events):
-            first_event = int(packet.events["t"][0])
-            if recording.info.frame_count == 0:
-                break
-    return first_event

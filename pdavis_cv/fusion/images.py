@@ -1,0 +1,109 @@
+"""From an estimate of log intensity to an image of polarization."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.analyser import Analyser
+from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.fusion.camera import analyser_of, gain_of, mismatch_of
+from pdavis_cv.fusion.window import Roi, Window
+from pdavis_cv.mosaic import HALF_SIZE, demosaic_valid, demosaic_variance
+from pdavis_cv.mosaic import demosaic as demosaic_mosaic
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.base import Reconstructor
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["ImageMaker"]
+
+
+class ImageMaker:
+    """Brings the channels of a window to one place and makes a PolarFrame of them.
+
+    Parameters
+    ----------
+    window : Window
+    roi : (int, int, int, int)
+        The region that is the image, (x, y, width, height) on the sensor.
+    layout : Layout
+        Of the whole sensor.
+    demosaic : str
+        One of ``DEMOSAIC_METHODS``.
+    extinction_ratio : float or None
+        Contrast that S1 and S2 are corrected for, where there is no analyser matrix.
+    calibration : Calibration or None
+    sensor : Sensor or None
+        Gives the spread of the polarizers; default `Sensor.PDAVIS`.
+    """
+
+    def __init__(
+        self, window: Window, roi: Roi, layout: Layout, demosaic: str,
+        extinction_ratio: float | None, calibration: Calibration | None,
+        sensor: Sensor | None,
+    ) -> None:
+        self._layout, self._demosaic = window.layout(layout), demosaic
+        self._crop = window.crop_of(roi, demosaic)
+        self._analyser = analyser_of(
+            calibration, (window.rows, window.columns), self._layout, demosaic,
+            self._crop)
+        self._ratio = extinction_ratio if self._analyser is None else None
+        self._mismatch = mismatch_of(sensor)
+        self._gain = gain_of(
+            calibration, (window.rows, window.columns), demosaic)
+        null = (self._analyser or Analyser.ideal()).null()
+        self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
+        width, height = roi[2:]
+        self.shape = ((height // 2, width // 2) if demosaic in HALF_SIZE
+                      else (height, width))
+
+    def image(
+        self, method: Reconstructor, t_us: int, frame_us: int | None,
+        provenance: Mapping[str, Any],
+    ) -> PolarFrame:
+        """Return the image that a method's state gives at t_us.
+
+        Parameters
+        ----------
+        method : Reconstructor
+            Fed as far as it needs for t_us.
+        t_us : int
+        frame_us : int or None
+            Mid-exposure of the last frame used.
+        provenance : mapping of str to object
+        """
+        estimate = method.read(t_us)
+        intensity = method.intensity(estimate.log_intensity)
+        if self._gain is not None:
+            intensity /= self._gain
+        quad = self._cropped(demosaic_mosaic(
+            intensity, self._layout, self._demosaic, valid=estimate.valid))
+        valid = self._cropped(
+            demosaic_valid(estimate.valid, self._layout, self._demosaic))
+        variance = None if estimate.variance is None else self._cropped(
+            demosaic_variance(estimate.variance, self._layout, self._demosaic,
+                              valid=estimate.valid))
+        quality = method.quality
+        if quality is not None:
+            if self._demosaic in HALF_SIZE:
+                quality = quality[::2, ::2].copy()
+            quality = self._cropped(quality)
+        if variance is not None:
+            if self._analyser is None:
+                _kernels.mismatch(quad, *self._mismatch, variance)
+            # The four channels measure three numbers: weighted least squares.
+            _kernels.reconcile(quad, variance, self._null)
+        # The arrays are new and nobody else's: the image takes them over.
+        return PolarFrame.adopt(
+            quad, valid=valid, t_us=t_us, frame_us=frame_us,
+            extinction_ratio=self._ratio, analyser=self._analyser, variance=variance,
+            provenance=provenance, quality=quality, reconciled=variance is not None)
+
+    def _cropped(self, array: NDArray[Any]) -> NDArray[Any]:
+        if self._crop is None:
+            return array
+        rows, columns = self._crop
+        return np.ascontiguousarray(array[..., rows, columns])
