@@ -25,6 +25,12 @@ CELL_DTYPE = np.dtype(
 GAIN_FLOOR = 0.1
 """Lambda of the adaptive gain (Haessig et al., supplement)."""
 
+CUTOFF_HZ = 1.6
+"""Crossover frequency f3dB in Hz (Haessig et al., supplement)."""
+
+_ADAPTIVE_BITS = 8
+"""Bits of the scale on which the paper states the adaptive gain's limits."""
+
 
 class ComplementaryFilter(Reconstructor):
     """High-passed sum of events plus the last frame's value, low-passed.
@@ -69,7 +75,7 @@ class ComplementaryFilter(Reconstructor):
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
-        cutoff_hz: float = 1.6, adaptive_gain: bool = True, literal: bool = False,
+        cutoff_hz: float = CUTOFF_HZ, adaptive_gain: bool = True, literal: bool = False,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
@@ -80,7 +86,7 @@ class ComplementaryFilter(Reconstructor):
         self._steps = steps(self._theta_on, self._theta_off)
         self._leak = (
             _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
-        self._rate = 2e-6 * math.pi * self._cutoff_hz
+        self._rate = 1e-6 * math.tau * self._cutoff_hz
         self._floor = GAIN_FLOOR if self._adaptive_gain else 1.0
         self._clock = StreamClock(self.shape)
         self._started = False
@@ -110,7 +116,7 @@ class ComplementaryFilter(Reconstructor):
         unit = np.zeros_like(exposure) if self._literal else exposure
         sample, valid = log_samples(frame, unit)
         # ln of the converter's full scale over 256: DN to the 8-bit scale.
-        log_scale = math.log(2) * (frame.full_scale_dn.bit_length() - 8)
+        log_scale = math.log(2) * (frame.full_scale_dn.bit_length() - _ADAPTIVE_BITS)
         if not self._started:
             self._start(sample)
         if self._literal:

@@ -18,13 +18,27 @@ from pdavis_cv.recording.base import ApsFrame
 __all__ = ["Denoised", "EventDenoiser"]
 
 RATE_WINDOW_US = 250_000
-"""Rates are compared so often."""
+"""Interval in us after which the pixels' event rates are updated and compared."""
 RATE_SHARE = 0.25
-"""What a window adds to a pixel's rate: the mean is over about a second."""
+"""Weight of the last interval in the exponential mean of a pixel's rate, which so
+remembers about a second."""
 HOT_FLOOR_HZ, HOT_FACTOR = 6.0, 4.0
-"""A pixel is hot above the first plus the second times its neighbours' median."""
+"""A pixel is hot if its rate exceeds floor + factor x the median of its neighbours'.
+
+The floor keeps Poisson fluctuations from taking a pixel of a whole chip for hot in an
+hour (4.5 Hz are enough, studies/denoise.py); the factor leaves room for edges.
+"""
+WINDOW_US = 50_000
+"""How long an event supports its neighbours, us: a window twice as long would save less
+than .5 % of the events of a polarizer at 30 RPM (studies/denoise.py)."""
+SUPPORT = 2
+"""Neighbours of eight that an edge passes in any direction (studies/denoise.py)."""
+_NEIGHBOURS = 8
+"""Behind the same polarizer and two rows or columns away, by the layout."""
 _NEVER = -(2**62)
-_FORGOTTEN = 64  # windows without an event after which rates are 0
+"""A time in us before all stamps; differences to it fit 64 bits."""
+_FORGOTTEN = 64
+"""Intervals without an event after which rates are 0 to float32's accuracy."""
 
 
 class EventDenoiser:
@@ -57,11 +71,12 @@ class EventDenoiser:
     """
 
     def __init__(
-        self, shape: Sequence[int], *, window_us: int = 50_000, support: int = 2,
+        self, shape: Sequence[int], *, window_us: int = WINDOW_US,
+        support: int = SUPPORT,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._window_us = int(positive("window_us", window_us))
-        if support not in range(1, 9):
+        if support not in range(1, _NEIGHBOURS + 1):
             raise ValueError(f"support must be 1 to 8, got {support!r}")
         self._support = int(support)
         self._clock = StreamClock(self.shape)

@@ -107,7 +107,7 @@ class EventHighPass(Reconstructor):
         self._clock = StreamClock(self.shape)
         self._cells = np.zeros(self.shape, CELL_DTYPE)
         self._cells["t"] = -np.inf  # no event yet
-        self._cells["rate"] = 2e-6 * math.pi * self._cutoff_hz
+        self._cells["rate"] = 1e-6 * math.tau * self._cutoff_hz
         self._base = np.zeros(self.shape, np.float32)
 
     @property

@@ -9,22 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.recording.base import ApsFrame, Recording
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
 __all__ = ["Advice", "advise"]
 
 BUS_EVENTS_PER_S = 10e6
 """What the camera's read-out carries (paper, sensor section)."""
-RATE_WINDOW_US = 1000
-HOT_TIMES_MEDIAN = 50
-LEAST_HOT_EVENTS = 100
+BUSY_SHARE = 0.5
+"""Part of the bus's rate, in 1 ms, from which on events are late; a convention."""
+HOT_TIMES_MEDIAN, LEAST_HOT_EVENTS = 50, 100
+"""A pixel is called hot above both: times the median of pixels with events, and events
+in the whole recording.  A convention: moving edges stay within 50 times the median."""
 FLICKER_HZ = (100, 120)
+"""Flicker of lamps on mains of 50 and 60 Hz."""
 FLICKER_BIN_US = 1000
+FLICKER_LONGEST_BINS = 1 << 17
+"""Bound on the memory of the spectrum: 131 s."""
+FLICKER_POWER = 10.0
+"""A line of the spectrum of the event rate over the median of the lines beside it: of
+white noise averaged over 4 s or more, below 1e-6 (exponential distribution)."""
+CLIPPED_SHARE = 0.01
+"""Part of the pixels that may be saturated without a word; a convention."""
 DARK_DN = 20.0
+"""Median DN below which offsets of some DN (Brandli et al. 2014: .5 % of the range) are
+a fifth of the light."""
 BLUR_EVENTS = 3
 """With a usual threshold of 0.2, light changes by a factor of 1.8 meanwhile."""
 BLURRED_SHARE = 0.05
+"""Part of the pixels that may blur without a word; a convention."""
 MOST_KEPT_EVENTS = 2_000_000
-F_THRESHOLD = 0.7 / (0.7**2 * 20)
+"""Bound on the memory of an exposure's events: 26 MB."""
+KAPPA, CAPACITOR_RATIO = 0.7, 20
+"""Of the threshold's formula: subthreshold slope of both kinds of transistors, and
+C1 / C2 of the differencing amplifier (Nozaki and Delbruck 2017)."""
+F_THRESHOLD = KAPPA / (KAPPA**2 * CAPACITOR_RATIO)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +127,7 @@ class _Facts:
             0.0 if frame.valid is None else float(np.mean(~frame.valid)))
         self._levels.append(float(np.median(frame.dn)))
         # What a pixel's events say of its light while the frame was exposed.
-        half = round(500 * frame.exposure_ms)
+        half = round(1000 * frame.exposure_ms / 2)
         start, stop = frame.mid_us - half, frame.mid_us + half
         counts = np.zeros(self._counts.shape, np.int64)
         for events in self._recent:
@@ -128,7 +146,7 @@ class _Facts:
         if not self._levels:
             return found
         clipped = float(np.mean(self._clipped))
-        if clipped > 0.01:
+        if clipped > CLIPPED_SHARE:
             found.append(Advice(
                 "clipped frames", f"{clipped:.1%} of the pixels are saturated",
                 "shorten the exposure: a clipped channel makes AoP and DoLP wrong"))
@@ -139,7 +157,7 @@ class _Facts:
                 "lengthen the exposure or add light; subtract a dark frame"))
         share, exposure_ms, events = np.mean(self._blurred, axis=0).tolist()
         if share > BLURRED_SHARE:
-            factor = math.exp(0.2 * BLUR_EVENTS)
+            factor = math.exp(NOMINAL_THRESHOLDS[0] * BLUR_EVENTS)
             found.append(Advice(
                 "exposure", f"while a frame is exposed ({exposure_ms:.1f} ms), light "
                 f"changes by a factor of {factor:.1f} or more on {share:.0%} of the "
@@ -153,7 +171,7 @@ class _Facts:
         if not self._bins:
             return found
         peak = max(self._bins.values()) * 1e6 / FLICKER_BIN_US
-        if peak > 0.5 * BUS_EVENTS_PER_S:
+        if peak > BUSY_SHARE * BUS_EVENTS_PER_S:
             found.append(Advice(
                 "event rate", f"up to {peak / 1e6:.1f} M events per second in 1 ms; "
                 "the bus carries 10 M",
@@ -171,7 +189,7 @@ class _Facts:
 
     def _about_flicker(self) -> list[Advice]:
         first, last = min(self._bins), max(self._bins)
-        n = min(last - first + 1, 1 << 17)
+        n = min(last - first + 1, FLICKER_LONGEST_BINS)
         if n < 1000:
             return []
         rate = np.zeros(n)
@@ -186,7 +204,7 @@ class _Facts:
         for hz in FLICKER_HZ:
             line = float(power[hz - 1:hz + 2].max())
             around = np.r_[power[hz - 15:hz - 4], power[hz + 5:hz + 16]]
-            if line > 10 * float(np.median(around)) and line > 0:
+            if line > FLICKER_POWER * float(np.median(around)) and line > 0:
                 found.append(Advice(
                     "flicker", f"the event rate swings at {hz} Hz: "
                     f"{line / float(np.median(around) or 1):.0f} times its "

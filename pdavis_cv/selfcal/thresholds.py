@@ -40,6 +40,20 @@ _MIN_INFORMED = 0.7
 """A pixel counts in `variance_inflation` if the second half of the data reduced its
 variance by at least this factor."""
 
+_LEAST_OF_NOMINAL, _MOST_OF_NOMINAL = 0.3, 3.0
+"""Bounds of an estimated threshold over the prior mean: what lies beyond a factor of 3
+is not a threshold (those of DAVIS cameras are between 0.14 and some 0.4)."""
+
+_MAD_PER_SIGMA = 0.6745
+"""Median of the absolute value of a standard normal number."""
+
+_LEAST_SPREAD = 0.01
+"""Of the prior standard deviation: numerical floor of the pixel-to-pixel one."""
+
+# Ridge of a pixel's information matrix, over its trace and in itself (1 / ln^2): makes
+# the inverse exist for pixels that no frame told anything of; numerical.
+_RIDGE, _LEAST_INFORMATION = 1e-9, 1e-30
+
 
 def shrink_to_population(
     theta: NDArray[np.float64], covariance: NDArray[np.float64],
@@ -100,7 +114,8 @@ def shrink_to_population(
     own, pull = _inflate(own, pull, theta, inflation, correlated)
     posterior = _inverse(own[0] + 1 / bound[0], own[1], own[2] + 1 / bound[1])
     shift = _times(posterior, pull)
-    out = np.stack([np.clip(center + by, 0.3 * center, 3 * center)
+    out = np.stack([np.clip(center + by, _LEAST_OF_NOMINAL * center,
+                            _MOST_OF_NOMINAL * center)
                     for center, by in zip((on, off), shift, strict=True)])
     ratio, scale, mixed = _log_ratio_and_scale(posterior, out)
     mixed /= np.sqrt(ratio)
@@ -155,7 +170,7 @@ def variance_inflation(
         v_early[informed] - v_late[informed])
     # What all pixels have in common is leak, which `SystematicErrors` counts.
     z = np.abs(z - np.median(z))
-    return float(np.mean(np.minimum(z, 3 * np.median(z) / 0.6745) ** 2))
+    return float(np.mean(np.minimum(z, 3 * np.median(z) / _MAD_PER_SIGMA) ** 2))
 
 
 def _population_variance(
@@ -165,7 +180,7 @@ def _population_variance(
     """Return the pixel-to-pixel variance of both thresholds (EM), shape (2,)."""
     usual = (USUAL_MISMATCH * means) ** 2
     variance = usual
-    least = np.maximum((0.01 * sigma) ** 2, _MIN_MISMATCH_SHARE * usual)
+    least = np.maximum((_LEAST_SPREAD * sigma) ** 2, _MIN_MISMATCH_SHARE * usual)
     for _ in range(_EM_STEPS):
         posterior = _inverse(own[0] + 1 / variance[0], own[1], own[2] + 1 / variance[1])
         first, second = _times(posterior, pull)
@@ -186,7 +201,7 @@ def _inflate(
     for_ratio, for_scale = inflation[0]**-0.5, max(inflation[1], correlated)**-0.5
     same, other = (for_scale + for_ratio) / 2, (for_scale - for_ratio) / 2
     on, off = theta
-    least = 1e-9 * (own[0] + own[2]) + 1e-30
+    least = _RIDGE * (own[0] + own[2]) + _LEAST_INFORMATION
     shift = _times(_inverse(own[0] + least, own[1], own[2] + least), pull)
     a, b, d = own[0] * on**2, own[1] * on * off, own[2] * off**2
     # M P M with M = (same, other; other, same), P the relative precision.

@@ -29,6 +29,10 @@ USABLE_DN = 8
 """Less is not a usable sample of a busy pixel."""
 
 _EVER = -(2**62), 2**62
+"""Times in us before and after all stamps; their sums fit 64 bits."""
+
+_LEAST_SECONDS = 1e-9
+"""Of an interval, so that a rate is finite where there is none; numerical."""
 
 Item = ApsFrame | Wave | NDArray[Any]
 
@@ -90,7 +94,7 @@ class PixelWindow:
         self.pixels = np.sort(np.random.default_rng(0).permutation(size)[:MAX_PIXELS])
         self._place = np.full(size, -1, np.int32)
         self._place[self.pixels] = np.arange(len(self.pixels))
-        self.seen_us, self.full = -(2**62), False
+        self.seen_us, self.full = _EVER[0], False
         self._intervals: deque[Interval] = deque()
         self._pending: list[NDArray[Any]] = []
         self._counts = np.zeros((2, 1, len(self.pixels)), np.int32)
@@ -248,7 +252,8 @@ class SensorWindow:
         end_interval()
         seconds = max(mids[-1] - mids[0], 1) / 1e6 / max(len(mids) - 1, 1)
         return PixelActivity(
-            squares / np.maximum(total.sum(0) * seconds, 1e-9), min_dn, max_dn)
+            squares / np.maximum(total.sum(0) * seconds, _LEAST_SECONDS), min_dn,
+            max_dn)
 
     @property
     def nbytes(self) -> int:
