@@ -41,6 +41,8 @@ cdef packed struct candidate_t:
     double hz               # bandwidth: hz + hz_per_intensity * I
     double hz_per_intensity
     double frame_sigma      # what de-blurring leaves, ln
+    double scale_on         # factors on the prior thresholds
+    double scale_off
 
 cdef packed struct innovations_t:
     double chi2             # sum of e^2 / v, 16 at most each
@@ -299,12 +301,13 @@ def sample_innovations(const event_t[::1] events not None,
 
     events are those of the pixels, one pixel after the other, each in order of time;
     frames (frame, pixel) in order of time, end > begin.  waves are the lamp's,
-    as in kalman_frame.  theta_sigma is the prior standard
-    deviation of a threshold.  out is overwritten.
+    as in kalman_frame.  theta_sigma is the prior standard deviation of a threshold.
+    out is overwritten.
     """
     cdef Py_ssize_t n = pixels.shape[0], c, i, m = candidates.shape[0]
     cdef lamp_t lamp
     cdef tuning_t camera
+    cdef pixel_t pixel
     cdef const event_t* first = NULL
     if out.shape[0] != m:
         raise ValueError("sample_innovations: out must have one row per candidate")
@@ -330,5 +333,8 @@ def sample_innovations(const event_t[::1] events not None,
             camera.bandwidth_hz_per_intensity = candidates[c].hz_per_intensity
             camera.frame_sigma = candidates[c].frame_sigma
             for i in range(n):
-                run_pixel(first, &pixels[i], &frames[0, i], frames.shape[0], n,
+                pixel = pixels[i]
+                pixel.theta_on *= candidates[c].scale_on
+                pixel.theta_off *= candidates[c].scale_off
+                run_pixel(first, &pixel, &frames[0, i], frames.shape[0], n,
                           theta_sigma, &lamp, &camera, &out[c])

@@ -10,6 +10,7 @@ def innovations(events, readings, theta, sigma, camera):
 
     events are (t, p), readings rows of (log, variance, begin, middle, end, known).
     """
+    theta = np.multiply(theta, (camera["scale_on"], camera["scale_off"]))
     pixel = Pixel(*theta, sigma, (camera["hz"], camera["hz_per_intensity"], 0))
     pixel.events = events
     chi2 = log_variance = count = 0
@@ -54,6 +55,6 @@ def innovations(events, readings, theta, sigma, camera):
         pixel.x = pixel.x + gain * error
         pixel.P = (pixel.P - np.outer(gain, K) * v - np.outer(K, gain) * v
                    + np.outer(gain, gain) * v)
-        pixel.x[1:] = np.clip(pixel.x[1:], 0.3 * np.array(theta), 3 * np.array(theta))
+        pixel.x[1:] = np.clip(pixel.x[1:], 0.3 * theta, 3 * theta)
         since, reference = here, middle
     return chi2, log_variance, count, np.log(pixel.x[1:]).sum()

@@ -1,19 +1,22 @@
 """The online self-calibration: its window, its kernel, short and odd streams."""
+import os
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 import reference_selfcal
 
-from pdavis_cv import _kernels, fuse
+from pdavis_cv import _kernels, fuse, open_recording
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.model import WAVE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal import SelfCalibration, window
-from pdavis_cv.selfcal.bandwidth import vertex
+from pdavis_cv.selfcal.estimator import QUANTITIES
+from pdavis_cv.selfcal.likelihood import vertex
 from pdavis_cv.selfcal.pixel_sample import (
     CANDIDATE_DTYPE,
     INNOVATIONS_DTYPE,
@@ -37,7 +40,8 @@ def recording():
 def looked_on(recording, cuts=None, **options):
     """Feed all frames by mid-exposure, and the events between them, cut or not."""
     options.setdefault("every_pixel", False)
-    camera = SelfCalibration(recording.info.sensor_size, NOMINAL, **options)
+    options.setdefault("nominal", NOMINAL)
+    camera = SelfCalibration(recording.info.sensor_size, **options)
     events = recording.events()
     frames = [frame for packet in recording.packets() for frame in packet.frames]
     at = [0, *np.searchsorted(events["t"], [f.mid_us for f in frames]), len(events)]
@@ -55,6 +59,7 @@ def test_the_kernel_is_its_twin(recording):
     candidates = candidates_of([(250.0, 0.0), (0.0, 8.0), (20.0, 3.0)])
     candidates["noise_per_s"][2] = 0.1
     candidates["frame_sigma"][2] = 0.01
+    candidates["scale_on"][2] = 1.3
     got = sample.innovations(candidates, every=20)
     expected = np.zeros((3, 4))
     for i in range(0, len(sample.pixels), 20):
@@ -228,6 +233,62 @@ def test_busy_pixels_are_found_where_counts_are_far_apart():
                                   50_000 * i + 21_000))
     assert len(select_busy_pixels(camera._window, NOMINAL, (0.2, 0.08)).pixels) >= 1
     assert camera.estimate(wanted=BOTH).bandwidth is not None
+
+
+@pytest.mark.parametrize("nominal", [(0.1, 0.1), (0.3, 0.2), (0.4, 0.45)])
+def test_nominal_thresholds_that_do_not_hold_are_given_up(recording, nominal):
+    camera = looked_on(recording, nominal=nominal)
+    found = camera.estimate(wanted={"scale", "bandwidth"})
+    for theta, true in ((found.theta_on, 0.16), (found.theta_off, 0.18)):
+        assert np.ptp(theta) == 0
+        assert theta[0, 0] == pytest.approx(true, rel=0.08)
+    assert found.bandwidth.hz == pytest.approx(250, rel=0.1)
+    assert 0.02 < found.common_scale_sigma < 0.1
+
+
+def test_every_pixel_s_thresholds_start_from_the_scale_found(recording):
+    truth = Camera.preset("nominal", seed=3, size=(8, 8)).maps
+    found = looked_on(recording, nominal=(0.3, 0.2), every_pixel=True).estimate()
+    for theta, true in ((found.theta_on, truth["theta_on"]),
+                        (found.theta_off, truth["theta_off"])):
+        assert np.mean(theta) == pytest.approx(np.mean(true), rel=0.04)
+        assert np.corrcoef(theta.ravel(), true.ravel())[0, 1] > 0.8
+
+
+@pytest.mark.parametrize(("rpm", "s0"), [
+    (202.6, 30.0), (30.4, 30.0), (0.0, 30.0), (30.4, 1.08), (60.8, 1.08)])
+def test_nominal_thresholds_stay_where_they_hold_or_nothing_is_told(rpm, s0):
+    """At rest and in dim light most events are noise: it looks like a small scale."""
+    camera = Camera.preset("realistic", seed=1, size=(8, 8))
+    made, _ = camera.record(RotatingPolarizer(rpm=rpm, s0=s0, start_angle=0.3), 2.0)
+    found = looked_on(made).estimate(wanted={"scale"})
+    np.testing.assert_array_equal(found.theta_on, NOMINAL[0])
+    assert found.common_scale_sigma == 0
+
+
+@pytest.mark.parametrize("preset", ["drawn", "davis346"])
+def test_the_scale_of_cameras_of_other_families_is_found(preset):
+    """Nothing was chosen on these; their thresholds are stated as .2."""
+    for seed in (11, 12):
+        camera = Camera.preset(preset, seed=seed, size=(10, 10))
+        made, _ = camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.5)
+        found = looked_on(made, nominal=(0.2, 0.2)).estimate(wanted=QUANTITIES - {
+            "thresholds"})
+        for theta, name in zip((found.theta_on, found.theta_off),
+                               ("theta_on", "theta_off"), strict=True):
+            assert theta[0, 0] == pytest.approx(camera.maps[name].mean(), rel=0.1)
+
+
+def test_the_scale_of_a_real_camera_is_that_of_a_regression():
+    """On and off by regression of frames' differences on counts: .29 and .37."""
+    data = os.environ.get("PDAVIS_TEST_DATA")
+    if not data:
+        pytest.skip("PDAVIS_TEST_DATA is not set")
+    with open_recording(Path(data) / "davis346.aedat4") as made:
+        found = looked_on(made, nominal=(0.2, 0.2)).estimate(wanted={
+            "scale", "bandwidth"})
+    assert found.theta_on[0, 0] == pytest.approx(0.29, rel=0.12)
+    assert found.theta_off[0, 0] == pytest.approx(0.37, rel=0.12)
 
 
 def test_a_stated_bandwidth_is_combined(recording):

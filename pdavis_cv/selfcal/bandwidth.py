@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.selfcal.likelihood import negative_log_likelihood, vertex
 from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
 from pdavis_cv.selfcal.priors import USUAL_BANDWIDTH
 
@@ -161,11 +162,7 @@ class _Minimum(NamedTuple):
 
 
 class _Cost:
-    """-ln L of a sample at (share in proportion to the light, ln hz at bright light).
-
-    L is maximised over a common factor of all variances: at high speed they are stated
-    tens of times too large, and sum ln v would decide instead of the fit.
-    """
+    """-ln L at (share in proportion to the light, ln hz at bright light)."""
 
     def __init__(self, sample: PixelSample) -> None:
         self._sample = sample.with_leak_in_frames()
@@ -177,10 +174,8 @@ class _Cost:
         found = self._sample.innovations(candidates_of(np.transpose(
             _law(np.broadcast_to(share, ln_hz.shape), ln_hz, self._sample.bright))),
             every)
-        n = found["count"]
-        scale = np.log(np.maximum(found["chi2"] / np.maximum(n, 1), 1e-9))
-        prior = ((ln_hz - _LN_HZ) / _LN_HZ_SIGMA) ** 2
-        return 0.5 * np.asarray(n * scale + found["log_variance"] + prior)
+        prior = 0.5 * ((ln_hz - _LN_HZ) / _LN_HZ_SIGMA) ** 2
+        return negative_log_likelihood(found) + prior
 
     def coarse(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ln hz of the minimum and its -ln L for each of `_GRID_SHARES`.
@@ -211,21 +206,6 @@ class _Cost:
         fall = 0.5 * bend * (ln_hz - x[1])**2 if bend > 0 else 0.0
         return _Minimum(share, ln_hz, float(min(y[1] - fall, y.min())),
                         1 / math.sqrt(max(bend, 1 / _LN_HZ_SIGMA**2)))
-
-
-def vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Return where the parabola through the least y and its neighbours is least.
-
-    No farther out than those neighbours.
-    """
-    at = min(max(int(np.argmin(y)), 1), len(y) - 2)
-    left, right = x[at - 1] - x[at], x[at + 1] - x[at]
-    down, up = (y[at - 1] - y[at]) / left, (y[at + 1] - y[at]) / right
-    bend = (up - down) / (right - left)
-    if not bend > 0:
-        return float(x[np.argmin(y)])
-    return float(x[at] + min(max(bend * left - down, left * 2 * bend),
-                             right * 2 * bend) / (2 * bend))
 
 
 def _law(share: Any, ln_hz: Any, bright: float) -> tuple[Any, Any]:

@@ -14,6 +14,7 @@ from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths, fit_bandwidth
+from pdavis_cv.selfcal.common_scale import CommonScale, fit_common_scale
 from pdavis_cv.selfcal.noise import fit_event_noise
 from pdavis_cv.selfcal.pixel_sample import (
     FILTER_NOISE,
@@ -29,8 +30,9 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
-QUANTITIES = frozenset({"thresholds", "bandwidth", "noise"})
-"""What a `SelfCalibration` can estimate."""
+QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise"})
+"""What a `SelfCalibration` can estimate: thresholds of every pixel, or only the scale
+that all share (which the former include), bandwidth, event noise."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
 """Bounds on the factors on variances, of the ratio and of the scale."""
@@ -195,33 +197,50 @@ class SelfCalibration:
                 "every_pixel=False")
         sample = select_busy_pixels(self._window, self._nominal, self._leak_hz)
         found: Bandwidth | None = None
+        scale: CommonScale | None = None
+        noise: float | None = None
         law = (0.0, 0.0) if bandwidth is None else (
             float(bandwidth[0]), float(bandwidth[1]))
-        if sample is not None and "bandwidth" in wanted:
-            found = fit_bandwidth(sample)
-            law = found.law
-        noise = (fit_event_noise(sample, law)
-                 if sample is not None and "noise" in wanted else None)
+        if sample is not None:
+            if "bandwidth" in wanted:
+                found = fit_bandwidth(sample)
+                law = found.law
+            if not {"scale", "thresholds"}.isdisjoint(wanted):
+                scale = fit_common_scale(
+                    sample, law, learn_bandwidth=found is not None)
+            if scale is not None:
+                sample = sample.with_thresholds_scaled(scale.on, scale.off)
+                if found is not None:
+                    found = fit_bandwidth(sample)
+                    law = found.law
+            if "noise" in wanted:
+                noise = fit_event_noise(sample, law)
         if found is not None and self._stated is not None:
             found = combine_bandwidths(self._stated, found)
+        factors = (1.0, 1.0) if scale is None else (scale.on, scale.off)
+        nominal = tuple(np.asarray(value, np.float64) * factor for value, factor in zip(
+            self._nominal, factors, strict=True))
         if "thresholds" in wanted and self._whole is not None:
-            theta, covariance, common = self._thresholds(self._whole, sample, law)
+            theta, covariance, common = self._thresholds(
+                self._whole, sample, law, (nominal[0], nominal[1]))
             return CameraEstimate(
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common)
-        on, off = (np.broadcast_to(np.asarray(value, np.float64), self.shape)
-                   for value in self._nominal)
-        return CameraEstimate(theta_on=on, theta_off=off, bandwidth=found, noise=noise)
+        on, off = (np.broadcast_to(value, self.shape) for value in nominal)
+        return CameraEstimate(
+            theta_on=on, theta_off=off, bandwidth=found, noise=noise,
+            common_scale_sigma=0.0 if scale is None else scale.sigma)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,
         law: tuple[float, float],
+        nominal: tuple[NDArray[np.float64], NDArray[np.float64]],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
         """Return all thresholds, their covariance and the common scale's sigma."""
         items = whole.items
         frames = [i for i, item in enumerate(items) if isinstance(item, ApsFrame)]
         half = frames[len(frames) // 2] if frames else 0
-        on, off = self._nominal
+        on, off = nominal
         method = KalmanFilter(
             self.shape, theta_on=on, theta_off=off, threshold_sigma=self._sigma,
             bandwidth=law, noise=FILTER_NOISE)
@@ -238,7 +257,7 @@ class SelfCalibration:
         systematics = None if sample is None else sample.systematics(
             law, whole.activity(), frame_systematics(self._sensor, self._dark))
         theta, covariance = shrink_to_population(
-            theta, covariance, self._nominal, self._sigma, inflation, systematics)
+            theta, covariance, nominal, self._sigma, inflation, systematics)
         return theta, covariance, (
             0.0 if systematics is None else systematics.common_scale_sigma)
 

@@ -66,9 +66,11 @@ usable), its exposure, and up to when events are looked at (us)."""
 
 CANDIDATE_DTYPE = np.dtype([
     ("noise_per_s", "<f8"), ("noise_per_event", "<f8"), ("hz", "<f8"),
-    ("hz_per_intensity", "<f8"), ("frame_sigma", "<f8")])
+    ("hz_per_intensity", "<f8"), ("frame_sigma", "<f8"), ("scale_on", "<f8"),
+    ("scale_off", "<f8")])
 """A camera to try: process noise in thresholds^2 per second and per event, bandwidth
-in Hz and Hz per DN/ms, and what de-blurring leaves (ln units)."""
+in Hz and Hz per DN/ms, what de-blurring leaves (ln units), and factors on the nominal
+thresholds."""
 
 INNOVATIONS_DTYPE = np.dtype([
     ("chi2", "<f8"), ("log_variance", "<f8"), ("count", "<f8"), ("log_theta", "<f8")])
@@ -82,6 +84,7 @@ def candidates_of(
 ) -> NDArray[np.void]:
     """Return candidates (hz, hz_per_intensity) with one noise, as `KalmanFilter`'s."""
     out = np.zeros(len(laws), CANDIDATE_DTYPE)
+    out["scale_on"] = out["scale_off"] = 1
     out["hz"], out["hz_per_intensity"] = np.reshape(laws, (-1, 2)).T
     out["frame_sigma"], out["noise_per_s"], out["noise_per_event"] = noise
     return out
@@ -152,6 +155,18 @@ class PixelSample:
         self._frames["variance"] = np.where(
             usable, (READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2, 0)
 
+    def with_thresholds_scaled(self, on: float, off: float) -> PixelSample:
+        """Return the sample with other prior thresholds."""
+        other = copy(self)
+        other._traits = self._traits.copy()
+        other._traits["theta_on"] *= on
+        other._traits["theta_off"] *= off
+        return other
+
+    def without_dim_samples(self) -> PixelSample:
+        """Return the sample without what is below `MIN_DN`."""
+        return self._with_offset(0.0)
+
     def with_leak_in_frames(self) -> PixelSample:
         """Return the sample with frames that grow as the mean leak moves events' sums.
 
@@ -209,12 +224,17 @@ class PixelSample:
         self, laws: list[tuple[float, float]], offset_dn: float
     ) -> NDArray[np.float64]:
         """Return the mean ln of the thresholds found, for frames with an offset."""
+        sums: NDArray[np.float64] = self._with_offset(offset_dn).innovations(
+            candidates_of(laws))["log_theta"]
+        return sums / (2 * len(self.pixels))
+
+    def _with_offset(self, offset_dn: float) -> PixelSample:
+        """Return the sample with an offset added to the frames, `MIN_DN` or more."""
         other = copy(self)
         other._frames = self._frames.copy()
         dn = self._dn + np.float32(offset_dn)
         other._read(dn, self._usable & (dn >= MIN_DN))
-        sums: NDArray[np.float64] = other.innovations(candidates_of(laws))["log_theta"]
-        return sums / (2 * len(self.pixels))
+        return other
 
 
 def select_busy_pixels(

@@ -1,0 +1,133 @@
+"""Scale that the thresholds of all pixels share: whether the nominal ones hold."""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.selfcal.bandwidth import fit_bandwidth
+from pdavis_cv.selfcal.likelihood import negative_log_likelihood, vertex
+from pdavis_cv.selfcal.noise import fit_event_noise
+from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
+from pdavis_cv.selfcal.priors import USUAL_BANDWIDTH
+
+__all__ = ["CommonScale", "fit_common_scale"]
+
+_GRID = np.linspace(-math.log(3), math.log(3), 9)
+"""ln of the scale where -ln L is first evaluated: the prior is flat within a factor of
+three, which holds the published thresholds of a DAVIS (.1 to .5) about a nominal .2."""
+
+_COARSE_PIXELS = 16
+"""Pixels that the grid is evaluated with."""
+
+_STEPS = (0.4, 0.2, 0.1, 0.05)
+"""Steps in ln of the parabolas that refine the scale and the ratio."""
+
+_EVIDENCE = 40.0
+"""By how much -ln L must fall for the nominal thresholds to be given up: model
+selection between "nominal" and "anything within a factor of three".  With thresholds
+stated right it falls by up to 27 (`nominal`, `realistic`, `hard`; 30 RPM)."""
+
+_NO_EVENTS = -3.0
+"""ln of a scale at which events hardly count: if frames are as likely with it, the
+events do not follow the light (leak and noise at rest), and tell nothing."""
+
+_MAX_NOISE_SHARE = 0.05
+"""Greatest event noise (thresholds^2 per second) relative to the rate of events.  Noise
+in the predictor attenuates a regression, here the scale, by about this share."""
+
+_MAX_SIGMA = 0.03
+"""Greatest sigma (ln) by the curvature of -ln L at which a scale counts."""
+
+_MODEL_SIGMA = 0.03
+"""What the models of frames and interpolation have wrong in the scale (ln): rms error
+where thresholds are stated right (`nominal`, `realistic`, `hard`; 30 to 1000 RPM)."""
+
+_MIN_CHANGE = 0.08
+"""A scale nearer to 1 (in ln) is not told from what de-blurring and offsets of the
+frames make of it, and is what `THRESHOLD_SIGMA` allows each pixel anyway."""
+
+
+class CommonScale(NamedTuple):
+    """Factors on the nominal thresholds of all pixels; sigma of the ln of both."""
+
+    on: float
+    off: float
+    sigma: float
+
+
+def fit_common_scale(
+    sample: PixelSample, law: tuple[float, float], *, learn_bandwidth: bool = True
+) -> CommonScale | None:
+    """Return the factors at which the innovations are likeliest, None for the nominal.
+
+    Parameters
+    ----------
+    sample : PixelSample
+    law : (float, float)
+        Bandwidth that fits the nominal thresholds best, or is known: hz,
+        hz_per_intensity.
+    learn_bandwidth : bool
+        Whether another bandwidth may belong to another scale.  The search then begins
+        at the usual one too: what fits wrong thresholds best may be far off.
+    """
+    clean = sample.without_dim_samples().with_leak_in_frames()
+    every = max(len(sample.pixels) // _COARSE_PIXELS, 1)
+    tried: list[tuple[float, float, float, float, _Cost]] = []
+    for start in (law, USUAL_BANDWIDTH[:2]) if learn_bandwidth else (law,):
+        cost = _Cost(clean, start)
+        scale = vertex(_GRID, cost(_GRID, np.zeros_like(_GRID), every))
+        scale, ratio, _ = cost.minimum(scale, 0.0, _STEPS)
+        if learn_bandwidth:
+            cost = _Cost(clean, fit_bandwidth(
+                sample.with_thresholds_scaled(*_factors(scale, ratio))).law)
+        scale, ratio, bend = cost.minimum(scale, ratio, _STEPS[1:])
+        least = float(cost(np.array([scale]), np.array([ratio]))[0])
+        tried.append((least, scale, ratio, bend, cost))
+    found, scale, ratio, bend, cost = min(tried, key=lambda each: each[0])
+    without, = cost(np.array([_NO_EVENTS]), np.zeros(1))
+    nominal, = _Cost(clean, law)(np.zeros(1), np.zeros(1))
+    if not (nominal - found > _EVIDENCE and without - found > _EVIDENCE
+            and bend * _MAX_SIGMA**2 > 1
+            and max(abs(scale), abs(ratio)) > _MIN_CHANGE):
+        return None
+    on, off = _factors(scale, ratio)
+    noise = fit_event_noise(clean.with_thresholds_scaled(on, off), cost.law)
+    if noise > _MAX_NOISE_SHARE * sample.events_per_s:
+        return None
+    return CommonScale(on, off, math.hypot(bend**-0.5, _MODEL_SIGMA))
+
+
+class _Cost:
+    """-ln L of ln(on off) / 2 and ln(on / off), the factors' scale and ratio."""
+
+    def __init__(self, sample: PixelSample, law: tuple[float, float]) -> None:
+        self._sample, self.law = sample, law
+
+    def __call__(
+        self, scale: NDArray[np.float64], ratio: NDArray[np.float64], every: int = 1
+    ) -> NDArray[np.float64]:
+        """Return -ln L, shape (C,), by one in `every` pixels."""
+        candidates = candidates_of([self.law] * len(scale))
+        candidates["scale_on"] = np.exp(scale + ratio / 2)
+        candidates["scale_off"] = np.exp(scale - ratio / 2)
+        return negative_log_likelihood(self._sample.innovations(candidates, every))
+
+    def minimum(
+        self, scale: float, ratio: float, steps: tuple[float, ...]
+    ) -> tuple[float, float, float]:
+        """Return scale and ratio of the minimum nearby, and the curvature in scale."""
+        bend = 0.0
+        for step in steps:
+            around = step * np.array([-1.0, 0.0, 1.0])
+            ratio = vertex(ratio + around, self(np.full(3, scale), ratio + around))
+            y = self(scale + around, np.full(3, ratio))
+            bend = float(y[0] + y[2] - 2 * y[1]) / step**2
+            scale = vertex(scale + around, y)
+        return scale, ratio, bend
+
+
+def _factors(scale: float, ratio: float) -> tuple[float, float]:
+    return math.exp(scale + ratio / 2), math.exp(scale - ratio / 2)
