@@ -20,6 +20,7 @@ cdef extern from *:
     #define LINEAR 0.02
     #define CONVERGED 1e-4
     #define STIFF 0.05
+    #define NEWTON_STEPS 8
     /* Error (ln units) of a light that falls faster than a pixel can show, by how much
        it falls over the corner frequency; studies/kalman_interpolation.py. */
     #define LOST_FROM 0.2
@@ -34,6 +35,7 @@ cdef extern from *:
     const double LINEAR
     const double CONVERGED
     const double STIFF
+    const int NEWTON_STEPS
     const double LOST_FROM
     const double LOST_SLOPE
     const double LOST_MOST
@@ -99,7 +101,7 @@ cdef inline double lead(double slope, double shown,
     if u < LINEAR and u > -LINEAR:
         return u * (1.0 - u * hz_per_level * level / f)
     u = 0.0
-    for _ in range(8):
+    for _ in range(NEWTON_STEPS):
         e = hz_per_level * level * exp_f(<float>u)
         g = u * (hz + e) - c
         f = hz + e * (1.0 + u)

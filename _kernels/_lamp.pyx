@@ -21,6 +21,20 @@ cdef enum:
     SUMS = 7
     WHOLE_US = 200000
 
+cdef extern from *:
+    """
+    #define MAINS_50 100e-6     /* turns per us of a lamp: twice the mains' */
+    #define MAINS_60 120e-6
+    #define BELOW 0.75          /* of these frequencies there is no lamp: what a wave of
+                                   it explains is motion */
+    #define PREFER 0.002        /* what a frequency at the end of the range costs, so
+                                   that equal fits give the mains' */
+    """
+    const double MAINS_50
+    const double MAINS_60
+    const double BELOW
+    const double PREFER
+
 cdef struct normal_t:
     # Normal equations of (cosine, sine): matrix, right side; sum of squares, number.
     double cc
@@ -98,8 +112,8 @@ cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double
 
 cdef inline double turns_of(Py_ssize_t which) noexcept nogil:
     """Return a frequency, turns per microsecond; WHOLE_US holds all a whole number."""
-    return (100e-6 if which == 0 else 120e-6 if which == 1
-            else 75e-6 if which == 2 else 90e-6)
+    cdef double turns = MAINS_50 if which % 2 == 0 else MAINS_60
+    return turns if which < 2 else BELOW * turns
 
 
 cdef inline int64_t modulo(int64_t t, int64_t period) noexcept nogil:
@@ -207,7 +221,7 @@ def lamp_wave(const double[:, :, :, ::1] sums not None, int64_t t,
                                      &apart, &left, &n)
                 # A single block tells nothing of the frequency: then it is the mains'.
                 hz = (step - STEPS) / <double>STEPS
-                tried[step] *= 1.0 - 0.002 * hz * hz
+                tried[step] *= 1.0 - PREFER * hz * hz
                 if tried[step] > tried[at]:
                     at = step
             hz = (at - STEPS) / <double>PER_HZ
@@ -230,5 +244,5 @@ def lamp_wave(const double[:, :, :, ::1] sums not None, int64_t t,
             out[4] = apart
             out[5] = left
             out[6] = n
-            out[7] = common(sums, which + 2, 0.75 * hz, wave, &apart, &left, &n)
+            out[7] = common(sums, which + 2, BELOW * hz, wave, &apart, &left, &n)
             out[7] += apart

@@ -46,11 +46,17 @@ cdef extern from *:
     #define LINE_ERROR 3.0
     #define PART_LEAST 0.05         /* of a pixel's events are ON, or OFF, at least */
     #define GAIN_LEAST 0.02         /* of the unit vector of gains: not positive else */
+    #define ROUNDED 1e-14           /* an off-diagonal element that is 0 */
+    #define DEAD 1e-12              /* a pixel's share of all moments: it saw nothing */
+    #define SWEEPS 6                /* of Jacobi rotations: 4x4 matrices have converged */
     #define RATIO_LEAST 1e-6        /* the smallest eigenvalue that rounding leaves */
     """
     const double LINE_ERROR
     const double PART_LEAST
     const double GAIN_LEAST
+    const double ROUNDED
+    const double DEAD
+    const int SWEEPS
     const double RATIO_LEAST
 
 
@@ -204,7 +210,7 @@ cdef inline void rotate(double* a, double* v, int p, int q) noexcept nogil:
     """One Jacobi rotation of the symmetric 4x4 matrix a; v collects eigenvectors."""
     cdef double theta, t, c, s, x, y
     cdef int k
-    if fabs(a[4 * p + q]) < 1e-14:
+    if fabs(a[4 * p + q]) < ROUNDED:
         return
     theta = 0.5 * (a[5 * q] - a[5 * p]) / a[4 * p + q]
     t = 1.0 / (fabs(theta) + sqrt(theta * theta + 1.0))
@@ -240,7 +246,7 @@ cdef inline double smallest(const moments_t* m, double pull, double* gain,
     cdef int i, j, k = 0, at = 0
     for i in range(4):
         k = (4 * i) - (i * (i - 1)) // 2
-        if m.product[k] <= 1e-12 * m.weight:
+        if m.product[k] <= DEAD * m.weight:
             return 1.0
         scale[i] = 1.0 / sqrt(m.product[k])
     k = 0
@@ -252,7 +258,7 @@ cdef inline double smallest(const moments_t* m, double pull, double* gain,
         a[5 * i] += pull
         for j in range(4):
             v[4 * i + j] = 1.0 if i == j else 0.0
-    for _ in range(6):
+    for _ in range(SWEEPS):
         for i in range(3):
             for j in range(i + 1, 4):
                 rotate(a, v, i, j)
@@ -260,7 +266,7 @@ cdef inline double smallest(const moments_t* m, double pull, double* gain,
         if a[5 * i] < a[5 * at]:
             at = i
     low = a[5 * at]
-    other = 1e300
+    other = a[5 * (0 if at else 1)]
     for i in range(4):
         if i != at and a[5 * i] < other:
             other = a[5 * i]

@@ -10,7 +10,8 @@ from _kernels._estimate cimport LEAST_VARIANCE, part_at, theta_squared, walk_to
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._model cimport node_t, state_t, stored_t, track_t, tuning_t, wave_t
-from _kernels._tracks cimport SETTLED_VARIANCE, at_rest, drift, part_t, walk_t
+from _kernels._tracks cimport (
+    SETTLED_VARIANCE, TINY, at_rest, drift, part_t, walk_t)
 
 cdef packed struct past_t:
     # What the samples before say of the base; var < 0: there was none.
@@ -175,6 +176,7 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     cdef double on = s.theta_on, off = s.theta_off, theta2 = theta_squared(s)
     cdef double m_on = 0.0, m_off = 0.0, theta, level = 0.0, v, u
     cdef double a = 0.0, b = 0.0, left, whole, share, hz = 0.0
+    cdef bint resting
     walk_to(&walk, t, store, track)
     # Thresholds crossed since the sample before, and until the one after.
     if gap.before.var >= 0:
@@ -199,7 +201,7 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
         b = gap.after.var + left
         u = gap.after.base - (on * (gap.after.n_on - walk.n_on)
                               - off * (gap.after.n_off - walk.n_off))
-        share = a / (a + b + 1e-30) if gap.before.var >= 0 else 1.0
+        share = a / (a + b + TINY) if gap.before.var >= 0 else 1.0
         m_on = (1.0 - share) * m_on - share * (gap.after.n_on - walk.n_on)
         m_off = (1.0 - share) * m_off - share * (gap.after.n_off - walk.n_off)
         level += share * (u - level)
@@ -213,13 +215,15 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     if lamp.blocks > 0:
         hz = corner(tuning, level)
     part = part_at(&walk, store, known, on, off, lamp, hz, <double>t)
-    if (lamp.blocks == 0 and at_rest(walk.t, t) and gap.before.var >= 0
-            and gap.before.t >= walk.t
-            and (walk.next < 0 or store[walk.next].t > known)):
+    resting = lamp.blocks == 0 and at_rest(walk.t, t) and (
+        walk.next < 0 or store[walk.next].t > known)
+    if resting and gap.before.var >= 0 and gap.before.t >= walk.t:
         part.var = SETTLED_VARIANCE
     theta = on if part.p else -off
     level += theta * part.fraction + part.ripple
-    u = lead(theta * part.rate + part.ripple_rate, level, tuning)
+    # What does not change is shown without a lag.
+    u = 0.0 if resting else lead(
+        theta * part.rate + part.ripple_rate, level, tuning)
     out[0] = <float>(level + u)
     if v < 0:
         variance[0] = 0.0
@@ -234,5 +238,8 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     v = v if v > LEAST_VARIANCE else LEAST_VARIANCE
     valid[0] = v <= tuning.valid_variance
     a = tuning.offset_dn * s.pull
-    variance[0] = <float>(v + a * a + lead_variance(
-        u, theta2 * part.rate_var, off * part.fall, level, tuning))
+    v += a * a
+    if not resting:
+        v += lead_variance(
+            u, theta2 * part.rate_var, off * part.fall, level, tuning)
+    variance[0] = <float>v

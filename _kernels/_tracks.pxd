@@ -17,6 +17,8 @@ cdef enum:
 cdef extern from *:
     """
     #define LONG_AGO -4611686018427387904   /* -2^62: stands for no event */
+    #define TINY 1e-30                  /* keeps 0 / 0 from being nothing */
+    #define PER_S2 1e12                 /* per us^2, in s^-2 */
     #define REST_VARIANCE (1 / 3.0)     /* thresholds^2: anywhere in the dead band */
     #define SETTLED_VARIANCE 0.02       /* the same, once a sample has measured it */
     /* Gaps are at least this long (us): a pixel's events are not closer but in bursts,
@@ -49,6 +51,8 @@ cdef extern from *:
     #define ROOM_MOST 2.0
     """
     const int64_t LONG_AGO
+    const double TINY
+    const double PER_S2
     const double REST_VARIANCE
     const double SETTLED_VARIANCE
     const double GAP_LEAST_US
@@ -206,12 +210,12 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
             else:
                 last = off if p1 else on
                 next = on if p1 else off
-            turn = (last - q * q * next) / (2.0 * (last + q * next) + 1e-30)
+            turn = (last - q * q * next) / (2.0 * (last + q * next) + TINY)
             turn = 0.0 if turn < 0.0 else TURN_MOST if turn > TURN_MOST else turn
         q = 1.0 / (1.0 - 2.0 * turn)
         part.fraction = s * (s - 2.0 * turn) * q
         part.rate = (2.0 * s - 2.0 * turn) * q * 1e6 / gap
-    part.rate_var *= 1e12 / (gap * gap)
+    part.rate_var *= PER_S2 / (gap * gap)
     if flickers:
         now = ripple(lamp, hz, t, &part.ripple_rate)
         part.ripple = now - here - part.fraction * change
@@ -231,7 +235,7 @@ cdef inline part_t quiet(int64_t t0, int p0, double known, const lamp_t* lamp,
     if never(t0):
         return part
     part.var = QUIET_VARIANCE
-    part.rate_var = QUIET_RATE_VARIANCE * 1e12 / (gap * gap)
+    part.rate_var = QUIET_RATE_VARIANCE * PER_S2 / (gap * gap)
     s = (t - <double>t0) / gap
     part.fraction = 2.0 * s * (1.0 - s)
     part.rate = (2.0 - 4.0 * s) * 1e6 / gap
@@ -315,6 +319,6 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         part.fall = 0.0 if part.p else 1e6 / gap
     part.fraction *= room
     part.rate *= 1e6 / gap
-    part.rate_var *= 1e12 / (gap * gap)
+    part.rate_var *= PER_S2 / (gap * gap)
     add_ripple(&part, lamp, hz, walk.t, t)
     return part

@@ -20,7 +20,13 @@ from pdavis_cv.reconstruct.stream_clock import (
     checked_bandwidth,
     checked_threshold,
 )
-from pdavis_cv.reconstruct.tracks import LONG_AGO, LOOKAHEAD_US, Reader, Tracks
+from pdavis_cv.reconstruct.tracks import (
+    LONG_AGO,
+    LOOKAHEAD_US,
+    Reader,
+    Tracks,
+    as_bytes,
+)
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "EventRedundancy"]
@@ -250,9 +256,11 @@ class EventRedundancy(Reconstructor):
                    other._next, other._unsolved, other._lamp.state())
 
     def _state(self) -> Mapping[str, Any]:
+        arrays = (as_bytes(one).copy()
+                  for one in (self._states, self._balance, self._moments))
         return {"tracks": self._tracks.state(), "rest": (
-            self._clock.last_us, self._states.copy(), self._balance.copy(),
-            self._moments.copy(), self._next, self._unsolved, self._lamp.state())}
+            self._clock.last_us, *arrays, self._next, self._unsolved,
+            self._lamp.state())}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._tracks.restore(state["tracks"])
@@ -264,9 +272,9 @@ class EventRedundancy(Reconstructor):
         lamp: NDArray[Any],
     ) -> None:
         self._clock.last_us = last_us
-        np.copyto(self._states, states)
-        np.copyto(self._balance, balance)
-        np.copyto(self._moments, moments)
+        np.copyto(as_bytes(self._states), as_bytes(states))
+        np.copyto(as_bytes(self._balance), as_bytes(balance))
+        np.copyto(as_bytes(self._moments), as_bytes(moments))
         self._next, self._unsolved = following, unsolved
         self._lamp.restore(lamp)
         self._reader.forget()

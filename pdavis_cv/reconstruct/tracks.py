@@ -156,7 +156,7 @@ class Tracks:
         self.unchain()
         other.unchain()
         for mine, theirs in zip(self._all, other._all, strict=True):
-            np.copyto(mine, theirs)
+            np.copyto(as_bytes(mine), as_bytes(theirs))
         self.keep_us = other.keep_us
         begin = other._begin
         self._take(as_bytes(other.store[begin:other._stop]),
@@ -166,7 +166,7 @@ class Tracks:
         """Return copies of everything."""
         self.unchain()
         begin = self._begin
-        return {"tracks": [tracks.copy() for tracks in self._all],
+        return {"tracks": [as_bytes(tracks).copy() for tracks in self._all],
                 "keep_us": self.keep_us, "store": as_bytes(
                     self.store[begin:self._stop]).copy(),
                 "places": (self._passed - begin, self.committed - begin,
@@ -176,7 +176,7 @@ class Tracks:
         """Take over copies of what `state` returned."""
         self.unchain()
         for mine, kept in zip(self._all, state["tracks"], strict=True):
-            np.copyto(mine, kept)
+            as_bytes(mine)[:] = kept
         self.keep_us = state["keep_us"]
         self._take(state["store"], state["places"], 0)
 

@@ -28,7 +28,13 @@ from pdavis_cv.reconstruct.stream_clock import (
     checked_bandwidth,
     checked_threshold,
 )
-from pdavis_cv.reconstruct.tracks import LONG_AGO, LOOKAHEAD_US, Reader, Tracks
+from pdavis_cv.reconstruct.tracks import (
+    LONG_AGO,
+    LOOKAHEAD_US,
+    Reader,
+    Tracks,
+    as_bytes,
+)
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["LOOKAHEAD_US", "KalmanFilter"]
@@ -48,6 +54,9 @@ in, gains and angles of polarizers above all, is in it.
 CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.33)
 """The same where a calibration takes the pixels' differences out: much less is left in
 frames, and a third of what is assumed of read and shot noise."""
+
+THRESHOLD_SIGMA = 0.035
+"""Prior standard deviation of a pixel's threshold, natural-log units (Brandli 2014)."""
 
 # Of a frame: read noise in DN, and DN per unit of shot noise variance.
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
@@ -132,7 +141,7 @@ class KalmanFilter(Reconstructor):
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
         mode: str = "buffered", lookahead_us: int | None = None,
-        threshold_sigma: ArrayLike = 0.035,
+        threshold_sigma: ArrayLike = THRESHOLD_SIGMA,
         bandwidth: Sequence[float] | None = None,
         noise: Sequence[float] = NOISE, offset_dn: float = 0.0,
         response: ArrayLike | None = None,
@@ -356,7 +365,7 @@ class KalmanFilter(Reconstructor):
         """Take over everything but what is known of saturated pixels."""
         self._noise, self._bandwidth = other._noise, other._bandwidth
         np.copyto(self._tuning, other._tuning)
-        np.copyto(self._states, other._states)
+        np.copyto(as_bytes(self._states), as_bytes(other._states))
         np.copyto(self._innovations, other._innovations)
         self._clock.last_us, self._epoch_us = other._clock.last_us, other._epoch_us
         self._frames = other._frames
@@ -370,7 +379,7 @@ class KalmanFilter(Reconstructor):
         smoother = self._smoother
         return {"last_us": self._clock.last_us, "epoch_us": self._epoch_us,
                 "frames": self._frames, "tracks": self._tracks.state(),
-                "states": self._states.copy(), "lamp": self._lamp.state(),
+                "states": as_bytes(self._states).copy(), "lamp": self._lamp.state(),
                 "innovations": self._innovations.copy(),
                 "saturated": self._saturated.state(),
                 "smoother": None if smoother is None else smoother.state()}
@@ -379,7 +388,7 @@ class KalmanFilter(Reconstructor):
         self._clock.last_us, self._epoch_us = state["last_us"], state["epoch_us"]
         self._frames = state["frames"]
         self._tracks.restore(state["tracks"])
-        np.copyto(self._states, state["states"])
+        as_bytes(self._states)[:] = state["states"]
         np.copyto(self._innovations, state["innovations"])
         self._lamp.restore(state["lamp"])
         self._saturated.restore(state["saturated"])

@@ -97,7 +97,7 @@ class Saturated:
     ) -> None:
         """Note a frame; sample is what `log_samples` gives."""
         # Of pixels that are not usable the converter's end: a bound is all there is.
-        self._bound = sample
+        self._bound = np.ascontiguousarray(sample)
         if self._level is None:
             level = math.log(frame.full_scale_dn) - float(log_exposure(frame)[0])
             pixels = _cells_with(~usable)
@@ -142,14 +142,16 @@ class Saturated:
         log.ravel()[unknown] = self._bound.ravel()[unknown]
         if self._method is None:
             return
-        pixels = self._pixels
-        missing = variance.ravel()[pixels] == 0
-        if not missing.any():
+        missing = variance.ravel()[self._pixels] == 0
+        cells = np.flatnonzero(missing.any(0))
+        if not len(cells):
             return
+        # Most of the macropixels of the first frame have been measured since.
+        pixels, missing = self._pixels[:, cells], missing[:, cells]
         estimate = self._method.read(t_us)
         assert estimate.variance is not None
         shown, rest, enough, quality = (
-            plane.reshape(2, -1, 2).swapaxes(1, 2).reshape(4, -1)
+            plane.reshape(2, -1, 2)[:, cells].swapaxes(1, 2).reshape(4, -1)
             for plane in (estimate.log_intensity, estimate.variance, estimate.valid,
                           self._method.quality))
         # The offset of a macropixel: from the pixels that are known, else the bound.

@@ -102,8 +102,8 @@ class Smoother:
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
         order = list(self._order)
-        return {"past": self._past.copy(), "times": [*self._times[order]],
-                "nodes": [self._nodes[at].copy() for at in order]}
+        return {"past": as_bytes(self._past).copy(), "times": [*self._times[order]],
+                "nodes": [as_bytes(self._nodes[at]).copy() for at in order]}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `state` returned."""
@@ -113,7 +113,7 @@ class Smoother:
         self, past: NDArray[Any], nodes: Sequence[NDArray[Any]],
         times: Sequence[NDArray[np.int64]],
     ) -> None:
-        np.copyto(self._past, past)
+        np.copyto(as_bytes(self._past), as_bytes(past))
         self._passed, self._order = None, ()
         for one, at in zip(nodes, times, strict=True):
             as_bytes(self.slot(at))[:] = as_bytes(one)
