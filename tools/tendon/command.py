@@ -29,6 +29,7 @@ from pdavis_cv import (
     open_recording,
     render,
 )
+from pdavis_cv.fusion import Fusion
 from pdavis_cv.selfcal import USUAL_BANDWIDTH
 
 from .._common import (
@@ -265,11 +266,7 @@ def _patient(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any]
 ) -> dict[str, Any]:
     """Let frames after an image correct it too, where nothing else is asked for."""
-    if args.causal or options["method"] not in (None, "kalman"):
-        return options
-    times = options["times_us"][:1]
-    first = next(fuse(recording, **{**options, "times_us": times}))
-    if first.provenance["method"] != "kalman":
+    if args.causal or "noise" not in Fusion(recording, **options).needs.learned:
         return options
     return {"mode": "offline", "noise": _NOISE, **options}
 
@@ -323,9 +320,8 @@ def _asks_for_bandwidth(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any]
 ) -> bool:
     """Return whether fuse() estimates the bandwidth from frames and events."""
-    first = next(fuse(recording, **{**options, "times_us": options["times_us"][:1]}))
-    return (first.provenance["method"] == "kalman" and not args.causal
-            and "bandwidth" not in options)
+    return ("bandwidth" in Fusion(recording, **options).needs.learned
+            and not args.causal and "bandwidth" not in options)
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
