@@ -1,4 +1,5 @@
-# make demo: pictures and videos into demo/.   make test: the tests.
+# make demo: pictures and videos into demo/.
+# make test: the tests, on all cores; make test ALL=1: with those that take long.
 # make asan: the tests under the address and undefined-behaviour sanitizers.
 # make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
 # Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
@@ -17,7 +18,7 @@ demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo
 
 test: $(VENV)/.with-test
-	$(VENV)/bin/pytest -q
+	$(VENV)/bin/pytest -q -n auto --dist worksteal $(if $(ALL),-m '')
 
 # make fuzz SECONDS=3600: read damaged recordings for that long
 SECONDS := 60

@@ -3,14 +3,18 @@
 Everything declarative is in pyproject.toml.  PDAVIS_CV_DEBUG=1 builds with
 bounds checks on; for sanitizers add CFLAGS/LDFLAGS.  Each flavour has its own
 build folder: setuptools compares times, not flags, and would reuse the other's.
+Kernels compile in parallel, and only where a source is newer than its kernel.
 """
 import os
 import re
 import sys
 import sysconfig
 from pathlib import Path
+from threading import Lock
 
 from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.modified import newer_group
 
 # An explicit list: a missing source must fail, not vanish from the wheel.
 KERNELS = (
@@ -93,7 +97,7 @@ def shared_by(source):
 
 
 def kernel(name):
-    ext = Extension(
+    return Extension(
         f"pdavis_cv._kernels.{name}",
         sources=[f"_kernels/{name}.pyx"],
         depends=[f"_kernels/{file}" for file in sorted(shared_by(f"{name}.pyx"))],
@@ -103,16 +107,41 @@ def kernel(name):
                        *([("Py_LIMITED_API", "0x030B0000")] if ABI3 else [])],
         py_limited_api=ABI3,
     )
-    ext.cython_directives = DIRECTIVES
-    ext.cython_c_in_temp = True  # generated C goes to build/, never beside the .pyx
-    return ext
 
 
+class BuildKernels(build_ext):
+    """Keeps what is compiled for an editable install, which pip builds elsewhere."""
+
+    translating = Lock()  # Cython is not made for threads; the C compiler has its own
+
+    def finalize_options(self):
+        if self.editable_mode:
+            version = f"{sysconfig.get_platform()}-{sys.implementation.cache_tag}"
+            self.build_lib = f"{BUILD}/lib.{version}"
+            self.build_temp = f"{BUILD}/temp.{version}"
+        super().finalize_options()
+
+    def build_extension(self, ext):
+        built = self.get_ext_fullpath(ext.name)
+        if not self.force and not newer_group([*ext.sources, *ext.depends], built):
+            return
+        from Cython.Build import cythonize
+        with self.translating:  # generated C goes to build/, never beside the .pyx
+            translated, = cythonize(
+                ext, build_dir=self.build_temp, include_path=["_kernels"],
+                compiler_directives=DIRECTIVES, force=self.force, quiet=True)
+        ext.sources = translated.sources
+        super().build_extension(ext)
+
+
+BUILD = f"build/{'debug' if DEBUG else 'release'}"
 OPTIONS = {
-    "build": {"build_base": f"build/{'debug' if DEBUG else 'release'}"},
-    "build_ext": {"force": DEBUG},
+    "build": {"build_base": BUILD},
+    "build_ext": {"force": DEBUG, "parallel": len(os.sched_getaffinity(0))
+                  if hasattr(os, "sched_getaffinity") else os.cpu_count()},
 }
 if ABI3:
     OPTIONS["bdist_wheel"] = {"py_limited_api": "cp311"}
 
-setup(ext_modules=[kernel(name) for name in KERNELS], options=OPTIONS)
+setup(ext_modules=[kernel(name) for name in KERNELS], options=OPTIONS,
+      cmdclass={"build_ext": BuildKernels})

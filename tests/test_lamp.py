@@ -175,6 +175,7 @@ def error(recording, truth, **options):
     return np.array([np.degrees(scorer.score.aop_error), scorer.score.dolp_error])
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(("options", "times"), [
     ({"thresholds": "in-situ"}, 1.15), ({"thresholds": "in-situ", "mode": "offline"},
                                         1.15), ({"causal": True}, 1.4)])

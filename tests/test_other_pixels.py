@@ -44,6 +44,7 @@ def errors(made, rpm, *, step_us=1013, **parameters):
             score.dolp_coverage)
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("rpm", [60.78, 1013])
 @pytest.mark.parametrize("pixel", list(PIXELS))
 def test_kalman_is_accurate_on_pixels_that_no_constant_was_chosen_on(pixel, rpm):

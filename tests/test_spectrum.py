@@ -72,6 +72,7 @@ def test_irregular_times_and_missing_values_do_no_harm():
     assert dominant_tone(t, v).hz == pytest.approx(7.25, abs=1e-4)
 
 
+@pytest.mark.gate
 def test_noise_has_no_dominant_frequency():
     rng = np.random.default_rng(6)
     alarms = [dominant_tone(times(50, 8), rng.normal(size=400)).false_alarm
