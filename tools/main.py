@@ -17,6 +17,7 @@ COMMANDS = {
     "export": "fuse a recording into a video, pictures or arrays",
     "convert": "write a recording in another format",
     "calibrate": "measure a camera into its calibration file",
+    "score": "which method suits a recording, by frames that are left out",
     "simulate": "make a recording whose truth is known",
     "bench": "time the library against fixed floors",
     "fan": "make the video of a turning fan of polarizers, with each sector's angle",

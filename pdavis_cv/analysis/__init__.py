@@ -9,6 +9,12 @@ from pdavis_cv.analysis.align import (
 )
 from pdavis_cv.analysis.fan import SectorSummary, Wheel, summarise_sectors
 from pdavis_cv.analysis.intervals import events_by_phase, pixel_intervals
+from pdavis_cv.analysis.left_out import (
+    CLASSES,
+    LeftOutFrames,
+    PredictionScore,
+    observed,
+)
 from pdavis_cv.analysis.load import LoadTrace, read_load
 from pdavis_cv.analysis.lockin import LockIn, LockInMaps
 from pdavis_cv.analysis.optics import birefringence, retardance, subtract_background
@@ -35,15 +41,18 @@ from pdavis_cv.analysis.traces import (
 )
 
 __all__ = [
+    "CLASSES",
     "TRACE_DTYPE",
     "Clock",
     "Cycle",
     "Drift",
     "KnownLight",
+    "LeftOutFrames",
     "LoadTrace",
     "LockIn",
     "LockInMaps",
     "Loop",
+    "PredictionScore",
     "Roi",
     "RotationFit",
     "Score",
@@ -67,6 +76,7 @@ __all__ = [
     "fit_rotation",
     "fit_tone",
     "hysteresis",
+    "observed",
     "parse_roi",
     "phase_locked",
     "pixel_intervals",

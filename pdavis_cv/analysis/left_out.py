@@ -1,0 +1,348 @@
+"""Frames left out and predicted: a score that needs no truth but the recording.
+
+Every second frame is taken away; a method, given the rest, is asked for the log
+intensity at its mid-exposure, and the frame itself says how far off the answer is.
+"""
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.events import accumulate
+from pdavis_cv.reconstruct.base import Estimate, Factory, Reconstructor
+from pdavis_cv.reconstruct.methods import factory_of
+from pdavis_cv.recording.base import (
+    ApsFrame,
+    Packet,
+    Problem,
+    Recording,
+    RecordingInfo,
+)
+
+__all__ = ["CLASSES", "LeftOutFrames", "PredictionScore", "observed"]
+
+FloatArray = NDArray[np.float64]
+
+CLASSES = ("moving", "moving, bright", "moving, dark", "static, bright", "static, dark")
+"""What pixels are sorted into; the first holds those of the next two."""
+
+NEAR_US = 40_000   # us: the paper's cameras take a frame in 40 to 50 ms
+MOVING = 3         # events within NEAR_US of the frame: less may be noise
+BRIGHT_DN = 200    # a fifth of full scale
+LEAST_DN = 8       # below it, the logarithm of 10-bit DN is mostly noise
+_NOISE_BINS = 8    # of equal numbers of pixels; noise of frames depends on DN
+_LEAST_MOVING = 100  # pixels without which thresholds are not fitted
+
+
+@dataclass(frozen=True)
+class PredictionScore:
+    """How far predictions of left-out frames are off, for one class of pixels.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``CLASSES``.
+    pixels : int
+        Pixels of all frames together.
+    rmse : float
+        Root of the mean squared error of natural-log intensity; a prediction that is
+        not finite counts as 1.  NaN without pixels.
+    bias : float
+        Mean error, same unit.
+    coverage : float
+        Part of the errors within one sigma: 0.68 for an honest method.  Sigma is that
+        of the prediction and that of the frame's own noise, which is measured where
+        nothing moves.  NaN where the method states none.
+    """
+
+    kind: str
+    pixels: int
+    rmse: float
+    bias: float
+    coverage: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A left-out frame and what surrounds it."""
+
+    frame: ApsFrame
+    before: ApsFrame
+    after: ApsFrame
+    events_before: NDArray[np.int32]  # (2, H, W), OFF and ON, from `before` on
+    events_after: NDArray[np.int32]   # until `after`
+    near: NDArray[np.int32]           # (H, W), events of both signs within NEAR_US
+
+    @property
+    def weight(self) -> float:
+        """How far the frame lies between its neighbours, 0 to 1."""
+        start, stop = self.before.mid_us, self.after.mid_us
+        return (self.frame.mid_us - start) / (stop - start)
+
+
+class LeftOutFrames:
+    """Every second frame of a recording, taken away to be predicted.
+
+    Parameters
+    ----------
+    recording : Recording
+        With frames and events.
+    stop_us : int, optional
+        Only what lies before this time is left out.
+
+    Attributes
+    ----------
+    kept : Recording
+        The recording without these frames.
+    times_us : ndarray of int64, shape (M,)
+        Mid-exposures of the frames that were left out.
+    thresholds : (float, float) or None
+        Contrast thresholds (ON, OFF), natural-log units, by least squares from what
+        frames change and how many events there are between them, over the pixels that
+        move; None if too few do.
+
+    Raises
+    ------
+    ValueError
+        If the recording has fewer than five frames, or no event.
+    """
+
+    def __init__(self, recording: Recording, *, stop_us: int | None = None) -> None:
+        frames = [frame for packet in recording.packets(stop_us=stop_us)
+                  for frame in packet.frames]
+        frames.sort(key=lambda frame: frame.mid_us)
+        if len(frames) < 5:
+            raise ValueError(
+                f"the recording must hold at least 5 frames, got {len(frames)}")
+        events = recording.events(frames[0].mid_us - NEAR_US, frames[-1].mid_us)
+        if not len(events):
+            raise ValueError("the recording must hold events between its frames")
+        self._places = [_place(events, *frames[i - 1:i + 2])
+                        for i in range(1, len(frames) - 1, 2)]
+        self.times_us = np.array([each.frame.mid_us for each in self._places])
+        self.kept: Recording = _Kept(recording, frozenset(self.times_us.tolist()))
+        self._classes = [_classes(each) for each in self._places]
+        self._noise = self._frame_noise()
+        self.thresholds = self._fitted()
+
+    def _frame_noise(self) -> tuple[FloatArray, FloatArray]:
+        """Return ln DN and the variance of ln of one frame where nothing moves."""
+        errors, level = [], []
+        for place, classes in zip(self._places, self._classes, strict=True):
+            still = classes["static, bright"] | classes["static, dark"]
+            w = place.weight
+            # Three frames' noise, two of them weighted.
+            off = (_linear(place) - _log(place.frame))[still]
+            errors.append(off / np.sqrt(1 + w * w + (1 - w) ** 2))
+            level.append(np.log(place.frame.dn[still], dtype=np.float64))
+        off, at = np.concatenate(errors), np.concatenate(level)
+        if len(at) < 100 * _NOISE_BINS:
+            return np.zeros(1), np.zeros(1)
+        parts = np.array_split(np.argsort(at), _NOISE_BINS)
+        # The median ignores what moved without events.
+        sigma = [1.4826 * np.median(np.abs(off[part])) for part in parts]
+        return np.array([at[part].mean() for part in parts]), np.square(sigma)
+
+    def _fitted(self) -> tuple[float, float] | None:
+        counts, changes = [], []
+        for place, classes in zip(self._places, self._classes, strict=True):
+            moving = classes["moving"]
+            between = (place.events_before + place.events_after)[:, moving]
+            counts.append(between.T.astype(np.float64))
+            changes.append((_log(place.after) - _log(place.before))[moving])
+        count, change = np.concatenate(counts), np.concatenate(changes)
+        if len(change) < _LEAST_MOVING:
+            return None
+        (off, on), *_ = np.linalg.lstsq(count * (-1, 1), change)
+        return (float(on), float(off)) if min(on, off) > 0 else None
+
+    def simple(self, thresholds: tuple[float, float]) -> Mapping[str, list[FloatArray]]:
+        """Return predictions without a model, each of natural-log intensity.
+
+        Parameters
+        ----------
+        thresholds : (float, float)
+            ON and OFF, what an event is taken to stand for.
+
+        Returns
+        -------
+        mapping of str to list of ndarray of float64, shape (H, W)
+            ``"held"``: the frame before; ``"linear"``: between the frames before and
+            after; ``"held + events"``: the frame before and the events since;
+            ``"linear + events"``: that from both sides, weighted by nearness.
+        """
+        on, off = thresholds
+
+        def sums(counts: NDArray[np.int32]) -> FloatArray:
+            return np.asarray(on * counts[1] - off * counts[0], np.float64)
+
+        out: dict[str, list[FloatArray]] = {
+            name: [] for name in ("held", "linear", "held + events", "linear + events")}
+        for place in self._places:
+            first = _log(place.before) + sums(place.events_before)
+            last = _log(place.after) - sums(place.events_after)
+            out["held"].append(_log(place.before))
+            out["linear"].append(_linear(place))
+            out["held + events"].append(first)
+            out["linear + events"].append(
+                (1 - place.weight) * first + place.weight * last)
+        return out
+
+    def score(
+        self, predictions: Iterable[FloatArray | Estimate],
+    ) -> tuple[PredictionScore, ...]:
+        """Score a prediction per left-out frame, in order.
+
+        Parameters
+        ----------
+        predictions : iterable of ndarray, shape (H, W), or Estimate
+            Natural log of DN per ms of exposure at ``times_us``.
+
+        Returns
+        -------
+        tuple of PredictionScore
+            One per class.
+        """
+        sums = {kind: np.zeros(5) for kind in CLASSES}
+        for place, classes, given in zip(
+                self._places, self._classes, predictions, strict=True):
+            log, variance = (
+                (given.log_intensity, given.variance) if isinstance(given, Estimate)
+                else (given, None))
+            off = log.astype(np.float64) - _log(place.frame)
+            off[~np.isfinite(off)] = 1
+            sigma = None if variance is None else np.sqrt(
+                variance + self._noise_of(place.frame))
+            for kind, where in classes.items():
+                mine = off[where]
+                sums[kind][:3] += len(mine), np.sum(mine**2), np.sum(mine)
+                if sigma is not None:
+                    sums[kind][3:] += (
+                        float(np.sum(np.abs(mine) <= sigma[where])), len(mine))
+        with np.errstate(invalid="ignore"):
+            return tuple(PredictionScore(
+                kind, int(n), float(np.sqrt(squares / n)), float(total / n),
+                float(within / stated))
+                for kind, (n, squares, total, within, stated) in sums.items())
+
+    def _noise_of(self, frame: ApsFrame) -> FloatArray:
+        return np.interp(np.log(np.maximum(frame.dn, 1)), *self._noise)
+
+    def images(
+        self, i: int,
+    ) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return a left-out frame's natural-log intensity, what counts, what moves."""
+        classes = self._classes[i]
+        counts = np.logical_or.reduce(list(classes.values()))
+        return _log(self._places[i].frame), counts, classes["moving"]
+
+    @property
+    def liveliest(self) -> int:
+        """Which frame holds the most moving pixels."""
+        return int(np.argmax([each["moving"].sum() for each in self._classes]))
+
+
+def observed(method: str | Factory, seen: list[Estimate]) -> Factory:
+    """Return a method for ``fuse`` that also shows what its pixels were read as.
+
+    Images are of the four channels brought to one place and made to agree; this is
+    what the method said of every pixel, before that.
+
+    Parameters
+    ----------
+    method : str or class derived from Reconstructor
+    seen : list
+        Gets the latest `Estimate`, alone.
+
+    Returns
+    -------
+    callable
+        A class derived from the method's.
+    """
+    made = factory_of(method)
+    if not (isinstance(made, type) and issubclass(made, Reconstructor)):
+        raise TypeError(f"method must be made by a class, got {method!r}")
+
+    def read(
+        self: Reconstructor, t_us: int, out: NDArray[np.float32] | None = None,
+    ) -> Estimate:
+        estimate = made.read(self, t_us, out)
+        seen[:] = [estimate]
+        return estimate
+
+    return type(made.__name__, (made,), {"read": read})
+
+
+class _Kept(Recording):
+    """A recording without some of its frames."""
+
+    def __init__(self, recording: Recording, left_out: frozenset[int]) -> None:
+        self._recording, self._left_out = recording, left_out
+
+    @property
+    def info(self) -> RecordingInfo:
+        info = self._recording.info
+        if info.frame_count is None:
+            return info
+        return dataclasses.replace(
+            info, frame_count=info.frame_count - len(self._left_out))
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        return self._recording.problems
+
+    @property
+    def path(self) -> Path | None:
+        return self._recording.path
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None,
+    ) -> Iterator[Packet]:
+        for packet in self._recording.packets(start_us, stop_us):
+            if any(frame.mid_us in self._left_out for frame in packet.frames):
+                packet = dataclasses.replace(packet, frames=())
+            yield packet
+
+    def close(self) -> None:
+        self._recording.close()
+
+
+def _place(
+    events: NDArray[Any], before: ApsFrame, frame: ApsFrame, after: ApsFrame,
+) -> _Place:
+    def counted(start: int, stop: int) -> NDArray[np.int32]:
+        first, last = np.searchsorted(events["t"], (start, stop))
+        return accumulate(events[first:last], frame.shape)
+
+    t = frame.mid_us
+    return _Place(frame, before, after, counted(before.mid_us, t),
+                  counted(t, after.mid_us),
+                  counted(t - NEAR_US, t + NEAR_US).sum(axis=0, dtype=np.int32))
+
+
+def _classes(place: _Place) -> dict[str, NDArray[np.bool_]]:
+    usable = np.ones(place.frame.shape, np.bool_)
+    for frame in (place.before, place.frame, place.after):
+        usable &= frame.dn >= LEAST_DN
+        usable &= frame.dn < 0.98 * frame.full_scale_dn
+        if frame.valid is not None:
+            usable &= frame.valid
+    moving, bright = place.near >= MOVING, place.frame.dn >= BRIGHT_DN
+    return dict(zip(CLASSES, (
+        usable & moving, usable & moving & bright, usable & moving & ~bright,
+        usable & ~moving & bright, usable & ~moving & ~bright), strict=True))
+
+
+def _log(frame: ApsFrame) -> FloatArray:
+    return np.log(np.maximum(frame.dn, 1) / (frame.exposure_ms or 1), dtype=np.float64)
+
+
+def _linear(place: _Place) -> FloatArray:
+    return ((1 - place.weight) * _log(place.before)
+            + place.weight * _log(place.after))

@@ -1,0 +1,261 @@
+"""Frames left out and predicted: the score, and the command that shows it."""
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv import ApsFrame, Layout, fuse, open_recording, recording_from_arrays
+from pdavis_cv.analysis import CLASSES, LeftOutFrames, observed
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.reconstruct.base import Estimate
+from pdavis_cv.tools import score
+
+SHAPE = (20, 24)
+EXPOSURE_MS = 10
+FRAME_US = 40_000
+ON, OFF = 0.25, 0.4
+
+
+def frames(count, log, noise=0.0, seed=0):
+    """Return frames of log(t_us) (H, W), each with so much noise of its log."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for k in range(count):
+        mid = k * FRAME_US + 5000
+        seen = log(mid) + noise * rng.normal(size=SHAPE)
+        out.append(ApsFrame(np.exp(seen) * EXPOSURE_MS, mid - 5000, mid + 5000))
+    return out
+
+
+def ramp(t_us):
+    """Return the left half at rest and the right half brightening, ln DN per ms."""
+    log = np.full(SHAPE, np.log(30.0))
+    log[:, 12:] += 2e-6 * t_us
+    return log
+
+
+def swing(t_us):
+    """Return the left half at rest and the right half swinging, ln DN per ms."""
+    log = np.full(SHAPE, np.log(30.0))
+    log[:, 12:] += np.sin(2 * np.pi * t_us / 400_000)
+    return log
+
+
+def swing_events(stop_us):
+    """Return what pixels of threshold ON for both signs fire of `swing`."""
+    times = np.arange(0, stop_us, 1000)
+    level = np.floor(np.sin(2 * np.pi * times / 400_000) / ON)
+    step = np.flatnonzero(np.diff(level))
+    events = np.zeros((len(step), SHAPE[0], 12), EVENT_DTYPE)
+    events["t"] = times[step + 1, None, None]
+    events["y"], events["x"] = np.arange(SHAPE[0])[:, None], np.arange(12, 24)
+    events["p"] = (np.diff(level)[step] > 0)[:, None, None]
+    return events.reshape(-1)
+
+
+def still(count=9, noise=0.0):
+    one = np.array([(1000, 0, 0, 1)], EVENT_DTYPE)
+    return recording_from_arrays(
+        one, frames(count, lambda t: np.log(np.linspace(2.0, 60, SHAPE[1])) +
+                    np.zeros(SHAPE), noise),
+        sensor_size=SHAPE, layout=Layout.PDAVIS)
+
+
+def by_class(scores):
+    assert [each.kind for each in scores] == list(CLASSES)
+    return {each.kind: each for each in scores}
+
+
+def test_every_second_frame_is_kept_and_nothing_else_is_lost():
+    recording = still(9)
+    left_out = LeftOutFrames(recording)
+    mids = [frame.mid_us for p in recording.packets() for frame in p.frames]
+    kept = [frame.mid_us for p in left_out.kept.packets() for frame in p.frames]
+    assert left_out.times_us.tolist() == mids[1::2]
+    assert kept == mids[::2]
+    np.testing.assert_array_equal(left_out.kept.events(), recording.events())
+    assert left_out.kept.info.frame_count == recording.info.frame_count - 4
+
+
+def test_a_straight_line_is_predicted_by_interpolation_and_missed_by_holding():
+    left_out = LeftOutFrames(recording_from_arrays(
+        np.array([(1000, 0, 0, 1)], EVENT_DTYPE), frames(7, ramp), sensor_size=SHAPE,
+        layout=Layout.PDAVIS))
+    guesses = left_out.simple((0.2, 0.2))
+    linear = by_class(left_out.score(guesses["linear"]))
+    held = by_class(left_out.score(guesses["held"]))
+    assert linear["static, bright"].rmse < 1e-6
+    # Half of the pixels rose by 2e-6 per us over 40 ms.
+    assert held["static, bright"].bias == pytest.approx(-0.04, rel=1e-4)
+    assert held["static, bright"].rmse == pytest.approx(0.08 / np.sqrt(2), rel=1e-4)
+
+
+def test_thresholds_are_found_from_frames_and_counts():
+    def log(t_us):
+        out = np.full(SHAPE, np.log(30.0))
+        for _, x, y, p in events[events["t"] <= t_us].tolist():
+            out[y, x] += ON if p else -OFF
+        return out
+
+    rng = np.random.default_rng(3)
+    events = np.zeros(4000, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, 10 * FRAME_US, 4000))
+    events["y"], events["x"] = rng.integers(0, 8, 4000), rng.integers(0, 24, 4000)
+    events["p"] = rng.random(4000) < 0.6
+    left_out = LeftOutFrames(recording_from_arrays(
+        events, frames(9, log), sensor_size=SHAPE, layout=Layout.PDAVIS))
+    assert left_out.thresholds == pytest.approx((ON, OFF), rel=1e-4)
+    guesses = left_out.simple(left_out.thresholds)
+    for name in ("held + events", "linear + events"):
+        assert by_class(left_out.score(guesses[name]))["moving"].rmse < 1e-3
+    assert by_class(left_out.score(guesses["linear"]))["moving"].rmse > 0.1
+
+
+def test_where_nothing_moves_no_thresholds_are_fitted():
+    assert LeftOutFrames(still()).thresholds is None
+
+
+def test_an_honest_sigma_covers_two_thirds_and_the_frames_own_noise_is_allowed_for():
+    left_out = LeftOutFrames(still(21, noise=0.03))
+    truth = np.log(np.linspace(2.0, 60, SHAPE[1])) + np.zeros(SHAPE)
+    rng = np.random.default_rng(5)
+
+    def coverage(claimed, actual):
+        guesses = [Estimate(
+            (truth + actual * rng.normal(size=SHAPE)).astype(np.float32),
+            np.full(SHAPE, claimed**2, np.float32), np.ones(SHAPE, np.bool_))
+            for _ in left_out.times_us]
+        return by_class(left_out.score(guesses))["static, bright"].coverage
+
+    assert coverage(0.0, 0.0) == pytest.approx(0.683, abs=0.04)
+    assert coverage(0.05, 0.05) == pytest.approx(0.683, abs=0.04)
+    assert coverage(0.05, 0.1) < 0.5
+    assert coverage(0.2, 0.05) > 0.95
+
+
+def test_what_is_observed_changes_no_image():
+    recording = recording_from_arrays(
+        swing_events(8 * FRAME_US), frames(9, swing), sensor_size=SHAPE,
+        layout=Layout.PDAVIS)
+    seen = []
+    times = {"times_us": [50_000, 90_000, 200_000], "demosaic": "superpixel"}
+    for plain, watched in zip(
+            fuse(recording, method="cf", **times),
+            fuse(recording, method=observed("cf", seen), **times), strict=True):
+        np.testing.assert_array_equal(plain.quad, watched.quad)
+        # I0 of PDAVIS lies at (1, 0) of the cell.
+        np.testing.assert_allclose(
+            np.exp(seen[0].log_intensity[1::2, ::2]), plain.quad[0], rtol=1e-6)
+    with pytest.raises(TypeError, match="must be made by a class"):
+        observed("events", seen)
+
+
+def test_too_little_is_refused():
+    with pytest.raises(ValueError, match="at least 5 frames, got 4"):
+        LeftOutFrames(still(4))
+    nothing = recording_from_arrays(
+        None, frames(9, ramp), sensor_size=SHAPE, layout=Layout.PDAVIS)
+    with pytest.raises(ValueError, match="events between its frames"):
+        LeftOutFrames(nothing)
+
+
+# Where pixels move, and at rest where it is bright; what was measured, and 5 %.
+REAL = {
+    "held": (0.809, 0.038), "linear": (0.594, 0.029), "held + events": (0.444, 0.034),
+    "linear + events": (0.371, 0.027), "cf": (0.377, 0.034),
+    "kalman": (0.302, 0.030), "kalman causal": (0.356, 0.038),
+    "kalman offline": (0.239, 0.026)}
+
+
+@pytest.fixture(scope="module")
+def davis(data_dir):
+    with open_recording(data_dir / "davis346.aedat4", layout=Layout.PDAVIS) as made:
+        yield LeftOutFrames(made)
+
+
+@pytest.mark.parametrize("method", [
+    "held", "linear", "held + events", "linear + events", "cf", "kalman",
+    pytest.param("kalman causal", marks=pytest.mark.gate),
+    pytest.param("kalman offline", marks=pytest.mark.gate)])
+def test_a_real_recording_is_predicted_as_well_as_before(davis, method):
+    assert davis.thresholds == pytest.approx((0.309, 0.368), abs=0.002)
+    guesses = (score.predicted(
+        davis, **score.METHODS[method], thresholds=davis.thresholds)
+        if method in score.METHODS else davis.simple(davis.thresholds)[method])
+    found = by_class(davis.score(guesses))
+    moving, static = REAL[method]
+    assert found["moving"].pixels == 5744
+    assert found["moving"].rmse < 1.05 * moving
+    assert found["static, bright"].rmse < 1.05 * static
+    if method in ("held", "linear", "held + events", "linear + events"):
+        assert found["moving"].rmse > 0.99 * moving
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "swing.aedat4"
+    pdavis_cv.write_aedat4(path, recording_from_arrays(
+        swing_events(20 * FRAME_US), frames(19, swing, 0.01),
+        sensor_size=SHAPE, layout=Layout.PDAVIS))
+    return path
+
+
+def test_the_command_writes_a_table_json_and_a_picture(file, tmp_path, capsys):
+    stem = tmp_path / "out"
+    assert score.main([
+        str(file), "-o", str(stem), "--layout", "pdavis", "--methods", "cf", "kalman",
+        "--thresholds", "nominal", f"{ON},{ON}"]) == 0
+    text = capsys.readouterr().out
+    found = json.loads((tmp_path / "out.json").read_text())
+    rows = {(row["method"], row["thresholds_from"]): row for row in found["rows"]}
+    assert ("kalman", "given") in rows
+    assert ("linear", "") in rows
+    best = rows["kalman", "given"]["scores"]["moving"]
+    assert f"{best['rmse']:.3f}" in text
+    with open(tmp_path / "out.csv") as table:
+        lines = list(csv.DictReader(table))
+    mine = [line for line in lines if line["method"] == "kalman"
+            and line["thresholds_from"] == "given" and line["class"] == "moving"]
+    assert float(mine[0]["rmse_ln"]) == best["rmse"]
+    assert (float(mine[0]["on"]), float(mine[0]["off"])) == (ON, ON)
+    pytest.importorskip("matplotlib")
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_is_all_that_is_printed(file, capsys):
+    assert score.main([str(file), "--json", "--layout", "pdavis", "--methods", "cf",
+                       "--thresholds", "nominal"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["thresholds_fitted"] is None or len(found["thresholds_fitted"]) == 2
+    assert any("suits it best" in line for line in found["advice"])
+
+
+def row(method, moving, static, pixels=1000):
+    def each(kind):
+        rmse = moving if kind.startswith("moving") else static
+        return pdavis_cv.analysis.PredictionScore(
+            kind, pixels if kind.startswith("moving") else 10_000, rmse, 0.0, 0.5)
+    return score.Row(method, "nominal", (0.2, 0.2), tuple(map(each, CLASSES)))
+
+
+def test_the_method_that_suits_is_good_where_pixels_move_and_not_bad_at_rest():
+    rows = [row("linear", 0.5, 0.03), row("kalman", 0.3, 0.033),
+            row("cf", 0.2, 0.06), row("kalman causal", 0.4, 0.031)]
+    assert score.suited(rows).method == "kalman"
+    assert score.suited(rows, causal=True).method == "kalman causal"
+    assert score.suited([row("linear", 0.5, 0.03, 5), row("kalman", 0.3, 0.033, 5)]
+                        ).method == "linear"
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--methods", "magic"], "invalid choice"),
+    (["--thresholds", "0.2"], "numbers with commas"),
+    (["--seconds", "0.1"], "at least 5 frames"),
+    (["--thresholds", "0.2,-1"], "thresholds")])
+def test_a_mistake_is_one_line(file, arguments, said, capsys):
+    assert score.main([str(file), "--layout", "pdavis", *arguments]) == 2
+    text = capsys.readouterr().err
+    assert len(text.splitlines()) == 1
+    assert said in text

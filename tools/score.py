@@ -1,0 +1,378 @@
+"""Score methods on a recording by the frames that they are not shown.
+
+Every second frame is taken away; each method predicts the log intensity at its
+mid-exposure from the rest, and the frame says how far off that is: root mean squared
+error in natural-log units (0.1 is 10 %), for pixels that move (at least 3 events
+within 40 ms) and others, and the part of the errors within one sigma (0.68 for an
+honest method).  Needs no truth but the recording.
+"""
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pdavis_cv import Calibration, Recording, __version__, fuse, open_recording
+from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, observed
+from pdavis_cv.export import write_beside, write_csv
+from pdavis_cv.reconstruct.base import Estimate
+
+from ._common import (
+    Parser,
+    UsageError,
+    calibration_of,
+    command,
+    layout_option,
+    numbers,
+    positive,
+    progress,
+    start_of,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["METHODS", "Row", "main", "predicted", "suited"]
+
+METHODS: dict[str, dict[str, Any]] = {
+    "cf": {"method": "cf"},
+    "cf causal": {"method": "cf", "causal": True},
+    "kalman": {"method": "kalman"},
+    "kalman causal": {"method": "kalman", "causal": True},
+    "kalman offline": {"method": "kalman", "mode": "offline"},
+}
+"""Name -> options of fuse."""
+
+SOURCES = ("nominal", "in-situ", "fitted")
+_LEAST_MOVING = 100   # pixels: with fewer, what is static decides
+_ALLOWED_STATIC = 1.2  # times the least static error that a suited method may have
+
+
+@dataclass(frozen=True)
+class Row:
+    """A method, where its thresholds came from, and its scores by class."""
+
+    method: str
+    source: str
+    thresholds: tuple[float, float] | None
+    scores: tuple[PredictionScore, ...]
+
+    @property
+    def by_class(self) -> dict[str, PredictionScore]:
+        """Class -> score."""
+        return {score.kind: score for score in self.scores}
+
+    @property
+    def name(self) -> str:
+        """Method and thresholds, for people."""
+        return f"{self.method}, {self.source}" if self.source else self.method
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis score``."""
+    args = _parser().parse_args(argv)
+    calibration = None if args.calibration is None else calibration_of(args.calibration)
+    with open_recording(args.file, layout=args.layout) as recording:
+        left_out = LeftOutFrames(
+            recording, stop_us=start_of(recording) + round(args.seconds * 1e6))
+        tries = _tries(args.thresholds, calibration, left_out)
+        rows = _simple(left_out, tries)
+        best: tuple[float, list[Estimate]] = math.inf, []
+        for name, source, options in progress(
+                [(name, *each) for name in args.methods for each in tries],
+                len(args.methods) * len(tries), "methods"):
+            guesses = list(predicted(left_out, **METHODS[name], **options))
+            rows.append(Row(name, source, _pair(options), left_out.score(guesses)))
+            moving = rows[-1].by_class["moving"].rmse
+            if moving < best[0]:
+                best = moving, guesses
+    advice = _advice(rows, args.file)
+    if args.json:
+        print(json.dumps(_summary(args, left_out, rows, advice), indent=2))
+    else:
+        print("\n".join([*_table(left_out, rows), "", *advice]))
+    if args.out is not None:
+        _write(args, left_out, rows, advice, best[1])
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser("score", __doc__ or "", "pdavis score run.aedat4 -o score")
+    parser.add_argument("file", help="a recording with frames and events")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="STEM",
+        help="writes STEM.csv, STEM.json and, with matplotlib, STEM.png")
+    parser.add_argument(
+        "--methods", nargs="+", choices=METHODS, default=list(METHODS), metavar="NAME",
+        help=f"of {', '.join(map(repr, METHODS))}; default all")
+    parser.add_argument(
+        "--thresholds", nargs="+", type=_source, default=list(SOURCES), metavar="T",
+        help=f"of {', '.join(SOURCES)} (by regression on the frames), or ON,OFF in "
+             "natural-log units; default these three")
+    parser.add_argument(
+        "--calibration", type=Path, metavar="NPZ",
+        help="of this camera; its thresholds are tried too")
+    parser.add_argument(
+        "--seconds", type=positive, default=10.0,
+        help="how much of the recording is scored; default 10")
+    parser.add_argument(
+        "--layout", type=layout_option, metavar="LAYOUT",
+        help="pdavis, sony or four angles by row; default what the file says")
+    parser.add_argument(
+        "--json", action="store_true", help="print JSON instead of the table")
+    return parser
+
+
+def _source(text: str) -> str | tuple[float, float]:
+    if text in SOURCES:
+        return text
+    on, off = numbers(text, 2)
+    return on, off
+
+
+def _tries(
+    sources: Sequence[str | tuple[float, float]], calibration: Calibration | None,
+    left_out: LeftOutFrames,
+) -> list[tuple[str, dict[str, Any]]]:
+    """Return where thresholds come from, and the options that say so to fuse."""
+    tries: list[tuple[str, dict[str, Any]]] = []
+    for source in sources:
+        if source != "fitted":
+            name = source if isinstance(source, str) else "given"
+            tries.append((name, {"thresholds": source}))
+        elif left_out.thresholds is not None:
+            tries.append(("fitted", {"thresholds": left_out.thresholds}))
+    if calibration is not None:
+        tries = [(name, {**options, "calibration": calibration})
+                 for name, options in tries]
+        if calibration.theta_on is not None:
+            tries.append(("calibration", {
+                "thresholds": "calibration", "calibration": calibration}))
+    if not tries:
+        raise UsageError("thresholds cannot be fitted: too few pixels move")
+    return tries
+
+
+def _pair(options: dict[str, Any]) -> tuple[float, float] | None:
+    value = options["thresholds"]
+    return (0.2, 0.2) if value == "nominal" else (
+        None if isinstance(value, str) else value)
+
+
+def _simple(
+    left_out: LeftOutFrames, tries: Sequence[tuple[str, dict[str, Any]]],
+) -> list[Row]:
+    rows: dict[str, Row] = {}
+    for source, options in tries:
+        pair = _pair(options)
+        if pair is None:
+            continue
+        for name, guesses in left_out.simple(pair).items():
+            said, used = (source, pair) if "events" in name else ("", None)
+            row = Row(name, said, used, left_out.score(guesses))
+            rows.setdefault(row.name, row)
+    return sorted(rows.values(), key=lambda row: "events" in row.method)
+
+
+def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
+    """Yield what a method makes of each left-out frame; options are those of fuse."""
+    seen: list[Estimate] = []
+    method = observed(options.pop("method"), seen)
+    recording: Recording = left_out.kept
+    for _ in fuse(recording, method=method, times_us=left_out.times_us,
+                  demosaic="superpixel", **options):
+        yield seen[0]
+
+
+def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
+    """Return the row of the method that suits the recording.
+
+    The least error where pixels move, of those that are not much worse than the best
+    where nothing does; the least static error where nothing moves.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    causal : bool
+        Only methods that use nothing but the past.
+
+    Returns
+    -------
+    Row
+    """
+    able = [row for row in rows if not causal or row.method.endswith("causal")
+            or row.method.startswith("held")]
+
+    def static(row: Row) -> float:
+        each = row.by_class
+        parts = [each[kind] for kind in CLASSES if kind.startswith("static")]
+        squares = sum(part.rmse**2 * part.pixels for part in parts if part.pixels)
+        return float(np.sqrt(squares / max(1, sum(part.pixels for part in parts))))
+
+    if able[0].by_class["moving"].pixels < _LEAST_MOVING:
+        return min(able, key=static)
+    least = min(map(static, able))
+    steady = [row for row in able if static(row) <= _ALLOWED_STATIC * least]
+    return min(steady, key=lambda row: row.by_class["moving"].rmse)
+
+
+def _advice(rows: Sequence[Row], file: str) -> list[str]:
+    lines = []
+    for title, causal in (("recorded", False), ("live", True)):
+        able = [row for row in rows if row.method in METHODS]
+        if causal and not any(row.method.endswith("causal") for row in able):
+            continue
+        row = suited(rows, causal=causal)
+        score = row.by_class["moving"]
+        lines.append(f"{title}: {row.name} suits it best ({score.rmse:.3f} where "
+                     "pixels move)")
+        if row.method in METHODS:
+            lines.append(f"  pdavis export {file} -o fused.mp4 {_options(row)}")
+        if math.isfinite(score.coverage) and not 0.55 <= score.coverage <= 0.8:
+            lines.append(
+                f"  its sigmas are too {'small' if score.coverage < 0.68 else 'large'}:"
+                f" {score.coverage:.0%} of errors where pixels move lie within one")
+    return lines
+
+
+def _options(row: Row) -> str:
+    words = []
+    for name, value in METHODS[row.method].items():
+        words.append(f"--method {value}" if name == "method" else "--causal"
+                     if name == "causal" else f"--set {name}={value}")
+    if row.source == "calibration":
+        words.append("--calibration FILE --thresholds calibration")
+    elif row.source in ("nominal", "in-situ"):
+        words.append(f"--thresholds {row.source}")
+    elif row.thresholds is not None:
+        words.append("--thresholds {:.3f},{:.3f}".format(*row.thresholds))
+    return " ".join(words)
+
+
+def _table(left_out: LeftOutFrames, rows: Sequence[Row]) -> list[str]:
+    fitted = left_out.thresholds
+    width = max(len(row.name) for row in rows)
+    lines = [f"{len(left_out.times_us)} frames left out; thresholds fitted to the "
+             "others: " + ("too little moves" if fitted is None
+                           else "ON {:.3f}, OFF {:.3f}".format(*fitted)), "",
+             f"{'error, part within one sigma':<{width}}  "
+             + "".join(f"{kind:>16}" for kind in CLASSES)]
+    for row in rows:
+        cells = [f"{score.rmse:.3f}" + (
+            f"{score.coverage:6.2f}" if math.isfinite(score.coverage) else " " * 6)
+            for score in row.scores]
+        lines.append(f"{row.name:<{width}}  " + "".join(f"{cell:>16}"
+                                                        for cell in cells))
+    lines.append(f"{'pixels':<{width}}  " + "".join(
+        f"{score.pixels:>10}{'':6}" for score in rows[0].scores))
+    return lines
+
+
+def _summary(
+    args: argparse.Namespace, left_out: LeftOutFrames, rows: Sequence[Row],
+    advice: Sequence[str],
+) -> dict[str, Any]:
+    def plain(value: Any) -> Any:
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return {
+        "pdavis_cv": __version__, "source": str(args.file),
+        "frames_left_out": len(left_out.times_us),
+        "thresholds_fitted": left_out.thresholds, "advice": list(advice),
+        "rows": [{"method": row.method, "thresholds_from": row.source,
+                  "thresholds": row.thresholds,
+                  "scores": {score.kind: {
+                      name: plain(value)
+                      for name, value in dataclasses.asdict(score).items()
+                      if name != "kind"} for score in row.scores}} for row in rows]}
+
+
+def _write(
+    args: argparse.Namespace, left_out: LeftOutFrames, rows: Sequence[Row],
+    advice: Sequence[str], best: Sequence[Estimate],
+) -> None:
+    stem: Path = args.out
+    write_csv(
+        stem.with_name(stem.name + ".csv"),
+        ("method", "thresholds_from", "on", "off", "class", "pixels", "rmse_ln",
+         "bias_ln", "coverage"),
+        ((row.method, row.source, *(row.thresholds or ("", "")), score.kind,
+          score.pixels, score.rmse, score.bias, score.coverage)
+         for row in rows for score in row.scores))
+    with write_beside(stem.with_name(stem.name + ".json")) as part:
+        part.write_text(json.dumps(_summary(args, left_out, rows, advice), indent=2)
+                        + "\n", encoding="utf-8")
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        print("no picture: matplotlib is missing (pip install matplotlib)")
+        return
+    with write_beside(stem.with_name(stem.name + ".png")) as part:
+        _picture(left_out, rows, best).savefig(part, format="png", dpi=110)
+
+
+def _picture(
+    left_out: LeftOutFrames, rows: Sequence[Row], best: Sequence[Estimate],
+) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 9), layout="constrained")
+    parts: Any = figure.subfigures(2, 1, height_ratios=(3, 2))
+    upper, lower = parts
+    y = np.arange(len(rows))[::-1]
+    for axes, kinds, title in zip(
+            upper.subplots(1, 3, sharey=True),
+            (("moving",), ("static, bright", "static, dark"),
+             ("moving", "static, bright")),
+            ("error where pixels move", "error where nothing moves",
+             "errors within one sigma"), strict=True):
+        within = title.startswith("errors within")
+        for i, kind in enumerate(kinds):
+            values = [getattr(row.by_class[kind], "coverage" if within else "rmse")
+                      for row in rows]
+            axes.barh(y + 0.2 - 0.4 * i if len(kinds) > 1 else y, values,
+                      0.4 if len(kinds) > 1 else 0.7,
+                      color=("tab:blue", "tab:orange")[i], label=kind)
+        axes.set_title(title)
+        axes.set_yticks(y, [row.name for row in rows])
+        axes.grid(axis="x", alpha=0.3)
+        axes.set_xlabel("part of pixels" if within else "RMSE, natural log")
+        if within:
+            axes.axvline(0.683, color="black", linewidth=1, label="honest")
+            axes.set_xlim(0, 1)
+        if len(kinds) > 1:
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
+    _maps(lower, left_out, best)
+    return figure
+
+
+def _maps(figure: Any, left_out: LeftOutFrames, best: Sequence[Estimate]) -> None:
+    i = left_out.liveliest
+    truth, counts, _ = left_out.images(i)
+    linear = left_out.simple((0.2, 0.2))["linear"][i]
+    shown: list[tuple[str, Any]] = [
+        ("the frame left out", truth), ("linear interpolation, error", linear)]
+    if best:
+        shown.append(("best method, error", best[i].log_intensity))
+    for axes, (title, image) in zip(
+            figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+        if image is truth:
+            picture = axes.imshow(image, cmap="gray")
+        else:
+            off = np.where(counts, image - truth, np.nan)
+            picture = axes.imshow(off, cmap="RdBu_r", vmin=-1, vmax=1)
+        axes.set_title(title)
+        axes.set_axis_off()
+        figure.colorbar(picture, ax=axes, shrink=0.8, label="natural log")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
