@@ -25,8 +25,8 @@ def opencv() -> Any:
     except ImportError as error:
         raise ImportError(
             "this needs OpenCV, which comes as an extra because its four wheels "
-            "exclude each other: pip install 'pdavis-cv[cv2]', or any OpenCV wheel "
-            "that you already use") from error
+            "exclude each other: pip install opencv-contrib-python-headless, or any "
+            "OpenCV wheel that you already use") from error
 
 
 def native_capture() -> Any:

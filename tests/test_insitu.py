@@ -187,6 +187,7 @@ def test_leak_does_not_pass_for_a_slow_photoreceptor():
     assert np.std(errors) < 0.06
 
 
+@pytest.mark.gate
 def test_a_fan_s_steps_do_not_pass_for_a_bandwidth_that_follows_the_light():
     camera = Camera.preset("nominal", size=(8, 32), origin=(54, 156))
     recording, _ = camera.record(Fan(rpm=1013.0), 1.3)
@@ -218,6 +219,7 @@ def test_one_pixel_unlike_the_others_does_not_decide_on_the_bandwidth(chip):
     assert 0.45 < covered < 0.85
 
 
+@pytest.mark.gate
 def test_the_bandwidth_s_uncertainty_is_as_large_as_its_error():
     relative, sigmas = [], []
     for chip, rpm in enumerate((60, 100, 200, 300, 500, 800)):

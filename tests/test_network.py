@@ -205,7 +205,7 @@ def test_the_quicker_backend_is_chosen_and_the_lack_of_both_is_said(monkeypatch)
         assert chosen_backend() == "onnxruntime"
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     assert chosen_backend() == "cv2"
-    with pytest.raises(ImportError, match=r"onnxruntime: pip install 'pdavis-cv\[dnn"):
+    with pytest.raises(ImportError, match="pip install onnxruntime, or"):
         chosen_backend("onnxruntime")
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(ImportError, match="onnxruntime or cv2"):

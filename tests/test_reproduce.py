@@ -43,6 +43,7 @@ def test_every_method_is_scored_and_written(tmp_path, capsys):
     assert np.abs(off).mean() < 1
 
 
+@pytest.mark.gate
 def test_pictures_are_drawn_for_both_geometries(tmp_path):
     pytest.importorskip("matplotlib")
     stem = tmp_path / "fig3"
@@ -99,6 +100,7 @@ def test_the_bright_half_of_the_fan_saturates_frames_only(tmp_path):
     assert rows["events", "dark half"]["dolp_error"] == ""
 
 
+@pytest.mark.gate
 def test_frames_saturate_above_one_microwatt_and_events_do_not(tmp_path):
     stem = tmp_path / "dr"
     assert reproduce.main([
@@ -118,6 +120,7 @@ def test_frames_saturate_above_one_microwatt_and_events_do_not(tmp_path):
     assert max(errors["events"]) - min(errors["events"]) < 1
 
 
+@pytest.mark.gate
 def test_flicker_leaves_the_frames_alone(tmp_path):
     stem = tmp_path / "flicker"
     assert reproduce.main([
@@ -131,6 +134,7 @@ def test_flicker_leaves_the_frames_alone(tmp_path):
     assert "over error without" in stem.with_suffix(".md").read_text()
 
 
+@pytest.mark.gate
 def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
     stem = tmp_path / "all"
     assert reproduce.main([
@@ -175,6 +179,7 @@ def test_a_recording_without_truth_is_scored_against_its_own_fit(tmp_path, capsy
         0.020 * 60.78 * 6, rel=0.1)  # half a frame of 20 ms, and half an exposure
 
 
+@pytest.mark.gate
 def test_denoising_is_measured_and_leaves_little_noise_and_most_of_the_light(
         tmp_path, capsys):
     stem = tmp_path / "denoise"

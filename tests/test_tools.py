@@ -95,7 +95,7 @@ def test_without_opencv_export_says_so_in_one_line(capsys, tmp_path, monkeypatch
     monkeypatch.setitem(sys.modules, "cv2", None)
     assert run("export", SAMPLE, "-o", tmp_path / "x.mp4") == 2
     text = capsys.readouterr().err
-    assert "pip install 'pdavis-cv[cv2]'" in text
+    assert "pip install opencv-contrib-python-headless" in text
     assert text.count("\n") == 1
     assert run("export", SAMPLE, "-o", tmp_path / "x.npy", "--fps", "20",
                "--layout", "pdavis") == 0

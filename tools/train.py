@@ -1,4 +1,4 @@
-"""Train a network on simulated events; needs torch (pip install 'pdavis-cv[train]')."""
+"""Train a network on simulated events; needs torch (pip install torch)."""
 from __future__ import annotations
 
 import csv
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.side < 4:
         raise UsageError(f"--side must be at least 4, got {args.side}")
     if importlib.util.find_spec("torch") is None:
-        raise UsageError("training needs torch: pip install 'pdavis-cv[train]'")
+        raise UsageError("training needs torch: pip install torch")
     from pdavis_cv.training.trainer import Recipe, Trainer, train
 
     recipe = Recipe(args.network, args.seed, args.steps, args.rate, args.batch,

@@ -236,7 +236,7 @@ def read_rois(path: str | Path) -> list[Roi]:
         import roifile
     except ImportError:
         raise ImportError(
-            "reading Fiji regions needs roifile: pip install 'pdavis-cv[roi]'"
+            "reading Fiji regions needs roifile: pip install roifile"
         ) from None
     path = Path(path)
     with path.open("rb") as file:

@@ -30,7 +30,7 @@ class Hdf5File(StackFile):
             import h5py
         except ImportError:
             raise ImportError(
-                "HDF5 needs h5py: pip install 'pdavis-cv[export]'") from None
+                "HDF5 needs h5py: pip install h5py") from None
         self._h5py = h5py
         super().__init__(*arguments, **options)
 

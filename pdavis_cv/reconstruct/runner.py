@@ -46,8 +46,8 @@ def chosen_backend(backend: str = "auto") -> str:
         if _installed(name):
             return name
     raise ImportError(
-        f"networks need {' or '.join(wanted)}: pip install 'pdavis-cv[dnn]' for "
-        "onnxruntime, 'pdavis-cv[cv2]' for OpenCV")
+        f"networks need {' or '.join(wanted)}: pip install onnxruntime, or an "
+        "OpenCV wheel such as opencv-contrib-python-headless")
 
 
 def _installed(name: str) -> bool:

@@ -301,7 +301,7 @@ def _plots() -> Any:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        print("no picture: matplotlib is missing (pip install 'pdavis-cv[plot]')")
+        print("no picture: matplotlib is missing (pip install matplotlib)")
         return None
     from . import plots
     return plots

@@ -36,7 +36,7 @@ def matplotlib() -> Any:
         from matplotlib.figure import Figure
     except ImportError:
         raise ImportError(
-            "the report needs matplotlib: pip install 'pdavis-cv[plot]'") from None
+            "the report needs matplotlib: pip install matplotlib") from None
     return Figure
 
 

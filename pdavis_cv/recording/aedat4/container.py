@@ -322,7 +322,7 @@ def _unpack_zstd(payload: bytes) -> bytes:
         import zstandard
     except ImportError:
         raise RecordingError(
-            "this file is compressed with zstd: pip install 'pdavis-cv[zstd]'"
+            "this file is compressed with zstd: pip install zstandard"
         ) from None
     try:
         with zstandard.ZstdDecompressor(max_window_size=MAX_PAYLOAD).stream_reader(

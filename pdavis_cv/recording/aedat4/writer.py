@@ -200,7 +200,7 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
         import zstandard
     except ImportError:
         raise ImportError(
-            "zstd needs a package: pip install 'pdavis-cv[zstd]'") from None
+            "zstd needs a package: pip install zstandard") from None
     compressor = zstandard.ZstdCompressor(level=3)
     return lambda data: bytes(compressor.compress(memoryview(data).cast("B")))
 

@@ -47,7 +47,7 @@ def h5py_module() -> Any:
     try:
         import h5py
     except ImportError:
-        raise ImportError("HDF5 needs a package: pip install 'pdavis-cv[hdf5]'"
+        raise ImportError("HDF5 needs a package: pip install h5py"
                           ) from None
     return h5py
 
