@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with open_recording(args.file) as recording:
         options = fuse_options(args, recording)
         if args.at is not None:
-            if (args.start, args.stop, args.fps) != (None, None, None):
+            if (args.start_us, args.stop_us, args.fps) != (None, None, None):
                 raise UsageError(
                     "--at is one image: it excludes --start, --stop and --fps")
             at = start_of(recording) + round(args.at * 1e6)
