@@ -17,19 +17,9 @@ FILES = sorted(path.relative_to(ROOT).as_posix() for room in ROOMS
                for path in ROOT.glob(room)
                if path.suffix in (".py", ".pyx", ".pxd", ".h"))
 OPEN = {
-    "_kernels/_lag.pxd": 1,
     "_kernels/_lamp.pxd": 9,
-    "_kernels/_lamp.pyx": 7,
-    "_kernels/_redundancy.pyx": 4,
+    "_kernels/_lamp.pyx": 2,
     "_kernels/_selfcal.pyx": 6,
-    "_kernels/_smooth.pyx": 1,
-    "_kernels/_tracks.pxd": 79,
-    "pdavis_cv/reconstruct/kalman/filter.py": 1,
-    "pdavis_cv/reconstruct/kalman/smoother.py": 1,
-    "pdavis_cv/reconstruct/lamp.py": 4,
-    "pdavis_cv/reconstruct/redundancy.py": 2,
-    "pdavis_cv/reconstruct/tracks.py": 2,
-    "pdavis_cv/selfcal/bandwidth.py": 1,
     "pdavis_cv/selfcal/pixel_sample.py": 2,
 }
 """Numbers without a name that a file still has; this list may only get shorter."""

@@ -21,19 +21,27 @@ BLOCK_US = 100_000
 MEMORY_US = 30_000_000
 """How long waves are kept: for longer than kernels look back at them."""
 
-# How far back the tracker looks: mains keep their frequency for so long.
 _BLOCKS = 10
-# Of so many pixels every one is looked at; of more, as many as that.
+"""Blocks that a wave is fitted to: mains keep their frequency for a second."""
 _PIXELS = 4096
-# Over so long a light may change evenly: the shorter, the less does motion disturb the
-# wave; it is taken if it explains so many times the variance that is left.
+"""Pixels that are looked at, at most, spread over the sensor; bounds the time."""
+# Time constants in us of the weight of three events over which light is taken to change
+# evenly, tried shortest first; a fit is accepted without trying the next if explained /
+# residual variance exceeds _ENOUGH.  Chosen on `nominal` (docs/theory/lamp.md).
 _EVEN_US, _ENOUGH = np.array([1000.0, 4000.0, 15000.0]), 4000.0
-# Any wave must explain so many times, leave less than this part of that to waves of the
-# four places of a macropixel (that of a polarizer's fourth harmonic is the same in all
-# of them, but that of its third is not), and be so large.
+# Detection: explained / residual variance above _EVIDENCE; what separate waves of the
+# four places of a macropixel explain beyond, below _APART of the common wave; amplitude
+# above _LEAST, ln units.  Steady light passes none of them: studies/lamp_detection.py.
 _EVIDENCE, _APART, _LEAST = 200.0, 0.5, 0.02
 
-_STAMP = 2 * -(2**62)
+_LONG_AGO = -(2**62)
+"""A time in us before all stamps; differences to it fit 64 bits."""
+_STAMP = 2 * _LONG_AGO
+_SUMS = 7
+"""Numbers of a normal equation of (cosine, sine): three of the matrix, two of the right
+side, sum of squares, number (`normal_t` of _lamp.pyx)."""
+_FIT = 8
+"""Numbers that `_kernels.lamp_wave` gives, in the order of its docstring."""
 
 
 class Wave(NamedTuple):
@@ -139,10 +147,10 @@ class LampTracker:
         self._hz, self._slope, *_ = bandwidth or (0.0, 0.0)
         # Until there is a frame a pixel may be as slow as in the dark.
         self._corners = np.full(self._stamps.shape[:2], self._hz, np.float32)
-        self._now = np.zeros((len(_EVEN_US), 4, 4, 7))
+        self._now = np.zeros((len(_EVEN_US), 4, 4, _SUMS))
         self._sums: tuple[NDArray[np.float64], ...] = ()
         self._block: int | None = None
-        self._seen_us = -(2**62)
+        self._seen_us = _LONG_AGO
 
     def push(self, events: NDArray[Any]) -> Iterator[Wave]:
         """Take events in order of time; yield the waves of the blocks they begin.
@@ -193,7 +201,7 @@ class LampTracker:
 
     def _wave(self, start_us: int) -> Wave:
         sums = np.array(self._sums)
-        out = np.empty(8)
+        out = np.empty(_FIT)
         for span in range(len(_EVEN_US)):
             _kernels.lamp_wave(np.ascontiguousarray(sums[:, span]), start_us, out)
             turns, cosine, sine, common, apart, left, n, below = out

@@ -45,8 +45,10 @@ MEMORY = 3000.0
 RATIO_SIGMA = 0.06
 """Standard deviation of ln(theta_on / theta_off) over pixels, before its events."""
 PULL = 1e-3
-"""What a direction away from equal mean squares costs, as relative variance."""
+"""Ridge weight pulling the gains towards equal mean square, as relative variance."""
 VALID_QUALITY = 0.3
+"""Ratio of the two smallest eigenvalues below which a pixel is valid: a third
+is far from the 1 of gains that the data leave open; chosen on `nominal`."""
 
 POLICY_DTYPE = np.dtype([
     (name, "<f8") for name in (
@@ -124,7 +126,7 @@ class EventRedundancy(Reconstructor):
         self._response = None if response is None else np.array(response, np.float64)
         self._tuning = np.zeros(1, TUNING_DTYPE)
         self._tune()
-        loss = -math.expm1(-2e-6 * math.pi * self._cutoff_hz * STEP_US)
+        loss = -math.expm1(-1e-6 * math.tau * self._cutoff_hz * STEP_US)
         self._policy = np.array([(
             math.exp(-1 / WINDOW), RATIO_SIGMA, 1 / MEMORY, loss, PULL, LEAST)],
             POLICY_DTYPE)

@@ -17,10 +17,12 @@ LOOKAHEAD_US = 50_000
 """How long a pixel's next event is waited for, unless nothing may be waited for."""
 
 LONG_AGO = -(2**62)
+"""A time in us before all stamps; differences to it fit 64 bits."""
 SWEEP_US = 100_000
 """How often, in stream time, the reader looks for pixels that came to rest."""
 
 _LEAST = 1 << 14
+"""Events that there is room for at first; it doubles when it is full."""
 
 
 class Tracks:

@@ -6,6 +6,9 @@ from numpy.typing import NDArray
 
 __all__ = ["negative_log_likelihood", "vertex"]
 
+_LEAST_SCALE = 1e-9
+"""Of the mean chi squared, so that its log exists; numerical."""
+
 
 def negative_log_likelihood(found: NDArray[np.void]) -> NDArray[np.float64]:
     """Return -ln L of innovations, shape (C,), up to a constant.
@@ -14,7 +17,7 @@ def negative_log_likelihood(found: NDArray[np.void]) -> NDArray[np.float64]:
     tens of times too large, and sum ln v would decide instead of the fit.
     """
     n = found["count"]
-    scale = np.log(np.maximum(found["chi2"] / np.maximum(n, 1), 1e-9))
+    scale = np.log(np.maximum(found["chi2"] / np.maximum(n, 1), _LEAST_SCALE))
     return 0.5 * np.asarray(n * scale + found["log_variance"])
 
 

@@ -36,6 +36,7 @@ from pdavis_cv.reconstruct.tracks import (
     as_bytes,
 )
 from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.sensor import THRESHOLD_SIGMA
 
 __all__ = ["LOOKAHEAD_US", "KalmanFilter"]
 
@@ -54,9 +55,6 @@ in, gains and angles of polarizers above all, is in it.
 CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.33)
 """The same where a calibration takes the pixels' differences out: much less is left in
 frames, and a third of what is assumed of read and shot noise."""
-
-THRESHOLD_SIGMA = 0.035
-"""Prior standard deviation of a pixel's threshold, natural-log units (Brandli 2014)."""
 
 # Of a frame: read noise in DN, and DN per unit of shot noise variance.
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0

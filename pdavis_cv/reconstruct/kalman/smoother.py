@@ -14,6 +14,7 @@ from pdavis_cv.reconstruct.tracks import Tracks, as_bytes
 __all__ = ["Smoother"]
 
 _LEAST = 8
+"""Frames that there is room for at first; it doubles when it is full."""
 
 
 class Smoother:
