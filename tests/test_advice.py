@@ -62,6 +62,35 @@ def test_mains_flicker_is_found_and_nothing_else():
         assert f"at {hz} Hz" in found["flicker"].finding
 
 
+def frames_at(hz):
+    return [ApsFrame(np.full(SIZE, 500), t, t + 1000)
+            for t in range(0, 3_000_000, round(1e6 / hz))]
+
+
+def test_harmonics_of_the_frame_clock_are_no_lamp():
+    # Reading a frame disturbs pixels: a burst of events after each, at 25 Hz.
+    rng, events = np.random.default_rng(0), steady(60_000)
+    part = np.flatnonzero(rng.random(len(events)) < 0.2)
+    events["t"][part] = events["t"][part] // 40_000 * 40_000 + rng.integers(
+        500, 2500, len(part))
+    events = events[np.argsort(events["t"], kind="stable")]
+    assert set(topics(events, frames_at(25))) == set()
+    assert "flicker" in topics(events), "without frames the clock is not known"
+
+
+def test_a_lamp_is_found_beside_frames_that_its_frequency_is_a_multiple_of():
+    events = steady(100_000)
+    phase = np.sin(2 * np.pi * 100 * events["t"] / 1e6)
+    keep = np.random.default_rng(0).random(len(events)) < 0.5 + 0.4 * phase
+    assert set(topics(events[keep], frames_at(25))) == {"flicker"}
+
+
+def test_events_that_come_in_steps_are_no_lamp():
+    events = steady(60_000)
+    events["t"] = events["t"] // 10_000 * 10_000
+    assert "flicker" not in topics(events)
+
+
 def exposed(moving, exposure_us=8_000):
     """Ten frames; a share of the pixels makes 4 events in each exposure."""
     pixels = round(moving * SIZE[0] * SIZE[1])

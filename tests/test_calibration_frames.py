@@ -2,7 +2,13 @@
 import numpy as np
 import pytest
 
-from pdavis_cv import ApsFrame, PolarFrame
+from pdavis_cv import (
+    ApsFrame,
+    PolarFrame,
+    open_recording,
+    recording_from_arrays,
+    write_aedat4,
+)
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, mean_frame
 from pdavis_cv.calibration.sweep import fit_sweep, read_sweep
 
@@ -163,3 +169,34 @@ def test_the_analyser_matrix_takes_the_static_error_away(swept):
     assert calibrated[1] <= 0.002
     assert plain[0] > 0.3
     assert plain[1] > 0.03
+
+
+@pytest.mark.parametrize(("offset", "spread", "noise"), [
+    (0.0, 0.5, 2.0), (1.0, 0.5, 2.0), (-1.0, 0.3, 1.5), (6.0, 1.0, 2.0)])
+def test_a_dark_frame_is_unbiased_where_the_format_lost_the_sign(
+        tmp_path, offset, spread, noise):
+    rng = np.random.default_rng(3)
+    truth = offset + spread * rng.normal(size=SIZE)
+    images = [ApsFrame(np.rint(truth + noise * rng.normal(size=SIZE)), t, t + 5_000)
+              for t in range(0, 2_000_000, 20_000)]
+    recording = recording_from_arrays(None, images, sensor_size=SIZE)
+    lost = write_aedat4(tmp_path / "dark.aedat4", recording)
+    assert lost["pixels with negative DN were stored as 0"] > 0 or offset > 5
+    with open_recording(tmp_path / "dark.aedat4") as stored:
+        dark = dark_frame(stored)
+    exact = dark_frame(recording)
+    assert exact.clamped == 0
+    assert abs(np.mean(exact.dark - truth)) < 0.05
+    # Clamping lifts the mean of N(0, 2) by 0.8 DN.
+    assert abs(np.mean(dark.dark - truth)) < 0.06
+    assert np.std(dark.dark - truth) < 2.5 * np.std(exact.dark - truth)
+    assert np.median(dark.noise) == pytest.approx(noise, rel=0.06)
+    assert dark.clamped == pytest.approx(np.mean(
+        [np.mean(image.dn <= 0) for image in images]), abs=0.01) or offset > 5
+
+
+def test_a_sensor_that_reads_zero_everywhere_is_left_alone():
+    zeros = [ApsFrame(np.zeros(SIZE), t, t + 5) for t in range(0, 100, 10)]
+    dark = dark_frame(zeros)
+    assert not dark.dark.any()
+    assert dark.clamped == 1

@@ -109,6 +109,9 @@ def _dark(
     page = Page("Dark frame")
     page.say("frames", found.frames)
     page.say("median dark", f"{np.median(found.dark):.2f} DN")
+    if found.clamped:
+        page.say("note", f"the file holds no negative samples, {found.clamped:.0%} are "
+                 "0: dark is inferred from those above")
     page.say("spread of dark", f"{np.std(found.dark[found.usable]):.2f} DN")
     page.say("noise of one frame", f"{np.median(found.noise):.2f} DN (median)")
     page.say("hot or noisy pixels", f"{np.count_nonzero(~found.usable)} "

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from pdavis_cv.recording.base import ApsFrame, Recording
 
@@ -27,11 +28,17 @@ class Mean(NamedTuple):
         Standard deviation of one frame, DN; NaN where fewer than two samples.
     samples : ndarray of int32, shape (H, W)
         Number of valid samples.
+    zeros : ndarray of int32, shape (H, W)
+        How many of them were 0, if none was negative.
+    step : float
+        Smallest sample above 0, DN: the converter's step where samples are whole.
     """
 
     mean: NDArray[np.float64]
     noise: NDArray[np.float64]
     samples: NDArray[np.int32]
+    zeros: NDArray[np.int32]
+    step: float
 
 
 class Dark(NamedTuple):
@@ -47,12 +54,16 @@ class Dark(NamedTuple):
         False for hot and noisy pixels.
     frames : int
         How many frames went in.
+    clamped : float
+        Share of the samples that are 0 in a file without negative values: what the
+        format has lost of them is inferred, see `dark_frame`.
     """
 
     dark: NDArray[np.float32]
     noise: NDArray[np.float32]
     usable: NDArray[np.bool_]
     frames: int
+    clamped: float = 0.0
 
 
 class Flat(NamedTuple):
@@ -131,6 +142,8 @@ class _Sums:
         self.origin = origin
         self.total, self.square = np.zeros_like(origin), np.zeros_like(origin)
         self.count = np.zeros(origin.shape, np.int32)
+        self.zeros = np.zeros(origin.shape, np.int32)
+        self.signed, self.step = False, np.inf
 
     def add(self, frame: ApsFrame) -> None:
         difference = frame.dn - self.origin
@@ -138,12 +151,18 @@ class _Sums:
         np.add(self.total, difference, out=self.total, where=valid)
         np.add(self.square, difference * difference, out=self.square, where=valid)
         self.count += valid
+        self.zeros += (frame.dn == 0) & valid
+        self.signed |= bool(np.any(frame.dn < 0, where=valid))
+        self.step = min(self.step, float(np.min(
+            frame.dn, where=(frame.dn > 0) & valid, initial=np.inf)))
 
     def mean(self) -> Mean:
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = self.total / self.count
             variance = (self.square - self.count * mean**2) / (self.count - 1)
-        return Mean(mean + self.origin, np.sqrt(np.maximum(variance, 0)), self.count)
+        return Mean(mean + self.origin, np.sqrt(np.maximum(variance, 0)), self.count,
+                    np.zeros_like(self.zeros) if self.signed else self.zeros,
+                    self.step)
 
 
 def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -> Dark:
@@ -152,6 +171,11 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
     A pixel is hot when its mean lies more than `sigmas` robust standard deviations
     (of the means of all pixels, and of its own error) above the median, and noisy
     when the log of its noise does the same.
+
+    AEDAT-4 and other formats of unsigned numbers hold negative samples as 0, which
+    lifts the mean of a dark pixel. Where there is no negative sample, zeros are taken
+    for what is left of a normal distribution cut at 0 (a censored one, Tobin 1958),
+    whose mean is found from the mean of the samples and the number of zeros.
 
     Parameters
     ----------
@@ -168,6 +192,8 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
     mean, n = mean_frame(frames_of(frames))
     if n < 2:
         raise ValueError(f"a dark frame needs at least two frames, got {n}")
+    clamped = float(np.sum(mean.zeros)) / max(int(np.sum(mean.samples)), 1)
+    mean = _uncensored(mean)
     dark = np.where(mean.samples > 0, mean.mean, np.nanmedian(mean.mean))
     center, spread = _robust(mean.mean)
     noise = np.where(mean.samples > 1, mean.noise, np.nanmedian(mean.noise))
@@ -178,7 +204,46 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
     middle, scale = _robust(log_noise)
     noisy = log_noise - middle > sigmas * max(scale, 1 / np.sqrt(2 * n))
     return Dark(dark.astype(np.float32), noise.astype(np.float32),
-                ~(hot | noisy) & (mean.samples > 0), n)
+                ~(hot | noisy) & (mean.samples > 0), n, clamped)
+
+
+_DEPTH = np.linspace(-2.5, 8, 211)
+"""Mean per standard deviation before the cut; further down all of 100 samples are 0."""
+_MOST_STEPS = 200
+_HALVINGS = 40
+
+
+def _uncensored(mean: Mean) -> Mean:
+    """Return mean and noise of the samples as they were before negative ones became 0.
+
+    Of a normal distribution (mu, sigma), rounded to steps of h, what is left has the
+    mean sum over k >= 1 of h Q((k h - h / 2 - mu) / sigma), where Q = 1 - Phi, and
+    zeros with the probability Phi((h / 2 - mu) / sigma). Each pixel's mean gives its
+    mu; all share the sigma that gives as many zeros as there are.
+    """
+    cut = (mean.zeros > 0) & (mean.mean > 0)
+    if not cut.any():
+        return mean
+    step = mean.step
+    above = (np.arange(1, _MOST_STEPS) - 0.5)[:, None] * step
+    share = float(np.sum(mean.zeros[cut] / mean.samples[cut]))
+
+    def left(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        mu = sigma * _DEPTH
+        return mu, step * ndtr((mu - above) / sigma).sum(axis=0)
+
+    low, high = step / 8, 64 * step
+    for _ in range(_HALVINGS):  # the wider the noise, the more zeros at the same mean
+        sigma = float(np.sqrt(low * high))
+        mu, rest = left(sigma)
+        zeros = ndtr((step / 2 - np.interp(mean.mean[cut], rest, mu)) / sigma).sum()
+        low, high = (sigma, high) if zeros < share else (low, sigma)
+    lost = mean.zeros > 0
+    middle, noise = mean.mean.copy(), mean.noise.copy()
+    middle[lost] = np.interp(mean.mean[lost], rest, mu)
+    # A pixel noisier than what all share stays so; the cut has only taken noise away.
+    noise[lost] = np.maximum(noise[lost], sigma)
+    return mean._replace(mean=middle, noise=noise)
 
 
 def flat_frame(

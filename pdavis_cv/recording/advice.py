@@ -39,6 +39,14 @@ BLURRED_SHARE = 0.05
 """Part of the pixels that may blur without a word; a convention."""
 MOST_KEPT_EVENTS = 2_000_000
 """Bound on the memory of an exposure's events: 26 MB."""
+LEAST_FRAMES = 5
+"""From so few on the frame rate is known; a convention."""
+MOST_EMPTY = 0.5
+"""Of the bins of 1 ms: a camera with more than one event in each fills most."""
+MOST_TIMES = 9999
+"""Beyond this a ratio says no more than that there is nothing beside the line."""
+CLOCK_HZ = 1.5
+"""How near a harmonic of the frame clock is to a line that is 1 Hz wide."""
 KAPPA, CAPACITOR_RATIO = 0.7, 20
 """Of the threshold's formula: subthreshold slope of both kinds of transistors, and
 C1 / C2 of the differencing amplifier (Nozaki and Delbruck 2017)."""
@@ -102,6 +110,7 @@ class _Facts:
         self._recent: deque[NDArray[np.void]] = deque()
         self._kept = 0
         self._blurred: list[tuple[float, float, float]] = []
+        self._mids: list[int] = []
 
     def add_events(self, events: NDArray[np.void]) -> None:
         if not len(events):
@@ -126,6 +135,7 @@ class _Facts:
         self._clipped.append(
             0.0 if frame.valid is None else float(np.mean(~frame.valid)))
         self._levels.append(float(np.median(frame.dn)))
+        self._mids.append(frame.mid_us)
         # What a pixel's events say of its light while the frame was exposed.
         half = round(1000 * frame.exposure_ms / 2)
         start, stop = frame.mid_us - half, frame.mid_us + half
@@ -197,6 +207,8 @@ class _Facts:
             if i - first < n:
                 rate[i - first] = count
         # Whole pieces of a second, averaged: each line is 1 Hz wide.
+        if np.mean(rate == 0) > MOST_EMPTY and rate.mean() > 1:
+            return []  # computed images: their events come in steps, a lamp's do not
         pieces = rate[:n // 1000 * 1000].reshape(-1, 1000)
         power = np.mean(np.abs(np.fft.rfft(
             (pieces - pieces.mean(1, keepdims=True)) * np.hanning(1000))) ** 2, axis=0)
@@ -204,13 +216,31 @@ class _Facts:
         for hz in FLICKER_HZ:
             line = float(power[hz - 1:hz + 2].max())
             around = np.r_[power[hz - 15:hz - 4], power[hz + 5:hz + 16]]
-            if line > FLICKER_POWER * float(np.median(around)) and line > 0:
+            if line > 0 and line > FLICKER_POWER * max(
+                    float(np.median(around)), self._frame_clock(power, hz)):
                 found.append(Advice(
                     "flicker", f"the event rate swings at {hz} Hz: "
-                    f"{line / float(np.median(around) or 1):.0f} times its "
-                    "surroundings",
+                    f"{min(line / float(np.median(around) or 1), MOST_TIMES):.0f} "
+                    "times its surroundings",
                     "use direct-current light; mains light makes events of its own"))
         return found
+
+
+    def _frame_clock(self, power: NDArray[np.float64], hz: int) -> float:
+        """Return the power beside a frequency that the frame clock has a part in.
+
+        Reading a frame disturbs events: the clock's harmonics stand in a comb, where a
+        lamp has the one line.  0 if the frequency is no harmonic.
+        """
+        if len(self._mids) < LEAST_FRAMES:
+            return 0.0
+        rate = 1e6 / float(np.median(np.diff(self._mids)))
+        order = round(hz / rate)
+        if order < 1 or abs(order * rate - hz) > CLOCK_HZ:
+            return 0.0
+        beside = [round(k * rate) for k in range(max(order - 2, 1), order + 3)
+                  if k != order and k * rate < len(power) - 2]
+        return max((float(power[f - 1:f + 2].max()) for f in beside), default=0.0)
 
 
 def _about_header(recording: Recording) -> list[Advice]:
