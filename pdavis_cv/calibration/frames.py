@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from pdavis_cv.recording.base import ApsFrame, Recording
 
@@ -224,6 +223,8 @@ def _uncensored(mean: Mean) -> Mean:
     cut = (mean.zeros > 0) & (mean.mean > 0)
     if not cut.any():
         return mean
+    from scipy.special import ndtr  # slow to load
+
     step = mean.step
     above = (np.arange(1, _MOST_STEPS) - 0.5)[:, None] * step
     share = float(np.sum(mean.zeros[cut] / mean.samples[cut]))
