@@ -5,7 +5,7 @@ from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport (
-    REST_VARIANCE, SETTLED_VARIANCE, ahead, at_rest, between, drift, part_t, quiet,
+    REST_VARIANCE, ahead, at_rest, between, drift, part_t, quiet,
     start, step, still, walk_t)
 
 cdef extern from *:
@@ -89,12 +89,21 @@ cdef inline double theta_squared(const state_t* s) noexcept nogil:
     return 0.25 * (s.theta_on + s.theta_off) * (s.theta_on + s.theta_off)
 
 
+cdef inline double part_variance(const state_t* s, int64_t sampled, int64_t last,
+                                 const tuning_t* tuning) noexcept nogil:
+    """Variance of the part of a pixel at rest; last is the time of its last event.
+
+    A sample after it has measured the part, but for what all samples of a pixel have
+    in common (the pixel's difference from nominal), which no averaging reduces.
+    """
+    if sampled >= last:
+        return tuning.frame_sigma * tuning.frame_sigma
+    return theta_squared(s) * REST_VARIANCE
+
+
 cdef inline rest_t rest_of(const state_t* s, double n_on, double n_off, int64_t last,
                            int64_t epoch, const tuning_t* tuning) noexcept nogil:
-    """Return what a pixel at rest shows; last is the time of its last event.
-
-    A sample after the last event has measured the part that was crossed since.
-    """
+    """Return what a pixel at rest shows; last is the time of its last event."""
     cdef rest_t rest
     cdef double theta2 = theta_squared(s), v
     rest.level = <float>(s.base + s.theta_on * n_on - s.theta_off * n_off)
@@ -104,7 +113,7 @@ cdef inline rest_t rest_of(const state_t* s, double n_on, double n_off, int64_t 
     if s.samples > 0:
         v = counted(s, n_on, n_off) + theta2 * drift(
             epoch - s.sampled_us, n_on + n_off, tuning)
-        v += theta2 * (SETTLED_VARIANCE if s.sampled_us >= last else REST_VARIANCE)
+        v += part_variance(s, s.sampled_us, last, tuning)
         rest.variance = <float>(v if v > 0.0 else 0.0)
         rest.per_s = <float>(theta2 * tuning.leak_per_s)
         v = tuning.offset_dn * s.pull

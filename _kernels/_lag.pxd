@@ -23,9 +23,8 @@ cdef extern from *:
     #define NEWTON_STEPS 8
     /* Error (ln units) of a light that falls faster than a pixel can show, by how much
        it falls over the corner frequency; studies/kalman_interpolation.py. */
-    #define LOST_FROM 0.2
-    #define LOST_SLOPE 2.0
-    #define LOST_MOST 0.6
+    #define LOST_FROM 0.24
+    #define LOST_SLOPE 3.0
     #define LAG_VARIANCE_MOST 1.0           /* ln^2: nothing is known of the lag */
     """
     const double PER_TURN
@@ -38,7 +37,6 @@ cdef extern from *:
     const int NEWTON_STEPS
     const double LOST_FROM
     const double LOST_SLOPE
-    const double LOST_MOST
     const double LAG_VARIANCE_MOST
 
 
@@ -67,7 +65,6 @@ cdef inline double lead_variance(double u, double rate_var, double fall,
         e = slope * exp_f(<float>shown)
         lost = fall * PER_TURN * e / ((hz + e) * (hz + e))
         lost = LOST_SLOPE * (lost - LOST_FROM) if lost > LOST_FROM else 0.0
-        lost = lost if lost < LOST_MOST else LOST_MOST
         e = slope * exp_f(<float>(shown + u))
     d = hz + e * (1.0 + u)
     if d < STIFF * (hz + e):

@@ -6,12 +6,12 @@ is filtered; base + theta_on n_on - theta_off n_off is known up to it.
 """
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
-from _kernels._estimate cimport LEAST_VARIANCE, part_at, theta_squared, walk_to
+from _kernels._estimate cimport (
+    LEAST_VARIANCE, part_at, part_variance, theta_squared, walk_to)
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._model cimport node_t, state_t, stored_t, track_t, tuning_t, wave_t
-from _kernels._tracks cimport (
-    SETTLED_VARIANCE, TINY, at_rest, drift, part_t, walk_t)
+from _kernels._tracks cimport TINY, at_rest, drift, part_t, walk_t
 
 cdef packed struct past_t:
     # What the samples before say of the base; var < 0: there was none.
@@ -174,7 +174,7 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     cdef walk_t walk
     cdef part_t part
     cdef double on = s.theta_on, off = s.theta_off, theta2 = theta_squared(s)
-    cdef double m_on = 0.0, m_off = 0.0, theta, level = 0.0, v, u
+    cdef double m_on = 0.0, m_off = 0.0, theta, level = 0.0, v, u, spread
     cdef double a = 0.0, b = 0.0, left, whole, share, hz = 0.0
     cdef bint resting
     walk_to(&walk, t, store, track)
@@ -217,8 +217,9 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     part = part_at(&walk, store, known, on, off, lamp, hz, <double>t)
     resting = lamp.blocks == 0 and at_rest(walk.t, t) and (
         walk.next < 0 or store[walk.next].t > known)
-    if resting and gap.before.var >= 0 and gap.before.t >= walk.t:
-        part.var = SETTLED_VARIANCE
+    spread = theta2 * part.var
+    if resting and gap.before.var >= 0:
+        spread = part_variance(s, gap.before.t, walk.t, tuning)
     theta = on if part.p else -off
     level += theta * part.fraction + part.ripple
     # What does not change is shown without a lag.
@@ -233,7 +234,7 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
         m_on += part.fraction
     else:
         m_off += part.fraction
-    v += (theta2 * part.var + m_on * m_on * s.var_on + m_off * m_off * s.var_off
+    v += (spread + m_on * m_on * s.var_on + m_off * m_off * s.var_off
           - 2.0 * m_on * m_off * s.cov_on_off)
     v = v if v > LEAST_VARIANCE else LEAST_VARIANCE
     valid[0] = v <= tuning.valid_variance

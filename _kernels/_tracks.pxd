@@ -20,7 +20,6 @@ cdef extern from *:
     #define TINY 1e-30                  /* keeps 0 / 0 from being nothing */
     #define PER_S2 1e12                 /* per us^2, in s^-2 */
     #define REST_VARIANCE (1 / 3.0)     /* thresholds^2: anywhere in the dead band */
-    #define SETTLED_VARIANCE 0.02       /* the same, once a sample has measured it */
     /* Gaps are at least this long (us): a pixel's events are not closer but in bursts,
        whose stamps say nothing of how fast the light changes. */
     #define GAP_LEAST_US 100.0
@@ -54,7 +53,6 @@ cdef extern from *:
     const double TINY
     const double PER_S2
     const double REST_VARIANCE
-    const double SETTLED_VARIANCE
     const double GAP_LEAST_US
     const double AHEAD_LEAST_US
     const double TURN_HALF

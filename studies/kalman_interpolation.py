@@ -9,9 +9,14 @@ of the lag; this script measures them on the ensemble of turning polarizers of
 prints by what factor the two differ: the constants are rounded to what covers the
 errors of simulated cameras, and stay within 4.  Parts are in thresholds, slopes in
 thresholds per gap between the two events.
+
+`LOST_FROM` and `LOST_SLOPE` are the line through the root mean square errors of log
+intensity, from events of pixels whose corner frequency follows the light (`LAGS`), over
+the fall c = |dy/dt| k I / (2 pi (f0 + k I)^2) that the events show.
 """
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
@@ -21,6 +26,11 @@ from kalman_extrapolation import PHASES, PRIOR, events, shown
 
 KERNELS = Path(__file__).resolve().parents[1] / "_kernels"
 PARTS = ("SAME", "TURNED", "UNSURE", "QUIET")
+LAGS = {
+    "corner": (0.5, 30.0),          # f0 + k I in the mean, multiples of the light's
+    "constant": (0.0, 0.5),         # f0 over that
+}
+FALLS = np.arange(0.2, 0.61, 0.05)  # edges of c; few events show a faster fall
 
 
 def stated() -> dict[str, float]:
@@ -89,18 +99,83 @@ def measured(draws: int = 200, seed: int = 3) -> dict[str, float]:
     return out
 
 
+def lagging(depth: float, f0: float, k: float) -> tuple[np.ndarray, np.ndarray]:
+    """Log intensity and what a pixel shows of it, y' = 2 pi (f0 + k I)(ln I - y)."""
+    light = np.log1p(depth * np.cos(np.arange(PHASES) * 2 * np.pi / PHASES))
+    gain = -np.expm1(-2 * np.pi / PHASES * (f0 + k * np.exp(light)))
+    y, level = light[0], np.empty(PHASES)
+    for _ in range(2):      # the second turn has forgotten where the first began
+        for i in range(PHASES):
+            level[i] = y = y + gain[i] * (light[i] - y)
+    return light, level
+
+
+def lead(change: np.ndarray, level: np.ndarray, f0: float, k: float) -> np.ndarray:
+    """Solve u (f0 + k e^(level + u)) = change by bisection, -.85 <= u <= 2."""
+    low, high = np.full_like(change, -0.85), np.full_like(change, 2.0)
+    for _ in range(30):
+        u = (low + high) / 2
+        more = u * (f0 + k * np.exp(level + u)) < change
+        low, high = np.where(more, u, low), np.where(more, high, u)
+    return (low + high) / 2
+
+
+def lost(draws: int = 200, seed: int = 3) -> tuple[float, float]:
+    """Return where the line of errors over falls begins, and its slope."""
+    rng = np.random.default_rng(seed)
+    s = (np.arange(16) + 0.5) / 16
+    found_all = []
+    for _ in range(draws):
+        corner = np.exp(rng.uniform(*np.log(LAGS["corner"])))
+        f0 = corner * rng.uniform(*LAGS["constant"])
+        k = corner - f0
+        theta = rng.uniform(*PRIOR["theta"])
+        ratio = np.exp(PRIOR["ratio_sigma"] / 2 * rng.standard_normal())
+        on, off = theta * ratio, theta / ratio
+        light, level = lagging(rng.uniform(*PRIOR["depth"]), f0, k)
+        found = list(events(rng, level, on, off, noise=0.0))
+        for (t0, p0, _), (t1, p1, held), (t2, p2, _) in zip(
+                found[:-2], found[1:-1], found[2:], strict=True):
+            if p1 != p2 and p0 != p1:
+                continue
+            before, gap = max(t1 - t0, 1e-3), max(t2 - t1, 1e-3)
+            part, rate = (s, 1.0) if p1 == p2 else parabola(
+                s, *((on, off) if p1 > 0 else (off, on)), before / gap)
+            falls = p1 < 0      # in this gap, or in the one before the turn
+            fall = off * PHASES / (gap if p1 == p2 else before) if falls else 0.0
+            unit = on if p2 > 0 else -off
+            y = held + unit * part
+            u = lead(unit * rate * PHASES / gap / (2 * np.pi), y, f0, k)
+            c = fall / (2 * np.pi) * k * np.exp(y) / (f0 + k * np.exp(y)) ** 2
+            true = np.interp((t1 + s * gap) % PHASES, np.arange(PHASES + 1),
+                             np.append(light, light[0]))
+            found_all.append(np.stack([c, y + u - true]))
+    c, error = np.concatenate(found_all, axis=1)
+    rms = [np.sqrt(np.mean(error[(low <= c) & (c < high)] ** 2))
+           for low, high in itertools.pairwise(FALLS)]
+    slope, offset = np.polyfit((FALLS[:-1] + FALLS[1:]) / 2, rms, 1)
+    return float(-offset / slope), float(slope)
+
+
 def robust(errors: np.ndarray) -> float:
     """Variance of a normal distribution with the same middle two thirds."""
     return float(np.quantile(np.abs(errors), 0.6827) ** 2)
 
 
 def study(quick: bool) -> list[Found]:
-    """By what factor the variances that kernels state differ from what is measured."""
+    """By what factor the variances that kernels state differ from what is measured.
+
+    And where the error of a fast fall begins, and its slope, which scatter by a
+    twentieth with the draws.
+    """
     constants = stated()
+    begins, slope = lost(80 if quick else 400)
     return [
-        Found(f"{name} ({constants[name]:g}; {value:.2g} measured), factor",
+        Found("_lag.pxd LOST_FROM", begins, constants["LOST_FROM"], 0.1),
+        Found("_lag.pxd LOST_SLOPE", slope, constants["LOST_SLOPE"], 0.1),
+        *(Found(f"{name} ({constants[name]:g}; {value:.2g} measured), factor",
               max(constants[name] / value, value / constants[name]), 4, at_least=True)
-        for name, value in measured(60 if quick else 400).items()]
+          for name, value in measured(60 if quick else 400).items())]
 
 
 if __name__ == "__main__":

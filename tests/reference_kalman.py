@@ -11,8 +11,9 @@ import numpy as np
 US = 1e-6
 BLOCK, STALE, FINE = 100_000, 10_000_000, 1_500
 REST = 1_000_000
-# Anywhere between the two thresholds; the same once a sample has measured it.
-UNKNOWN, SETTLED = np.mean(np.linspace(-1, 1, 100_001) ** 2), 0.02
+# Anywhere between the two thresholds.
+UNKNOWN = np.mean(np.linspace(-1, 1, 100_001) ** 2)
+FRAME_SIGMA = 0.02
 
 
 def ripple_of(waves):
@@ -136,7 +137,7 @@ def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
     if not hz and not slope_hz:
         return 0.0
     k = slope_hz * level
-    lost = np.clip(2 * (fall / (2 * np.pi) * k / (hz + k) ** 2 - 0.2), 0, 0.6)
+    lost = max(3 * (fall / (2 * np.pi) * k / (hz + k) ** 2 - 0.24), 0)
     e = slope_hz * level * np.exp(u)
     d = max(hz + e * (1 + u), 0.05 * (hz + e))
     return min((rate_var / (2 * np.pi) ** 2 + (sigma * u * (hz + e)) ** 2) / d**2
@@ -283,7 +284,7 @@ class Pixel:
         F = np.array([1.0, n[0], -n[1]])
         theta2 = self.x[1:].mean() ** 2
         if self.reference is not None and self.settled(i, t, known, self.reference):
-            spread = theta2 * SETTLED
+            spread = FRAME_SIGMA**2
         variance = F @ self.P @ F + spread + theta2 * (
             0.1 * US * (t - (self.reference or 0)) + 0.0003 * (i - self.since))
         fresh = self.reference is None
@@ -380,7 +381,7 @@ class Pixel:
         if not here:
             return level + u, 0.0, False
         if after and self.settled(i, t, known, places[after - 1][0]):
-            spread = theta2 * SETTLED
+            spread = FRAME_SIGMA**2
         m = m + fraction * sign
         variance += spread + m @ self.P[1:, 1:] @ m
         variance = max(variance, 1e-8)
@@ -407,7 +408,7 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
             dn = float(frame.dn[at])
             usable = dn >= 1 and (frame.valid is None or frame.valid[at])
             if known <= t_us + lookahead_us and usable:
-                noise = (4 + dn / 10) / dn**2 + 0.02**2
+                noise = (4 + dn / 10) / dn**2 + FRAME_SIGMA**2
                 pixel.frame(np.log(dn) - log, noise, frame.exposure_start_us, mid,
                             max(end, frame.exposure_start_us + 1), known, 1 / dn)
             if known <= t_us + lookahead_us and offline:
