@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import PolarFrame, Recording, export, fuse, render
+from pdavis_cv import Layout, PolarFrame, Recording, export, fuse, render
 from pdavis_cv.fusion import Fusion
 
 from ._common import UsageError
@@ -46,7 +46,9 @@ def grid_times(
     UsageError
         If there is no image in the interval.
     """
-    start = Fusion(recording, method="frames", start_us=start_us).start_us
+    # Times do not depend on the layout; without one, fuse would warn of it.
+    start = Fusion(recording, method="frames", start_us=start_us,
+                   layout=recording.info.layout or Layout.PDAVIS).start_us
     end = recording.scan().stop_us if stop_us is None else stop_us
     if start is None or end is None or start >= end:
         raise UsageError(
