@@ -158,7 +158,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     zero = float(re.search(r"its zero lies at ([\d.]+) s", text).group(1))
     assert zero == pytest.approx(0.2, abs=0.002)
     assert hz == pytest.approx(5.0, rel=0.005)
-    table = pandas.read_csv(out / "traces.csv", comment="#")
+    table = pandas.read_csv(out / "traces.csv")
     images = list(fuse(recording, fps=100, mode="offline", noise=(0.02, 3.0, 0.02)))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]
@@ -177,10 +177,14 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert not re.search(r"(src|href)=\"?(http|/|\.)", report)  # holds all it shows
     assert report.count("data:image/png;base64,") == 5
     names = {path.name for path in out.iterdir()}
-    assert names == {"traces.csv", "traces-jaer.csv", "frames.csv", "cycle.csv",
-                     "loop.csv", "lockin.npz", "tendon.mp4", "report.html"}
+    assert json.loads((out / "traces.csv.json").read_text())["hz"] == pytest.approx(
+        hz, abs=1e-4)
+    assert names == {"traces.csv", "traces.csv.json", "traces-jaer.csv", "frames.csv",
+                     "frames.csv.json", "cycle.csv", "loop.csv", "lockin.npz",
+                     "tendon.mp4", "report.html"}
 
 
+@pytest.mark.gate
 def test_tendon_takes_the_usual_bandwidth_where_frames_are_locked_to_the_load(
         tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
@@ -236,6 +240,7 @@ def test_tendon_takes_the_clock_from_triggers(tmp_path, pulled, monkeypatch, cap
     assert zero == pytest.approx(0.2 - start, abs=0.001)   # a sample of the load file
 
 
+@pytest.mark.gate
 def test_tendon_subtracts_the_polarization_of_the_light(
         tmp_path, pulled, monkeypatch, capsys):
     pandas = pytest.importorskip("pandas")
@@ -252,13 +257,14 @@ def test_tendon_subtracts_the_polarization_of_the_light(
     for extra in ([], ["--background", "b"]):
         assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "20",
                             "--set", "extinction_ratio=none", *extra]) == 0
-        table = pandas.read_csv(tmp_path / "traces.csv", comment="#")
+        table = pandas.read_csv(tmp_path / "traces.csv")
         vectors.append(table["dolp"] * np.exp(2j * np.deg2rad(table["aop_deg"])))
     capsys.readouterr()
     gain = 41 / 39   # the nominal extinction ratio's, of the background's frames
     np.testing.assert_allclose(vectors[0] - vectors[1], 0.1 * gain, atol=2e-4)
 
 
+@pytest.mark.gate
 def test_tendon_warns_where_frames_alias_and_not_where_they_do_not(
         tmp_path, pulled, monkeypatch, capsys):
     pytest.importorskip("matplotlib")

@@ -14,11 +14,22 @@ from pdavis_cv.fusion import Fusion
 from pdavis_cv.simulation.ideal import rotating_polarizer
 
 POS_MSEC, POS_FRAMES, COUNT = 0, 1, 7
-CASES = pytest.mark.parametrize("method", [
+METHODS = [
     *({"method": method, "causal": causal} for method in p.METHODS
       for causal in (False, True)),
-    {"method": "kalman", "mode": "offline", "lookahead_us": 120_000}],
-    ids=lambda case: "-".join(str(value) for value in case.values()))
+    {"method": "kalman", "mode": "offline", "lookahead_us": 120_000}]
+NETWORKS = ("firenet", "joint")
+
+
+def cases(marks):
+    """Return the methods as parameters; networks, which take long, with marks."""
+    return pytest.mark.parametrize("method", [
+        pytest.param(method, marks=marks if method["method"] in NETWORKS else (),
+                     id="-".join(map(str, method.values()))) for method in METHODS])
+
+
+CASES = cases(marks=())
+CASES_OF_A_FILE = cases(marks=pytest.mark.gate)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +46,7 @@ def everything(cap):
 
 def quick(method, n):
     """Return a network's options and seeks for fewer of its steps."""
-    if method["method"] not in ("firenet", "joint"):
+    if method["method"] not in NETWORKS:
         return method, n
     return {**method, "window_us": 50_000}, n // 10
 
@@ -72,7 +83,7 @@ def test_random_seeks_equal_sequential_reading(ideal, method, grid, n):
         check_random_seeks(cap, n)
 
 
-@CASES
+@CASES_OF_A_FILE
 def test_random_seeks_in_a_real_recording(data_dir, method):
     method, n = quick(method, 100)
     with VideoCapture(data_dir / "davis346.aedat4", **method,
@@ -155,7 +166,7 @@ class _Counted:
         return self.bytes
 
 
-@CASES
+@CASES_OF_A_FILE
 def test_a_backward_seek_reads_at_most_two_snapshot_spacings(
         data_dir, monkeypatch, method):
     path = data_dir / "davis346.aedat4"

@@ -13,7 +13,7 @@ from pdavis_cv.tools.reproduce.run import METHODS, Row, Take, score
 
 def rows_of(stem):
     with open(f"{stem}.csv") as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+        return list(csv.DictReader(file))
 
 
 def test_every_method_is_scored_and_written(tmp_path, capsys):

@@ -26,19 +26,19 @@ def write_csv(
     path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[Any]],
     facts: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a table; facts become comment lines at its top.
+    """Write a table; facts go into a JSON file beside it.
 
     Parameters
     ----------
     path : path
-        File to write; appears when it is whole.  ``pandas.read_csv(path,
-        comment="#")`` reads it.
+        File to write; appears when it is whole, with nothing but the table in it:
+        ``pandas.read_csv(path)``.
     header : sequence of str
         Names of the columns, units in them.
     rows : iterable of sequence
         Values; floats are written so that they return exactly, NaN as nothing.
     facts : mapping of str to object, optional
-        One comment line each.
+        Written to the path with ``.json`` added, if there are any.
 
     Raises
     ------
@@ -47,12 +47,14 @@ def write_csv(
     """
     with write_beside(path) as part, part.open(
             "w", encoding="utf-8", newline="") as file:
-        for name, value in (facts or {}).items():
-            file.write(f"# {name}: {to_json({'': value})[5:-1]}\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         for row in rows:
             writer.writerow([_cell(value) for value in row])
+    if facts:
+        target = Path(path)
+        with write_beside(target.with_name(target.name + ".json")) as part:
+            part.write_text(to_json(facts) + "\n", encoding="utf-8")
 
 
 def _cell(value: Any) -> Any:
@@ -88,7 +90,7 @@ def write_traces(
     origin_us : int
         Time of ``t_s`` 0.
     facts : mapping of str to object, optional
-        One comment line each; default the traces' provenance.
+        Into a JSON file beside it; default the traces' provenance.
     extra : mapping of str to array_like of shape (T,) or (R, T), optional
         More columns.
 
@@ -135,7 +137,7 @@ def write_jaer_csv(
     origin_us : int
         Time of timestamp 0.
     facts : mapping of str to object, optional
-        One comment line each; default the traces' provenance.
+        Into a JSON file beside it; default the traces' provenance.
 
     Returns
     -------

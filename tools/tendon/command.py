@@ -499,10 +499,11 @@ def _maps_and_video(
 def _write(args: argparse.Namespace, found: Findings) -> list[str]:
     out, origin, facts = args.out, found.origin_us, found.facts
     written = [out / "traces.csv"]
-    export.write_traces(written[0], found.fused, origin_us=origin, facts=facts,
+    export.write_traces(written[0], found.fused, origin_us=origin,
+                        facts={**facts, "hz": found.load_hz},
                         extra=found.extra)
     written += export.write_jaer_csv(
-        out / "traces-jaer.csv", found.fused, origin_us=origin, facts=facts)
+        out / "traces-jaer.csv", found.fused, origin_us=origin, facts={})
     if found.frames is not None:
         written.append(out / "frames.csv")
         export.write_traces(written[-1], found.frames, origin_us=origin,
@@ -513,8 +514,7 @@ def _write(args: argparse.Namespace, found: Findings) -> list[str]:
         ((roi.name, *row) for roi, cycle in zip(
             found.fused.rois, found.cycles, strict=True)
          for row in zip(cycle.phase, cycle.mean, cycle.sd, cycle.se,
-                        cycle.count.tolist(), strict=True)),
-        {**facts, "hz": found.load_hz})
+                        cycle.count.tolist(), strict=True)))
     if found.loops:
         written.append(out / "loop.csv")
         name = "force_n" if "force_n" in found.extra else "displacement_mm"
@@ -522,7 +522,7 @@ def _write(args: argparse.Namespace, found: Findings) -> list[str]:
             written[-1], ("roi", name, "dolp"),
             ((roi.name, x, y) for roi, loop in zip(
                 found.fused.rois, found.loops, strict=True)
-             for x, y in zip(loop.x, loop.y, strict=True)), facts)
+             for x, y in zip(loop.x, loop.y, strict=True)))
     if found.maps is not None:
         written.append(out / "lockin.npz")
         maps = found.maps
