@@ -20,7 +20,8 @@ from pdavis_cv.render import even, opencv
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
-_CODECS = {".mp4": "mp4v", ".m4v": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
+# VP9 in MP4 plays in browsers, and every OpenCV wheel has it; H.264 none writes.
+_CODECS = {".mp4": "vp09", ".m4v": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 
 
 class VideoFile:
