@@ -9,6 +9,7 @@ import termios
 import cv2
 import numpy as np
 import pytest
+from streams import random_events
 
 import pdavis_cv
 from pdavis_cv.data import example_recording
@@ -73,6 +74,8 @@ def test_version(capsys):
     (["export", SAMPLE, "-o", "x.mp4", "--method", "magic"], "method"),
     (["export", SAMPLE, "-o", "x.mp4", "--quantities", "aop,q"], "'q' is none of"),
     (["export", SAMPLE, "-o", "x.mp4", "--start", "100"], "no image in the interval"),
+    (["export", SAMPLE, "-o", "x.png", "--at", "100"], "ends before 100 s"),
+    (["export", SAMPLE, "-o", "x.png", "--at", "-1"], "must not be negative, got -1"),
     (["export", SAMPLE, "-o", "x.mkv", "--lossless"], "--lossless writes one"),
     (["export", SAMPLE, "-o", "x.png", "--at", "0.1", "--fps", "5"], "--at is one"),
     (["export", SAMPLE, "-o", "x.mp4", "--set", "cutoff_hz"], "NAME=VALUE"),
@@ -202,6 +205,79 @@ def test_export_png_without_a_time_is_a_series(tmp_path, capsys):
     assert names[0] == "x-00000.png"
     assert len(names) > 3
     assert f"x-00000.png .. {names[-1]}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("more", [
+    [], ["--at", "0"], ["--start", "0", "--stop", "1", "--fps", "5"]])
+def test_an_empty_recording_gives_no_picture(more, tmp_path, capsys):
+    with pdavis_cv.Aedat4Writer(tmp_path / "none.aedat4", sensor_size=(4, 6)):
+        pass
+    assert run("export", tmp_path / "none.aedat4", "-o", tmp_path / "x.png", *more,
+               "--layout", "pdavis") == 2
+    error = capsys.readouterr().err
+    assert "none.aedat4: holds no frame and no event" in error
+    assert error.count("\n") == 1
+    assert only_files(tmp_path) == ["none.aedat4"]
+
+
+def _written(path, dn, event_count):
+    """Write a recording of frames of one DN (none if it is None) and events."""
+    with pdavis_cv.Aedat4Writer(path, sensor_size=(20, 30)) as writer:
+        for k in range(0 if dn is None else 5):
+            writer.add(pdavis_cv.Packet(frames=(pdavis_cv.ApsFrame(
+                np.full((20, 30), dn, np.float32), 40_000 * k, 40_000 * k + 10_000),)))
+        events = random_events(event_count, (20, 30), start_us=200_000)
+        writer.add(pdavis_cv.Packet(events=events))
+
+
+@pytest.mark.parametrize(("dn", "method", "why"), [
+    (1023, "kalman", "100% of the pixels of its frames are saturated"),
+    (1023, "frames", "100% of the pixels of its frames are saturated"),
+    (None, "kalman", "method 'kalman' needs frames, and there are none"),
+    (None, "cf", "method 'cf' needs frames, and there are none"),
+])
+@pytest.mark.parametrize("name", ["x.npy", "x.png", "x.mp4", "x.npz"])
+def test_images_without_a_valid_pixel_say_why(dn, method, why, name, tmp_path, capsys):
+    _written(tmp_path / "in.aedat4", dn, 500)
+    assert run("export", tmp_path / "in.aedat4", "-o", tmp_path / name, "--fps", 10,
+               "--method", method, "--layout", "pdavis",
+               "--thresholds", "nominal") == 0
+    text = capsys.readouterr().err
+    assert text.count("no image has a valid pixel") == 1
+    assert why in text
+
+
+def test_images_with_valid_pixels_warn_of_nothing(tmp_path, capsys):
+    _written(tmp_path / "in.aedat4", 500, 500)
+    assert run("export", tmp_path / "in.aedat4", "-o", tmp_path / "x.npy",
+               "--method", "frames", "--layout", "pdavis") == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_every_command_opens_images_with_a_layout(tmp_path, capsys):
+    rows, columns = np.mgrid[:40, :60]
+    path = tmp_path / "shot.png"
+    cv2.imwrite(str(path), (100 + rows + columns % 2 * 40).astype(np.uint8))
+    assert run("info", path) == 2
+    assert "--layout" in capsys.readouterr().err
+    assert run("info", path, "--layout", "sony", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["info"]["frame_count"] == 1
+    assert run("export", path, "-o", tmp_path / "x.npy", "--layout", "sony") == 0
+    with pdavis_cv.open_recording(path, layout=pdavis_cv.Layout.SONY) as recording:
+        image, = pdavis_cv.fuse(recording)
+    np.testing.assert_array_equal(np.load(tmp_path / "x.npy")[0, 1], image.aop)
+    assert run("convert", path, tmp_path / "x.aedat4", "--layout", "sony") == 0
+    with pdavis_cv.open_recording(tmp_path / "x.aedat4") as recording:
+        assert recording.info.layout == pdavis_cv.Layout.SONY
+
+
+def test_no_command_opens_a_recording_past_the_one_way(root):
+    for path in (root / "tools").rglob("*.py"):
+        if "bench" in path.parts or "reproduce" in path.parts:
+            continue  # these name their files themselves
+        calls = path.read_text().count("open_recording(")
+        # fan's second camera has options of its own
+        assert calls == {"_common.py": 1, "fan.py": 1}.get(path.name, 0), path
 
 
 def test_progress_shows_on_a_terminal_only(tmp_path):

@@ -21,13 +21,16 @@ __all__ = [
     "Parser",
     "UsageError",
     "add_fuse_options",
+    "add_layout_option",
     "calibration_of",
     "command",
     "fuse_options",
     "layout_option",
     "numbers",
+    "opened",
     "positive",
     "progress",
+    "require_samples",
     "roi_option",
     "start_of",
 ]
@@ -115,6 +118,57 @@ def _show_warning(
     print("pdavis: warning:", " ".join(str(message).split()), file=sys.stderr)
 
 
+def opened(
+    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
+) -> Recording:
+    """Open a recording, of whatever format, as the options of a command say.
+
+    Parameters
+    ----------
+    args : Namespace
+        With ``layout``: where it is None, videos and images are no recordings.
+    file : path, optional
+        Default ``args.file``.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened.
+    """
+    from pdavis_cv.recording.open import open_recording
+    return open_recording(
+        args.file if file is None else file, layout=args.layout,
+        camera=getattr(args, "camera", None))
+
+
+def require_samples(recording: Recording, start_us: int | None) -> None:
+    """Raise UsageError if a recording holds nothing at start_us or later.
+
+    Parameters
+    ----------
+    recording : Recording
+    start_us : int or None
+        None asks for any sample at all.
+    """
+    if next(recording.packets(start_us), None) is not None:
+        return
+    name = recording.path or "the recording"
+    if start_us is None or next(recording.packets(), None) is None:
+        raise UsageError(f"{name}: holds no frame and no event")
+    after = (start_us - start_of(recording)) / 1e6
+    raise UsageError(
+        f"{name}: no image in the interval asked for: the recording ends before "
+        f"{after:g} s")
+
+
+def add_layout_option(parser: argparse.ArgumentParser) -> None:
+    """Add --layout to a command that does not fuse."""
+    parser.add_argument(
+        "--layout", type=layout_option, metavar="LAYOUT",
+        help="polarizers of the 2x2 cell: pdavis, sony or four angles by row; videos "
+             "and images of a polarization camera need it")
+
+
 def add_fuse_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say what fuse() is to do."""
     group = parser.add_argument_group("fusion")
@@ -137,6 +191,11 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
     """Return the keyword arguments of fuse() that the options stand for.
 
     Without ``--fps`` there are 100 images per second if there are events.
+
+    Raises
+    ------
+    UsageError
+        If the recording holds nothing after ``--start``.
     """
     from pdavis_cv.fusion.options import FusionOptions
     defaults = FusionOptions()
@@ -152,6 +211,7 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
         elif facts.word == "ratio" and value == "none":
             value = None
         options[name] = value
+    require_samples(recording, options["start_us"])
     if options["fps"] is None and recording.info.event_count != 0:
         options["fps"] = 100.0
     return {**options, **dict(args.settings)}

@@ -1,6 +1,8 @@
 """What the tools that make videos share: times, tone curves, provenance."""
 from __future__ import annotations
 
+import itertools
+import warnings
 from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
@@ -8,7 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import Layout, PolarFrame, Recording, export, fuse, render
+from pdavis_cv import (
+    Calibration,
+    Layout,
+    PdavisWarning,
+    PolarFrame,
+    Recording,
+    export,
+    fuse,
+    render,
+)
+from pdavis_cv.calibration.corrected import corrected
 from pdavis_cv.fusion import Fusion
 
 from ._common import UsageError
@@ -19,6 +31,7 @@ __all__ = [
     "grid_times",
     "held_at",
     "of_frames",
+    "told_if_nothing",
     "tone_of",
 ]
 
@@ -97,6 +110,63 @@ def full_scale(recording: Recording) -> float | None:
         return None
     frame = next((f for packet in recording.packets() for f in packet.frames), None)
     return None if frame is None else frame.full_scale_dn / (frame.exposure_ms or 1.0)
+
+
+def told_if_nothing(
+    images: Iterator[PolarFrame], recording: Recording,
+    calibration: Calibration | None,
+) -> Iterator[PolarFrame]:
+    """Yield images; at their end warn if none had a valid pixel, and say why.
+
+    Parameters
+    ----------
+    images : iterator of PolarFrame
+    recording : Recording
+        That the images are of.
+    calibration : Calibration or None
+        That they were made with.
+
+    Warns
+    -----
+    PdavisWarning
+        Once, with the likely reason.
+    """
+    method = None
+    for image in images:
+        method = str(image.provenance["method"])
+        yield image
+        if image.valid.any():
+            yield from images
+            return
+    if method is not None:
+        warnings.warn(
+            "no image has a valid pixel: "
+            f"{_why_nothing(recording, method, calibration)}",
+            PdavisWarning, stacklevel=2)
+
+
+def _why_nothing(
+    recording: Recording, method: str, calibration: Calibration | None
+) -> str:
+    """Return the likely reason why a method made no valid pixel of a recording."""
+    frames = list(itertools.islice(
+        (frame for packet in recording.packets() for frame in packet.frames), 10))
+    if frames:
+        saturated = max(
+            float(np.mean(frame.dn >= frame.full_scale_dn)) for frame in frames)
+        usable = max(float(corrected(frame, calibration).valid.mean())
+                     for frame in frames)
+        if saturated > 0.5:
+            return (f"{saturated:.0%} of the pixels of its frames are saturated; "
+                    "expose for a shorter time")
+        if usable < 0.5:
+            return (f"{1 - usable:.0%} of the pixels of its frames cannot be used "
+                    "(too bright, or not valid in the file)")
+        return (f"method {method!r} made nothing of its frames: does the interval "
+                "begin before the first of them is read out?")
+    if method == "events":
+        return "too few events in the interval"
+    return f"method {method!r} needs frames, and there are none; events needs none"
 
 
 def facts_of(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import Calibration, Layout, Recording, fuse, open_recording
+from pdavis_cv import Calibration, Layout, Recording, fuse
 from pdavis_cv.aps import clip_level
 from pdavis_cv.calibration.align import alignment
 from pdavis_cv.calibration.check import check_recording
@@ -25,9 +25,11 @@ from ._calibration_report import Page, write_report
 from ._common import (
     Parser,
     UsageError,
+    add_layout_option,
     command,
     layout_option,
     numbers,
+    opened,
     roi_option,
     start_of,
 )
@@ -66,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _measure(
     part: str, files: list[str], args: argparse.Namespace, known: Calibration | None
 ) -> Calibration:
-    recordings = [open_recording(file, layout=args.layout) for file in files]
+    recordings = [opened(args, file) for file in files]
     try:
         info = recordings[0].info
         if known is None:
@@ -315,7 +317,7 @@ _ALL = tuple(_PARTS)
 
 
 def _check(args: argparse.Namespace) -> int:
-    with open_recording(args.files[0], layout=args.layout) as recording:
+    with opened(args, args.files[0]) as recording:
         findings = check_recording(recording)
     words = {True: "ok", False: "WRONG", None: "unknown"}
     for finding in findings:
@@ -324,7 +326,7 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _align(args: argparse.Namespace) -> int:
-    with open_recording(args.files[0], layout=args.layout) as recording:
+    with opened(args, args.files[0]) as recording:
         layout = resolve_layout(args.layout, None, recording.info.layout)
         known: NDArray[np.float32] | None = None
         if args.camera:
@@ -398,8 +400,7 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
                                 dest=f"{name}_files", help=f"recordings for {name}")
     else:
         parser.add_argument("files", nargs="+", metavar="FILE", help="a recording")
-    parser.add_argument("--layout", type=layout_option, metavar="LAYOUT",
-                        help="pdavis, sony or four angles by row, e.g. 135,90,0,45")
+    add_layout_option(parser)
     parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
                         help="lit part of the sensor, in pixels")
     if part == "align":

@@ -5,11 +5,17 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from pdavis_cv import open_recording
 from pdavis_cv.recording.passing import passing
 from pdavis_cv.recording.registry import formats, writer_for
 
-from ._common import Parser, UsageError, command, layout_option, progress
+from ._common import (
+    Parser,
+    UsageError,
+    add_layout_option,
+    command,
+    opened,
+    progress,
+)
 
 __all__ = ["main"]
 
@@ -24,8 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(f"--{name} is no option of {kind.title}")
     if out.exists() and not args.force:
         raise UsageError(f"{out} exists; --force replaces it")
-    with open_recording(
-            args.input, layout=args.layout, camera=args.camera) as recording:
+    with opened(args, args.input) as recording:
         lost = write(out, passing(
             recording, lambda packets: progress(packets, None, "packets")), **options)
         problems = recording.problems
@@ -46,8 +51,7 @@ def _parser() -> argparse.ArgumentParser:
         + ", ".join(one.name for one in formats() if one.writer is not None))
     parser.add_argument("--compression", choices=("lz4", "none", "zstd"),
                         help="of AEDAT-4; default lz4")
-    parser.add_argument("--layout", type=layout_option, metavar="LAYOUT",
-                        help="polarizers of the 2x2 cell, kept where the format can")
+    add_layout_option(parser)
     parser.add_argument("--camera", help="which camera, if the file holds several")
     parser.add_argument("--force", action="store_true", help="replace an old file")
     return parser

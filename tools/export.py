@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv import PolarFrame, Recording, export, fuse, open_recording, render
+from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv.render.colours import Picture
 
 from ._common import (
@@ -27,11 +27,13 @@ from ._common import (
     command,
     fuse_options,
     numbers,
+    opened,
     positive,
     progress,
+    require_samples,
     start_of,
 )
-from ._images import full_scale
+from ._images import full_scale, told_if_nothing
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
 
@@ -67,15 +69,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"{','.join(args.quantities)} and {args.out}")
     if suffix not in (".npy", *_STACKS):
         render.opencv()  # say what is missing before the work, not after
-    with open_recording(args.file) as recording:
+    with opened(args) as recording:
         options = fuse_options(args, recording)
         if args.at is not None:
             if (args.start_us, args.stop_us, args.fps) != (None, None, None):
                 raise UsageError(
                     "--at is one image: it excludes --start, --stop and --fps")
+            if args.at < 0:
+                raise UsageError(f"--at must not be negative, got {args.at:g}")
             at = start_of(recording) + round(args.at * 1e6)
+            require_samples(recording, at)
             options |= {"fps": None, "times_us": [at]}
-        images = iter(fuse(recording, **options))
+        images = told_if_nothing(
+            fuse(recording, **options), recording, options["calibration"])
         first = list(itertools.islice(images, 2))
         if not first:
             raise UsageError(f"{args.file}: no image in the interval asked for")

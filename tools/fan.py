@@ -25,6 +25,7 @@ from ._common import (
     fuse_options,
     layout_option,
     numbers,
+    opened,
     progress,
     start_of,
 )
@@ -51,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not args.slow > 0:
         raise UsageError(f"--slow must be positive, got {args.slow:g}")
     render.opencv()
-    with open_recording(args.file) as recording:
+    with opened(args) as recording:
         if args.beside is None:
             lines = make_fan(args, recording, None)
         else:

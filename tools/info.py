@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv import Layout, Sensor, open_recording
+from pdavis_cv import Layout, Sensor
 from pdavis_cv.recording.advice import advise
 from pdavis_cv.recording.base import RecordingInfo, Report
 
-from ._common import Parser, command
+from ._common import Parser, add_layout_option, command, opened
 
 __all__ = ["main"]
 
@@ -24,7 +24,7 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis info``."""
     args = _parser().parse_args(argv)
-    with open_recording(args.file) as recording:
+    with opened(args) as recording:
         report = recording.scan() if args.scan else None
         advice = advise(recording) if args.scan else []
         problems = recording.problems
@@ -50,6 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("info", __doc__ or "", "pdavis info recording.aedat4 --scan")
     parser.add_argument("file", help="a recording")
+    add_layout_option(parser)
     parser.add_argument("--json", action="store_true", help="for programs")
     parser.add_argument(
         "--scan", action="store_true", help="read everything once and count it")

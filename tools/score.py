@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv import Calibration, Recording, __version__, fuse, open_recording
+from pdavis_cv import Calibration, Recording, __version__, fuse
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, observed
 from pdavis_cv.export import write_beside, write_csv
 from pdavis_cv.reconstruct.base import Estimate
@@ -27,10 +27,11 @@ from pdavis_cv.reconstruct.base import Estimate
 from ._common import (
     Parser,
     UsageError,
+    add_layout_option,
     calibration_of,
     command,
-    layout_option,
     numbers,
+    opened,
     positive,
     progress,
     start_of,
@@ -80,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis score``."""
     args = _parser().parse_args(argv)
     calibration = None if args.calibration is None else calibration_of(args.calibration)
-    with open_recording(args.file, layout=args.layout) as recording:
+    with opened(args) as recording:
         left_out = LeftOutFrames(
             recording, stop_us=start_of(recording) + round(args.seconds * 1e6))
         tries = _tries(args.thresholds, calibration, left_out)
@@ -123,9 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seconds", type=positive, default=10.0,
         help="how much of the recording is scored; default 10")
-    parser.add_argument(
-        "--layout", type=layout_option, metavar="LAYOUT",
-        help="pdavis, sony or four angles by row; default what the file says")
+    add_layout_option(parser)
     parser.add_argument(
         "--json", action="store_true", help="print JSON instead of the table")
     return parser

@@ -102,7 +102,7 @@ def _not_a_recording(path: Path, start: bytes) -> RecordingError:
         return RecordingError(f"{path}: byte 0: the file is empty")
     return RecordingError(
         f"{path}: byte 0: not a recording, first bytes {start[:8]!r} (a video or "
-        "image of a polarization camera needs layout=)")
+        "image of a polarization camera needs its layout: layout=, --layout)")
 
 
 def _other_aedat(start: bytes) -> str:

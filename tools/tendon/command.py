@@ -26,7 +26,6 @@ from pdavis_cv import (
     analysis,
     export,
     fuse,
-    open_recording,
     render,
 )
 from pdavis_cv.fusion import Fusion
@@ -38,6 +37,7 @@ from .._common import (
     add_fuse_options,
     command,
     fuse_options,
+    opened,
     progress,
     start_of,
 )
@@ -122,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     report.matplotlib()  # say what is missing before the work, not after
     load = None if args.load is None else analysis.read_load(args.load)
     args.out.mkdir(parents=True, exist_ok=True)
-    with open_recording(args.file) as recording:
+    with opened(args) as recording:
         findings = measure(args, recording, load)
     lines = _write(args, findings)
     report.write_report(args.out / "report.html", findings)
@@ -329,7 +329,7 @@ def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
     if args.background is None:
         return None
     kept = {name: options[name] for name in ("roi", "layout", "demosaic")}
-    with open_recording(args.background) as empty:
+    with opened(args, args.background) as empty:
         planes: Any = 0.0
         n = 0
         for image in fuse(empty, method="frames", hold="mid", **kept):
