@@ -14,7 +14,8 @@ from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
 from _kernels._model cimport (
-    exposure_t, node_t, sample_t, state_t, stored_t, track_t, tuning_t, wave_t)
+    check_given, exposure_t, node_t, sample_t, state_t, stored_t, track_t, tuning_t,
+    wave_t)
 from _kernels._tracks cimport at_rest, drift, part_t, start, step, walk_t
 
 cdef extern from "_rest.h" nogil:
@@ -168,24 +169,32 @@ cdef inline double limited(double theta, double prior) noexcept nogil:
     return THETA_MOST * prior if theta > THETA_MOST * prior else theta
 
 
-def kalman_frame(const sample_t[:, ::1] samples not None,
-                 const exposure_t[::1] exposures not None, int64_t known,
-                 const stored_t[::1] store not None,
-                 const track_t[:, ::1] old not None, Py_ssize_t committed,
-                 const tuning_t[::1] tuning not None, const wave_t[::1] waves not None,
+def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not None,
                  track_t[:, ::1] tracks not None, state_t[:, ::1] states not None,
                  double[::1] innovations not None, node_t[:, ::1] nodes not None):
-    """Use a frame: de-blur it by the stored events up to `known`, update states.
+    """Use a frame: de-blur it by the stored events up to a time, update states.
 
-    old chains the events since the exposure began; those below index `committed` are
-    counted in tracks.  exposures is by column, tuning one record, waves a record per
-    block.  innovations collects e^2/v (16 at most), ln v and their number.  nodes
-    receives what a smoother needs; it may be empty.
+    frame is (samples, exposures by column, time up to which events are known), chain
+    (store, tracks that chain its events since the exposure began), model (tuning,
+    waves).  Events below index `committed` are counted in tracks.  innovations
+    collects e^2/v (16 at most), ln v and their number.  nodes receives what a smoother
+    needs; it may be empty.
     """
+    cdef const sample_t[:, ::1] samples
+    cdef const exposure_t[::1] exposures
+    cdef const stored_t[::1] store
+    cdef const track_t[:, ::1] old
+    cdef const tuning_t[::1] tuning
+    cdef const wave_t[::1] waves
+    cdef int64_t known
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], y, x
     cdef lamp_t lamp
     cdef bint keep = nodes.shape[0] > 0
     cdef node_t node
+    check_given((*frame, *chain, *model))
+    samples, exposures, known = frame
+    store, old = chain
+    tuning, waves = model
     if (samples.shape[0] != h or samples.shape[1] != w or states.shape[0] != h
             or states.shape[1] != w or old.shape[0] != h or old.shape[1] != w
             or exposures.shape[0] != w):
@@ -285,22 +294,30 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     track.n_off = all_off - at_off
 
 
-def kalman_read(int64_t t, int64_t known, int64_t epoch,
-                const stored_t[::1] store not None, const tuning_t[::1] tuning not None,
-                const wave_t[::1] waves not None, const track_t[:, ::1] tracks not None,
-                const state_t[:, ::1] states not None, const int32_t[::1] pixels not None,
-                float[:, ::1] out not None, float[:, ::1] variance not None,
-                uint8_t[:, ::1] valid not None):
+def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
+                model not None, const state_t[:, ::1] states not None,
+                const int32_t[::1] pixels not None, shown not None):
     """Log intensity and its variance at t from the events up to known >= t.
 
-    Only the pixels listed (row * width + column) are written.  tracks chains the
-    events that are not counted in it yet; epoch is as in `kalman_rest`.  variance is 0
-    where no frame was used yet; out then counts from 0.  valid is 1 where the variance
-    without that of the lag and of the offset is small enough.
+    Only the pixels listed (row * width + column) are written to shown (log intensity,
+    variance, valid).  chain is (store, tracks that chain the events not counted there
+    yet), model (tuning, waves); epoch is as in `kalman_rest`.  The variance is 0 where
+    no frame was used yet; the log intensity then counts from 0.  valid is 1 where the
+    variance without that of the lag and of the offset is small enough.
     """
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
+    cdef const stored_t[::1] store
+    cdef const track_t[:, ::1] tracks
+    cdef const tuning_t[::1] tuning
+    cdef const wave_t[::1] waves
+    cdef float[:, ::1] out, variance
+    cdef uint8_t[:, ::1] valid
+    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, y, x
     cdef lamp_t lamp
-    if (states.shape[0] != h or states.shape[1] != w or out.shape[0] != h
+    check_given((*chain, *model, *shown))
+    store, tracks = chain
+    tuning, waves = model
+    out, variance, valid = shown
+    if (tracks.shape[0] != h or tracks.shape[1] != w or out.shape[0] != h
             or out.shape[1] != w or variance.shape[0] != h or variance.shape[1] != w
             or valid.shape[0] != h or valid.shape[1] != w):
         raise ValueError("kalman_read: all images must have one shape")
@@ -337,18 +354,22 @@ cdef inline bint rests(const track_t[:, ::1] tracks, Py_ssize_t y, Py_ssize_t x,
 def kalman_rest(int64_t now, int64_t epoch, bint by_cell,
                 const tuning_t[::1] tuning not None,
                 const track_t[:, ::1] tracks not None,
-                const state_t[:, ::1] states not None, int32_t[::1] pixels not None,
-                uint8_t[:, ::1] listed not None, float[:, :, ::1] planes not None):
+                const state_t[:, ::1] states not None, listing not None,
+                float[:, :, ::1] planes not None):
     """Take the listed pixels that are at rest from `now` on out of the list.
 
-    pixels begins with the list; what stays is moved to its beginning, its length is
-    returned.  planes (4, h, w) receives what `rest_read` shows of the others; epoch is
+    listing is (pixels, flags by pixel): pixels that stay are moved to the beginning,
+    their number is returned.  planes (4, h, w) receives what `rest_read` shows of the others; epoch is
     a time, not before any sample, that their variances hold for.  tracks must chain the
     events that are not counted in it yet.
     """
+    cdef int32_t[::1] pixels
+    cdef uint8_t[:, ::1] listed
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x, n = 0
     cdef const track_t* track
     cdef rest_t rest
+    check_given(listing)
+    pixels, listed = listing
     if (states.shape[0] != h or states.shape[1] != w or listed.shape[0] != h
             or listed.shape[1] != w or planes.shape[0] != 4 or planes.shape[1] != h
             or planes.shape[2] != w):
@@ -382,10 +403,18 @@ def kalman_rest(int64_t now, int64_t epoch, bint by_cell,
 
 
 def rest_read(const float[:, :, ::1] planes not None, float dt,
-              const tuning_t[::1] tuning not None, float[:, ::1] out not None,
-              float[:, ::1] variance not None, uint8_t[:, ::1] valid not None):
-    """Write what all pixels show if they are at rest, dt seconds after the epoch."""
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, x
+              const tuning_t[::1] tuning not None, shown not None):
+    """Write what all pixels show if they are at rest, dt seconds after the epoch.
+
+    shown is (log intensity, variance, valid).
+    """
+    cdef float[:, ::1] out, variance
+    cdef uint8_t[:, ::1] valid
+    cdef Py_ssize_t h, w, y, x
+    check_given(shown)
+    out, variance, valid = shown
+    h = out.shape[0]
+    w = out.shape[1]
     if (planes.shape[0] != 4 or planes.shape[1] != h or planes.shape[2] != w
             or variance.shape[0] != h or variance.shape[1] != w or valid.shape[0] != h
             or valid.shape[1] != w):

@@ -1,4 +1,4 @@
-"""Records that kernels of the Kalman method share with Python.  Types only.
+"""Records that kernels of the Kalman method share with Python.  Inline only.
 
 The dtypes of the same fields, with their units, are in the library's
 reconstruct/model.py; a stamp is an event's time times two, plus its polarity.
@@ -75,3 +75,11 @@ cdef packed struct node_t:
     float drift             # variance since the sample before
     int32_t n_on            # all events up to the middle
     int32_t n_off
+
+
+cdef inline int check_given(parts) except -1:
+    """Refuse None among arrays handed over together: a view of it has no memory."""
+    for part in parts:
+        if part is None:
+            raise TypeError("parts of an argument must be arrays, got None")
+    return 0

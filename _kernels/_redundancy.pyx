@@ -11,7 +11,8 @@ from libc.stdint cimport int64_t
 from _kernels._estimate cimport read_level, reading_t, walk_to
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._math cimport exp_f, log_f
-from _kernels._model cimport state_t, stored_t, track_t, tuning_t, wave_t
+from _kernels._model cimport (
+    check_given, state_t, stored_t, track_t, tuning_t, wave_t)
 
 cdef packed struct policy_t:
     double keep             # of the moments, from one comparison to the next
@@ -128,35 +129,42 @@ cdef inline void add_moments(moments_t* m, const double* value,
     m.since += 1.0
 
 
-def redundancy_sample(int64_t t, int64_t known, const stored_t[::1] store not None,
-                      Py_ssize_t begin, Py_ssize_t stop,
-                      const tuning_t[::1] tuning not None,
-                      const policy_t[::1] policy not None,
-                      const wave_t[::1] waves not None,
-                      track_t[:, ::1] tracks not None,
-                      state_t[:, ::1] states not None,
-                      balance_t[:, ::1] balance not None,
-                      moments_t[:, ::1] moments not None):
+def redundancy_sample(int64_t t, int64_t known, chain not None,
+                      const stored_t[::1] events not None, model not None,
+                      const policy_t[::1] policy not None, cells not None):
     """Take the intensities at t; fold the counts in tracks into the states.
 
-    Of the macropixels of the stored events [begin, stop), the ones counted since the
-    last time; the others stay what they are.  tracks chains the events after them.
+    chain is (store, tracks that chain the events after those counted), model (tuning,
+    waves), cells (states, balance, moments).  Of the macropixels of the stored events
+    given, the ones counted since the last time; the others stay what they are.
     """
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i
+    cdef const stored_t[::1] store
+    cdef track_t[:, ::1] tracks
+    cdef const tuning_t[::1] tuning
+    cdef const wave_t[::1] waves
+    cdef state_t[:, ::1] states
+    cdef balance_t[:, ::1] balance
+    cdef moments_t[:, ::1] moments
+    cdef Py_ssize_t h, w, i
     cdef lamp_t lamp
+    check_given((*chain, *model, *cells))
+    store, tracks = chain
+    tuning, waves = model
+    states, balance, moments = cells
+    h = tracks.shape[0]
+    w = tracks.shape[1]
     if (states.shape[0] != h or states.shape[1] != w or balance.shape[0] != h
             or balance.shape[1] != w or moments.shape[0] != h // 2
             or moments.shape[1] != w // 2):
         raise ValueError("redundancy_sample: all images must have one shape")
-    if (tuning.shape[0] != 1 or policy.shape[0] != 1 or begin < 0
-            or stop > store.shape[0]):
+    if tuning.shape[0] != 1 or policy.shape[0] != 1 or store.shape[0] == 0:
         raise ValueError("redundancy_sample: an array has a wrong length")
     lamp = lamp_of(waves)
     with nogil:
-        for i in range(begin, stop):
-            if store[i].y < h // 2 * 2 and store[i].x < w // 2 * 2:
-                sample_cell(t, known, &store[0], store[i].y // 2 * 2,
-                            store[i].x // 2 * 2, &tuning[0], &policy[0], &lamp, tracks,
+        for i in range(events.shape[0]):
+            if events[i].y < h // 2 * 2 and events[i].x < w // 2 * 2:
+                sample_cell(t, known, &store[0], events[i].y // 2 * 2,
+                            events[i].x // 2 * 2, &tuning[0], &policy[0], &lamp, tracks,
                             states, balance, moments)
 
 

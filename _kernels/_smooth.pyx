@@ -10,7 +10,8 @@ from _kernels._estimate cimport (
     LEAST_VARIANCE, part_at, part_variance, theta_squared, walk_to)
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_of, lamp_t
-from _kernels._model cimport node_t, state_t, stored_t, track_t, tuning_t, wave_t
+from _kernels._model cimport (
+    check_given, node_t, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._tracks cimport TINY, at_rest, drift, part_t, walk_t
 
 cdef packed struct past_t:
@@ -136,21 +137,28 @@ cdef inline void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times
         i -= 1
 
 
-def smooth_read(int64_t t, int64_t known, const stored_t[::1] store not None,
-                const tuning_t[::1] tuning not None, const wave_t[::1] waves not None,
-                const track_t[:, ::1] tracks not None,
+def smooth_read(int64_t t, int64_t known, chain not None, model not None,
                 const gap_t[:, ::1] gaps not None,
-                const state_t[:, ::1] states not None, float[:, ::1] out not None,
-                float[:, ::1] variance not None, uint8_t[:, ::1] valid not None):
+                const state_t[:, ::1] states not None, shown not None):
     """Log intensity and its variance at t from the events up to known > t.
 
-    tracks counts all events up to some time before t, and chains those after it.
-    variance is 0 where there is no frame on either side; out then counts from 0.
-    valid is as in kalman_read.
+    chain, model and shown are as in kalman_read; the chain's tracks count all events
+    up to some time before t.  The variance is 0 where there is no frame on either
+    side; the log intensity then counts from 0.
     """
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], y, x
+    cdef const stored_t[::1] store
+    cdef const track_t[:, ::1] tracks
+    cdef const tuning_t[::1] tuning
+    cdef const wave_t[::1] waves
+    cdef float[:, ::1] out, variance
+    cdef uint8_t[:, ::1] valid
+    cdef Py_ssize_t h = gaps.shape[0], w = gaps.shape[1], y, x
     cdef lamp_t lamp
-    if (gaps.shape[0] != h or gaps.shape[1] != w or states.shape[0] != h
+    check_given((*chain, *model, *shown))
+    store, tracks = chain
+    tuning, waves = model
+    out, variance, valid = shown
+    if (tracks.shape[0] != h or tracks.shape[1] != w or states.shape[0] != h
             or states.shape[1] != w or out.shape[0] != h or out.shape[1] != w
             or variance.shape[0] != h or variance.shape[1] != w
             or valid.shape[0] != h or valid.shape[1] != w):

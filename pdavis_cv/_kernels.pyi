@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _F32 = NDArray[np.float32]
+_Pair = tuple[NDArray[Any], NDArray[Any]]
 _F64 = NDArray[np.float64]
 _I64 = NDArray[np.int64]
 _U8 = NDArray[np.uint8]
@@ -153,22 +154,20 @@ def guided(
     across: float, additive: float, scratch: _F32, out: _F32,
 ) -> None: ...
 def kalman_frame(
-    samples: NDArray[Any], exposures: NDArray[Any], known: int, store: NDArray[Any],
-    old: NDArray[Any], committed: int, tuning: NDArray[Any], waves: NDArray[Any],
-    tracks: NDArray[Any], states: NDArray[Any], innovations: _F64, nodes: NDArray[Any],
+    frame: tuple[NDArray[Any], NDArray[Any], int], chain: _Pair, committed: int,
+    model: _Pair, tracks: NDArray[Any], states: NDArray[Any], innovations: _F64,
+    nodes: NDArray[Any],
 ) -> None: ...
 def kalman_read(
-    t: int, known: int, epoch: int, store: NDArray[Any], tuning: NDArray[Any],
-    waves: NDArray[Any], tracks: NDArray[Any], states: NDArray[Any],
-    pixels: NDArray[np.int32], out: _F32, variance: _F32, valid: _U8,
+    t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],
+    pixels: NDArray[np.int32], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def kalman_rest(
     now: int, epoch: int, by_cell: bool, tuning: NDArray[Any], tracks: NDArray[Any],
-    states: NDArray[Any], pixels: NDArray[np.int32], listed: _U8, planes: _F32,
+    states: NDArray[Any], listing: tuple[NDArray[np.int32], _U8], planes: _F32,
 ) -> int: ...
 def rest_read(
-    planes: _F32, dt: float, tuning: NDArray[Any], out: _F32, variance: _F32,
-    valid: _U8,
+    planes: _F32, dt: float, tuning: NDArray[Any], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def lamp_push(
     events: NDArray[Any], at: int, until: int, h: int, w: int, shift: int, on: float,
@@ -217,9 +216,8 @@ def smooth_past(
     past: NDArray[Any],
 ) -> None: ...
 def smooth_read(
-    t: int, known: int, store: NDArray[Any], tuning: NDArray[Any], waves: NDArray[Any],
-    tracks: NDArray[Any], gaps: NDArray[Any], states: NDArray[Any], out: _F32,
-    variance: _F32, valid: _U8,
+    t: int, known: int, chain: _Pair, model: _Pair, gaps: NDArray[Any],
+    states: NDArray[Any], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def store_commit(
     store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any]
@@ -248,10 +246,8 @@ def read_out(
     pending: NDArray[np.uint8], out: NDArray[Any]
 ) -> tuple[int, int, int]: ...
 def redundancy_sample(
-    t: int, known: int, store: NDArray[Any], begin: int, stop: int,
-    tuning: NDArray[Any], policy: NDArray[Any], waves: NDArray[Any],
-    tracks: NDArray[Any], states: NDArray[Any], balance: NDArray[Any],
-    moments: NDArray[Any],
+    t: int, known: int, chain: _Pair, events: NDArray[Any], model: _Pair,
+    policy: NDArray[Any], cells: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
 ) -> None: ...
 def redundancy_solve(
     policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any]

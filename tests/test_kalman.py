@@ -311,6 +311,14 @@ def test_a_pixel_without_a_sample_before_t_is_known_from_the_one_after():
     assert variance[0, 0] > method.read(100_000).variance[0, 0]
 
 
+STEADY = np.zeros(0, WAVE_DTYPE)
+
+
+def shown(*shape):
+    """Planes that kernels write: log intensity, variance, valid."""
+    return tuple(np.zeros(shape, dtype) for dtype in (np.float32, np.float32, np.uint8))
+
+
 @pytest.mark.parametrize(("kernel", "changes", "message"), [
     (_kernels.smooth_past, {"times": np.zeros(3, np.int64)}, "smooth_past: all"),
     (_kernels.smooth_past, {"states": np.zeros((2, 3), STATE_DTYPE)},
@@ -318,9 +326,9 @@ def test_a_pixel_without_a_sample_before_t_is_known_from_the_one_after():
     (_kernels.smooth_gap, {"order": np.array([7], np.int32)}, "order must hold"),
     (_kernels.smooth_gap, {"passed": np.array([0, 2], np.int32)}, "passed must lie"),
     (_kernels.smooth_gap, {"times": np.zeros((2, 2), np.int64)}, "smooth_gap: all"),
-    (_kernels.smooth_read, {"tuning": np.zeros(2, TUNING_DTYPE)},
+    (_kernels.smooth_read, {"model": (np.zeros(2, TUNING_DTYPE), STEADY)},
      "smooth_read: tuning"),
-    (_kernels.smooth_read, {"out": np.zeros((2, 3), np.float32)}, "smooth_read: all"),
+    (_kernels.smooth_read, {"shown": shown(2, 3)}, "smooth_read: all"),
 ])
 def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
     nodes, times = np.zeros((1, 2, 2), NODE_DTYPE), np.zeros((1, 2), np.int64)
@@ -337,10 +345,9 @@ def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
             nodes=nodes, times=times, order=order, passed=passed, states=states,
             past=past, out=gaps),
         _kernels.smooth_read: dict(
-            t=0, known=1, store=np.zeros(1, STORED_DTYPE),
-            tuning=np.zeros(1, TUNING_DTYPE), waves=np.zeros(0, WAVE_DTYPE),
-            tracks=tracks, gaps=gaps, states=states, out=np.zeros((2, 2), np.float32),
-            variance=np.zeros((2, 2), np.float32), valid=np.zeros((2, 2), np.uint8)),
+            t=0, known=1, chain=(np.zeros(1, STORED_DTYPE), tracks),
+            model=(np.zeros(1, TUNING_DTYPE), STEADY), gaps=gaps, states=states,
+            shown=shown(2, 2)),
     }[kernel]
     kernel(*arguments.values())
     with pytest.raises(ValueError, match=message):

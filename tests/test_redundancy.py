@@ -74,8 +74,8 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
         for at, twin in twins.items():
             twin.base = of(states["base"], *at).copy()
         _kernels.redundancy_sample(
-            k, k, store, 0, len(store), TUNING, POLICY, np.zeros(0, WAVE_DTYPE), tracks,
-            states, balance, moments)
+            k, k, (store, tracks), store, (TUNING, np.zeros(0, WAVE_DTYPE)), POLICY,
+            (states, balance, moments))
         for at, twin in twins.items():
             twin.sample(of(log, *at), of(on, *at), of(off, *at))
         if k % 5 == 4:
@@ -115,16 +115,23 @@ def one_event_each(shape):
 def test_kernels_refuse_arrays_that_do_not_fit():
     shape = (4, 4)
     states, tracks, balance, moments = arrays(shape)
-    start = 0, 0, one_event_each(shape)
-    shaped = [TUNING, POLICY, np.zeros(0, WAVE_DTYPE), tracks, states, balance, moments]
-    _kernels.redundancy_sample(*start, 0, 16, *shaped)
-    for i in (0, 1, 4, 5, 6):
+    store, waves = one_event_each(shape), np.zeros(0, WAVE_DTYPE)
+
+    def sample(tuning, policy, states, balance, moments, store=store):
+        _kernels.redundancy_sample(0, 0, (store, tracks), store, (tuning, waves),
+                                   policy, (states, balance, moments))
+
+    shaped = [TUNING, POLICY, states, balance, moments]
+    sample(*shaped)
+    for i in range(5):
         wrong = [*shaped]
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_sample: "):
-            _kernels.redundancy_sample(*start, 0, 16, *wrong)
+            sample(*wrong)
     with pytest.raises(ValueError, match="redundancy_sample: an array has a wrong"):
-        _kernels.redundancy_sample(*start, 0, 17, *shaped)
+        sample(*shaped, store=store[:0])
+    with pytest.raises(TypeError, match="must be arrays, got None"):
+        sample(*shaped[:-1], None)
     solved = [POLICY, moments, states]
     for i in range(3):
         wrong = [*solved]

@@ -217,9 +217,10 @@ class EventRedundancy(Reconstructor):
             if tracks.committed != before:
                 tracks.chain_pending()
                 _kernels.redundancy_sample(
-                    t, t + self.lookahead_us, tracks.store, before, tracks.committed,
-                    self._tuning, self._policy, self._lamp.waves, tracks.tracks,
-                    self._states, self._balance, self._moments)
+                    t, t + self.lookahead_us, (tracks.store, tracks.tracks),
+                    tracks.store[before:tracks.committed],
+                    (self._tuning, self._lamp.waves), self._policy,
+                    (self._states, self._balance, self._moments))
                 self._unsolved = True
             else:
                 # Nothing happens until the next event, or the next solution.
@@ -242,8 +243,8 @@ class EventRedundancy(Reconstructor):
         rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
         self._reader.read(
             t, t + self.lookahead_us, rest, 0, self._tracks, self._states,
-            self._tuning, self._lamp.waves, log, np.empty(self.shape, np.float32),
-            np.empty(self.shape, np.uint8))
+            (self._tuning, self._lamp.waves),
+            (log, np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)))
         return Estimate(
             log, self._by_pixel("smallest"), self.quality < VALID_QUALITY)
 

@@ -230,9 +230,8 @@ class Reader:
 
     def read(
         self, t_us: int, known_us: int, rest_us: int, epoch_us: int, tracks: Tracks,
-        states: NDArray[Any], tuning: NDArray[Any], waves: NDArray[Any],
-        log: NDArray[np.float32], variance: NDArray[np.float32],
-        valid: NDArray[np.uint8],
+        states: NDArray[Any], model: tuple[NDArray[Any], NDArray[Any]],
+        shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
     ) -> None:
         """Write log intensity, variance and validity at t_us.
 
@@ -244,11 +243,14 @@ class Reader:
             No later read is of a time before this one.
         epoch_us : int
             Not before the time of any state; a function of the stream alone.
-        tracks, states, tuning, waves
+        tracks, states
             What is read.
-        log, variance : ndarray of float32, shape (H, W)
-        valid : ndarray of uint8, shape (H, W)
+        model : (ndarray of TUNING_DTYPE, shape (1,), ndarray of WAVE_DTYPE)
+            Noise and bandwidth; waves of the lamp.
+        shown : (ndarray of float32, ndarray of float32, ndarray of uint8)
+            Log intensity, variance, validity; shape (H, W).
         """
+        tuning, waves = model
         tracks.chain_pending()
         pixels = self._every
         if not len(waves):
@@ -258,14 +260,14 @@ class Reader:
             if self._swept_us is None or rest_us - self._swept_us >= SWEEP_US:
                 self.n = _kernels.kalman_rest(
                     rest_us, epoch_us, self.by_cell, tuning, tracks.tracks, states,
-                    self.pixels[:self.n], self.listed, self._planes)
+                    (self.pixels[:self.n], self.listed), self._planes)
                 self._swept_us = rest_us
             _kernels.rest_read(
-                self._planes, 1e-6 * (t_us - epoch_us), tuning, log, variance, valid)
+                self._planes, 1e-6 * (t_us - epoch_us), tuning, shown)
             pixels = self.pixels[:self.n]
         _kernels.kalman_read(
-            t_us, known_us, epoch_us, tracks.store, tuning, waves, tracks.tracks,
-            states, pixels, log, variance, valid)
+            t_us, known_us, epoch_us, (tracks.store, tracks.tracks), model, states,
+            pixels, shown)
 
 
 def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:

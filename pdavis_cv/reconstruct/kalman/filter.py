@@ -320,14 +320,18 @@ class KalmanFilter(Reconstructor):
     ) -> None:
         if self._smoother is not None:
             self._smoother.read(
-                t, t + self._wait_us, self._tracks, self._tuning, self._lamp.waves,
-                self._states, log, variance, valid)
+                t, t + self._wait_us, self._tracks, self._model, self._states,
+                (log, variance, valid))
             return
         # Reads of an earlier time than the last one may follow, down to the last seen.
         rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
         self._reader.read(
             t, t + self.lookahead_us, rest, self._epoch_us, self._tracks, self._states,
-            self._tuning, self._lamp.waves, log, variance, valid)
+            self._model, (log, variance, valid))
+
+    @property
+    def _model(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        return self._tuning, self._lamp.waves
 
     def _settle(self, seen_us: int) -> None:
         """Commit what lies in the past of every later read, and use due frames."""
@@ -342,8 +346,8 @@ class KalmanFilter(Reconstructor):
             nodes = _NO_NODES if smoother is None else smoother.slot(middles)
             recent.chain_since(int(frame.exposures["begin"].min()))
             _kernels.kalman_frame(
-                frame.samples, frame.exposures, frame.known_us, recent.store,
-                recent.old, recent.committed, self._tuning, self._lamp.waves,
+                (frame.samples, frame.exposures, frame.known_us),
+                (recent.store, recent.old), recent.committed, self._model,
                 recent.tracks, self._states, self._innovations, nodes)
             self._epoch_us = max(self._epoch_us, int(middles.max()))
             self._reader.forget()

@@ -76,13 +76,14 @@ class Smoother:
             self._passed = None
 
     def read(
-        self, t_us: int, known_us: int, tracks: Tracks, tuning: NDArray[Any],
-        waves: NDArray[Any], states: NDArray[Any], log: NDArray[np.float32],
-        variance: NDArray[np.float32], valid: NDArray[np.uint8],
+        self, t_us: int, known_us: int, tracks: Tracks,
+        model: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
+        shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
     ) -> None:
-        """Write log intensity and variance at t_us (see ``smooth_read``).
+        """Write log intensity, variance and validity at t_us (see ``smooth_read``).
 
-        ``known_us`` is after t_us, and the events up to then count.
+        ``known_us`` is after t_us, and the events up to then count; ``model`` is
+        (tuning, waves).
         """
         order = np.array(self._order, np.int32)
         passed = (self._times[order] <= t_us).sum(0, np.int32)
@@ -92,8 +93,8 @@ class Smoother:
             self._passed = passed
         tracks.chain_late(known_us)
         _kernels.smooth_read(
-            t_us, known_us, tracks.store, tuning, waves, tracks.late, self._gap,
-            states, log, variance, valid)
+            t_us, known_us, (tracks.store, tracks.late), model, self._gap, states,
+            shown)
 
     def assign(self, other: Smoother) -> None:
         """Take over what an equal one holds."""
