@@ -3,12 +3,15 @@ import pytest
 
 from pdavis_cv import (
     Calibration,
+    FusionOptions,
     bandwidth_in_situ,
     fuse,
     recording_from_arrays,
     thresholds_in_situ,
 )
 from pdavis_cv.analysis import Scorer
+from pdavis_cv.fusion.learning import Learning
+from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.selfcal import Bandwidth
 from pdavis_cv.selfcal.thresholds import variance_inflation
 from pdavis_cv.simulation import Camera, Fan, RotatingPlate, RotatingPolarizer
@@ -420,3 +423,29 @@ def test_a_bandwidth_from_a_slow_recording_does_not_mislead_a_fast_one():
     assert degrees[0] < 1.05 * degrees[1]
     assert max(degrees) < 0.18
     assert min(covered) > 0.6
+
+
+def test_a_contradicted_scale_is_corrected_unless_thresholds_are_stated():
+    camera = Camera.preset("realistic", seed=4, size=(8, 8))
+    recording, _ = camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.8)
+
+    def tuning(**options):
+        options = FusionOptions(demosaic="superpixel", **options)
+        learned = Learning(recording, options, {}, KalmanFilter.needs)
+        return learned.beginning(recording, recording.packets())
+
+    # .16/.18 in truth; twice that is contradicted, the truth is not.
+    twice = tuning(nominal_thresholds=(0.32, 0.36))
+    np.testing.assert_allclose(np.mean(twice.theta_on), NOMINAL[0], rtol=0.1)
+    np.testing.assert_allclose(np.mean(twice.theta_off), NOMINAL[1], rtol=0.1)
+    assert np.ptp(twice.theta_on) == 0      # the scale, not the pixels
+    sigma = twice.parameters["threshold_sigma"]
+    assert sigma.shape == (2, 8, 8)
+    assert 0.035 * NOMINAL[0] < sigma.mean() < 0.1 * NOMINAL[1]
+    right = tuning(nominal_thresholds=NOMINAL)
+    np.testing.assert_allclose(right.theta_on, NOMINAL[0])
+    assert "threshold_sigma" not in right.parameters
+    stated = tuning(thresholds="nominal", nominal_thresholds=(0.32, 0.36))
+    assert stated.theta_on == pytest.approx(0.32)
+    known = tuning(thresholds=(0.32, 0.36))
+    assert known.theta_on == pytest.approx(0.32)

@@ -33,7 +33,7 @@ from pdavis_cv.selfcal import (
     SelfCalibration,
 )
 from pdavis_cv.selfcal.estimator import QUANTITIES
-from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA
+from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA, USUAL_MISMATCH
 from pdavis_cv.sensor import Sensor
 
 __all__ = ["FIRST_LOOK_S", "Learning", "OnlineLearning", "Tuning",
@@ -113,6 +113,9 @@ class Learning:
         wanted = {name for name in needs.learned if name not in known}
         if not options.causal and options.thresholds == "in-situ":
             wanted.add("thresholds")
+        elif not options.causal and wanted and options.thresholds is None and (
+                self._calibration is None or self._calibration.theta_on is None):
+            wanted.add("scale")     # of what only biases or data sheet say
         self.wanted = frozenset(wanted) if source.info.frame_count != 0 else frozenset()
         self._stated = _stated_bandwidth(self._calibration)
         if "bandwidth" in wanted:
@@ -198,10 +201,11 @@ class Learning:
             found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
         if "noise" in self.wanted and estimate.noise is not None:
             found["noise"] = self._noise(estimate.noise)
-        if "thresholds" in self.wanted:
+        if not {"thresholds", "scale"}.isdisjoint(self.wanted):
             tuning = Tuning(estimate.theta_on.astype(np.float32),
                             estimate.theta_off.astype(np.float32), tuning.parameters)
-            if "threshold_sigma" in self._needs.prior:
+            if "threshold_sigma" in self._needs.prior and (
+                    "thresholds" in self.wanted or estimate.common_scale_sigma > 0):
                 found["threshold_sigma"] = tuning.parameters.get(
                     "threshold_sigma", _sigma_of(estimate))
         return tuning.changed(**found)
@@ -225,9 +229,12 @@ def _sigma_of(estimate: CameraEstimate) -> NDArray[np.float64]:
     """Return threshold_sigma of a filter that takes ON and OFF as independent.
 
     The ratio is known far better than the scale: independent errors that give the
-    ratio's sigma keep what is known of it.  Shape (2, H, W).
+    ratio's sigma keep what is known of it.  Where only the common scale is known, a
+    pixel differs from it by the usual mismatch.  Shape (2, H, W).
     """
-    relative = estimate.ratio_sigma / math.sqrt(2)
+    relative = (
+        _COMMON_ERROR * math.hypot(USUAL_MISMATCH, estimate.common_scale_sigma)
+        if estimate.covariance is None else estimate.ratio_sigma / math.sqrt(2))
     return np.stack([estimate.theta_on, estimate.theta_off]) * relative
 
 

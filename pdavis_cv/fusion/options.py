@@ -152,9 +152,11 @@ class FusionOptions:
         None, "str or (on, off), optional",
         '"calibration", "bias", "in-situ", "nominal", or contrast thresholds in '
         "natural-log units, scalars or (H, W); default: the first available of "
-        'calibration, bias, nominal.  "in-situ" starts from those and looks at the '
-        "first 10 s of the recording before the first image; with `causal` nothing is "
-        "looked at before its time.", "thresholds",
+        "calibration, bias, nominal.  By default a method that learns, as kalman, "
+        "corrects the scale of bias or nominal ones that all pixels share where the "
+        'beginning of the recording contradicts it.  "in-situ" starts from those and '
+        "finds each pixel's from the first 10 s, before the first image; with `causal` "
+        "nothing is looked at before its time.", "thresholds",
         "calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     nominal_thresholds: tuple[ArrayLike, ArrayLike] = _option(
         NOMINAL_THRESHOLDS, "(on, off)",
