@@ -9,6 +9,7 @@ from libc.stdint cimport int64_t
 
 from _kernels._model cimport wave_t
 
+# One wave holds for so long, microseconds: as BLOCK_US in reconstruct/lamp.py.
 cdef enum:
     BLOCK_US = 100000
 
@@ -22,15 +23,25 @@ cdef extern from *:
     """
     #include <stdint.h>
 
+    #define TWO_PI 6.283185307179586        /* rad per turn */
+    #define TWO_PI_PER_US 6283185.307179586   /* a turn per microsecond, rad per s */
+    /* Taylor series of the sine about 0: these are 3!, 5!, ... 13!. */
+    #define FACTORIAL_3 6.0         /* Taylor series, as above */
+    #define FACTORIAL_5 120.0       /* Taylor series, as above */
+    #define FACTORIAL_7 5040.0      /* Taylor series, as above */
+    #define FACTORIAL_9 362880.0    /* Taylor series, as above */
+    #define FACTORIAL_11 39916800.0         /* Taylor series, as above */
+    #define FACTORIAL_13 6227020800.0       /* Taylor series, as above */
+
     /* cos(2 pi u) to 1e-9, the same bits on every CPU; |u| below 2^62. */
     static inline double pd_cos_turns(double u) {
         double x, x2;
         u -= (double)(int64_t)(u + (u >= 0 ? 0.5 : -0.5));
-        x = 6.283185307179586 * (0.25 - (u < 0 ? -u : u));
+        x = TWO_PI * (0.25 - (u < 0 ? -u : u));
         x2 = x * x;
-        return x * (1 + x2 * (-1 / 6.0 + x2 * (1 / 120.0 + x2 * (-1 / 5040.0
-               + x2 * (1 / 362880.0 + x2 * (-1 / 39916800.0
-               + x2 * (1 / 6227020800.0)))))));
+        return x * (1 + x2 * (-1 / FACTORIAL_3 + x2 * (1 / FACTORIAL_5
+               + x2 * (-1 / FACTORIAL_7 + x2 * (1 / FACTORIAL_9
+               + x2 * (-1 / FACTORIAL_11 + x2 * (1 / FACTORIAL_13)))))));
     }
     """
     double cos_turns "pd_cos_turns"(double u) noexcept nogil
@@ -89,7 +100,7 @@ cdef extern from *:
             s = share * (s - lag * c);
             c = passed;
         }
-        *rate = 6283185.307179586 * turns_per_us * (sine * c - cosine * s);
+        *rate = TWO_PI_PER_US * turns_per_us * (sine * c - cosine * s);
         return cosine * c + sine * s;
     }
     """

@@ -20,11 +20,13 @@ cdef enum:
     PER_HZ = 10
     SUMS = 7
     WHOLE_US = 200000
+    # Of every 2^15th macropixel there is at most one on any sensor.
+    SHIFT_MOST = 15
 
 cdef extern from *:
     """
     #define MAINS_50 100e-6     /* turns per us of a lamp: twice the mains' */
-    #define MAINS_60 120e-6
+    #define MAINS_60 120e-6     /* the same for mains of 60 Hz */
     #define BELOW 0.75          /* of these frequencies there is no lamp: what a wave of
                                    it explains is motion */
     #define PREFER 0.002        /* what a frequency at the end of the range costs, so
@@ -46,24 +48,28 @@ cdef struct normal_t:
     double n
 
 
-def lamp_push(const event_t[::1] events not None, Py_ssize_t at, int64_t until,
-              Py_ssize_t h, Py_ssize_t w, int shift, double on, double off,
-              const double[::1] even_us not None, const float[:, ::1] hz not None,
-              int64_t[:, :, ::1] stamps not None,
+def lamp_push(const event_t[::1] events not None, int64_t until, sensor not None,
+              thresholds not None, const double[::1] even_us not None,
+              const float[:, ::1] hz not None, int64_t[:, :, ::1] stamps not None,
               double[:, :, :, ::1] sums not None):
-    """Add the events from index at on, t < until, to the sums; return the next index.
+    """Add the events of t < until to the sums; return the index of the first left.
 
-    Of the macropixels of the sensor, h x w, every 2**shift-th of every 2**shift-th row
+    sensor is (h, w, shift), thresholds (on, off) in log intensity.  Of the macropixels
+    of the sensor, h x w, every 2**shift-th of every 2**shift-th row
     counts.  stamps holds their pixels' last two events (2 t + p).  sums is (span,
     frequency, place in the macropixel, `normal_t`), phase 0 at t = 0: of 100 and 120
     Hz, then three quarters of them; even_us the time over which the light changes
     evenly, by span; hz the pixels' corner frequencies, 0: they pass on all there is.
     """
-    cdef Py_ssize_t n = events.shape[0], i, y, x, row, column
-    cdef int mask = (1 << shift) - 1
+    cdef Py_ssize_t n = events.shape[0], i = 0, y, x, row, column, h, w
+    cdef int shift, mask
+    cdef double on, off
     cdef int64_t* last
-    if at < 0 or shift < 0 or shift > 15:
-        raise ValueError("lamp_push: at and shift must not be negative")
+    h, w, shift = sensor
+    on, off = thresholds
+    if shift < 0 or shift > SHIFT_MOST:
+        raise ValueError("lamp_push: shift must lie in 0..15")
+    mask = (1 << shift) - 1
     if (((((h + 1) >> 1) + mask) >> shift) * 2 > stamps.shape[0]
             or ((((w + 1) >> 1) + mask) >> shift) * 2 > stamps.shape[1]
             or stamps.shape[2] != 2 or hz.shape[0] != stamps.shape[0]
@@ -73,7 +79,6 @@ def lamp_push(const event_t[::1] events not None, Py_ssize_t at, int64_t until,
             or sums.shape[2] != 4 or sums.shape[3] != SUMS):
         raise ValueError("lamp_push: sums must be (3, 4, 4, 7), even_us (3,)")
     with nogil:
-        i = at
         while i < n and events[i].t < until:
             y = events[i].y
             x = events[i].x

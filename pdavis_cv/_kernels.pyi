@@ -170,8 +170,8 @@ def rest_read(
     planes: _F32, dt: float, tuning: NDArray[Any], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def lamp_push(
-    events: NDArray[Any], at: int, until: int, h: int, w: int, shift: int, on: float,
-    off: float, even_us: _F64, hz: _F32, stamps: _I64, sums: _F64,
+    events: NDArray[Any], until: int, sensor: tuple[int, int, int],
+    thresholds: tuple[float, float], even_us: _F64, hz: _F32, stamps: _I64, sums: _F64,
 ) -> int: ...
 def lamp_wave(sums: _F64, t: int, out: _F64) -> None: ...
 def leak_events(

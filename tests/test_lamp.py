@@ -54,9 +54,9 @@ def test_sums_and_wave_equal_least_squares_over_all_triples(
     sums = np.zeros((blocks, 3, 4, 4, 7))
     i = 0
     for k in range(blocks):
-        i = _kernels.lamp_push(
-            events, i, start + (k + 1) * BLOCK_US, *shape, shift, 0.2, 0.25, even_us,
-            np.full((8, 8), hz, np.float32), stamps, sums[k])
+        i += _kernels.lamp_push(
+            events[i:], start + (k + 1) * BLOCK_US, (*shape, shift), (0.2, 0.25),
+            even_us, np.full((8, 8), hz, np.float32), stamps, sums[k])
     assert i == len(events)
     rows = triples(events, 0.2, 0.25, shift)
     for span, even in enumerate(even_us):
@@ -212,15 +212,15 @@ def test_under_a_lamp_a_region_is_the_crop_and_a_snapshot_goes_on(lit, causal):
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"at": -1}, "at and shift"), ({"shift": 20}, "at and shift"),
-    ({"h": 9}, "hz must have room"),
+    ({"sensor": (4, 4, -1)}, "shift must"), ({"sensor": (4, 4, 20)}, "shift must"),
+    ({"sensor": (9, 4, 0)}, "hz must have room"),
     ({"hz": np.zeros((4, 2), np.float32)}, "hz must have room"),
     ({"sums": np.zeros((3, 4, 4, 6))}, "sums must"),
     ({"even_us": np.ones(2)}, "sums must")])
 def test_lamp_push_checks_sizes(changes, message):
     arguments = {
-        "events": np.zeros(1, EVENT_DTYPE), "at": 0, "until": 1, "h": 4, "w": 4,
-        "shift": 0, "on": 0.2, "off": 0.2, "even_us": np.ones(3),
+        "events": np.zeros(1, EVENT_DTYPE), "until": 1, "sensor": (4, 4, 0),
+        "thresholds": (0.2, 0.2), "even_us": np.ones(3),
         "hz": np.zeros((4, 4), np.float32),
         "stamps": np.zeros((4, 4, 2), np.int64), "sums": np.zeros((3, 4, 4, 7))}
     assert _kernels.lamp_push(*arguments.values()) == 1

@@ -17,8 +17,6 @@ FILES = sorted(path.relative_to(ROOT).as_posix() for room in ROOMS
                for path in ROOT.glob(room)
                if path.suffix in (".py", ".pyx", ".pxd", ".h"))
 OPEN = {
-    "_kernels/_lamp.pxd": 9,
-    "_kernels/_lamp.pyx": 2,
     "_kernels/_selfcal.pyx": 6,
     "pdavis_cv/selfcal/pixel_sample.py": 2,
 }

@@ -163,9 +163,10 @@ class LampTracker:
         while i < len(events):
             yield from self._enter(int(events["t"][i]) // BLOCK_US)
             assert self._block is not None
-            i = _kernels.lamp_push(
-                events, i, (self._block + 1) * BLOCK_US, *self._shape, self._shift,
-                self._on, self._off, _EVEN_US, self._corners, self._stamps, self._now)
+            i += _kernels.lamp_push(
+                events[i:], (self._block + 1) * BLOCK_US,
+                (*self._shape, self._shift), (self._on, self._off), _EVEN_US,
+                self._corners, self._stamps, self._now)
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Note how bright it is, and so how fast the pixels are, from now on."""
