@@ -47,6 +47,7 @@ KERNELS = (
 )
 SHARED = (
     "_check.pxd",
+    "_channels.h",
     "_clones.h",
     "_double.pxd",
     "_estimate.pxd",

@@ -1,6 +1,15 @@
 """Functions of each element, the same bits on every CPU."""
 from _kernels._math cimport exp_f
 
+cdef extern from "_channels.h" nogil:
+    void mismatch_row(
+        const float*, const float*, const float*, const float*, float, float, float,
+        Py_ssize_t, float*, float*, float*, float*)
+    void reconcile_row(
+        float*, float*, float*, float*, const float*, const float*, const float*,
+        const float*, const float*, const float*, const float*, const float*, bint,
+        Py_ssize_t)
+
 
 def exp(const float[:, ::1] x not None, float[:, ::1] out not None):
     """Write e^x to out, same shape; x is clamped to +-87."""
@@ -22,29 +31,22 @@ def mismatch(const float[:, :, ::1] quad not None, float gain, float angle,
     pixel's relative sensitivity, angle that of its polarizer's angle in radians,
     contrast that of (ER - 1) / (ER + 1).
     """
-    cdef Py_ssize_t height = quad.shape[1], width = quad.shape[2], row, col, k
-    cdef float side, across, least, v, most = 1.0, tiny = 1e-30, quarter = 0.25
-    cdef float part = 1e-4
+    cdef Py_ssize_t height = quad.shape[1], width = quad.shape[2], row
+    cdef float quarter = 0.25
     if (quad.shape[0] != 4 or variance.shape[0] != 4 or variance.shape[1] != height
             or variance.shape[2] != width):
         raise ValueError("mismatch: quad and variance must be (4, h, w)")
+    if width == 0:
+        return
     angle *= angle
     contrast *= contrast * quarter
     gain *= gain
     with nogil:
         for row in range(height):
-            for col in range(width):
-                least = tiny
-                for k in range(4):
-                    least += quad[k, row, col]
-                least *= least * part
-                for k in range(4):
-                    side = quad[(k + 1) & 3, row, col] - quad[(k + 3) & 3, row, col]
-                    across = quad[k, row, col] - quad[(k + 2) & 3, row, col]
-                    v = quad[k, row, col] * quad[k, row, col]
-                    v = v if v > least else least
-                    v = (angle * side * side + contrast * across * across) / v
-                    variance[k, row, col] += gain + (v if v < most else most)
+            mismatch_row(
+                &quad[0, row, 0], &quad[1, row, 0], &quad[2, row, 0], &quad[3, row, 0],
+                gain, angle, contrast, width, &variance[0, row, 0],
+                &variance[1, row, 0], &variance[2, row, 0], &variance[3, row, 0])
 
 
 def reconcile(float[:, :, ::1] quad not None, const float[:, :, ::1] variance not None,
@@ -57,26 +59,20 @@ def reconcile(float[:, :, ::1] quad not None, const float[:, :, ::1] variance no
     so, whatever its own weights.
     """
     cdef Py_ssize_t height = quad.shape[1], width = quad.shape[2]
-    cdef Py_ssize_t row, col, k, ny, nx
+    cdef Py_ssize_t row, at
     cdef bint one = null.shape[1] == 1 and null.shape[2] == 1
-    cdef float gap, total, tiny = 1e-30
-    cdef float share[4]
     if (quad.shape[0] != 4 or variance.shape[0] != 4 or null.shape[0] != 4
             or variance.shape[1] != height or variance.shape[2] != width):
         raise ValueError("reconcile: quad and variance must be (4, h, w)")
     if not one and (null.shape[1] != height or null.shape[2] != width):
         raise ValueError("reconcile: null must be (4, h, w) or (4, 1, 1)")
+    if width == 0:
+        return
     with nogil:
         for row in range(height):
-            for col in range(width):
-                ny = 0 if one else row
-                nx = 0 if one else col
-                gap = 0
-                total = tiny
-                for k in range(4):
-                    share[k] = (quad[k, row, col] * quad[k, row, col]
-                                * variance[k, row, col] * null[k, ny, nx])
-                    gap += null[k, ny, nx] * quad[k, row, col]
-                    total += null[k, ny, nx] * share[k]
-                for k in range(4):
-                    quad[k, row, col] -= share[k] * (gap / total)
+            at = 0 if one else row
+            reconcile_row(
+                &quad[0, row, 0], &quad[1, row, 0], &quad[2, row, 0], &quad[3, row, 0],
+                &variance[0, row, 0], &variance[1, row, 0], &variance[2, row, 0],
+                &variance[3, row, 0], &null[0, at, 0], &null[1, at, 0],
+                &null[2, at, 0], &null[3, at, 0], one, width)
