@@ -21,7 +21,9 @@ def study(monkeypatch):
 
 
 def test_there_are_studies():
-    assert {"adaptive_gain", "denoise", "dolp_bias", "lamp_detection"} <= set(NAMES)
+    assert {
+        "adaptive_gain", "denoise", "dolp_bias", "lamp_detection", "selfcal_bandwidth",
+        "selfcal_common_scale", "selfcal_thresholds"} <= set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)

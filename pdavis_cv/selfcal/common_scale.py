@@ -27,27 +27,32 @@ _STEPS = (0.4, 0.2, 0.1, 0.05)
 
 _EVIDENCE = 40.0
 """By how much -ln L must fall for the nominal thresholds to be given up: model
-selection between "nominal" and "anything within a factor of three".  With thresholds
-stated right it falls by up to 27 (`nominal`, `realistic`, `hard`; 30 RPM)."""
+selection between "nominal" and "anything within a factor of three".  An engineering
+choice: above what it falls by where thresholds are stated right (`nominal`,
+`realistic`, 30 to 1000 RPM: up to 32; studies/selfcal_common_scale.py)."""
 
 _NO_EVENTS = -3.0
-"""ln of a scale at which events hardly count: if frames are as likely with it, the
-events do not follow the light (leak and noise at rest), and tell nothing."""
+"""ln of a scale at which events count for 5 % of what they are, an engineering choice:
+if frames are as likely with it, the events do not follow the light (leak and noise at
+rest), and tell nothing."""
 
 _MAX_NOISE_SHARE = 0.05
 """Greatest event noise (thresholds^2 per second) relative to the rate of events.  Noise
-in the predictor attenuates a regression, here the scale, by about this share."""
+in the predictor attenuates a regression, here the scale, by about this share.
+An engineering choice, of the order of the scale's own sigma."""
 
 _MAX_SIGMA = 0.03
-"""Greatest sigma (ln) by the curvature of -ln L at which a scale counts."""
+"""Greatest sigma (ln) by the curvature of -ln L at which a scale counts: as
+much as the models have wrong (`_MODEL_SIGMA`)."""
 
 _MODEL_SIGMA = 0.03
 """What the models of frames and interpolation have wrong in the scale (ln): rms error
-where thresholds are stated right (`nominal`, `realistic`, `hard`; 30 to 1000 RPM)."""
+where thresholds are stated right (studies/selfcal_common_scale.py)."""
 
 _MIN_CHANGE = 0.08
 """A scale nearer to 1 (in ln) is not told from what de-blurring and offsets of the
-frames make of it, and is what `THRESHOLD_SIGMA` allows each pixel anyway."""
+frames make of it (up to .07, studies/selfcal_common_scale.py), and is what
+`THRESHOLD_SIGMA` allows each pixel anyway."""
 
 
 class CommonScale(NamedTuple):

@@ -24,11 +24,15 @@ __all__ = ["CANDIDATE_DTYPE", "FILTER_NOISE", "INNOVATIONS_DTYPE", "MIN_DN",
 
 FILTER_NOISE = (0.05, 1.3, 0.005)
 """As `KalmanFilter`'s ``noise``, but larger: what de-blurring leaves is correlated from
-frame to frame, and accumulates where many frames are added up."""
+frame to frame, and accumulates where many frames are added up.  An engineering choice:
+with one of the three four times smaller or larger the rms error of the thresholds falls
+by at most 4 % (studies/selfcal_thresholds.py)."""
 
 MIN_DN = 16.0
-"""Below 16 DN ln(DN) is biased (convexity and offset), not merely noisy: thresholds
-come out up to 30 % too small."""
+"""Below, an offset of the frames says more about contrast than pixels differ in.
+
+An offset of o DN changes the greatest contrast, ln(extinction ratio), by o / DN: by the
+share `USUAL_MISMATCH` at 2 / (.035 ln 40) = 15.5 DN (studies/selfcal_thresholds.py)."""
 
 _USABLE_SHARE = 0.8
 """A pixel of the sample is usable in at least 80 % of the frames."""
@@ -37,7 +41,8 @@ _MIN_FRAMES = 4
 """Fewer frames tell nothing."""
 
 # Systematic error of the model of the photoreceptors, as a share of what the model
-# changes; and that of interpolation, which all pixels share.
+# changes (studies/selfcal_thresholds.py: .57); and that of interpolation, which all
+# pixels share (assumed).
 _MODEL_SHARE, _MODEL_MIN_SIGMA = 0.6, 0.002
 
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _MIN_SAMPLE_PIXELS = 30_000, 256, 16
