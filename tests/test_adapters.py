@@ -278,6 +278,35 @@ def test_imageio_reads_one_image_or_all(path, expected, iio):
     assert (dolp.dtype, dolp.shape) == (np.float32, (260, 346))
 
 
+def test_imageio_metadata_after_read_reads_nothing(path, iio, monkeypatch):
+    with iio.imopen(path, "r", **OPTIONS) as file:
+        expected = [file.metadata(index=k)["t_us"] for k in range(4)]
+        file.read(index=3)
+        reads, real = [], VideoCapture.read
+        monkeypatch.setattr(
+            VideoCapture, "read", lambda self: (reads.append(1), real(self))[1])
+        assert file.metadata(index=3)["t_us"] == expected[3]
+        assert not reads
+        assert file.metadata(index=1)["t_us"] == expected[1]
+        assert len(reads) == 1
+        with pytest.raises(IndexError):
+            file.read(index=N)
+        assert file.metadata(index=N - 1)["t_us"] - expected[0] == 2_000 * (N - 1)
+        for k, _ in zip(range(4), file.iter(), strict=False):
+            assert file.metadata(index=k)["t_us"] == expected[k]
+
+
+@pytest.mark.usefixtures("iio")
+def test_imageio_v2_keeps_the_parameters(path, expected):
+    v2 = pytest.importorskip("imageio.v2")
+    with v2.get_reader(path, format="pdavis", **OPTIONS) as reader:
+        for k in (0, 1, 7):
+            image = reader.get_data(k)
+            np.testing.assert_array_equal(np.asarray(image)[..., ::-1], expected[k])
+            assert image.meta["fps"] == 500
+        assert reader.get_length() == N
+
+
 def test_imageio_gets_a_reason_for_what_is_no_recording(tmp_path, iio, clip):
     bad = tmp_path / "bad.aedat4"
     bad.write_text("text")

@@ -104,6 +104,72 @@ def test_without_opencv_export_says_so_in_one_line(capsys, tmp_path, monkeypatch
                "--layout", "pdavis") == 0
 
 
+@pytest.fixture
+def as_hdf5(tmp_path):
+    path = tmp_path / "in.h5"
+    assert run("convert", SAMPLE, path) == 0
+    return path
+
+
+@pytest.mark.parametrize(("missing", "arguments", "package"), [
+    (["h5py"], ["info", "{h5}"], "h5py"),
+    (["h5py"], ["info", "{h5}", "--scan", "--json"], "h5py"),
+    (["h5py"], ["export", "{h5}", "-o", "{out}.npy"], "h5py"),
+    (["h5py"], ["export", SAMPLE, "-o", "{out}.h5", "--layout", "pdavis"],
+     "h5py"),
+    (["h5py"], ["convert", SAMPLE, "{out}.h5"], "h5py"),
+    (["h5py"], ["score", "{h5}"], "h5py"),
+    (["h5py"], ["calibrate", "check", "{h5}"], "h5py"),
+    (["h5py"], ["fan", "{h5}", "-o", "{out}.mp4"], "h5py"),
+    (["h5py"], ["tendon", "{h5}", "-o", "{out}"], "h5py"),
+    (["cv2"], ["info", "{png}", "--layout", "sony"], "opencv"),
+    (["cv2"], ["export", "{png}", "-o", "{out}.npy", "--layout", "sony"], "opencv"),
+    (["cv2"], ["export", SAMPLE, "-o", "{out}.mp4"], "opencv"),
+    (["cv2"], ["fan", SAMPLE, "-o", "{out}.mp4"], "opencv"),
+    (["matplotlib", "matplotlib.figure"], ["tendon", SAMPLE, "-o", "{out}"],
+     "matplotlib"),
+    (["onnxruntime", "cv2"], [
+        "export", SAMPLE, "-o", "{out}.npy", "--method", "firenet", "--layout",
+        "pdavis"], "onnxruntime"),
+])
+def test_a_missing_package_is_one_line_with_its_command(
+        missing, arguments, package, as_hdf5, tmp_path, capsys, monkeypatch):
+    cv2.imwrite(str(tmp_path / "shot.png"), np.full((8, 8), 90, np.uint8))
+    capsys.readouterr()
+    for name in missing:
+        monkeypatch.setitem(sys.modules, name, None)
+    names = {"h5": as_hdf5, "png": tmp_path / "shot.png", "out": tmp_path / "out"}
+    assert run(*(one.format(**names) for one in arguments)) == 2
+    text = capsys.readouterr().err
+    assert "pip install " + package in text
+    assert text.count("\n") == 1
+
+
+@pytest.mark.parametrize("backend", [0, pdavis_cv.CAP_PDAVIS])
+def test_a_capture_says_which_package_is_missing(as_hdf5, backend, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    capture = pdavis_cv.VideoCapture(str(as_hdf5), backend)
+    assert not capture.isOpened()
+    assert "pip install h5py" in capture.last_error
+    assert capture.read() == (False, None)
+    imageio = pytest.importorskip("imageio.v3")
+    from pdavis_cv.adapters.imageio_plugin import register
+    register()
+    with pytest.raises(OSError, match="can not handle") as failure:
+        imageio.imread(as_hdf5, plugin="pdavis")
+    assert "pip install h5py" in str(failure.value.__cause__)
+
+
+@pytest.mark.parametrize("more", [{}, {"layout": pdavis_cv.Layout.SONY}])
+def test_a_capture_without_opencv_says_so(more, tmp_path, monkeypatch):
+    path = tmp_path / "shot.png"
+    cv2.imwrite(str(path), np.full((8, 8), 90, np.uint8))
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    capture = pdavis_cv.VideoCapture(str(path), **more)
+    assert not capture.isOpened()
+    assert "pip install opencv" in capture.last_error
+
+
 def test_info_counts_the_sample(capsys):
     assert run("info", SAMPLE, "--scan") == 0
     text = capsys.readouterr().out

@@ -29,7 +29,8 @@ class PdavisPlugin(PluginV3):
     """Reads the images of a recording; pictures are RGB, as imageio has them.
 
     Every parameter may also be given to the reading functions, as ``imread`` and
-    ``imiter`` do with theirs.
+    ``imiter`` do with theirs; they hold until another call gives others, because
+    ``imageio.v2`` gives them to the first of several calls only.
 
     Parameters
     ----------
@@ -42,7 +43,8 @@ class PdavisPlugin(PluginV3):
     Raises
     ------
     InitializationError
-        If this is not a recording, or it should be written.
+        If this is not a recording, a package for it is missing, or it should be
+        written.
     """
 
     def __init__(
@@ -52,12 +54,13 @@ class PdavisPlugin(PluginV3):
         self._capture: VideoCapture | None = None
         self._given = {"output": output, **parameters}
         self._used: dict[str, Any] = {}
+        self._last: int | None = None  # number of the image that was read last
         if request.mode.io_mode == IOMode.write:
             raise InitializationError("recordings are not written through imageio")
         self._path = request.get_local_filename()
         try:
             open_recording(self._path).close()
-        except OSError as error:
+        except (OSError, ImportError) as error:
             raise InitializationError(str(error)) from error
 
     def read(self, *, index: Any = 0, **parameters: Any) -> NDArray[Any]:
@@ -79,6 +82,7 @@ class PdavisPlugin(PluginV3):
         if index >= 0 and capture.get(_POS_FRAMES) != index:
             capture.set(_POS_FRAMES, index)
         image = _next(capture) if index >= 0 else None
+        self._last = None if image is None else index
         if image is None:
             raise IndexError(f"the recording holds no image {wanted}")
         return image
@@ -87,7 +91,9 @@ class PdavisPlugin(PluginV3):
         """Yield all images in order."""
         capture = self._opened(parameters)
         capture.set(_POS_FRAMES, 0)
+        self._last = None
         while (image := _next(capture)) is not None:
+            self._last = int(capture.get(_POS_FRAMES)) - 1
             yield image
 
     def write(self, ndimage: Any, **keywords: Any) -> None:
@@ -107,12 +113,16 @@ class PdavisPlugin(PluginV3):
     def metadata(
         self, index: Any = 0, exclude_applied: bool = True, **parameters: Any
     ) -> dict[str, Any]:
-        """Return ``fps`` and, for one image, its time ``t_us``."""
-        found: dict[str, Any] = {"fps": self._opened(parameters).get(_FPS)}
+        """Return ``fps`` and, for one image, its time ``t_us``.
+
+        The image that was read last is not read again.
+        """
+        capture = self._opened(parameters)
+        found: dict[str, Any] = {"fps": capture.get(_FPS)}
         if index is not Ellipsis and index is not None:
-            self.read(index=index, **parameters)
-            found["t_us"] = int(
-                self._opened(parameters).get(CAP_PROP_PDAVIS_POS_US))
+            if index != self._last:
+                self.read(index=index, **parameters)
+            found["t_us"] = int(capture.get(CAP_PROP_PDAVIS_POS_US))
         return found
 
     def close(self) -> None:
@@ -124,10 +134,11 @@ class PdavisPlugin(PluginV3):
     def _opened(self, parameters: dict[str, Any]) -> VideoCapture:
         """Return the capture; other parameters than the last time open it anew."""
         used = {**self._given, **parameters}
-        if self._capture is None or used != self._used:
+        if self._capture is None or (parameters and used != self._used):
             if self._capture is not None:
                 self._capture.release()
             self._capture, self._used = VideoCapture(self._path, **used), used
+            self._last = None
         return self._capture
 
 

@@ -28,7 +28,10 @@ from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.render import ToneCurve
 
-__all__ = ["Session", "View"]
+__all__ = ["FAILURES", "Session", "View"]
+
+FAILURES = (OSError, PdavisError, ValueError, ImportError)
+"""What reading may raise: damage, what does not fit, a package that is missing."""
 
 # OpenCV's own numbers, the same in every version.
 _POS_MSEC, _POS_FRAMES, _POS_AVI_RATIO, _WIDTH, _HEIGHT, _FPS = 0, 1, 2, 3, 4, 5
@@ -113,8 +116,9 @@ class Session:
 
         Raises
         ------
-        OSError, ValueError
-            If the recording cannot be read; again until something is sought.
+        OSError, ValueError, ImportError
+            If the recording cannot be read, or a package for it is missing; again
+            until something is sought.
         """
         self._frame = None
         self.grabbed = False
@@ -122,7 +126,7 @@ class Session:
             raise self._broken
         try:
             self.grabbed = self.cursor.advance()
-        except (OSError, PdavisError, ValueError) as error:
+        except FAILURES as error:
             self._broken = error
             raise
         return self.grabbed

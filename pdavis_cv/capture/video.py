@@ -19,9 +19,8 @@ from pdavis_cv.capture.manners import (
     raise_like_cv2,
     unknown_property,
 )
-from pdavis_cv.capture.session import Session, View
+from pdavis_cv.capture.session import FAILURES, Session, View
 from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
-from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion.options import names_options
 from pdavis_cv.recording.base import Recording
 
@@ -174,7 +173,7 @@ class VideoCapture:
         parameters = {**self._parameters, **given}
         try:
             self._session = Session(source, parameters, view)
-        except OSError as error:
+        except (OSError, ImportError) as error:
             return self._fail(function, str(error))
         self._source = source
         self._status, self._error = CaptureStatus.OK, None
@@ -190,7 +189,10 @@ class VideoCapture:
                 "image needs layout=")
         if isinstance(source, bytes):
             return self._fail(function, "a path must be str, got bytes")
-        foreign = native_capture()()
+        try:
+            foreign = native_capture()()
+        except ImportError as error:
+            return self._fail(function, str(error))
         arguments = (backend, [int(v) for v in values]) if values else (backend,)
         if not foreign.open(source, *arguments):
             return self._fail(function, f"cv2.VideoCapture cannot open {source!r}")
@@ -284,7 +286,7 @@ class VideoCapture:
             if self._session.grab():
                 self._status, self._error = CaptureStatus.OK, None
                 return True
-        except (OSError, PdavisError, ValueError) as error:
+        except FAILURES as error:
             self._status, self._error = CaptureStatus.ERROR, str(error)
             return False
         self._status, self._error = CaptureStatus.EOF, "the recording ended"
@@ -301,7 +303,7 @@ class VideoCapture:
         except LookupError as error:
             self._error = str(error)
             return self._failed(function), None
-        except (OSError, PdavisError, ValueError) as error:
+        except FAILURES as error:
             self._status, self._error = CaptureStatus.ERROR, str(error)
             return self._failed(function), None
         if isinstance(image, np.ndarray):
@@ -338,7 +340,7 @@ class VideoCapture:
                 return -1.0 if propId == _PROP_BACKEND else unknown_property()
             try:
                 value = self._session.get(int(propId))
-            except (OSError, PdavisError, ValueError) as error:
+            except FAILURES as error:
                 self._status, self._error = CaptureStatus.ERROR, str(error)
                 value = None
             return unknown_property() if value is None else value
@@ -377,7 +379,7 @@ class VideoCapture:
             self._error = f"property {prop} cannot be set"
         except (TypeError, ValueError) as error:
             self._error = str(error)
-        except (OSError, PdavisError) as error:
+        except FAILURES as error:
             self._status, self._error = CaptureStatus.ERROR, str(error)
         return False
 
@@ -488,7 +490,7 @@ class VideoCapture:
             try:
                 self._session = Session(self._source, self._parameters, self._view)
                 self._session.restore(position)
-            except OSError as error:
+            except (OSError, ImportError) as error:
                 self._status, self._error = CaptureStatus.ERROR, str(error)
 
     def __repr__(self) -> str:
