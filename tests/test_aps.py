@@ -141,6 +141,21 @@ def test_a_corrected_frame_keeps_times_and_marks_saturation():
     assert frame.valid is None
 
 
+@pytest.mark.parametrize("full_scale_dn", [255, 1020, 1023, 65_535])
+@pytest.mark.parametrize("clip_dn", [None, 0.8, 1.0, 2.0])
+def test_full_scale_is_never_valid_however_few_pixels(full_scale_dn, clip_dn):
+    rng = np.random.default_rng(4)
+    dn = np.rint(rng.uniform(0.2, 0.7, (40, 60)) * full_scale_dn).astype(np.float32)
+    few = rng.random(dn.shape) < 0.003
+    dn[few] = full_scale_dn
+    known = clip_dn and pdavis_cv.Calibration(
+        sensor_size=dn.shape, clip_dn=clip_dn * full_scale_dn)
+    got = corrected(
+        pdavis_cv.ApsFrame(dn, 0, 1000, full_scale_dn=full_scale_dn), known)
+    assert 0 < few.sum() < 20
+    np.testing.assert_array_equal(got.valid, ~few)
+
+
 def gradient(top, noise=2.0, seed=5):
     rng = np.random.default_rng(seed)
     light = np.linspace(20, top, 260 * 346).reshape(260, 346)

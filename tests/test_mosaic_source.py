@@ -221,3 +221,15 @@ def test_a_camera_image_agrees_with_an_independent_computation(data_dir):
         clear = usable & (np.hypot(s1, s2)[inner] > 1)
         assert np.abs(error[clear]).max() < 2e-3
         assert not cap.read()[0]
+
+
+@pytest.mark.parametrize("name", ["camera", "fruits"])
+def test_no_pixel_of_a_real_mosaic_at_full_scale_counts(name, data_dir):
+    path = data_dir / f"{name}_IMX250MZR.png"
+    raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    full = (raw == 255).reshape(1024, 2, 1224, 2).any((1, 3))
+    assert full.any()
+    with open_recording(path, layout=Layout.SONY) as recording:
+        image, = p.fuse(recording, demosaic="superpixel")
+    assert not image.valid[full].any()
+    assert image.valid[~full].mean() > 0.5
