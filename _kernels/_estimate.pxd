@@ -1,4 +1,4 @@
-"""Log intensity of one pixel at one time, from its state and its events.  Inline only."""
+"""Log intensity of a pixel at one time, by its state and its events.  Inline only."""
 from libc.stdint cimport int64_t
 
 from _kernels._lag cimport corner, lead, lead_variance

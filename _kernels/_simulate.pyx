@@ -400,10 +400,10 @@ def video_events(tuple quads not None, const float[:, ::1] weights not None,
     quads: a frame (4, H, W) per interval, settings (K, 13) as for pixel_events, K up
     to 16.  weights (3, H * W): what each pixel sees of I0 + I45 + I90 + I135, I0 - I90
     and I45 - I135.  Log light is linear over an interval, which needs a constant
-    cutoff or none, and a constant leak.  light (K, H * W) receives the light at the intervals' ends;
-    without rows, nobody does.  watch (5, H * W): level, log of light, and the two
-    levels and the time up to which a pixel needs no look.  band pixels go through all
-    intervals before the next, since they fit the cache.
+    cutoff or none, and a constant leak.  light (K, H * W) receives the light at the
+    intervals' ends; without rows, nobody does.  watch (5, H * W): level, log of light,
+    and the two levels and the time up to which a pixel needs no look.  band pixels go
+    through all intervals before the next, since they fit the cache.
     Returns (pixel-intervals done, events written): it stops before one whose events
     do not fit, and goes on after `done`.
     """

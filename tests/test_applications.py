@@ -437,7 +437,7 @@ def glare(columns):
 @pytest.mark.parametrize("columns", [20, 40])
 def test_what_saturates_every_frame_is_white(tmp_path, monkeypatch, method, columns):
     recordings = opener({"a": glare(columns)})
-    monkeypatch.setattr(export, "open_recording", recordings)
+    monkeypatch.setattr("pdavis_cv.recording.open.open_recording", recordings)
     monkeypatch.setattr(fan, "open_recording", recordings)
     out = tmp_path / "a.png"
     for quantity in ("s0", "i45"):

@@ -416,8 +416,14 @@ def bandwidth_in_situ(
 
     Parameters
     ----------
-    recording, nominal, calibration, start_us, stop_us
-        As for `thresholds_in_situ`.
+    recording : Recording
+        With frames and events; the light must change.
+    nominal : (on, off)
+        Expected thresholds, scalars or (H, W).
+    calibration : Calibration, optional
+        Its dark, gain and clip level are applied to the frames.
+    start_us, stop_us : int, optional
+        The part to look at; as for `thresholds_in_situ`.
 
     Returns
     -------
