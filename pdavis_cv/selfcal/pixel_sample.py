@@ -41,8 +41,8 @@ _MIN_FRAMES = 4
 """Fewer frames tell nothing."""
 
 # Systematic error of the model of the photoreceptors, as a share of what the model
-# changes (studies/selfcal_thresholds.py: .57); and that of interpolation, which all
-# pixels share (assumed).
+# changes: an engineering choice, studies/selfcal_thresholds.py finds .57 by two chips,
+# .94 by six.  And that of interpolation, which all pixels share (assumed).
 _MODEL_SHARE, _MODEL_MIN_SIGMA = 0.6, 0.002
 
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _MIN_SAMPLE_PIXELS = 30_000, 256, 16
