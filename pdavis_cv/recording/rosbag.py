@@ -142,10 +142,6 @@ class RosRecording(FileRecording):
             raise ImportError(
                 "ROS bags need a package: pip install 'pdavis-cv[ros]'") from None
         self._cdr = self._path.is_dir()
-        errors = (rosbag1.ReaderError, rosbag2.ReaderError, OSError, ValueError,
-                  KeyError, TypeError, AttributeError, IndexError, EOFError,
-                  AssertionError, MemoryError, struct.error)
-        self._errors = errors
         self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
         self._closed = False
         self._closing.callback(setattr, self, "_closed", True)
@@ -155,7 +151,7 @@ class RosRecording(FileRecording):
                 size = self._sensor_size(bag)
         except RecordingError:
             raise
-        except errors as error:
+        except Exception as error:  # rosbags and its database may raise anything
             raise RecordingError(
                 f"{self._path}: not a bag that can be read: {error}") from error
         images = sum(kind == IMAGES for _, kind in self._topics)
@@ -253,7 +249,7 @@ class RosRecording(FileRecording):
             try:
                 messages = self._of(stack.enter_context(self._kind(self._path)))
                 ahead = next(messages, None)
-            except self._errors as error:
+            except Exception as error:  # as in _open
                 self._lost(error)
                 return
             while ahead is not None:
@@ -262,7 +258,7 @@ class RosRecording(FileRecording):
                 yield ahead
                 try:
                     ahead = next(messages, None)
-                except self._errors as error:
+                except Exception as error:
                     self._lost(error)
                     return
 

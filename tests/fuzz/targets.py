@@ -62,14 +62,22 @@ def _hdf5():
 
 
 def fuzz_one(data):
-    """Read what may be a recording from end to end; only our errors are allowed."""
-    with tempfile.NamedTemporaryFile(suffix=".bin") as file:
-        file.write(data)
-        file.flush()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with contextlib.suppress(pdavis_cv.RecordingError):
-                return _read(file.name)
+    """Read what may be a recording from end to end; only our errors are allowed.
+
+    Bytes with a database in them are a folder: metadata.yaml, then the database.
+    """
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        metadata, found, database = data.partition(b"SQLite format 3")
+        path = Path(folder)
+        if found:
+            (path / "metadata.yaml").write_bytes(metadata)
+            (path / "bag.db3").write_bytes(found + database)
+        else:
+            path /= "file.bin"
+            path.write_bytes(data)
+        with contextlib.suppress(pdavis_cv.RecordingError):
+            return _read(path)
     return 0
 
 
@@ -128,6 +136,14 @@ def _ros1():
     return [_written(ros1_file, recording((12, 16), 0).events(), (12, 16))]
 
 
+def _ros2():
+    if importlib.util.find_spec("rosbags") is None:
+        return []
+    from event_bytes import ros2_bytes
+    return [ros2_bytes(recording((12, 16), 0).events(), (12, 16))]
+
+
 TARGETS = {"aedat4": _aedat4, "aedat2": _aedat2, "aedat31": _aedat31, "hdf5": _hdf5,
-           "prophesee": _prophesee, "lists": _lists, "rpg": _rpg, "ros1": _ros1}
+           "prophesee": _prophesee, "lists": _lists, "rpg": _rpg, "ros1": _ros1,
+           "ros2": _ros2}
 """Name of a parser -> its corpus; each is read by `fuzz_one`."""
