@@ -154,7 +154,7 @@ def _why_nothing(
     if frames:
         saturated = max(
             float(np.mean(frame.dn >= frame.full_scale_dn)) for frame in frames)
-        usable = max(float(corrected(frame, calibration).valid.mean())
+        usable = max(float(np.mean(np.asarray(corrected(frame, calibration).valid)))
                      for frame in frames)
         if saturated > 0.5:
             return (f"{saturated:.0%} of the pixels of its frames are saturated; "
