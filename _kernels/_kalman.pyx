@@ -359,9 +359,9 @@ def kalman_rest(int64_t now, int64_t epoch, bint by_cell,
     """Take the listed pixels that are at rest from `now` on out of the list.
 
     listing is (pixels, flags by pixel): pixels that stay are moved to the beginning,
-    their number is returned.  planes (4, h, w) receives what `rest_read` shows of the others; epoch is
-    a time, not before any sample, that their variances hold for.  tracks must chain the
-    events that are not counted in it yet.
+    their number is returned.  planes (4, h, w) receives what `rest_read` shows of the
+    others; epoch is a time, not before any sample, that their variances hold for.
+    tracks must chain the events that are not counted in it yet.
     """
     cdef int32_t[::1] pixels
     cdef uint8_t[:, ::1] listed

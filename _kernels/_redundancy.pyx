@@ -49,7 +49,7 @@ cdef extern from *:
     #define GAIN_LEAST 0.02         /* of the unit vector of gains: not positive else */
     #define ROUNDED 1e-14           /* an off-diagonal element that is 0 */
     #define DEAD 1e-12              /* a pixel's share of all moments: it saw nothing */
-    #define SWEEPS 6                /* of Jacobi rotations: 4x4 matrices have converged */
+    #define SWEEPS 6                /* of Jacobi rotations: 4x4 converges by then */
     #define RATIO_LEAST 1e-6        /* the smallest eigenvalue that rounding leaves */
     """
     const double LINE_ERROR

@@ -167,7 +167,8 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     hz passes it on.
     """
     cdef part_t part = nothing(p1)
-    cdef double gap = <double>(t1 - walk.t), s, q, turn = TURN_HALF, last = 0.0, next = 0.0
+    cdef double gap = <double>(t1 - walk.t), s, q, turn = TURN_HALF
+    cdef double last = 0.0, next = 0.0
     cdef double here = 0.0, now, change = 0.0, _
     cdef bint same = walk.p == p1
     cdef bint flickers = lamp.blocks > 0 and t1 - walk.t < STALE_US

@@ -55,11 +55,17 @@ def opener(recordings):
     return lambda path, **options: recordings[str(path)]
 
 
+def opens_by(monkeypatch, opened):
+    """Let the commands open recordings by a function; fan opens its second itself."""
+    monkeypatch.setattr("pdavis_cv.recording.open.open_recording", opened)
+    monkeypatch.setattr(fan, "open_recording", opened)
+
+
 @pytest.mark.parametrize(("rpm", "method"), [(200.0, "cf"), (1000.0, "kalman")])
 def test_fan_measures_what_the_images_say_and_writes_the_video(
         tmp_path, wheel, monkeypatch, capsys, rpm, method):
     recording, (x, y) = wheel if rpm == 200 else wheel_at(rpm)
-    monkeypatch.setattr(fan, "open_recording", opener({"a": recording}))
+    opens_by(monkeypatch, opener({"a": recording}))
     out = tmp_path / "fan.mp4"
     assert fan.main(["a", "-o", str(out), "--fps", "100", "--slow", "5", "--centre",
                      f"{x},{y}", "--radius", "24", "--hub", "12", "--rpm", str(rpm),
@@ -103,7 +109,7 @@ def test_fan_measures_what_the_images_say_and_writes_the_video(
 
 def test_fan_takes_a_second_camera(tmp_path, wheel, monkeypatch, capsys):
     recording, _ = wheel
-    monkeypatch.setattr(fan, "open_recording", opener({"a": recording, "b": recording}))
+    opens_by(monkeypatch, opener({"a": recording, "b": recording}))
     heights = []
     for extra in ([], ["--beside", "b"]):
         out = tmp_path / f"{len(extra)}.mp4"
@@ -118,8 +124,8 @@ def test_fan_takes_a_second_camera(tmp_path, wheel, monkeypatch, capsys):
 def test_fan_shows_a_real_sony_mosaic_beside(
         tmp_path, wheel, monkeypatch, data_dir, name):
     real = fan.open_recording
-    monkeypatch.setattr(
-        fan, "open_recording", lambda path, **options: wheel[0] if path == "a"
+    opens_by(
+        monkeypatch, lambda path, **options: wheel[0] if str(path) == "a"
         else real(path, **options))
     still = tmp_path / "s.png"
     assert fan.main(["a", "-o", str(tmp_path / "f.mp4"), "--fps", "10", "--method",
@@ -147,7 +153,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     pytest.importorskip("matplotlib")
     recording, _, scene = pulled
     load_csv(tmp_path / "load.csv", scene)
-    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording}))
+    opens_by(monkeypatch, opener({"a": recording}))
     out = tmp_path / "out"
     assert tendon.main([
         "a", "-o", str(out), "--region", "fibre=8,6,16,12", "--fps", "100",
@@ -191,7 +197,7 @@ def test_tendon_takes_the_usual_bandwidth_where_frames_are_locked_to_the_load(
     scene = Tendon(hz=10.0)
     recording, _ = Camera.preset("nominal", seed=5, size=(20, 24)).record(scene, 2.2)
     load_csv(tmp_path / "load.csv", scene)
-    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording}))
+    opens_by(monkeypatch, opener({"a": recording}))
     error = {}
     for name, options, hz in (("usual", [], 300), ("stated", ["240,0"], 240)):
         given = [f"--set=bandwidth={text}" for text in options]
@@ -231,7 +237,7 @@ def test_tendon_takes_the_clock_from_triggers(tmp_path, pulled, monkeypatch, cap
     strain = scene.strain(1e6 * (0.2 + (1 + 50e-6) * t))
     (tmp_path / "load.csv").write_text("time (s),force (N),trigger (V)\n" + "\n".join(
         f"{a:.3f},{b:.6f},{c}" for a, b, c in zip(t, 1e3 * strain, level, strict=True)))
-    monkeypatch.setattr(tendon, "open_recording", opener({"a": with_pulses}))
+    opens_by(monkeypatch, opener({"a": with_pulses}))
     assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "50", "--load",
                         str(tmp_path / "load.csv"), "--align", "trigger"]) == 0
     text = capsys.readouterr().out
@@ -252,7 +258,7 @@ def test_tendon_subtracts_the_polarization_of_the_light(
         None, [ApsFrame(light.astype(np.float32), k * 50_000, k * 50_000 + 20_000)
                for k in range(3)],
         sensor_size=(24, 32), layout=recording.info.layout)
-    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording, "b": empty}))
+    opens_by(monkeypatch, opener({"a": recording, "b": empty}))
     vectors = []
     for extra in ([], ["--background", "b"]):
         assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "20",
@@ -269,7 +275,7 @@ def test_tendon_warns_where_frames_alias_and_not_where_they_do_not(
         tmp_path, pulled, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     recording, _, _ = pulled
-    monkeypatch.setattr(tendon, "open_recording", opener({"a": recording}))
+    opens_by(monkeypatch, opener({"a": recording}))
     for load_hz, warned in ((10.0, True), (1.0, False)):
         assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "50",
                             "--load-hz", str(load_hz)]) == 0
@@ -296,7 +302,7 @@ def test_mistakes_give_one_line_and_2_and_no_report(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wrong.csv").write_text("time (s),force (furlong)\n0,1\n1,2\n")
     (tmp_path / "late.csv").write_text("time (s),force (N)\n900,1\n901,2\n902,1\n")
-    monkeypatch.setattr(tendon, "open_recording", opener({"a": pulled[0]}))
+    opens_by(monkeypatch, opener({"a": pulled[0]}))
     assert tendon.main(["a", "-o", "out", "--fps", "50", *arguments]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines()
              if not line.startswith("pdavis: warning")]
@@ -309,10 +315,10 @@ def test_mistakes_give_one_line_and_2_and_no_report(
 def test_an_unwritable_folder_gives_one_line(tmp_path, pulled, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(tendon, "open_recording", opener({"a": pulled[0]}))
+    opens_by(monkeypatch, opener({"a": pulled[0]}))
     assert tendon.main(["a", "-o", str(tmp_path / "file" / "out")]) in (1, 2)
     assert len(capsys.readouterr().err.splitlines()) == 1
-    monkeypatch.setattr(fan, "open_recording", opener({"a": pulled[0]}))
+    opens_by(monkeypatch, opener({"a": pulled[0]}))
     for folder in ("none", "file"):
         out = tmp_path / folder / "fan.mp4"
         assert fan.main(["a", "-o", str(out)]) in (1, 2)
@@ -325,7 +331,7 @@ def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
     def stop(frame):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fan, "open_recording", opener({"a": wheel[0]}))
+    opens_by(monkeypatch, opener({"a": wheel[0]}))
     monkeypatch.setattr(PolarFrame, "dolp", property(stop))
     assert fan.main(["a", "-o", str(tmp_path / "fan.mp4"), "--fps", "40"]) == 1
     assert list(tmp_path.iterdir()) == []
@@ -437,8 +443,7 @@ def glare(columns):
 @pytest.mark.parametrize("columns", [20, 40])
 def test_what_saturates_every_frame_is_white(tmp_path, monkeypatch, method, columns):
     recordings = opener({"a": glare(columns)})
-    monkeypatch.setattr("pdavis_cv.recording.open.open_recording", recordings)
-    monkeypatch.setattr(fan, "open_recording", recordings)
+    opens_by(monkeypatch, recordings)
     out = tmp_path / "a.png"
     for quantity in ("s0", "i45"):
         assert export.main(["a", "-o", str(out), "--at", "0.3", "--method", method,

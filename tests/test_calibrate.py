@@ -6,7 +6,6 @@ from pdavis_cv import Calibration, Layout
 from pdavis_cv.simulation import ideal
 from pdavis_cv.simulation.camera import Camera
 from pdavis_cv.simulation.scenes import FlatLight, MalusSweep, RotatingPolarizer
-from pdavis_cv.tools import calibrate
 from pdavis_cv.tools.main import main
 
 HOLD_S = 0.5
@@ -29,11 +28,11 @@ def bench():
 @pytest.fixture
 def files(bench, monkeypatch):
     """Let the tool open those recordings by name."""
-    def opener(name, *, layout=None):
+    def opener(name, **options):
         if name not in bench[1]:
             raise FileNotFoundError(2, "No such file or directory", name)
         return bench[1][name]
-    monkeypatch.setattr(calibrate, "open_recording", opener)
+    monkeypatch.setattr("pdavis_cv.recording.open.open_recording", opener)
     return bench[0]
 
 
