@@ -420,8 +420,16 @@ def test_a_filter_goes_on_with_another_bandwidth_and_noise(mode):
     found = plain.thresholds
     plain.retune(noise=noise)
     assert same(found, plain.thresholds)
-    # What they were found to be made up for the lag that was not taken out.
+    # What they were found to be made up for the lag that was not taken out: all of it
+    # is given up where there was none, half of the variance where half of it was wrong.
     plain.retune(bandwidth=law)
     assert same(make(shape, mode=mode).thresholds, plain.thresholds)
+    theta, covariance = told.thresholds
+    told.retune(bandwidth=(2 * law[0], 2 * law[1], law[2]))
+    prior, first = make(shape, mode=mode).thresholds
+    halved, after = told.thresholds
+    np.testing.assert_allclose(halved, prior + 0.5**0.5 * (theta - prior), rtol=1e-12)
+    np.testing.assert_allclose(after, (covariance + first) / 2, rtol=1e-9)
+    assert (np.linalg.eigvalsh(after) > 0).all()
     with pytest.raises(TypeError, match="retune takes bandwidth and noise, got leak"):
         plain.retune(leak=3)

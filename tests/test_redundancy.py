@@ -8,6 +8,7 @@ from reference_redundancy import Macropixel
 from streams import random_events
 
 from pdavis_cv import (
+    EVENT_DTYPE,
     Analyser,
     ApsFrame,
     Layout,
@@ -315,3 +316,30 @@ def test_parameters_of_the_other_kind_are_refused():
         fuse(recording, bandwidth=(250, 0))
     with pytest.raises(ValueError, match="offsets must be 'mean' or 'redundancy'"):
         fuse(recording, offsets="zero")
+
+
+def test_at_the_end_of_a_recording_comparisons_go_on_up_to_the_time_read():
+    """Reading changes nothing, and gives what a later event elsewhere would bring."""
+    rng = np.random.default_rng(3)
+    t = np.sort(rng.integers(0, 400_000, 4000))
+    events = np.zeros(len(t), EVENT_DTYPE)
+    events["t"], events["x"], events["y"] = t, rng.integers(0, 4, len(t)), 1
+    events["y"] -= rng.integers(0, 2, len(t)).astype(np.uint16)
+    events["p"] = rng.integers(0, 2, len(t))
+    at, ahead = 390_000, 100_000
+    late = np.zeros(1, EVENT_DTYPE)
+    late["t"], late["x"], late["y"] = at + ahead + 1, 6, 4
+    ended, goes_on = (make(lookahead_us=ahead) for _ in range(2))
+    for method in (ended, goes_on):
+        method.add_events(events)
+    goes_on.add_events(late)
+    before = ended.snapshot().state
+    found, expected = ended.read(at + 1), goes_on.read(at + 1)
+    for mine, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(mine, other)
+    np.testing.assert_array_equal(ended.quality, goes_on.quality)
+    assert (ended.quality < 1).any()
+    assert pickle.dumps(before) == pickle.dumps(ended.snapshot().state)
+    ended.add_events(late)
+    np.testing.assert_array_equal(ended.read(at + 1).log_intensity,
+                                  expected.log_intensity)

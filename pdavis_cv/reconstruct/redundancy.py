@@ -144,6 +144,9 @@ class EventRedundancy(Reconstructor):
         self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
         self._unsolved = False
+        self._fed = 0                   # how often anything was
+        self._ahead: tuple[EventRedundancy, int] | None = None
+        self._shown = self              # whose moments the last read was of
 
     def _tune(self) -> None:
         for name, value in zip(
@@ -158,7 +161,7 @@ class EventRedundancy(Reconstructor):
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
         self._tune()
-        self._reader.forget()
+        self._changed()
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -171,9 +174,9 @@ class EventRedundancy(Reconstructor):
     def quality(self) -> NDArray[np.float32]:
         """Ratio of the two smallest eigenvalues, 1 = unknown; shape (H, W).
 
-        As of the last time seen.
+        As of the last time that was read.
         """
-        return self._by_pixel("ratio")
+        return self._shown._by_pixel("ratio")
 
     def _by_pixel(self, name: str) -> NDArray[np.float32]:
         out = np.ones(self.shape, np.float32)
@@ -185,6 +188,7 @@ class EventRedundancy(Reconstructor):
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
         events = as_events(events)
+        self._fed += 1
         taken = self._tracks.push(events, self._clock.last_us, self._reader)
         if taken and self._next is None:
             self._next = int(events["t"][0]) // STEP_US + 1
@@ -195,11 +199,13 @@ class EventRedundancy(Reconstructor):
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Check the frame and note its time."""
+        self._fed += 1
         self._clock.check_frame(frame)
         self._compare(self._clock.last_us - self.lookahead_us - 1)
 
     def add_wave(self, wave: Wave) -> None:
         """Tell how the lamp flickers (see `Reconstructor.add_wave`)."""
+        self._fed += 1
         self._lamp.add(wave)
 
     def _compare(self, until_us: int) -> None:
@@ -240,13 +246,32 @@ class EventRedundancy(Reconstructor):
         t = int(t_us)
         self._clock.check_read(t + self.lookahead_us)
         log = output(out, self.shape, np.float32)
+        due = self._next is not None and self._next * STEP_US <= t and (
+            self._unsolved or self._tracks.waiting_us is not None)
+        self._shown = self._compared(t) if due else self
+        return self._shown._estimate(t, log)
+
+    def _compared(self, t: int) -> EventRedundancy:
+        """Return an equal one that has made the comparisons up to t, inclusive.
+
+        They come after the last event fed less the look-ahead, as at the end of a
+        recording; a read must not change the state, so another one makes them.
+        """
+        one, fed = self._ahead or (EventRedundancy(self.shape, **self.parameters), -1)
+        if fed != self._fed or (one._next or 0) > t // STEP_US + 1:
+            one.assign(self)
+        one._compare(t)
+        self._ahead = one, self._fed
+        return one
+
+    def _estimate(self, t: int, log: NDArray[np.float32]) -> Estimate:
         rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
         self._reader.read(
             t, t + self.lookahead_us, rest, 0, self._tracks, self._states,
             (self._tuning, self._lamp.waves),
             (log, np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)))
-        return Estimate(
-            log, self._by_pixel("smallest"), self.quality < VALID_QUALITY)
+        return Estimate(log, self._by_pixel("smallest"),
+                        self._by_pixel("ratio") < VALID_QUALITY)
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal one (see `Reconstructor.assign`)."""
@@ -280,6 +305,11 @@ class EventRedundancy(Reconstructor):
         np.copyto(as_bytes(self._moments), as_bytes(moments))
         self._next, self._unsolved = following, unsolved
         self._lamp.restore(lamp)
+        self._changed()
+
+    def _changed(self) -> None:
+        """Note that what was computed ahead holds no more."""
+        self._fed += 1
         self._reader.forget()
 
 

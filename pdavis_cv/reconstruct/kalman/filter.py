@@ -207,21 +207,45 @@ class KalmanFilter(Reconstructor):
     def retune(self, **learned: Any) -> None:
         """Go on with another bandwidth or noise (see `Reconstructor.retune`).
 
-        With another bandwidth the thresholds begin again from their prior: what they
-        were found to be made up for a lag that was not there.
+        Thresholds that were learned made up for what was wrong with the lag: the part
+        of it that was wrong is the part of the prior's variance that they take back.
         """
         unknown = learned.keys() - self.needs.learned
         if unknown:
             raise TypeError(
                 f"retune takes bandwidth and noise, got {', '.join(sorted(unknown))}")
         if "bandwidth" in learned:
+            before = self._lags()
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
-            self._begin_thresholds()
+            lags = self._lags()
+            longer = np.maximum(np.maximum(lags, before), np.finfo(float).tiny)
+            self._give_up(np.abs(lags - before) / longer)
         if "noise" in learned:
             self._noise = _checked_noise(learned["noise"])
         self._tune()
         self._changed()
+
+    def _lags(self) -> NDArray[np.float64]:
+        """Return the lag of every pixel at its last sample (s / 2 pi), 0 for none."""
+        intensity = self.intensity(self._states["base"].astype(np.float32))
+        hz = self._bandwidth[0] + self._bandwidth[1] * intensity.astype(np.float64)
+        return np.divide(1, hz, out=np.zeros(self.shape), where=hz > 0)
+
+    def _give_up(self, part: NDArray[np.float64]) -> None:
+        """Let the thresholds take back a part of their prior's variance, 0 to 1.
+
+        Their error becomes ``kept`` times what it was plus an independent one of the
+        prior's distribution, so that the covariance stays one.
+        """
+        states, kept = self._states, np.sqrt(1 - part)
+        for name, sigma in zip(("on", "off"), self._sigma, strict=True):
+            prior = states[f"prior_{name}"]
+            states[f"theta_{name}"] = prior + kept * (states[f"theta_{name}"] - prior)
+            states[f"var_{name}"] = (
+                (1 - part) * states[f"var_{name}"] + part * sigma**2)
+            states[f"cov_base_{name}"] *= kept
+        states["cov_on_off"] *= 1 - part
 
     def _changed(self) -> None:
         """Note that what was computed ahead holds no more, and states may differ."""
