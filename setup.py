@@ -65,6 +65,7 @@ SHARED = (
     "_stencil.h",
     "_tracks.pxd",
     "_types.pxd",
+    "_update.pxd",
 )
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded

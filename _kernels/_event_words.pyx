@@ -149,7 +149,7 @@ cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, int64_t* whole,
     """
     cdef bint negative = data[i] == c'-'
     cdef int64_t value = 0, fraction = 0
-    cdef Py_ssize_t begin, digits
+    cdef Py_ssize_t begin, digits, _
     if negative or data[i] == c'+':
         i += 1
     begin = i
@@ -167,7 +167,7 @@ cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, int64_t* whole,
                 fraction = 10 * fraction + <uint8_t>(data[i] - c'0')
             i += 1
         digits += i - begin
-        for begin in range(i - begin, 9):
+        for _ in range(i - begin, 9):
             fraction *= 10
     if digits == 0:
         return -1

@@ -101,7 +101,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
                     row[SAMPLES + i % 5][x] = <float>mosaic[i, x]
                 mirror_ends(row[SAMPLES + i % 5], w)
             f = i - 2
-            if 0 <= f < h: # terms of row f
+            if 0 <= f < h:  # terms of row f
                 for k in range(5):
                     five[k] = row[SAMPLES + mirrored(f + k - 2, h) % 5]
                 if marked:

@@ -17,31 +17,12 @@ from _kernels._model cimport (
     check_given, exposure_t, node_t, sample_t, state_t, stored_t, track_t, tuning_t,
     wave_t)
 from _kernels._tracks cimport at_rest, drift, part_t, start, step, walk_t
+from _kernels._update cimport (
+    FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST)
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
                   Py_ssize_t, float*, unsigned char*)
-
-cdef extern from *:
-    """
-    #define GAUSS 0.5773502691896258    /* nodes of two-point quadrature: 1 / sqrt 3 */
-    #define FIRST_VARIANCE 100.0        /* ln^2, before the first sample: not known */
-    #define JUMP_SIGMAS 4.0             /* innovations beyond: the base has jumped */
-    #define THETA_LEAST 0.3             /* thresholds stay within these multiples */
-    #define THETA_MOST 3.0              /* of what they started from */
-    """
-    const double GAUSS
-    const double FIRST_VARIANCE
-    const double JUMP_SIGMAS
-    const double THETA_LEAST
-    const double THETA_MOST
-
-cdef enum:
-    # A part of a lamp's period that two points are enough for.
-    FINE_US = 1500
-    # One or two events since the last sample are as likely noise, which would teach
-    # that thresholds are 0.
-    LEARN_EVENTS = 3
 
 cdef struct sum_t:
     # Integrals over the exposure of exp(part), and of it times counts.

@@ -14,12 +14,8 @@ from _kernels._model cimport tuning_t, wave_t
 from _kernels._tracks cimport (
     LONG_AGO, at_rest, between, drift, part_t, quiet, still, walk_t)
 from _kernels._types cimport event_t
-
-cdef enum:
-    # A part of a lamp's period that two points are enough for.
-    FINE_US = 1500
-    # Fewer events between two frames are as likely noise: thresholds do not learn.
-    MIN_EVENTS = 3
+from _kernels._update cimport (
+    FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST)
 
 cdef packed struct pixel_t:
     int32_t start           # its events: from start to before stop
@@ -117,7 +113,7 @@ cdef inline void add_segment(blur_t* total, const walk_t* walk, const event_t* e
                              const lamp_t* lamp) noexcept nogil:
     """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
     cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
-    cdef double node = half * 0.5773502691896258, y, n_on, n_off
+    cdef double node = half * GAUSS, y, n_on, n_off
     cdef int k
     for k in range(2):
         y = log_at(walk, events, known, middle + node if k else middle - node, s,
@@ -177,9 +173,9 @@ cdef inline void update(state_t* s, double h_on, double h_off, double noise,
     cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2, jump
     out.log_variance += log_f(<float>v)
     out.count += 1.0
-    if error * error > 16.0 * v:
+    if error * error > JUMP_SIGMAS * JUMP_SIGMAS * v:
         # Lost events or a wrong sample: the base may have jumped, thresholds not.
-        out.chi2 += 16.0
+        out.chi2 += JUMP_SIGMAS * JUMP_SIGMAS
         jump = error * error
         s.p00 += jump
         g0 += jump
@@ -203,9 +199,9 @@ cdef inline void update(state_t* s, double h_on, double h_off, double noise,
 
 
 cdef inline double limited(double theta, double prior) noexcept nogil:
-    if theta < 0.3 * prior:
-        return 0.3 * prior
-    return 3.0 * prior if theta > 3.0 * prior else theta
+    if theta < THETA_LEAST * prior:
+        return THETA_LEAST * prior
+    return THETA_MOST * prior if theta > THETA_MOST * prior else theta
 
 
 cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t* frame,
@@ -220,17 +216,17 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
     cdef int32_t counted = pixel.start, i
     cdef int at_on, at_off
     cdef bint fresh = True
-    cdef Py_ssize_t k
+    cdef Py_ssize_t _
     s.base = 0.0
     s.on = pixel.theta_on
     s.off = pixel.theta_off
-    s.p00 = 100.0
+    s.p00 = FIRST_VARIANCE
     s.p01 = 0.0
     s.p02 = 0.0
     s.p11 = theta_sigma * theta_sigma
     s.p12 = 0.0
     s.p22 = s.p11
-    for k in range(frames):
+    for _ in range(frames):
         if not frame.variance > 0.0:
             frame += stride
             continue
@@ -282,7 +278,8 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
             s.base = frame.log - blur
         update(&s, h_on, h_off,
                frame.variance + camera.frame_sigma * camera.frame_sigma,
-               frame.log - s.base - blur, not fresh and n_on + n_off >= MIN_EVENTS, out)
+               frame.log - s.base - blur,
+               not fresh and n_on + n_off >= LEARN_EVENTS, out)
         s.on = limited(s.on, pixel.theta_on)
         s.off = limited(s.off, pixel.theta_off)
         fresh = False

@@ -37,6 +37,10 @@ share `USUAL_MISMATCH` at 2 / (.035 ln 40) = 15.5 DN (studies/selfcal_thresholds
 _USABLE_SHARE = 0.8
 """A pixel of the sample is usable in at least 80 % of the frames."""
 
+_MIN_CONTRAST = 0.01
+"""Least contrast that frames are taken to have shown: the sensitivity to an offset is
+taken at a finite difference."""
+
 _MIN_FRAMES = 4
 """Fewer frames tell nothing."""
 
@@ -217,7 +221,7 @@ class PixelSample:
         model_sigma = math.hypot(_MODEL_MIN_SIGMA, _MODEL_SHARE * (without_lag - as_is))
         low = np.maximum(activity.min_dn, MIN_DN)
         high = np.maximum(activity.max_dn, MIN_DN)
-        low = np.minimum(low, 0.99 * high)
+        low = np.minimum(low, (1 - _MIN_CONTRAST) * high)
         # An offset changes the contrast ln(high / low) by this, relatively, per DN.
         contrast = (1 / low - 1 / high) / np.log(high / low)
         here = np.mean(contrast.ravel()[self.pixels])
@@ -271,5 +275,5 @@ def select_busy_pixels(
     seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
     # Weighted by themselves: intervals with more events count more.
     rates = np.sum(counts[..., chosen].sum(1, dtype=np.int64)**2, 0) / np.maximum(
-        both[chosen] * seconds, 1e-9)
+        both[chosen] * seconds, np.finfo(float).tiny)
     return PixelSample(window, chosen, nominal, float(rates.mean()), leak_hz)
