@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 import re
 import zipfile
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import IO, Any
 
@@ -72,9 +73,9 @@ class _EventList(SequentialRecording):
             imu_count=0, trigger_count=0,
             sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None)
 
+    @abstractmethod
     def _columns(self, at: int) -> tuple[tuple[NDArray[Any], ...], int]:
         """Return t (us), x, y, p of the piece at a place, and the next place."""
-        raise NotImplementedError
 
     def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
         columns, after = self._columns(at)
