@@ -170,14 +170,25 @@ def clip_level(
         The lower edge of the peak; None if there is no peak in the upper quarter
         of the converter's range.
     """
+    return pile_up(dn, full_scale_dn, least_pixels)[1]
+
+
+def pile_up(
+    dn: NDArray[Any], full_scale_dn: int, least_pixels: int = 64
+) -> tuple[int | None, float | None]:
+    """Return (brightest value, lower edge of the pile-up there); see `clip_level`.
+
+    The brightest is that of all pixels but 1 in 10,000, which may be hot; None where
+    it is below the upper quarter of the converter's range, or there is no pile-up.
+    """
     values = np.asarray(dn, np.float32)
-    band, quarter = max(full_scale_dn // 64, 1), 3 * full_scale_dn // 4
+    band, quarter = peak_width(full_scale_dn) // 2, 3 * full_scale_dn // 4
     # Isolated hot pixels lie above the peak: leave out the brightest 1 in 10,000.
     hot = np.count_nonzero(np.isfinite(values)) // 10_000
     # The upper quarter, and as far below it as peak and scene are looked for.
     high = np.rint(values[(values > quarter - 4 * band - 1) & (values < np.inf)])
     if np.count_nonzero(high >= quarter) <= hot:
-        return None
+        return None, None
     counts = np.bincount(np.minimum(high, full_scale_dn).astype(np.intp),
                          minlength=full_scale_dn + 1)
     top = int(np.flatnonzero(np.cumsum(counts[::-1])[::-1] > hot)[-1])
@@ -186,13 +197,17 @@ def clip_level(
     peak = int(counts[low:top + 1].sum())
     scene = int(counts[max(low - 2 * band, 0):low].sum())
     if peak < least_pixels or peak < 4 * scene + 4 * np.sqrt(scene):
-        return None
+        return top, None
     # The edge is where the density leaves the scene's, over five values at a time:
     # frames of 8 bits hold every fourth value only.
     density = np.convolve(counts, np.ones(5), "same")[low:top + 1]
     usual = 5 * scene / (2 * band)
-    edge = low + int(np.argmax(density > 2 * usual + 3 * np.sqrt(usual)))
-    return float(edge)
+    return top, float(low + int(np.argmax(density > 2 * usual + 3 * np.sqrt(usual))))
+
+
+def peak_width(full_scale_dn: int) -> int:
+    """Return how many DN wide a pile-up of full pixels is at most."""
+    return 2 * max(full_scale_dn // 64, 1)
 
 
 def _plane(

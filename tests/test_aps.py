@@ -6,7 +6,7 @@ import reference_image as reference
 
 import pdavis_cv
 from pdavis_cv.aps import clip_level, correct
-from pdavis_cv.calibration.corrected import corrected
+from pdavis_cv.calibration.corrected import FrameCorrection
 
 SHAPES = [(0, 0), (0, 3), (1, 1), (3, 5), (260, 346)]
 
@@ -132,9 +132,9 @@ def test_a_bad_argument_of_correct_is_named(change, error, words):
 def test_a_corrected_frame_keeps_times_and_marks_saturation():
     frame = pdavis_cv.ApsFrame(
         np.array([[100, 900]]), 1000, 3000, available_us=5000, full_scale_dn=4095)
-    got = corrected(frame, pdavis_cv.Calibration(
+    got = FrameCorrection(pdavis_cv.Calibration(
         sensor_size=(1, 2), dark=np.full((1, 2), 20), gain=np.full((1, 2), 2),
-        clip_dn=900))
+        clip_dn=900))(frame)
     assert got.dn.tolist() == [[160, 1760]]
     assert got.valid.tolist() == [[True, False]]
     assert (got.mid_us, got.available_us, got.full_scale_dn) == (2000, 5000, 4095)
@@ -150,8 +150,8 @@ def test_full_scale_is_never_valid_however_few_pixels(full_scale_dn, clip_dn):
     dn[few] = full_scale_dn
     known = clip_dn and pdavis_cv.Calibration(
         sensor_size=dn.shape, clip_dn=clip_dn * full_scale_dn)
-    got = corrected(
-        pdavis_cv.ApsFrame(dn, 0, 1000, full_scale_dn=full_scale_dn), known)
+    got = FrameCorrection(known)(
+        pdavis_cv.ApsFrame(dn, 0, 1000, full_scale_dn=full_scale_dn))
     assert 0 < few.sum() < 20
     np.testing.assert_array_equal(got.valid, ~few)
 
@@ -197,6 +197,56 @@ def test_hot_pixels_do_not_hide_the_pile_up():
 def test_clip_level_takes_several_frames():
     frames = np.stack([np.minimum(gradient(1000, seed=s), 880) for s in range(3)])
     assert clip_level(frames) == pytest.approx(880, abs=30)
+
+
+def full_patch(pixels, level=880, seed=0):
+    """Return a dim frame of which so many pixels are full, and where."""
+    rng = np.random.default_rng(seed)
+    dn = rng.integers(50, 300, (60, 80)).astype(np.float32)
+    full = np.zeros(dn.shape, bool)
+    full.flat[rng.choice(dn.size, pixels, replace=False)] = True
+    dn[full] = level
+    return dn, full
+
+
+def corrected_stream(frames):
+    correction = FrameCorrection(None)
+    return [correction(pdavis_cv.ApsFrame(dn, k, k + 1)).valid
+            for k, dn in enumerate(frames)]
+
+
+def test_full_pixels_stay_invalid_where_a_frame_has_few_of_them():
+    # alone, a frame with fewer than 64 full pixels shows no pile-up
+    frames = [full_patch(n, seed=n) for n in (10, 400, 10, 300, 1)]
+    valid = corrected_stream([dn for dn, _ in frames])
+    assert valid[0].all()           # nothing is known yet
+    for got, (_, full) in zip(valid[1:], frames[1:], strict=True):
+        np.testing.assert_array_equal(got, ~full)
+
+
+def test_brighter_light_says_that_a_pile_up_was_of_the_scene():
+    patch, _ = full_patch(400, level=800)
+    beyond, _ = full_patch(40, level=950)    # too few to pile up
+    valid = corrected_stream([patch, beyond, patch])
+    assert (valid[0] == (patch < 800)).all()
+    assert valid[1].all()
+    assert valid[2].all()                    # seen to be below what pixels can hold
+
+
+def test_the_lowest_edge_of_one_pile_up_holds():
+    high, low = (full_patch(400, level=level)[0] for level in (885, 875))
+    valid = corrected_stream([high, low, high, low])
+    for got, dn in zip(valid[1:], (low, high, low), strict=True):
+        np.testing.assert_array_equal(got, dn < 875)
+
+
+def test_frames_of_another_scale_begin_anew():
+    correction = FrameCorrection(None)
+    correction(pdavis_cv.ApsFrame(full_patch(400)[0], 0, 1))
+    assert 875 < correction.clipping.level_dn <= 880
+    got = correction(pdavis_cv.ApsFrame(
+        np.full((60, 80), 900.0, np.float32), 1, 2, full_scale_dn=4095))
+    assert got.valid.all()
 
 
 def test_eight_threads_get_what_one_gets():

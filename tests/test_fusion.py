@@ -225,6 +225,36 @@ def test_a_snapshot_continues_with_the_same_images(polarizer, options, causal):
 # ---- accuracy: bounds are in test_accuracy.py ---------------
 
 
+@pytest.mark.parametrize("options", [
+    {"method": "frames"}, {"method": "kalman", "fps": 37},
+    {"method": "kalman", "fps": 37, "causal": True}, {"method": "cf", "causal": True}])
+def test_what_frames_tell_of_full_pixels_goes_with_the_stream(options):
+    rng = np.random.default_rng(8)
+    frames = []
+    for k in range(8):
+        dn = rng.normal(200, 2, (24, 24)).astype(np.float32)
+        dn[:6 if k == 2 else 2, :20] = 900    # only this one shows a pile-up
+        frames.append(ApsFrame(dn, 40_000 * k, 40_000 * k + 10_000))
+    recording = tiny(range(0, 320_000, 1000), frames, size=(24, 24))
+    options |= {"thresholds": THETA}
+    images = list(fuse(recording, **options))
+    if options["method"] == "frames":  # others go on from what frames said before
+        clear = [bool(image.valid[0, 4:12].all()) for image in images]
+        assert clear == [False, True, True, False, False, False, False, False]
+
+    middle = len(images) // 2 + 1
+    fusion = Fusion(recording, **options)
+    for _ in range(middle):
+        next(fusion)
+    other = Fusion(recording, **options)
+    other.restore(pickle.loads(pickle.dumps(fusion.snapshot())))
+    for want, got in zip(images[middle:], other, strict=True):
+        assert_same(want, got)
+    late = list(fuse(recording, times_us=[images[-1].t_us], **{
+        **options, "fps": None}))
+    assert_same(late[0], images[-1])
+
+
 def test_the_extinction_ratio_is_divided_out(polarizer):
     recording, _ = polarizer
     t = [360_000]          # mid-exposure of a frame

@@ -20,7 +20,7 @@ from pdavis_cv import (
     fuse,
     render,
 )
-from pdavis_cv.calibration.corrected import corrected
+from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion import Fusion
 
 from ._common import UsageError
@@ -154,7 +154,8 @@ def _why_nothing(
     if frames:
         saturated = max(
             float(np.mean(frame.dn >= frame.full_scale_dn)) for frame in frames)
-        usable = max(float(np.mean(np.asarray(corrected(frame, calibration).valid)))
+        corrected = FrameCorrection(calibration)
+        usable = max(float(np.mean(np.asarray(corrected(frame).valid)))
                      for frame in frames)
         if saturated > 0.5:
             return (f"{saturated:.0%} of the pixels of its frames are saturated; "

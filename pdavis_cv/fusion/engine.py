@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdavis_cv
-from pdavis_cv.calibration.corrected import corrected
+from pdavis_cv.calibration.corrected import Clipping, FrameCorrection
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
     check_layout_fits,
@@ -118,6 +118,8 @@ class FusionSnapshot:
         State of the `LampTracker`, which has seen all events up to the last image.
     learning : mapping of str to object, or None
         State of an `OnlineLearning`, which has seen what `state` has.
+    clipping : Clipping, optional
+        What the frames fed tell of the DN at which pixels are full.
     """
 
     index: int = 0
@@ -129,6 +131,7 @@ class FusionSnapshot:
     reached_us: int = _BEFORE
     lamp: Mapping[str, Any] | None = None
     learning: Mapping[str, Any] | None = None
+    clipping: Clipping | None = None
 
     @property
     def nbytes(self) -> int:
@@ -305,7 +308,8 @@ class Fusion:
             self._index, self._grid_start, self._states.fed_us, self._t,
             self._states.snapshot(), tuple(self._frames), self._feed.reached_us,
             None if self._lamp is None else self._lamp.state(),
-            None if self._online is None else self._online.state())
+            None if self._online is None else self._online.state(),
+            self._corrected.clipping)
 
     def restore(self, snapshot: FusionSnapshot) -> None:
         """Go back to a snapshot of an equal Fusion.
@@ -331,6 +335,8 @@ class Fusion:
         self._states.restore(snapshot.state, snapshot.fed_us)
         if self._lamp is not None and snapshot.lamp is not None:
             self._lamp.restore(snapshot.lamp)
+        if snapshot.clipping is not None:
+            self._corrected.clipping = snapshot.clipping
         self._frames.extend(snapshot.frames)
         self._index = snapshot.index
         self._open(snapshot.fed_us, max((mid for mid, _ in snapshot.frames),
@@ -420,6 +426,7 @@ class Fusion:
         self._online: OnlineLearning | None = None
         self._lamp: LampTracker | None = None
         self._ahead: Iterator[Packet] | None = None
+        self._corrected = FrameCorrection(self.options.calibration)
 
     def _open(
         self, after_us: int | None = None, frames_after_us: int | None = None,
@@ -521,7 +528,7 @@ class Fusion:
         if isinstance(item, ApsFrame):
             self._frames.append((item.mid_us, item.available_us))
             if self.needs.frames:
-                frame = corrected(item, self.options.calibration)
+                frame = self._corrected(item)
                 if self._lamp is not None:
                     self._lamp.add_frame(frame)
                 self._states.add_frame(frame)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.calibration.corrected import corrected
+from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
 from pdavis_cv.fusion.feed import Feed
@@ -328,9 +328,10 @@ def _look_on(
     feed = Feed(packets, by_arrival=False, has_frames=source.info.frame_count != 0,
                 after_us=None if start_us is None else start_us - 1,
                 frames_after_us=start_us)
+    corrected = FrameCorrection(calibration)
     for item in feed.until(stop_us):
         if isinstance(item, ApsFrame):
-            camera.add_frame(corrected(item, calibration))
+            camera.add_frame(corrected(item))
         else:
             for wave in lamp.push(item):
                 camera.add_wave(wave)
