@@ -24,7 +24,7 @@ METHODS = [
     {"method": "frames"}, {"method": "cf"}, {"method": "kalman"},
     {"method": "kalman", "denoise": True}, {"method": "kalman", "roi": (2, 2, 4, 4)},
     {"method": "events"}, {"method": "events", "offsets": "redundancy"},
-    {"method": "joint"},
+    {"method": "firenet"}, {"method": "joint"},
 ]
 
 

@@ -57,11 +57,12 @@ class Tracks:
     def __init__(
         self, shape: tuple[int, int], keep_us: int, *, late: bool = False
     ) -> None:
-        self.tracks, self.old = (np.zeros(shape, TRACK_DTYPE) for _ in range(2))
-        self.late = np.zeros(shape if late else (0, 0), TRACK_DTYPE)
-        for tracks in self._all:
-            tracks["prev"] = tracks["last"] = 2 * LONG_AGO
-            tracks["first"] = -1
+        # As void a record is copied at once, not field by field.
+        none = np.array((2 * LONG_AGO, 2 * LONG_AGO, 0, 0, -1), TRACK_DTYPE).view(
+            f"V{TRACK_DTYPE.itemsize}")
+        self.tracks, self.old, self.late = (
+            np.full(size, none).view(TRACK_DTYPE)
+            for size in (shape, shape, shape if late else (0, 0)))
         self.store = np.zeros(_LEAST, STORED_DTYPE)
         self.keep_us = int(keep_us)
         self.committed = self._passed = self._late = self._stop = 0

@@ -7,7 +7,6 @@ base class) and an entry here; or, in a package of its own, an entry point of th
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import os
 import warnings
 from collections.abc import Callable, Mapping
@@ -101,9 +100,11 @@ def formats() -> tuple[Format, ...]:
 @functools.cache
 def _added() -> tuple[Format, ...]:
     """Return the formats that other packages add; one that does not load is told."""
+    from importlib.metadata import entry_points  # loads the e-mail package
+
     found: list[Format] = []
     taken = {one.name for one in BUILT_IN}
-    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+    for point in entry_points(group=ENTRY_POINTS):
         try:
             one = point.load()
             if not isinstance(one, Format):

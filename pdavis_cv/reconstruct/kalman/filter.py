@@ -1,6 +1,7 @@
 """The Kalman method: de-blurred frames and events, thresholds learned on the way."""
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -171,16 +172,20 @@ class KalmanFilter(Reconstructor):
         self._tuning["offset_dn"] = self._offset_dn
         self._tuning["valid_variance"] = VALID_VARIANCE
         self._tune()
-        self._states = np.zeros(self.shape, STATE_DTYPE)
+        self._saturated = Saturated(
+            self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
+            self._bandwidth)
+        self._begin()
         self._begin_thresholds()
-        offline = mode == "offline"
+
+    def _begin(self) -> None:
+        """Make what changes when the filter is fed; nothing has been yet."""
+        offline = self._mode == "offline"
+        self._states = np.zeros(self.shape, STATE_DTYPE)
         self._tracks = Tracks(self.shape, KEEP_US + self._wait_us, late=offline)
         self._smoother = Smoother(self.shape) if offline else None
         self._reader = Reader(self.shape)
         self._epoch_us = 0      # not before the last sample of any pixel
-        self._saturated = Saturated(
-            self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
-            self._bandwidth)
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._frames: tuple[_Frame, ...] = ()
@@ -195,14 +200,13 @@ class KalmanFilter(Reconstructor):
             self._tuning[name] = value
 
     def _begin_thresholds(self) -> None:
-        """Set the thresholds to their prior, whatever they were found to be."""
-        states = self._states
+        """Set the thresholds of the states, all zero so far, to their prior."""
         for part, theta, sigma in zip(
                 ("on", "off"), (self._theta_on, self._theta_off), self._sigma,
                 strict=True):
-            states[f"theta_{part}"] = states[f"prior_{part}"] = theta
-            states[f"var_{part}"], states[f"cov_base_{part}"] = sigma**2, 0
-        states["cov_on_off"] = 0
+            for name in (f"theta_{part}", f"prior_{part}"):
+                self._states[name] = theta
+            self._states[f"var_{part}"] = sigma**2
 
     def retune(self, **learned: Any) -> None:
         """Go on with another bandwidth or noise (see `Reconstructor.retune`).
@@ -329,7 +333,10 @@ class KalmanFilter(Reconstructor):
     def _ahead(self, due: int, seen_us: int) -> KalmanFilter:
         """Return a filter that has used the first `due` frames that wait here."""
         if self._scratch is None:
-            one, fed, done = KalmanFilter(self.shape, **self.parameters), -1, 0
+            # What saturates is read and fed here, never there.
+            one, fed, done = copy.copy(self), -1, 0
+            one._tuning = self._tuning.copy()
+            one._begin()
         else:
             one, fed, done = self._scratch
         if (fed, done) != (self._fed, due):
