@@ -11,7 +11,7 @@ from ._aop_events import aop_event_stokes
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
-from ._demosaic import bilinear, binned, superpixel
+from ._demosaic import bilinear, bilinear_weighted, binned, reached, superpixel
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, mismatch, reconcile
 from ._event_words import evt2_words, evt3_words, text_events
@@ -26,8 +26,10 @@ from ._leaky import (
     check_events,
     leak_events,
     leak_events_map,
+    leak_held,
     leak_read,
     log_frame,
+    mean_around,
 )
 from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
@@ -50,6 +52,7 @@ __all__ = [
     "aop_dolp",
     "aop_event_stokes",
     "bilinear",
+    "bilinear_weighted",
     "binned",
     "cds",
     "cf_frame",
@@ -73,8 +76,10 @@ __all__ = [
     "lamp_wave",
     "leak_events",
     "leak_events_map",
+    "leak_held",
     "leak_read",
     "log_frame",
+    "mean_around",
     "mismatch",
     "mix",
     "pack_aedat2_events",
@@ -83,6 +88,7 @@ __all__ = [
     "polar_bgr",
     "polarize",
     "ramp_bgr",
+    "reached",
     "read_out",
     "reconcile",
     "redundancy_sample",

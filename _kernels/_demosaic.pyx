@@ -1,7 +1,18 @@
 """Demosaicing kernels."""
+from libc.stdint cimport uint8_t
+
 from _kernels._rows cimport (
     bilinear_row, check_places, plane_of_place, row_stride, scratch_row)
 from _kernels._types cimport pixel_t
+
+cdef extern from "_channels.h" nogil:
+    void mismatch_row(
+        const float*, const float*, const float*, const float*, float, float, float,
+        Py_ssize_t, float*, float*, float*, float*)
+    void reconcile_row(
+        float*, float*, float*, float*, const float*, const float*, const float*,
+        const float*, const float*, const float*, const float*, const float*, bint,
+        Py_ssize_t)
 
 
 def superpixel(const pixel_t[:, ::1] mosaic not None,
@@ -93,3 +104,108 @@ def binned(const pixel_t[:, ::1] mosaic not None,
                 for x in range(w):
                     to[x] = quarter * ((upper[k][2 * x] + upper[k][2 * x + 1])
                                        + (lower[k][2 * x] + lower[k][2 * x + 1]))
+
+
+def bilinear_weighted(const float[:, ::1] mosaic not None,
+                      const float[:, ::1] variance not None,
+                      const Py_ssize_t[::1] places not None,
+                      const float[::1] spread not None,
+                      const float[:, :, ::1] null not None, rows not None,
+                      float[::1] scratch not None, float[:, :, ::1] quad not None,
+                      float[:, :, ::1] out not None):
+    """Interpolate mosaic into quad, its variance (of ln I) into out; reconcile them.
+
+    The same bits as `bilinear` of both, `mismatch` with the three of spread (none: not
+    done) and `reconcile` with null, but row by row: what they hand on stays in the
+    cache.  Only rows (first, last) are written; scratch is 2 * (w + 32) + 32 floats.
+    """
+    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], first, last, y, at, c
+    cdef bint one = null.shape[1] == 1 and null.shape[2] == 1
+    cdef bint differ = spread.shape[0] == 3
+    cdef Py_ssize_t plane[4]
+    cdef float* q[4]
+    cdef float* v[4]
+    cdef float* to[4]
+    cdef float* own
+    cdef float* other
+    cdef float gain = 0, angle = 0, contrast = 0, quarter = 0.25
+    first, last = rows
+    if (h < 2 or w < 2 or quad.shape[0] != 4 or quad.shape[1] != h
+            or quad.shape[2] != w or out.shape[0] != 4 or out.shape[1] != h
+            or out.shape[2] != w or variance.shape[0] != h or variance.shape[1] != w
+            or null.shape[0] != 4):
+        raise ValueError("bilinear_weighted: mosaic and variance must be (h, w), "
+                         "quad and out (4, h, w), sides >= 2")
+    if not one and (null.shape[1] != h or null.shape[2] != w):
+        raise ValueError("bilinear_weighted: null must be (4, h, w) or (4, 1, 1)")
+    if not differ and spread.shape[0] != 0:
+        raise ValueError("bilinear_weighted: spread must be three numbers or none")
+    if first < 0 or last > h:
+        raise ValueError("bilinear_weighted: rows must lie in the mosaic")
+    if scratch.shape[0] < 2 * row_stride(w) + 32:
+        raise ValueError("bilinear_weighted: scratch must be 2 * (w + 32) + 32 floats")
+    check_places(places)
+    plane_of_place(places, plane)
+    own = scratch_row(&scratch[0], 0, w)
+    other = scratch_row(&scratch[0], 1, w)
+    if differ:
+        gain = spread[0] * spread[0]
+        angle = spread[1] * spread[1]
+        contrast = spread[2] * (spread[2] * quarter)
+    with nogil:
+        for y in range(first, last):
+            at = 0 if one else y
+            for c in range(4):
+                q[c] = &quad[c, y, 0]
+                v[c] = &out[c, y, 0]
+            for c in range(4):
+                to[c] = q[plane[c]]
+            bilinear_row(&mosaic[0, 0], y, h, w, own, other, to)
+            for c in range(4):
+                to[c] = v[plane[c]]
+            bilinear_row(&variance[0, 0], y, h, w, own, other, to)
+            if differ:
+                mismatch_row(q[0], q[1], q[2], q[3], gain, angle, contrast, w,
+                             v[0], v[1], v[2], v[3])
+            reconcile_row(q[0], q[1], q[2], q[3], v[0], v[1], v[2], v[3],
+                          &null[0, at, 0], &null[1, at, 0], &null[2, at, 0],
+                          &null[3, at, 0], one, w)
+
+
+cdef inline void keep_row(uint8_t* to, const uint8_t* of, Py_ssize_t n) noexcept nogil:
+    cdef Py_ssize_t x
+    for x in range(n):
+        to[x] &= of[x]
+
+
+def reached(const uint8_t[:, ::1] valid not None, rows not None,
+            uint8_t[::1] scratch not None, uint8_t[:, ::1] out not None):
+    """Write to rows (first, last) of out where all samples that `bilinear` takes are 1.
+
+    These are the 3x3 around a pixel, and at a border those that it extrapolates from.
+    scratch is w bytes; sides are at least 2.
+    """
+    cdef Py_ssize_t h = valid.shape[0], w = valid.shape[1], first, last, y, x
+    first, last = rows
+    if h < 2 or w < 2 or out.shape[0] != h or out.shape[1] != w or scratch.shape[0] < w:
+        raise ValueError(
+            "reached: valid and out must be (h, w), sides >= 2, scratch w bytes")
+    if first < 0 or last > h:
+        raise ValueError("reached: rows must lie in the image")
+    with nogil:
+        for y in range(first, last):
+            for x in range(w):
+                scratch[x] = valid[y, x]
+            keep_row(&scratch[0], &valid[y - 1 if y else 1, 0], w)
+            keep_row(&scratch[0], &valid[y + 1 if y + 1 < h else y - 1, 0], w)
+            if h > 3 and y == 0:
+                keep_row(&scratch[0], &valid[3, 0], w)
+            if h > 3 and y == h - 1:
+                keep_row(&scratch[0], &valid[h - 4, 0], w)
+            for x in range(1, w - 1):
+                out[y, x] = scratch[x - 1] & scratch[x] & scratch[x + 1]
+            out[y, 0] = scratch[0] & scratch[1]
+            out[y, w - 1] = scratch[w - 2] & scratch[w - 1]
+            if w > 3:
+                out[y, 0] &= scratch[3]
+                out[y, w - 1] &= scratch[w - 4]

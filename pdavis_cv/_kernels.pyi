@@ -22,6 +22,7 @@ __all__ = [
     "aop_dolp",
     "aop_event_stokes",
     "bilinear",
+    "bilinear_weighted",
     "binned",
     "cds",
     "cf_frame",
@@ -43,8 +44,10 @@ __all__ = [
     "lamp_wave",
     "leak_events",
     "leak_events_map",
+    "leak_held",
     "leak_read",
     "log_frame",
+    "mean_around",
     "mismatch",
     "mix",
     "pack_aedat2_events",
@@ -53,6 +56,7 @@ __all__ = [
     "polar_bgr",
     "polarize",
     "ramp_bgr",
+    "reached",
     "read_out",
     "reconcile",
     "redundancy_sample",
@@ -113,6 +117,10 @@ def aop_event_stokes(
 ) -> int: ...
 def bilinear(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
+) -> None: ...
+def bilinear_weighted(
+    mosaic: _F32, variance: _F32, places: NDArray[np.intp], spread: _F32, null: _F32,
+    rows: tuple[int, int], scratch: _F32, quad: _F32, out: _F32,
 ) -> None: ...
 def binned(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
@@ -180,9 +188,14 @@ def leak_events(
 def leak_events_map(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
 ) -> int: ...
+def leak_held(cells: NDArray[Any], out: _F32, seen: _U8) -> None: ...
 def leak_read(cells: NDArray[Any], base: _F32, t: float, out: _F32) -> None: ...
 def log_frame(
     dn: _F32, usable: _U8, log_exposure: _F32, out: _F32, valid: _U8
+) -> None: ...
+def mean_around(
+    own: _F32, known: _U8, offsets: NDArray[np.intp], scratch: _F32, out: _F32,
+    seen: _U8,
 ) -> None: ...
 def mismatch(
     quad: _F32, gain: float, angle: float, contrast: float, variance: _F32
@@ -240,6 +253,9 @@ def pixel_events(
     state: NDArray[np.float64], counters: NDArray[np.uint64], start: int, stop: int,
     out: NDArray[Any]
 ) -> tuple[int, int]: ...
+def reached(
+    valid: _U8, rows: tuple[int, int], scratch: _U8, out: _U8
+) -> None: ...
 def read_out(
     events: NDArray[Any], until_us: float, event_us: float, row_us: float,
     clock: NDArray[np.float64], waiting: NDArray[np.int32], queue: NDArray[np.uint16],

@@ -163,8 +163,11 @@ def demosaic_valid(
         return valid[::2, ::2].copy() if method in HALF_SIZE else valid.copy()
     if method == "guided":
         return valid & ~_eroded(_eroded(~_eroded(valid)))
-    reached = _all_of_three(_all_of_three(valid).T).T
-    return _all_of_cell(reached) if method == "binned" else reached.copy()
+    reached = np.empty_like(valid, order="C")
+    _kernels.reached(
+        np.ascontiguousarray(valid).view(np.uint8), (0, len(valid)),
+        np.empty(valid.shape[1], np.uint8), reached.view(np.uint8))
+    return _all_of_cell(reached) if method == "binned" else reached
 
 
 def demosaic_variance(
@@ -214,16 +217,6 @@ def _checked_valid(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _all_of_cell(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     rows = valid[0::2] & valid[1::2]
     return np.ascontiguousarray(rows[:, 0::2] & rows[:, 1::2])
-
-
-def _all_of_three(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """AND of each row and its neighbours; a missing one is made as `demosaic` does."""
-    last = len(valid) - 1
-    out = _and_beside(valid)
-    if last > 2:
-        out[0] &= valid[3]
-        out[last] &= valid[last - 3]
-    return out
 
 
 def _and_beside(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:

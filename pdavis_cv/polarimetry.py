@@ -153,6 +153,23 @@ class PolarFrame:
                    provenance, quality=quality, reconciled=reconciled)
         return frame
 
+    def retimed(
+        self, t_us: int, frame_us: int | None, provenance: Mapping[str, Any]
+    ) -> Self:
+        """Return the same image of another time, which shares these arrays.
+
+        Parameters
+        ----------
+        t_us, frame_us, provenance
+            As for the class.
+        """
+        other = type(self).__new__(type(self))
+        for name in PolarFrame.__slots__:
+            setattr(other, name, getattr(self, name))
+        other.t_us, other.frame_us = t_us, frame_us
+        other._provenance = dict(provenance)
+        return other
+
     def _set(
         self,
         quad: NDArray[np.float32] | None,

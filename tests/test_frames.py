@@ -111,6 +111,17 @@ def test_what_was_read_does_not_change_later():
     assert again.valid.any()
 
 
+def test_the_same_object_stands_for_the_same_estimate():
+    method = FrameHold(SHAPE, hold="mid")
+    assert method.shows(0) is None
+    for mid in (100, 200):
+        method.add_frame(random_frame(SHAPE, mid))
+    first, again = (method.shows(t) for t in (200, 250))
+    assert first is again
+    method.add_frame(random_frame(SHAPE, 400))
+    assert method.shows(500) is not first
+
+
 def test_an_unknown_hold_is_refused():
     with pytest.raises(ValueError, match="hold must be 'readout' or 'mid', got 'end'"):
         FrameHold(SHAPE, hold="end")

@@ -197,6 +197,18 @@ def test_images_are_different_and_read_only(polarizer):
         images[0].quad[0, 0, 0] = 1
 
 
+def test_images_of_one_held_frame_share_their_arrays(polarizer):
+    recording, _ = polarizer
+    images = [image for image in fuse(recording, method="frames", fps=400)
+              if image.frame_us is not None]
+    assert len({image.t_us for image in images}) == len(images)
+    by_frame = {}
+    for image in images:
+        shared = by_frame.setdefault(image.frame_us, image)
+        assert np.shares_memory(image.quad, shared.quad)
+    assert len(by_frame) > 2
+
+
 @pytest.mark.parametrize("causal", [False, True])
 @pytest.mark.parametrize("options", [
     {"method": "frames"}, {"method": "cf"}, {"method": "kalman"},

@@ -7,6 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from streams import feed, random_events, random_frame
 
+from pdavis_cv import _kernels
+from pdavis_cv.reconstruct.cf import CELL_DTYPE
 from pdavis_cv.reconstruct.events import EventHighPass
 
 SHAPE = (6, 8)
@@ -107,3 +109,15 @@ def test_out_receives_the_result():
     out = np.full(SHAPE, np.nan, np.float32)
     assert method.read(10**6, out=out).log_intensity is out
     np.testing.assert_array_equal(out, method.read(10**6).log_intensity)
+
+
+def test_the_kernels_check_shapes():
+    image, flags = np.zeros((2, 3), np.float32), np.zeros((2, 3), np.uint8)
+    with pytest.raises(ValueError, match="leak_held:"):
+        _kernels.leak_held(np.zeros((2, 2), CELL_DTYPE), image, flags)
+    offsets, row = np.zeros((1, 2), np.intp), np.zeros(3, np.float32)
+    for own, steps, scratch in ((image[:1], offsets, row), (image, offsets[:, :1], row),
+                                (image, offsets, row[:2])):
+        with pytest.raises(ValueError, match="mean_around:"):
+            _kernels.mean_around(
+                own, flags, np.ascontiguousarray(steps), scratch, image.copy(), flags)

@@ -209,3 +209,8 @@ def test_the_kernels_check_sizes_themselves():
         kernels.binned(mosaic, places, scratch, out)
     with pytest.raises(ValueError, match="binned: scratch"):
         kernels.binned(mosaic, places, scratch, out[:, :2, :2].copy())
+    valid, row = np.ones((4, 4), np.uint8), np.zeros(4, np.uint8)
+    for rows, image, message in (((0, 4), valid[:1], "sides >= 2"),
+                                 ((-1, 4), valid, "rows"), ((0, 5), valid, "rows")):
+        with pytest.raises(ValueError, match=message):
+            kernels.reached(image, rows, row, valid.copy())

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from pdavis_cv import PolarFrame, _kernels
+from pdavis_cv import Layout, PolarFrame, _kernels, demosaic
 from pdavis_cv.analyser import Analyser
+from pdavis_cv.mosaic import places_of, scratch_rows
 from pdavis_cv.stokes_vector import stokes
 
 IDEAL = np.array([1, -1, 1, -1], np.float32).reshape(4, 1, 1)
@@ -110,3 +111,42 @@ def test_shapes_are_checked(bad):
                  "variance": np.ones((4, 2, 2), np.float32), "null": IDEAL, **bad}
     with pytest.raises(ValueError, match="reconcile:"):
         _kernels.reconcile(**arguments)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 5), (26, 34)])
+@pytest.mark.parametrize("spread", [(), (0.02, 0.012, 0.004)])
+@pytest.mark.parametrize("own_null", [False, True])
+def test_one_pass_by_rows_equals_one_step_after_another(shape, spread, own_null):
+    rng = np.random.default_rng(4)
+    mosaic = rng.uniform(1, 100, shape).astype(np.float32)
+    samples = rng.uniform(1e-4, 1e-1, shape).astype(np.float32)
+    null = rng.normal(size=(4, *shape)).astype(np.float32) if own_null else IDEAL
+    quad = demosaic(mosaic, Layout.PDAVIS)
+    variance = demosaic(samples, Layout.PDAVIS)
+    if spread:
+        _kernels.mismatch(quad, *spread, variance)
+    _kernels.reconcile(quad, variance, null)
+    got, got_variance = np.full((2, 4, *shape), np.nan, np.float32)
+    middle = shape[0] // 2
+    for rows in ((middle, shape[0]), (0, middle)):
+        _kernels.bilinear_weighted(
+            mosaic, samples, places_of(Layout.PDAVIS), np.array(spread, np.float32),
+            null, rows, scratch_rows(2, shape[1]), got, got_variance)
+    np.testing.assert_array_equal(got, quad)
+    np.testing.assert_array_equal(got_variance, variance)
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({0: np.ones((1, 4), np.float32)}, "sides >= 2"),
+    ({1: np.ones((4, 5), np.float32)}, "sides >= 2"),
+    ({3: np.ones(2, np.float32)}, "spread"), ({4: IDEAL.repeat(2, 1)}, "null must"),
+    ({5: (0, 5)}, "rows"), ({6: np.ones(9, np.float32)}, "scratch"),
+    ({2: np.zeros(4, np.intp)}, "permutation")])
+def test_the_one_pass_checks_what_it_is_handed(changes, message):
+    image, planes = np.ones((4, 4), np.float32), np.ones((2, 4, 4, 4), np.float32)
+    given = [image, image, places_of(Layout.PDAVIS), np.zeros(0, np.float32), IDEAL,
+             (0, 4), scratch_rows(2, 4), *planes]
+    for at, value in changes.items():
+        given[at] = value
+    with pytest.raises(ValueError, match=message):
+        _kernels.bilinear_weighted(*given)

@@ -12,10 +12,16 @@ from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.fusion.camera import analyser_of, gain_of, mismatch_of
 from pdavis_cv.fusion.window import Roi, Window
-from pdavis_cv.mosaic import HALF_SIZE, demosaic_valid, demosaic_variance
+from pdavis_cv.mosaic import (
+    HALF_SIZE,
+    demosaic_valid,
+    demosaic_variance,
+    places_of,
+    scratch_rows,
+)
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Reconstructor
+from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["ImageMaker"]
@@ -51,11 +57,15 @@ class ImageMaker:
             calibration, (window.rows, window.columns), self._layout, demosaic,
             self._crop)
         self._ratio = extinction_ratio if self._analyser is None else None
-        self._mismatch = mismatch_of(sensor)
+        # An analyser matrix holds what the pixels differ by.
+        spread = mismatch_of(sensor) if self._analyser is None else ()
+        self._spread = np.array(spread, np.float32)
         self._gain = gain_of(
             calibration, (window.rows, window.columns), demosaic)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
+        self._scratch = scratch_rows(2, window.shape[1])
+        self._last: tuple[object, PolarFrame] | None = None
         width, height = roi[2:]
         self.shape = ((height // 2, width // 2) if demosaic in HALF_SIZE
                       else (height, width))
@@ -75,32 +85,52 @@ class ImageMaker:
             Mid-exposure of the last frame used.
         provenance : mapping of str to object
         """
+        shown = method.shows(t_us)
+        if shown is not None and self._last is not None and self._last[0] is shown:
+            return self._last[1].retimed(t_us, frame_us, provenance)
         estimate = method.read(t_us)
         intensity = method.intensity(estimate.log_intensity)
         if self._gain is not None:
             intensity /= self._gain
-        quad = self._cropped(demosaic_mosaic(
-            intensity, self._layout, self._demosaic, valid=estimate.valid))
+        quad, variance = self._channels(intensity, estimate)
         valid = self._cropped(
             demosaic_valid(estimate.valid, self._layout, self._demosaic))
-        variance = None if estimate.variance is None else self._cropped(
-            demosaic_variance(estimate.variance, self._layout, self._demosaic,
-                              valid=estimate.valid))
         quality = method.quality
         if quality is not None:
             if self._demosaic in HALF_SIZE:
                 quality = quality[::2, ::2].copy()
             quality = self._cropped(quality)
-        if variance is not None:
-            if self._analyser is None:
-                _kernels.mismatch(quad, *self._mismatch, variance)
-            # The four channels measure three numbers: weighted least squares.
-            _kernels.reconcile(quad, variance, self._null)
         # The arrays are new and nobody else's: the image takes them over.
-        return PolarFrame.adopt(
+        image = PolarFrame.adopt(
             quad, valid=valid, t_us=t_us, frame_us=frame_us,
             extinction_ratio=self._ratio, analyser=self._analyser, variance=variance,
             provenance=provenance, quality=quality, reconciled=variance is not None)
+        self._last = None if shown is None else (shown, image)
+        return image
+
+    def _channels(
+        self, intensity: NDArray[np.float32], estimate: Estimate
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return the four intensities of each pixel and, if known, their variances."""
+        samples = estimate.variance
+        if samples is None:
+            return self._cropped(demosaic_mosaic(
+                intensity, self._layout, self._demosaic, valid=estimate.valid)), None
+        if self._demosaic == "bilinear" and self._crop is None:
+            quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
+            _kernels.bilinear_weighted(
+                intensity, samples, places_of(self._layout), self._spread, self._null,
+                (0, len(intensity)), self._scratch, quad, variance)
+            return quad, variance
+        quad = self._cropped(demosaic_mosaic(
+            intensity, self._layout, self._demosaic, valid=estimate.valid))
+        variance = self._cropped(demosaic_variance(
+            samples, self._layout, self._demosaic, valid=estimate.valid))
+        if self._spread.size:
+            _kernels.mismatch(quad, *self._spread.tolist(), variance)
+        # The four channels measure three numbers: weighted least squares.
+        _kernels.reconcile(quad, variance, self._null)
+        return quad, variance
 
     def _cropped(self, array: NDArray[Any]) -> NDArray[Any]:
         if self._crop is None:

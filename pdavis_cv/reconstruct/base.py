@@ -219,6 +219,14 @@ class Reconstructor(ABC):
             Receives ``log_intensity``.
         """
 
+    def shows(self, t_us: int) -> object | None:
+        """Return what stands for all that `read` returns at t_us, if it is held.
+
+        The same object means the same estimate as where it was returned before; None:
+        the estimate may be another one at each time.
+        """
+        return None
+
     @property
     def quality(self) -> NDArray[np.float32] | None:
         """How well the method's assumptions hold, 0 (well) to 1; None: cannot tell.

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -109,6 +109,11 @@ class EventHighPass(Reconstructor):
         self._cells["t"] = -np.inf  # no event yet
         self._cells["rate"] = 1e-6 * math.tau * self._cutoff_hz
         self._base = np.zeros(self.shape, np.float32)
+        # What a read writes to on its way.
+        self._own = np.empty(self.shape, np.float32)
+        self._known = np.empty(self.shape, np.bool_)
+        self._count = np.empty(self.shape[1], np.float32)
+        self._neighbours = _neighbours(self._radius)
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -135,22 +140,25 @@ class EventHighPass(Reconstructor):
         """Return the high-passed log intensity at t_us (see `Reconstructor.read`)."""
         t = self._clock.check_read(t_us)
         log = output(out, self.shape, np.float32)
-        if self._hold:
-            log[...] = self._cells["value"]
+        seen = np.empty(self.shape, np.bool_)
+        if not self._radius:
+            self._apart(t, log, seen)
         else:
-            _kernels.leak_read(self._cells, self._base, t, log)
-        seen = np.isfinite(self._cells["t"])
-        if self._radius:
-            own, seen_here = log.copy(), seen.copy()
-            count = np.ones(self.shape, np.float32)
-            for to, of in self._neighbours():
-                log[to] += own[of]
-                count[to] += 1
-                seen[to] |= seen_here[of]
-            log /= count
+            self._apart(t, self._own, self._known)
+            _kernels.mean_around(
+                self._own, self._known.view(np.uint8), self._neighbours,
+                self._count, log, seen.view(np.uint8))
         if self._turns is not None:
             self._turn_back(log, self._turns.turn(t))
         return Estimate(log, None, seen)
+
+    def _apart(
+        self, t: float, log: NDArray[np.float32], seen: NDArray[np.bool_]
+    ) -> None:
+        """Write each pixel's value, and whether it has had an event."""
+        _kernels.leak_held(self._cells, log, seen.view(np.uint8))
+        if not self._hold:
+            _kernels.leak_read(self._cells, self._base, t, log)
 
     def _turn_back(
         self, log: NDArray[np.float32], turn: NDArray[np.float64]
@@ -169,16 +177,6 @@ class EventHighPass(Reconstructor):
         """Return 1 + dL, for a macropixel's relative intensities."""
         return log_intensity + np.float32(1)
 
-    def _neighbours(self) -> Iterator[tuple[tuple[slice, ...], tuple[slice, ...]]]:
-        """Yield (pixels, their neighbours) for each offset within the radius."""
-        r = self._radius
-        for dy in range(-r, r + 1):
-            for dx in range(-r, r + 1):
-                if 0 < dy * dy + dx * dx <= r * r:
-                    pairs = [_shifted(2 * d, side)
-                             for d, side in zip((dy, dx), self.shape, strict=True)]
-                    yield tuple(to for to, _ in pairs), tuple(of for _, of in pairs)
-
     def _state(self) -> Mapping[str, Any]:
         return {"last_us": self._clock.last_us, "cells": self._cells.copy(),
                 "turns": None if self._turns is None else self._turns.state()}
@@ -190,7 +188,9 @@ class EventHighPass(Reconstructor):
             self._turns.restore(state["turns"])
 
 
-def _shifted(by: int, side: int) -> tuple[slice, slice]:
-    """Return the places that have a neighbour `by` further on, and the neighbours."""
-    lo, hi = min(max(-by, 0), side), max(side - max(by, 0), 0)
-    return slice(lo, max(hi, lo)), slice(lo + by, max(hi, lo) + by)
+def _neighbours(radius: int) -> NDArray[np.intp]:
+    """Return rows and columns to the macropixels within the radius, (n, 2)."""
+    reach = range(-radius, radius + 1)
+    return np.array([(2 * dy, 2 * dx) for dy in reach for dx in reach
+                     if 0 < dy * dy + dx * dx <= radius * radius],
+                    np.intp).reshape(-1, 2)

@@ -108,6 +108,12 @@ class FrameHold(Reconstructor):
         coming = [f for f in self._frames if f[0] > mid]
         self._frames = (*shown, *coming, (start, log, valid))
 
+    def shows(self, t_us: int) -> object | None:
+        """Return what stands for the frame that is held (see `Reconstructor.shows`)."""
+        t = self._clock.check_read(t_us)
+        held = [frame for frame in self._frames if frame[0] <= t]
+        return held[-1] if held else None
+
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity of the frame that is held at t_us."""
         t = self._clock.check_read(t_us)
