@@ -3,11 +3,11 @@
 Facts: the formats as Prophesee documents them.  State of time and checks of events are
 as in _check.pxd.
 """
-from libc.stdint cimport int64_t, uint8_t, uint16_t, uint32_t
-from libc.string cimport memchr
+from libc.stdint cimport int64_t, uint8_t, uint16_t, uint32_t, uint64_t
+from libc.string cimport memchr, memcpy
 
 from _kernels._check cimport (
-    FILLED, FIRST_BAD, JUMP as FALLS, STATE, take)
+    FILLED, FIRST_BAD, JUMP as FALLS, OFFSET, STATE, far, take)
 from _kernels._types cimport event_t
 
 # Places in the state of a stream of words.
@@ -140,36 +140,105 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     return i, why
 
 
-cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, int64_t* whole,
-                              int64_t* nano) noexcept nogil:
+# ---- lines of text ---------------------------------------------------------------
+
+# What the whole numbers of times are.
+cdef enum:
+    MICROSECONDS = 0
+    SECONDS = 1
+    NANOSECONDS = 2
+
+cdef extern from *:
+    """
+    static const int64_t powers[] = {
+        1, 10, 100, 1000, 10000, 100000, 1000000, 10000000, 100000000, 1000000000};
+    #if defined(__GNUC__)
+    #define zero_bytes(word) ((word) ? __builtin_ctzll(word) >> 3 : 8)
+    #else
+    static int zero_bytes(uint64_t word) {
+        int n = 0;
+        for (; n < 8 && !(word & 0xFF); word >>= 8) n++;
+        return n;
+    }
+    #endif
+    """
+    const int64_t[10] powers
+    int zero_bytes(uint64_t word) nogil      # below the lowest other one
+
+cdef enum:
+    FAR_S = 2305843009214       # beyond 1 << 61 us
+
+
+cdef inline int eight_digits(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
+                             int64_t* value) noexcept nogil:
+    """Read up to 8 digits at once; return how many there are.
+
+    Digit by digit, the end of each number is a branch that no CPU foresees.  The first
+    byte is the lowest of the word.
+    """
+    cdef uint64_t word = 0, other
+    cdef int count
+    if i + 8 <= n:
+        memcpy(&word, data + i, 8)
+    else:
+        memcpy(&word, data + i, n - i)
+    word ^= <uint64_t>0x3030303030303030
+    # The high bit of each byte that is no digit; a carry reaches later bytes only.
+    other = ((word + <uint64_t>0x7676767676767676) | word) & (
+        <uint64_t>0x8080808080808080)
+    count = zero_bytes(other)
+    value[0] = 0
+    if count:
+        word <<= 64 - 8 * count
+        # Neighbours add up: to 4 numbers of 2 digits, 2 of 4, one of 8.
+        word = word * 2561 >> 8 & <uint64_t>0x00FF00FF00FF00FF
+        word = word * 6553601 >> 16 & <uint64_t>0x0000FFFF0000FFFF
+        value[0] = <int64_t>(word * <uint64_t>42949672960001 >> 32)
+    return count
+
+
+cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
+                              int64_t* whole, int64_t* nano) noexcept nogil:
     """Read a decimal number before a line's end; return the place after it, or -1.
 
-    The newline is no digit, so no other bound is needed.  nano is the fraction in
-    units of 1e-9, further digits are left out.
+    nano is the fraction in units of 1e-9, further digits are left out.
     """
     cdef bint negative = data[i] == c'-'
-    cdef int64_t value = 0, fraction = 0
-    cdef Py_ssize_t begin, digits, _
+    cdef int64_t value, fraction = 0, part
+    cdef Py_ssize_t begin, places
+    cdef int count
     if negative or data[i] == c'+':
         i += 1
     begin = i
-    while <uint8_t>(data[i] - c'0') <= 9:
-        value = 10 * value + <uint8_t>(data[i] - c'0')
-        i += 1
-        if i - begin > 19 or (i - begin == 19 and data[begin] > c'8'):
-            return -1   # 64 bits do not hold it
-    digits = i - begin
+    count = eight_digits(data, i, n, &value)
+    i += count
+    if count == 8:
+        count = eight_digits(data, i, n, &part)
+        value = value * powers[count] + part
+        i += count
+        if count == 8:
+            count = eight_digits(data, i, n, &part)
+            if count > 3 or (count == 3 and data[begin] > c'8'):
+                return -1   # 64 bits do not hold it
+            value = value * powers[count] + part
+            i += count
+    places = i - begin
     if data[i] == c'.':
         i += 1
         begin = i
-        while <uint8_t>(data[i] - c'0') <= 9:
-            if i - begin < 9:
-                fraction = 10 * fraction + <uint8_t>(data[i] - c'0')
-            i += 1
-        digits += i - begin
-        for _ in range(i - begin, 9):
-            fraction *= 10
-    if digits == 0:
+        count = eight_digits(data, i, n, &fraction)
+        i += count
+        if count == 8:
+            count = eight_digits(data, i, n, &part)
+            i += count
+            if count:
+                fraction = 10 * fraction + part / powers[count - 1]
+            while count == 8:
+                count = eight_digits(data, i, n, &part)
+                i += count
+        places += i - begin
+        fraction *= powers[9 - min(i - begin, 9)]
+    if places == 0:
         return -1
     whole[0] = -value if negative else value
     nano[0] = -fraction if negative else fraction
@@ -180,57 +249,86 @@ cdef inline bint blank(uint8_t c) noexcept nogil:
     return c == c' ' or c == c',' or c == c';' or c == c'\t' or c == c'\r'
 
 
-def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
-                const int64_t[::1] order not None, int64_t[:, ::1] out not None):
-    """Read lines of four numbers from begin on; return (how far, events, bad lines).
+cdef inline int64_t floored(int64_t a, int64_t b) noexcept nogil:
+    """Divide by a positive number, downward as Python does."""
+    return a / b - (a % b < 0)
 
-    Whole lines only.  order says which row of out, t, x, y, p, the first number of
-    a line is, the second, and so on.  Times come as whole units in row 0 and
-    nanounits in row 4.  A line that is not four numbers is bad, unless it is empty
-    or begins with # or a letter.
+
+cdef inline int64_t in_us(int64_t whole, int64_t nano, int unit) noexcept nogil:
+    """Return a time in us, rounded where it is in seconds."""
+    if unit == SECONDS:
+        whole = min(max(whole, -<int64_t>FAR_S), <int64_t>FAR_S)
+        return whole * 1000000 + floored(nano + 500, 1000)
+    return floored(whole, 1000) if unit == NANOSECONDS else whole
+
+
+def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
+                const int64_t[::1] order not None, int unit, Py_ssize_t height,
+                Py_ssize_t width, int64_t[::1] state not None,
+                event_t[::1] out not None):
+    """Read lines of four numbers from begin on; return (how far, bad lines, why, t).
+
+    Whole lines only, while out has room.  order says which of t, x, y, p the first
+    number of a line is, the second, and so on; unit that of whole times: 0 us, 1 s,
+    2 ns.  A line that is not four numbers is bad, unless it is empty or begins with #
+    or a letter; a negative p is OFF.  Why is 1 before a line whose time, t in us, lies
+    more than a second before the last.
     """
-    cdef Py_ssize_t i = begin, end, n = data.shape[0], filled = 0, bad = 0, at, k
-    cdef Py_ssize_t room = out.shape[1]
+    cdef Py_ssize_t i = begin, n = data.shape[0], bad = 0, at, after, k
+    cdef Py_ssize_t room = out.shape[0]
     cdef const uint8_t* source
-    cdef const uint8_t* newline
-    cdef int64_t whole = 0, fraction = 0, nano = 0
+    cdef int64_t whole = 0, fraction = 0, nano = 0, t = 0
     cdef int64_t[4] row
-    if order.shape[0] != 4 or out.shape[0] != 5 or begin < 0 or begin > n:
+    cdef int64_t* s
+    cdef int why = FULL
+    if order.shape[0] != 4 or state.shape[0] != STATE or begin < 0 or begin > n:
         raise ValueError("text_events: an array has the wrong shape")
     for k in range(4):
         if order[k] < 0 or order[k] > 3:
             raise ValueError("text_events: order must be of 0 .. 3")
+    if unit < MICROSECONDS or unit > NANOSECONDS:
+        raise ValueError("text_events: unit must be 0, 1 or 2")
+    if state[FILLED] < 0 or state[FILLED] > room:
+        raise ValueError("text_events: state lies outside an array")
+    # A line's end is no digit and no blank, so that nothing is read beyond the last.
+    while n > begin and data[n - 1] != c'\n':
+        n -= 1
     if begin == n:
-        return n, 0, 0
-    source = &data[0]
+        return n, 0, FULL, 0
+    source, s = &data[0], &state[0]
+    s[FIRST_BAD] = -1
     with nogil:
-        while i < n and filled < room:
-            newline = <const uint8_t*>memchr(source + i, c'\n', n - i)
-            if newline == NULL:
-                break
-            end = newline - source
+        while i < n and s[FILLED] < room:
             at = i
-            while at < end and blank(source[at]):
+            while blank(source[at]):
                 at += 1
-            if at < end and not (source[at] == c'#' or source[at] >= c'A'):
+            if source[at] == c'#' or source[at] >= c'A':
+                at = <const uint8_t*>memchr(source + at, c'\n', n - at) - source
+            elif source[at] != c'\n':
                 for k in range(4):
-                    at = number(source, at, &whole, &fraction)
+                    after = number(source, at, n, &whole, &fraction)
                     # A fraction of a pixel is no event.
-                    if at < 0 or (fraction != 0 and order[k] != 0) or (
-                            k < 3 and not blank(source[at])):
+                    if after < 0 or (fraction != 0 and order[k] != 0):
                         at = -1
                         break
                     row[order[k]] = whole
                     if order[k] == 0:
                         nano = fraction
+                    at = after
                     while blank(source[at]):
                         at += 1
-                if at != end:
+                    if at == after and k < 3:
+                        at = -1
+                        break
+                if at < 0 or source[at] != c'\n':
                     bad += 1
+                    at = <const uint8_t*>memchr(source + i, c'\n', n - i) - source
                 else:
-                    for k in range(4):
-                        out[k, filled] = row[k]
-                    out[4, filled] = nano
-                    filled += 1
-            i = end + 1
-    return i, filled, bad
+                    t = in_us(row[0], nano, unit)
+                    whole = t if far(t) else t + s[OFFSET]
+                    if take(&out[s[FILLED]], i, whole, whole, row[1], row[2],
+                            max(row[3], 0), height, width, s) == FALLS:
+                        why = JUMP
+                        break
+            i = at + 1
+    return i, bad, why, t

@@ -116,3 +116,22 @@ def text_rows(lines, order):
         nano = int(values["t"] % 1 * 10**9)
         rows.append([*(int(values[name]) for name in "txyp"), nano])
     return rows, bad
+
+
+def text_events(lines, order, unit, height, width):
+    """Return events of lines of text, and how many lines are bad.
+
+    Where time falls by more than a second it is forgotten.
+    """
+    rows, bad = text_rows(lines, order)
+    out, last = [], -2**61
+    for whole, x, y, p, nano in rows:
+        t = {"us": whole, "ns": whole // 1000,
+             "s": whole * 10**6 + (nano + 500) // 1000}[unit]
+        p = max(p, 0)
+        if not (0 <= x < width and 0 <= y < height and p <= 1 and abs(t) <= 2**61):
+            continue
+        if t < last - 10**6 or t >= last:
+            out.append((t, x, y, p))
+            last = t
+    return out, bad

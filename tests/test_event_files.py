@@ -149,11 +149,16 @@ def test_kernels_refuse_arrays_of_the_wrong_shape():
             with pytest.raises(ValueError, match=kernel.__name__):
                 kernel(*wrong)
         assert kernel(words[:0], 0, 4, 4, stream, state, out) == (0, 0)
-    for order, rows in (([0, 1, 2], (5, 4)), ([0, 1, 2, 4], (5, 4)),
-                        ([0, 1, 2, 3], (4, 4))):
+    for change in ({"order": [0, 1, 2]}, {"order": [0, 1, 2, 4]}, {"begin": 4},
+                   {"unit": 3}, {"unit": -1}, {"state": state[:3]},
+                   {"state": state - 1}, {"state": state + 51}):
+        given = {"data": np.zeros(3, np.uint8), "begin": 0, "order": [0, 1, 2, 3],
+                 "unit": 0, "height": 4, "width": 4, "state": state,
+                 "out": out} | change
         with pytest.raises(ValueError, match="text_events"):
-            _kernels.text_events(np.zeros(3, np.uint8), 0, np.array(order, np.int64),
-                                 np.empty(rows, np.int64))
+            _kernels.text_events(
+                *(np.array(value) if name == "order" else value
+                  for name, value in given.items()))
 
 
 LINES = ["1 2 3 1", "-5,6;7\t0", "  8 9 10 1  ", "", "# words", "1 2 3", "1 2 3 4 5",
@@ -163,17 +168,44 @@ LINES = ["1 2 3 1", "-5,6;7\t0", "  8 9 10 1  ", "", "# words", "1 2 3", "1 2 3 
          "-1.25 1 1 1", "1e5 1 1 1", "1.1234567899 1 1 1", "- 1 1 1"]
 
 
-def test_lines_of_text_equal_their_twin():
+def lines_read(data, order, unit, size, room=40):
+    """Return the events, the bad lines, and what the kernel left of the data."""
+    state = np.array([0, -2**61, 0, 0, 0, -1], np.int64)
+    out, bad, done, more = np.zeros(room, EVENT_DTYPE), 0, 0, 1
+    while more:
+        done, wrong, more, _ = _kernels.text_events(
+            np.frombuffer(data, np.uint8), done,
+            np.array(["txyp".index(name) for name in order]),
+            ("us", "s", "ns").index(unit), *size, state, out)
+        bad += wrong
+        if more:
+            state[1] = -2**61
+    return out[:state[0]].tolist(), bad, data[done:]
+
+
+@pytest.mark.parametrize("unit", ["us", "s", "ns"])
+@pytest.mark.parametrize("order", ["txyp", "xypt", "pyxt"])
+@pytest.mark.parametrize("size", [(8192, 8192), (5, 6)])
+def test_lines_of_text_equal_their_twin(unit, order, size):
     data = "\n".join([*LINES, "cut 1 2"]).encode()
-    for order in ("txyp", "xypt", "pyxt"):
-        out = np.full((5, 40), -99, np.int64)
-        places = np.array(["txyp".index(name) for name in order], np.int64)
-        end, count, bad = _kernels.text_events(
-            np.frombuffer(data, np.uint8), 0, places, out)
-        rows, wrong = reference.text_rows(LINES, order)
-        assert out[:, :count].T.tolist() == rows
-        assert bad == wrong
-        assert data[end:] == b"cut 1 2"
+    got, bad, left = lines_read(data, order, unit, size)
+    assert (got, bad) == reference.text_events(LINES, order, unit, *size)
+    assert left == b"cut 1 2"
+
+
+def test_numbers_of_every_length_equal_their_twin():
+    rng = np.random.default_rng(0)
+    lines, t = [], 0
+    for digits in range(1, 21):
+        for fraction in ("", ".", *("." + "9" * k for k in range(1, 12))):
+            t = "7" * digits + fraction
+            lines += [f"{t},{rng.integers(10**4)},{rng.integers(300)},1", f"{t} 1 1 0"]
+    for begin in (0, 1, 3):     # words of 8 bytes begin anywhere in memory
+        data = b" " * begin + "\n".join(lines).encode() + b"\n"
+        for unit in ("us", "s", "ns"):
+            got, bad, _ = lines_read(data, "txyp", unit, (300, 5000), len(lines))
+            assert (got, bad) == reference.text_events(
+                lines, "txyp", unit, 300, 5000)
 
 
 @pytest.mark.parametrize(("header", "size"), [
@@ -272,6 +304,48 @@ def test_arrays_of_several_forms_are_read(tmp_path):
     np.save(tmp_path / "z.npy", np.array([{}], object), allow_pickle=True)
     with pytest.raises(RecordingError, match="not arrays that can be read"):
         open_recording(tmp_path / "z.npy")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("form", ["fields", "rows", "columns", "apart"])
+def test_arrays_in_npz_are_not_read_whole(tmp_path, compressed, form):
+    import tracemalloc
+    events = some_events(300_000)
+    rows = np.stack([events[name].astype(float) for name in "txyp"], 1)
+    arrays = {"fields": {"e": events}, "rows": {"e": rows},
+              "columns": {"e": np.asfortranarray(rows)},
+              "apart": {name: events[name] for name in "txyp"}}[form]
+    (np.savez_compressed if compressed else np.savez)(
+        tmp_path / "x.npz", notes=np.array(["none"]), **arrays)
+    tracemalloc.start()
+    try:
+        with open_recording(tmp_path / "x.npz", sensor_size=SIZE) as recording:
+            tracemalloc.reset_peak()
+            count = sum(len(packet.events) for packet in recording.packets())
+            peak = tracemalloc.get_traced_memory()[1]
+            found = recording.events()
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_array_equal(found, events)
+    assert count == len(events)
+    # A piece is 65,536 rows of 32 bytes; the columns alone are 9.6 MB.
+    assert peak < 8e6
+
+
+@pytest.mark.parametrize("form", ["fields", "rows", "columns"])
+def test_a_file_of_arrays_that_is_cut_while_it_is_read(tmp_path, form):
+    events = some_events(200_000)
+    rows = np.stack([events[name].astype(float) for name in "txyp"], 1)
+    np.save(tmp_path / "x.npy", {"fields": events, "rows": rows,
+                                 "columns": np.asfortranarray(rows)}[form])
+    with open_recording(tmp_path / "x.npy", sensor_size=SIZE) as recording:
+        size = (tmp_path / "x.npy").stat().st_size
+        with open(tmp_path / "x.npy", "r+b") as file:
+            file.truncate(size * 2 // 3)
+        with pytest.warns(UserWarning, match="the file ends before its last row"):
+            found = recording.events()
+    np.testing.assert_array_equal(found, events[:len(found)])
+    assert len(found) > (130_000 if form != "columns" else -1)
 
 
 # HDF5 of rpg ---------------------------------------------------------------------

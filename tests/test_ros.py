@@ -210,4 +210,4 @@ def test_without_the_library_one_line_says_what_to_install(
     from pdavis_cv.tools.main import main
     assert main(["info", str(tmp_path / "x.bag")]) == 2
     assert capsys.readouterr().err == (
-        "pdavis: ROS bags need a package: pip install 'pdavis-cv[ros]'\n")
+        "pdavis: ROS bags need a package: pip install rosbags\n")

@@ -163,6 +163,7 @@ class Fusion:
     method: str
     needs: Needs
     _t: int | None
+    _corrected: FrameCorrection
 
     def __init__(
         self, recording: Source, options: FusionOptions | None = None, **changes: Any

@@ -1,12 +1,10 @@
 """Events as plain lists: lines of text (CSV), and arrays of NumPy."""
 from __future__ import annotations
 
-import math
 import re
-import zipfile
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +13,18 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.numpy_files import StoredArray, stored_arrays
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
-from pdavis_cv.recording.timeline import FAR, Clock
+from pdavis_cv.recording.timeline import FAR, FILLED, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["NumpyRecording", "TextRecording", "is_text_events"]
 
 CHUNK = 1 << 18
-"""Rows of arrays, and bytes of text, that are read at once."""
+"""Bytes of text that are read at once."""
+ROWS = 1 << 16
+"""Rows of arrays that are read at once."""
 MAX_SIDE = 8192
-MOST_RATIO = 1100
-"""Deflate packs at most 1032 to 1; a file that promises more is damaged."""
 NANOSECONDS_FROM = 10**17
 """Whole times beyond this (of 5138 in us, of 1973 in ns) are nanoseconds."""
 
@@ -33,6 +32,8 @@ _NAMES = {"t": "t", "ts": "t", "timestamp": "t", "timestamps": "t", "time": "t",
           "x": "x", "xs": "x", "y": "y", "ys": "y", "p": "p", "ps": "p", "pol": "p",
           "polarity": "p", "on": "p"}
 """What columns are called."""
+_UNITS = ("us", "s", "ns")
+"""Of whole times, in the kernel's order."""
 _LINE = re.compile(
     rb"\s*[-+]?\d+(\.\d*)?([\s,;]+[-+]?\d+(\.\d*)?){3}[\s,;]*")
 
@@ -57,9 +58,7 @@ class _EventList(SequentialRecording):
                size: tuple[int, int] | None) -> RecordingInfo:
         """Return the facts; looks at the first events where the size is not given."""
         if size is None:
-            _, x, y, _ = self._columns(self._begin)[0]
-            size = likely_size(int(max(x.max(initial=0), 0)),
-                               int(max(y.max(initial=0), 0)))
+            size = likely_size(*self._farthest())
             self._log.add("unknown size", None, "the file does not give the sensor's "
                           f"size: {size[1]}x{size[0]} holds the first events; "
                           "sensor_size=(height, width) says another")
@@ -74,16 +73,8 @@ class _EventList(SequentialRecording):
             sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None)
 
     @abstractmethod
-    def _columns(self, at: int) -> tuple[tuple[NDArray[Any], ...], int]:
-        """Return t (us), x, y, p of the piece at a place, and the next place."""
-
-    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
-        columns, after = self._columns(at)
-        if not len(columns[0]):
-            return np.empty(0, EVENT_DTYPE), after
-        return self._checked(columns, clock, at, unit=self._unit), after
-
-    _unit = "row"
+    def _farthest(self) -> tuple[int, int]:
+        """Return the largest x and y of the first events."""
 
 
 class TextRecording(_EventList):
@@ -106,8 +97,6 @@ class TextRecording(_EventList):
         else ``"txyp"``.
     """
 
-    _unit = "byte"
-
     def _open(self, layout: Layout | None, camera: str | None, *,
               sensor_size: tuple[int, int] | None = None,
               columns: str | None = None) -> RecordingInfo:
@@ -118,7 +107,7 @@ class TextRecording(_EventList):
             raise ValueError(
                 f"columns must be the letters txyp in some order, got {order!r}")
         self._order = np.array(["txyp".index(name) for name in order], np.int64)
-        self._scale = self._time_unit(start)
+        self._unit_of_time = _UNITS.index(self._time_unit(start))
         return self._facts("text", layout, sensor_size)
 
     def _named(self, start: bytes) -> str:
@@ -142,24 +131,40 @@ class TextRecording(_EventList):
                 return "ns" if int(time) > NANOSECONDS_FROM else "us"
         return "us"
 
-    def _columns(self, at: int) -> tuple[tuple[NDArray[Any], ...], int]:
+    def _farthest(self) -> tuple[int, int]:
+        events = self._lines(
+            self._begin, Clock(Timeline()), (MAX_SIDE, MAX_SIDE))[0]
+        return int(events["x"].max(initial=0)), int(events["y"].max(initial=0))
+
+    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
+        events, after, bad, jumps = self._lines(at, clock, self._info.sensor_size)
+        self._count(at, "bad line", bad, "lines are not four numbers")
+        self._dropped(clock, at, jumps)
+        return events, after
+
+    def _lines(self, at: int, clock: Clock, size: tuple[int, int]
+               ) -> tuple[NDArray[Any], int, int, int]:
+        """Return the events of the piece at a byte, the next one, bad lines, jumps."""
         data = self._reader.read(at, CHUNK)
         if at + len(data) == self._reader.size and not data.endswith(b"\n") and data:
             data += b"\n"  # the last line of a file need not end
-        rows = np.empty((5, len(data) // 8 + 1), np.int64)
-        done, count, bad = _kernels.text_events(
-            np.frombuffer(data, np.uint8), 0, self._order, rows)
+        # A line is four digits and what parts them, at least.
+        events = np.empty(len(data) // 8 + 1, EVENT_DTYPE)
+        clock.begin()
+        done, bad, jumps, more = 0, 0, 0, 1
+        while more:
+            done, wrong, more, t = _kernels.text_events(
+                np.frombuffer(data, np.uint8), done, self._order, self._unit_of_time,
+                *size, clock.state, events)
+            bad += wrong
+            if more:
+                clock.jump(t + int(clock.state[OFFSET]))
+                jumps += 1
         if not done and len(data) >= CHUNK:
             raise RecordingError(
                 f"{self._path}: byte {at}: a line of more than {CHUNK} bytes")
-        self._count(at, "bad line", bad, "lines are not four numbers")
-        whole, x, y, p, nano = rows[:, :count]
-        if self._scale == "s":
-            whole = np.clip(whole, -FAR // 10**6, FAR // 10**6)
-            t = whole * 1_000_000 + (nano + 500) // 1000
-        else:
-            t = whole // 1000 if self._scale == "ns" else whole.copy()
-        return (t, x, y, p), min(at + done, self._reader.size)
+        return (events[:int(clock.state[FILLED])], min(at + done, self._reader.size),
+                bad, jumps)
 
 
 class NumpyRecording(_EventList):
@@ -167,8 +172,8 @@ class NumpyRecording(_EventList):
 
     ``.npy``: fields t, x, y, p (or their usual other names), or four columns in this
     order.  ``.npz``: an array each, or one of those under any name.  Times with
-    fractions are seconds, whole ones microseconds, or nanoseconds beyond 10**17.  An
-    ``.npy`` file is read in pieces, an ``.npz`` file as a whole.
+    fractions are seconds, whole ones microseconds, or nanoseconds beyond 10**17.
+    Compressed arrays are unpacked into a temporary file.
 
     Parameters
     ----------
@@ -185,7 +190,8 @@ class NumpyRecording(_EventList):
               sensor_size: tuple[int, int] | None = None) -> RecordingInfo:
         self._reader = self._bytes()
         try:
-            found = self._arrays()
+            found = stored_arrays(
+                self._reader, lambda reader: self._closing.callback(reader.close))
         except RecordingError:
             raise
         except Exception as error:  # NumPy raises anything for a damaged header
@@ -195,65 +201,56 @@ class NumpyRecording(_EventList):
         self._scale = self._time_unit()
         return self._facts("NumPy", layout, sensor_size)
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays of the file by name; their sizes are checked first."""
-        if self._reader.read(0, 2) != b"PK":
-            return {"": np.load(self._path, mmap_mode="r", allow_pickle=False)}
-        with zipfile.ZipFile(self._path) as archive:
-            members = archive.infolist()
-            if sum(m.file_size for m in members) > MOST_RATIO * self._reader.size:
-                raise ValueError("more numbers than a file of this size can hold")
-            return {member.filename.removesuffix(".npy").lower(): _array(
-                archive.open(member), member.file_size) for member in members}
-
     def _time_unit(self) -> str:
-        t = np.asarray(self._arrays_of[0][:CHUNK])
+        t = self._arrays_of[0].rows(0, ROWS)
         if t.dtype.kind == "f" and np.any(t[np.isfinite(t)] % 1):
             return "s"
         return "ns" if len(t) and t[0] > NANOSECONDS_FROM else "us"
 
-    def _columns(self, at: int) -> tuple[tuple[NDArray[Any], ...], int]:
-        self._reader.read(0, 1)  # raises once the recording is closed
-        t, x, y, p = (np.asarray(a[at:at + CHUNK]) for a in self._arrays_of)
-        after = at + len(t)
+    def _farthest(self) -> tuple[int, int]:
+        _, x, y, _ = self._columns(0)
+        return (int(max(x.max(initial=0), 0)), int(max(y.max(initial=0), 0)))
+
+    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
+        columns = self._columns(at)
+        after = at + len(columns[0])
+        if after == at:
+            return np.empty(0, EVENT_DTYPE), at
+        return self._checked(columns, clock, at, unit="row"), after
+
+    def _columns(self, at: int) -> tuple[NDArray[Any], ...]:
+        """Return t in us, x, y, p of the rows at a place."""
+        read: dict[Any, NDArray[Any]] = {}
+        columns = [array.rows(at, at + ROWS, read) for array in self._arrays_of]
+        whole = min(map(len, columns))
+        if whole < min(ROWS, len(self._arrays_of[0]) - at):
+            self._log.damage(at, f"row {at + whole}: the file ends before its last row",
+                             offset=self._reader.size)
+        t, x, y, p = (column[:whole] for column in columns)
         if t.dtype.kind == "f":
             t = np.rint(t * (1e6 if self._scale == "s" else 1.0))
             t = np.where(np.abs(t) < FAR, t, -FAR)  # dropped, and what is no number
         elif self._scale == "ns":
             t = t // 1000
-        return (t.astype(np.int64), *map(_whole, (x, y, p))), after
+        return t.astype(np.int64), _whole(x), _whole(y), _whole(p)
 
 
-def _array(file: IO[bytes], size: int) -> NDArray[Any]:
-    """Return the array of a member of ``.npz``, whose size is in bytes."""
-    with file:
-        version = np.lib.format.read_magic(file)
-        read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
-                else np.lib.format.read_array_header_2_0)
-        shape, fortran, dtype = read(file)
-        if dtype.hasobject or dtype.itemsize * math.prod(shape) > size:
-            raise ValueError(f"an array of shape {shape} in {size} bytes")
-        data = np.frombuffer(file.read(), dtype, math.prod(shape))
-    return data.reshape(shape, order="F" if fortran else "C")
-
-
-def _events_of(found: dict[str, NDArray[Any]], path: str
-               ) -> tuple[NDArray[Any], ...]:
-    """Return the arrays t, x, y, p that a file holds, of the same length.
+def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, ...]:
+    """Return the columns t, x, y, p that a file holds, of the same length.
 
     Raises
     ------
     RecordingError
         If there are none.
     """
-    def named(columns: Mapping[str, NDArray[Any]]) -> tuple[NDArray[Any], ...] | None:
+    def named(columns: Mapping[str, StoredArray]) -> tuple[StoredArray, ...] | None:
         by_name = {_NAMES[name.lower()]: column for name, column in columns.items()
                    if name.lower() in _NAMES}
         if set(by_name) != set("txyp"):
             return None
         chosen = tuple(by_name[name] for name in "txyp")
         good = len({a.shape for a in chosen}) == 1 and all(
-            a.ndim == 1 and a.dtype.kind in "iufb" for a in chosen)
+            len(a.shape) == 1 and a.kind in "iufb" for a in chosen)
         return chosen if good else None
 
     events = named(found)
@@ -261,10 +258,10 @@ def _events_of(found: dict[str, NDArray[Any]], path: str
         if events is not None:
             break
         names = array.dtype.names
-        if names is not None and array.ndim == 1:
-            events = named({name: array[name] for name in names})
-        elif array.ndim == 2 and array.shape[1] == 4 and array.dtype.kind in "iuf":
-            events = tuple(array.T)
+        if names is not None and len(array.shape) == 1:
+            events = named({name: array.of(name) for name in names})
+        elif array.shape[1:] == (4,) and array.kind in "iuf":
+            events = tuple(map(array.of, range(4)))
     if events is None:
         what = ", ".join(f"{name or 'an array'} {a.shape} {a.dtype}"
                          for name, a in found.items())
@@ -277,6 +274,7 @@ def _events_of(found: dict[str, NDArray[Any]], path: str
 def _whole(column: NDArray[Any]) -> NDArray[Any]:
     """Return coordinates or polarities as integers; what is no number lies outside."""
     if column.dtype.kind == "f":
-        return np.where(np.isfinite(column), np.clip(column, -1, MAX_SIDE), -1).astype(
-            np.int64)
+        # fmax takes the number where the other is none
+        near: NDArray[Any] = np.fmin(np.fmax(column, -1), MAX_SIDE)
+        return near.astype(np.int32)
     return column.view(np.uint8) if column.dtype.kind == "b" else column

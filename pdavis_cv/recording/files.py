@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
-from pdavis_cv.recording.timeline import Clock
+from pdavis_cv.recording.timeline import BACKWARD, OUTSIDE, Clock
 from pdavis_cv.sensor import Layout
 
 __all__ = ["FileReader", "FileRecording", "ProblemLog", "clock_text"]
@@ -30,6 +30,8 @@ class FileReader:
     Parameters
     ----------
     path : path
+    descriptor : int, optional
+        Of a file that is open already, which `close` closes; `path` is its name then.
 
     Raises
     ------
@@ -37,11 +39,14 @@ class FileReader:
         If the file cannot be opened.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], descriptor: int | None = None
+    ) -> None:
         self.path = Path(path)
         flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
         try:
-            self._descriptor = os.open(self.path, flags)
+            self._descriptor = (
+                os.open(self.path, flags) if descriptor is None else descriptor)
         except OSError as error:
             raise RecordingError(
                 f"{path}: cannot be opened: {error.strerror}") from error
@@ -250,6 +255,30 @@ class FileRecording(Recording):
             raise RecordingError(f"{self._path}: {unit} {at}: {count} {message}")
         self._log.add(kind, at, message, count=count,
                       offset=at if unit == "byte" else None)
+
+    def _dropped(self, clock: Clock, at: int, jumps: int, *, unit: str = "byte"
+                 ) -> None:
+        """Note what a kernel left out of a piece, as the clock's state counts it.
+
+        Parameters
+        ----------
+        clock : Clock
+            Its counts are of this piece.
+        at, unit
+            As in `_count`.
+        jumps : int
+            How often time jumped back by more than a second.
+        """
+        if jumps:
+            self._log.add("segment", at, "time jumped back by more than a second: a "
+                          "new segment, moved to follow the one before",
+                          offset=at if unit == "byte" else None)
+        for kind, count, message in (
+                ("outside sensor", clock.state[OUTSIDE], "events outside the sensor "
+                 "were dropped"),
+                ("backward time", clock.state[BACKWARD], "events were dropped because "
+                 "time ran backward")):
+            self._count(at, kind, int(count), message, unit=unit)
 
     def _checked(self, columns: Sequence[NDArray[Any]], clock: Clock, at: int, *,
                  unit: str = "byte") -> NDArray[Any]:

@@ -16,7 +16,7 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
-from pdavis_cv.recording.timeline import Clock, Timeline
+from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout
 
 __all__ = ["PropheseeRecording", "WordStream", "is_prophesee"]
@@ -29,9 +29,8 @@ _CHIPS = (("320", (320, 320)), ("imx636", (720, 1280)), ("gen4", (720, 1280)),
           ("gen3", (480, 640)))
 """(height, width) by a part of the plugin's or generation's name."""
 
-# Places in the kernels' states.
+# Places in the kernels' state.
 HIGH, TIME, UNTIMED, WORD_STATE = 0, 1, 6, 7
-FILLED, OFFSET, OUTSIDE, BACKWARD = 0, 2, 3, 4
 
 
 def is_prophesee(start: bytes) -> bool:
@@ -82,7 +81,8 @@ class WordStream:
         kernel = _kernels.evt2_words if two else _kernels.evt3_words
         # What is never written costs no memory.
         out = np.empty(len(words) if two else 12 * len(words) + 12, EVENT_DTYPE)
-        clock.state[FILLED], done, self.jumps = 0, 0, 0
+        clock.begin()
+        done, self.jumps = 0, 0
         while done < len(words):
             done, jump = kernel(
                 words, done, *self.size, self._stream, clock.state, out)
@@ -227,17 +227,9 @@ class PropheseeRecording(SequentialRecording):
             return self._checked(
                 (t.astype(np.int64), word & 0x3FFF, word >> 14 & 0x3FFF, word >> 28),
                 clock, at), after
-        before, clock.state[[OUTSIDE, BACKWARD]] = state.untimed, 0
+        before = state.untimed
         events = state.events(words, clock)
-        if state.jumps:
-            self._log.add("segment", at, "time jumped back by more than a second: a "
-                          "new segment, moved to follow the one before", offset=at)
-        for kind, count, message in (
-                ("outside sensor", clock.state[OUTSIDE], "events outside the sensor "
-                 "were dropped"),
-                ("backward time", clock.state[BACKWARD], "events were dropped because "
-                 "time ran backward"),
-                ("untimed", state.untimed - before, "events before the first time were "
-                 "skipped")):
-            self._count(at, kind, int(count), message)
+        self._dropped(clock, at, state.jumps)
+        self._count(at, "untimed", state.untimed - before, "events before the first "
+                    "time were skipped")
         return events, after

@@ -17,8 +17,8 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, packetise
-from pdavis_cv.recording.prophesee import BACKWARD, OFFSET, OUTSIDE, WordStream
-from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
+from pdavis_cv.recording.prophesee import WordStream
+from pdavis_cv.recording.timeline import NEVER, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["RosRecording"]
@@ -140,7 +140,7 @@ class RosRecording(FileRecording):
             from rosbags import rosbag1, rosbag2
         except ImportError:
             raise ImportError(
-                "ROS bags need a package: pip install 'pdavis-cv[ros]'") from None
+                "ROS bags need a package: pip install rosbags") from None
         self._cdr = self._path.is_dir()
         self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
         self._closed = False
@@ -315,12 +315,6 @@ class RosRecording(FileRecording):
             first = WordStream(3, words.size).events(
                 np.frombuffer(data, "<u2", len(data) // 2), Clock(Timeline()))
             clock.state[OFFSET] = stamp - int(first["t"][0]) if len(first) else 0
-        clock.state[[OUTSIDE, BACKWARD]] = 0
         events = words.events(np.frombuffer(data, "<u2", len(data) // 2), clock)
-        for kind, count, text in (
-                ("outside sensor", clock.state[OUTSIDE], "events outside the sensor "
-                 "were dropped"),
-                ("backward time", clock.state[BACKWARD], "events were dropped because "
-                 "time ran backward")):
-            self._count(number, kind, int(count), text, unit="message")
+        self._dropped(clock, number, words.jumps, unit="message")
         return events

@@ -18,10 +18,14 @@ __all__ = ["NEVER", "SEGMENT_US", "SPIKE_US", "Clock", "Marks", "Timeline", "spi
 NEVER = -(1 << 61)
 """Before any time that a file may hold."""
 FAR = 1 << 61
+"""Times lie within this of 0, us; sums and differences of two stay in 64 bits."""
 SEGMENT_US = 1_000_000
 SPIKE_US = 1_000
 WRAP_US = 1 << 32
 """A 32-bit microsecond counter that was not unwrapped jumps back by this."""
+
+# Places in the state of a Clock.
+FILLED, OFFSET, OUTSIDE, BACKWARD = 0, 2, 3, 4
 
 
 class Timeline:
@@ -69,6 +73,10 @@ class Clock:
     def last(self) -> int:
         """Time of the last sample taken."""
         return int(self.state[1])
+
+    def begin(self) -> None:
+        """Begin to count anew what is taken and dropped."""
+        self.state[[FILLED, OUTSIDE, BACKWARD]] = 0
 
     def jump(self, t_us: int) -> int:
         """Begin a new segment before a sample at t_us; return how far it was moved."""

@@ -1,0 +1,164 @@
+"""Arrays in ``.npy`` and ``.npz`` files, read in pieces of rows.
+
+Not mapped into memory: a file that is cut while it is read would end the process.
+"""
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.files import FileReader
+
+__all__ = ["StoredArray", "stored_arrays"]
+
+MOST_RATIO = 1100
+"""Deflate packs at most 1032 to 1; a file that promises more is damaged."""
+_LOCAL_HEADER = 30
+"""Bytes of a member's header before its name, whose size and that of the extra field
+are the last two words."""
+
+
+@dataclass(frozen=True)
+class StoredArray:
+    """An array in a file.
+
+    Parameters
+    ----------
+    dtype : dtype
+    shape : tuple of int
+    fortran : bool
+        Columns lie together rather than rows.
+    offset : int
+        Byte where the numbers begin.
+    opened : callable
+        Returns the `FileReader` of the bytes; the first call may unpack them.
+    column : int or str, optional
+        Column or field that is meant; default: everything.
+    """
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    fortran: bool
+    offset: int
+    opened: Callable[[], FileReader]
+    column: int | str | None = None
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    @property
+    def kind(self) -> str:
+        """Kind of the numbers, as of a dtype."""
+        return (self.dtype[self.column] if isinstance(self.column, str)
+                else self.dtype).kind
+
+    def of(self, column: int | str) -> StoredArray:
+        """Return one column or field of it."""
+        return replace(self, column=column)
+
+    def rows(self, start: int, stop: int, read: dict[Any, NDArray[Any]] | None = None
+             ) -> NDArray[Any]:
+        """Return rows start <= i < stop of an array of one or two dimensions.
+
+        Fewer if the file ends before.
+
+        Parameters
+        ----------
+        start, stop : int
+        read : dict, optional
+            Bytes of these rows that were read for another column; goes on.
+        """
+        stop, wide = min(stop, len(self)), math.prod(self.shape[1:])
+        if self.fortran and isinstance(self.column, int):
+            start, stop = (at + self.column * len(self) for at in (start, stop))
+            wide = 1
+        key = self.opened, self.offset, start
+        found = None if read is None else read.get(key)
+        if found is None:
+            row = self.dtype.itemsize * wide
+            data = self.opened().read(self.offset + start * row, (stop - start) * row)
+            found = np.frombuffer(data, self.dtype, len(data) // row * wide)
+            if read is not None:
+                read[key] = found
+        if self.column is None or (wide == 1 and not isinstance(self.column, str)):
+            return found
+        column: NDArray[Any] = (found[self.column] if isinstance(self.column, str)
+                                else found[self.column::wide])
+        return column
+
+
+def stored_arrays(reader: FileReader, kept: Callable[[FileReader], object]
+                  ) -> dict[str, StoredArray]:
+    """Return the arrays of a file by name, in lower case; that of ``.npy`` has none.
+
+    Parameters
+    ----------
+    reader : FileReader
+    kept : callable
+        Told of readers to be closed with the recording.
+
+    Raises
+    ------
+    Exception
+        Of any kind, which NumPy and zipfile raise for damaged files.
+    """
+    if reader.read(0, 2) != b"PK":
+        with Path(reader.path).open("rb") as file:
+            return {"": _header(file, reader.size, lambda: reader)}
+    with zipfile.ZipFile(reader.path) as archive:
+        members = archive.infolist()
+        if sum(m.file_size for m in members) > MOST_RATIO * reader.size:
+            raise ValueError("more numbers than a file of this size can hold")
+        return {member.filename.removesuffix(".npy").lower(): _member(
+            archive, member, reader, kept) for member in members}
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, reader: FileReader,
+            kept: Callable[[FileReader], object]) -> StoredArray:
+    made: list[FileReader] = []
+
+    def unpacked() -> FileReader:
+        if not made:
+            made.append(_unpacked(reader.path, member))
+            kept(made[0])
+        return made[0]
+
+    with archive.open(member) as file:
+        found = _header(file, member.file_size, unpacked)
+    if member.compress_type != zipfile.ZIP_STORED:
+        return found
+    head = reader.read(member.header_offset, _LOCAL_HEADER)
+    sizes = (int.from_bytes(head[at:at + 2], "little") for at in (26, 28))
+    begin = member.header_offset + _LOCAL_HEADER + sum(sizes)
+    return replace(found, offset=begin + found.offset, opened=lambda: reader)
+
+
+def _unpacked(path: Path, member: zipfile.ZipInfo) -> FileReader:
+    """Return the bytes of a member that is compressed, in a file without a name."""
+    with (zipfile.ZipFile(path) as archive, archive.open(member) as source,
+          tempfile.TemporaryFile() as file):
+        shutil.copyfileobj(source, file)
+        file.flush()
+        return FileReader(path, os.dup(file.fileno()))
+
+
+def _header(file: IO[bytes], size: int, opened: Callable[[], FileReader]
+            ) -> StoredArray:
+    """Return the array whose header begins a file of so many bytes."""
+    version = np.lib.format.read_magic(file)
+    read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
+            else np.lib.format.read_array_header_2_0)
+    shape, fortran, dtype = read(file)
+    if dtype.hasobject or dtype.itemsize * math.prod(shape) > size:
+        raise ValueError(f"an array of shape {shape} in {size} bytes")
+    return StoredArray(dtype, shape, fortran, file.tell(), opened)
