@@ -4,6 +4,7 @@ __all__ = [
     "AnalysisWarning",
     "CalibrationError",
     "DamagedFileWarning",
+    "DeviceError",
     "ExposureWarning",
     "LayoutError",
     "LayoutWarning",
@@ -21,6 +22,10 @@ class PdavisError(Exception):
 
 class RecordingError(PdavisError, OSError):
     """Raised when a recording is not what it says; names file, byte and finding."""
+
+
+class DeviceError(RecordingError):
+    """Raised when a camera or a stream cannot be opened, or is gone."""
 
 
 class LayoutError(PdavisError, ValueError):

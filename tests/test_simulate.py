@@ -3,9 +3,8 @@ import numpy as np
 import pytest
 
 import pdavis_cv
-from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.simulation import SCENES, Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
-from pdavis_cv.tools.simulate import SCENES
 
 
 def drain(recording):

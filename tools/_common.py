@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 from pdavis_cv.errors import PdavisError, PdavisWarning
 
 if TYPE_CHECKING:  # an interrupt while NumPy loads must find `command` at work
-    from pdavis_cv import Calibration, Layout, Recording
+    from pdavis_cv import Calibration, Layout, Recording, Source
     from pdavis_cv.fusion.options import OptionFacts
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "progress",
     "require_samples",
     "roi_option",
+    "source_of",
     "start_of",
 ]
 
@@ -123,6 +124,9 @@ def opened(
 ) -> Recording:
     """Open a recording, of whatever format, as the options of a command say.
 
+    A live source is recorded to a temporary file first, until it ends: commands may
+    read what they are given more than once.
+
     Parameters
     ----------
     args : Namespace
@@ -135,8 +139,31 @@ def opened(
     RecordingError
         If it cannot be opened.
     """
-    from pdavis_cv.recording.open import open_recording
-    return open_recording(
+    from pdavis_cv.recording.base import Recording
+    source = source_of(args, file)
+    if isinstance(source, Recording):
+        return source
+    from pdavis_cv.live import recorded
+    return recorded(source)
+
+
+def source_of(
+    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
+) -> Source:
+    """Open a recording or a live source, as the options of a command say.
+
+    Parameters
+    ----------
+    args, file
+        As in `opened`.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened.
+    """
+    from pdavis_cv import open_source
+    return open_source(
         args.file if file is None else file, layout=args.layout,
         camera=getattr(args, "camera", None))
 

@@ -7,7 +7,6 @@ load and losses of the read-out bus).
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
 import os
 from collections.abc import Sequence
@@ -16,37 +15,12 @@ from pathlib import Path
 import pdavis_cv
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Sensor
-from pdavis_cv.simulation import (
-    PRESETS,
-    Camera,
-    Fan,
-    FlatLight,
-    IrradianceSweep,
-    MalusSweep,
-    PolarizerBeforePlate,
-    RotatingPlate,
-    RotatingPolarizer,
-    Scene,
-    Tendon,
-    Texture,
-)
+from pdavis_cv.simulation import PRESETS, SCENES, Camera, named_scene
 
 from ._common import Parser, UsageError, command, numbers, positive
 
-__all__ = ["SCENES", "main", "make_scene"]
+__all__ = ["main"]
 
-SCENES = {
-    "polarizer": "a turning polarizer",
-    "qwp": "a turning quarter-wave plate behind a fixed polarizer",
-    "plate": "a turning polarizer before a fixed quarter-wave plate",
-    "fan": "six polarizers in a wheel, one half lit far brighter",
-    "tendon": "a birefringent fibre sheet that is pulled in cycles",
-    "malus": "a polarizer turned in steps of 5 degrees and held",
-    "dr": "a turning polarizer under 40 nW/cm2 to 42 mW/cm2",
-    "texture": "a moving texture with fields of AoP and DoLP",
-    "flat": "constant unpolarized light",
-    "dark": "no light",
-}
 _WHOLE = ("fan", "tendon", "texture")
 _REGION = (12, 12)  # of the paper's figures
 
@@ -56,7 +30,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis simulate``."""
     parser = _parser()
     args = parser.parse_args(argv)
-    scene = make_scene(args)
+    try:
+        scene = named_scene(
+            args.scene, seconds=args.seconds, rpm=args.rpm, hz=args.hz, seed=args.seed,
+            start_angle=math.radians(args.start_deg), light=args.light,
+            background=args.background, flicker_hz=args.flicker, camera=args.camera)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
     sensor = Sensor.SONY if args.camera == "sony" else Sensor.PDAVIS
     size = args.size or (Sensor.PDAVIS.size if args.scene in _WHOLE else _REGION)
     if size[0] > sensor.size[0] or size[1] > sensor.size[1]:
@@ -119,37 +99,6 @@ def _parser() -> argparse.ArgumentParser:
         "--flicker", type=positive, metavar="HZ",
         help="mains frequency of the lamp, 50 or 60: it flickers at twice that")
     return parser
-
-
-def make_scene(args: argparse.Namespace) -> Scene:
-    """Return the scene that the options stand for."""
-    angle, rpm = math.radians(args.start_deg), args.rpm
-    hold = args.seconds * 1e6 / 37  # 0..180 degrees
-    scenes: dict[str, Scene] = {
-        "polarizer": RotatingPolarizer(rpm=rpm, start_angle=angle),
-        "qwp": RotatingPlate(rpm=rpm, start_angle=angle),
-        "plate": PolarizerBeforePlate(rpm=rpm, start_angle=angle),
-        "fan": Fan(rpm=rpm, start_angle=angle),
-        "tendon": Tendon(hz=args.hz),
-        "malus": MalusSweep(hold_us=hold, move_us=hold / 10, start_angle=angle),
-        "dr": IrradianceSweep(
-            rpm=rpm, hold_us=args.seconds * 1e6 / 13, start_angle=angle,
-            dn_per_ms=0.68 if args.camera == "sony" else 27.0),
-        "texture": Texture(seed=args.seed),
-        "flat": FlatLight(),
-        "dark": FlatLight(s0=0.0),
-    }
-    scene = scenes[args.scene]
-    if args.light is not None:
-        if args.scene in ("dr", "dark"):
-            raise UsageError(f"{args.scene} sets its own light: leave --light out")
-        scene = dataclasses.replace(scene, s0=args.light)  # type: ignore[type-var]
-    if args.background < 0:
-        raise UsageError(f"--background must not be negative, got {args.background:g}")
-    if args.background:
-        scene = scene + FlatLight(
-            s0=args.background, dolp=0.3, aop=math.radians(30))
-    return scene if args.flicker is None else scene.flicker(args.flicker)
 
 
 def _write(path: Path, recording: Recording) -> None:

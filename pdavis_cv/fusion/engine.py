@@ -342,7 +342,7 @@ class Fusion:
         self._index = snapshot.index
         self._open(snapshot.fed_us, max((mid for mid, _ in snapshot.frames),
                                         default=None), snapshot.reached_us)
-        self._t = snapshot.t_us
+        self._t, self._peeked = snapshot.t_us, True
         self._advance_to(snapshot.t_us)
 
     # ---- times ---------------------------------------------------------------
@@ -381,12 +381,13 @@ class Fusion:
             self._fps = Fraction(100)
         if self._grid_start is None:
             self._grid_start = start
+        self._peeked = True
 
     def _next_time(self) -> int | None:
         if self._times is not None:
             return (int(self._times[self._index]) if self._index < len(self._times)
                     else None)
-        if self._feed is None:
+        if not self._peeked:
             self._peek()
         assert self._feed is not None
         if self._fps is not None:
@@ -423,6 +424,7 @@ class Fusion:
         self._index, self._t = 0, None
         self._frames: deque[tuple[int, int]] = deque()
         self._feed: Feed | None = None
+        self._peeked = False        # the beginning of the stream was found
         self._states: InOrder | AsItArrives | None = None
         self._online: OnlineLearning | None = None
         self._lamp: LampTracker | None = None

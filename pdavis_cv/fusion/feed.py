@@ -121,7 +121,7 @@ class Feed:
 
     @property
     def reached_us(self) -> int:
-        """Time of the last sample known to exist."""
+        """Time up to which the stream is known to go on."""
         return max(self._reached_us, self._last_us)
 
     def reaches(self, t_us: int) -> bool:
@@ -155,6 +155,8 @@ class Feed:
             return False
         if packet.stop_us is not None:
             self._last_us = max(self._last_us, packet.stop_us - 1)
+        if packet.until_us is not None:
+            self._last_us = max(self._last_us, packet.until_us)
         if len(packet.events):
             self._events.append(packet.events)
         for frame in packet.frames:

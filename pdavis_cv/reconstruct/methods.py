@@ -13,7 +13,7 @@ from pdavis_cv.reconstruct.base import Factory, Reconstructor
 from pdavis_cv.reconstruct.denoise import Denoised
 from pdavis_cv.recording.base import RecordingInfo
 
-__all__ = ["DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
+__all__ = ["CHEAPER", "DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
            "make_reconstructor", "method_parameters"]
 
 # Method -> (module, what makes it).
@@ -30,6 +30,10 @@ METHODS = tuple(_MAKERS)
 
 DEFAULT_METHOD = "kalman"
 """What ``fuse(method=None)`` takes for a recording with both events and frames."""
+
+CHEAPER = {"joint": "kalman", "firenet": "events", "kalman": "cf"}
+"""What a live source goes on with where a method cannot follow: it costs less, and
+uses what the method uses."""
 
 _GIVEN = ("theta_on", "theta_off", "response")
 

@@ -241,12 +241,16 @@ class Packet:
         At most one, placed in time by its ``available_us``.
     imu : ndarray of IMU_DTYPE, shape (M,)
     triggers : ndarray of TRIGGER_DTYPE, shape (K,)
+    until_us : int, optional
+        Nothing before this time will come in a later packet: a live source says so
+        where nothing happens, so that images need not wait for the next sample.
     """
 
     events: NDArray[Any] = field(default_factory=_no_events)
     frames: tuple[ApsFrame, ...] = ()
     imu: NDArray[Any] = field(default_factory=_no_imu)
     triggers: NDArray[Any] = field(default_factory=_no_triggers)
+    until_us: int | None = None
 
     @property
     def start_us(self) -> int | None:

@@ -57,14 +57,15 @@ class StreamSource(Source):
             if self._closed:
                 raise ValueError("source is closed")
             start, stop = packet.start_us, packet.stop_us
-            if start is None or stop is None:
+            if start is None and packet.until_us is None:
                 continue
-            if last is not None and start < last:
+            if start is not None and last is not None and start < last:
                 raise ValueError(
                     f"packets must be in time order, but packet {number} begins at "
                     f"{start} us after a sample at {last} us")
             self._check(number, packet)
-            last = stop - 1
+            known = (last, packet.until_us, None if stop is None else stop - 1)
+            last = max(t for t in known if t is not None)
             yield packet
 
     def _check(self, number: int, packet: Packet) -> None:

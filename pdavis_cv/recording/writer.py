@@ -1,6 +1,7 @@
 """What every writer of recordings is: packets in, a file that appears when whole."""
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 from abc import ABC, abstractmethod
@@ -113,6 +114,18 @@ class RecordingWriter(ABC):
             raise
         for what, count in self._lost.items():
             _LOG.warning("%s: %d %s", self.path, count, what)
+
+    def flush(self) -> None:
+        """Hand what was written to the system: it stays, whatever becomes of us."""
+        self._file.flush()
+
+    def leave(self) -> None:
+        """Write no more and leave what there is, under the name of its unfinished part.
+
+        Readers take it as a file that was cut off.
+        """
+        with contextlib.suppress(OSError):
+            self._file.close()
 
     def discard(self) -> None:
         """Give the file up and leave nothing."""

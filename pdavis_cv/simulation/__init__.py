@@ -5,6 +5,7 @@ from pdavis_cv.simulation.camera import PRESETS, Camera
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.ideal import rotating_polarizer
+from pdavis_cv.simulation.named import SCENES, named_scene
 from pdavis_cv.simulation.optics import Optics
 from pdavis_cv.simulation.patterns import (
     Fan,
@@ -31,6 +32,7 @@ from pdavis_cv.simulation.truth import Truth
 __all__ = [
     "FULL",
     "PRESETS",
+    "SCENES",
     "ApsPixel",
     "Bus",
     "Camera",
@@ -53,5 +55,6 @@ __all__ = [
     "Texture",
     "Truth",
     "VideoScene",
+    "named_scene",
     "rotating_polarizer",
 ]

@@ -1,0 +1,15 @@
+"""Sources that run by themselves, and the session that fuses what they send.
+
+`open_source` opens a recording or the address of a device: ``usb:``, ``dv+tcp:``,
+``replay:`` or ``simulate:``.  `Session` reads it in a thread of its own, so that
+reading never waits for fusing, and gives images as they can be made.
+"""
+from pdavis_cv.live.address import is_address, open_source
+from pdavis_cv.live.base import LiveSource
+from pdavis_cv.live.faults import LinkFaults
+from pdavis_cv.live.recorder import recorded
+from pdavis_cv.live.session import Session
+from pdavis_cv.live.statistics import SessionStats
+
+__all__ = ["LinkFaults", "LiveSource", "Session", "SessionStats", "is_address",
+           "open_source", "recorded"]

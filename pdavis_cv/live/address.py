@@ -1,0 +1,149 @@
+"""open_source(): a recording, or the address of something that runs by itself."""
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import parse_qsl
+
+from pdavis_cv.errors import DeviceError
+from pdavis_cv.live.base import LiveSource
+from pdavis_cv.live.faults import FaultySource, LinkFaults
+from pdavis_cv.recording.base import Source
+from pdavis_cv.recording.open import open_recording
+from pdavis_cv.sensor import Layout
+
+__all__ = ["SCHEMES", "is_address", "open_source"]
+
+_OPENERS = {
+    "replay": "pdavis_cv.live.openers:open_replay",
+    "simulate": "pdavis_cv.live.openers:open_simulation",
+}
+SCHEMES = tuple(_OPENERS)
+"""What an address begins with, before its colon."""
+
+
+def is_address(where: object) -> bool:
+    """Tell whether something is the address of a live source, such as ``"usb:"``.
+
+    Parameters
+    ----------
+    where : object
+
+    Returns
+    -------
+    bool
+    """
+    return isinstance(where, str) and where.partition(":")[0] in SCHEMES and (
+        ":" in where)
+
+
+def open_source(
+    where: str | os.PathLike[str] | Source, *, layout: Layout | None = None,
+    bad_events: str = "drop", camera: str | None = None, **options: Any,
+) -> Source:
+    """Open a recording, or a device by its address.
+
+    Parameters
+    ----------
+    where : path, address or Source
+        A Source is returned as it is, and a path goes to `open_recording`.  Addresses
+        are ``replay:FILE`` (``speed=1``, 0 = as fast as it is read; ``loop=1``) and
+        ``simulate:SCENE`` (``camera=nominal``, ``size=48x48``, ``rpm=200``, ``seed=0``,
+        and those of replay), followed by ``?name=value&...``.  Both take ``seconds=``,
+        after which they end, and the faults of `LinkFaults`, such as ``unplug=3``.
+    layout : Layout, optional
+    bad_events : {"drop", "raise"}
+    camera : str, optional
+    **options
+        As in `open_recording`.
+
+    Returns
+    -------
+    Source
+        A Recording for a path; else a LiveSource, which is read once.
+
+    Raises
+    ------
+    RecordingError
+        If a file cannot be opened or is not what it says.
+    DeviceError
+        If there is no such device, or an address is not understood.
+
+    Examples
+    --------
+    >>> import pdavis_cv
+    >>> from pdavis_cv.data import example_recording
+    >>> with pdavis_cv.open_source(f"replay:{example_recording()}?speed=0") as source:
+    ...     sum(len(packet.frames) for packet in source.packets())
+    4
+    """
+    if isinstance(where, Source):
+        return where
+    if not is_address(where):
+        return open_recording(where, layout=layout, bad_events=bad_events,
+                              camera=camera, **options)
+    assert isinstance(where, str)
+    scheme, _, rest = where.partition(":")
+    target, _, query = rest.partition("?")
+    try:
+        values = dict(parse_qsl(query, keep_blank_values=True, strict_parsing=True)
+                      if query else ())
+        faults = LinkFaults(**{
+            name: number(name, values.pop(name),
+                         int if name == "fault_seed" else float)
+            for name in LinkFaults.names() if name in values})
+        module, _, name = _OPENERS[scheme].partition(":")
+        opener: Callable[..., LiveSource] = getattr(
+            importlib.import_module(module), name)
+        opened = opener(where, target, values, functools.partial(
+            open_recording, layout=layout, bad_events=bad_events, camera=camera,
+            **options))
+    except ValueError as error:
+        raise DeviceError(f"{where}: {error}") from error
+    return opened if faults == LinkFaults() else FaultySource(opened, faults)
+
+
+def number(name: str, text: str, kind: Callable[[str], Any] = float) -> Any:
+    """Return a value of an address as a number.
+
+    Raises
+    ------
+    ValueError
+        If it is none; the message names it.
+    """
+    try:
+        return kind(text)
+    except ValueError:
+        raise ValueError(f"{name} must be a number, got {text!r}") from None
+
+
+def taken(values: dict[str, str], **defaults: Any) -> dict[str, Any]:
+    """Return the values of an address by name, with the type of each default.
+
+    Parameters
+    ----------
+    values : dict of str to str
+    **defaults
+        What may be given, and what holds where it is not.
+
+    Raises
+    ------
+    ValueError
+        If a value has another name or is no number.
+    """
+    for name in values:
+        if name not in defaults:
+            raise ValueError(
+                f"there is no {name!r}; it takes {', '.join(defaults)} and the faults "
+                f"{', '.join(LinkFaults.names())}")
+    found = dict(defaults)
+    for name, text in values.items():
+        kind = type(defaults[name])
+        if kind is bool:
+            found[name] = bool(number(name, text, int))
+        else:
+            found[name] = text if kind is str else number(name, text, kind)
+    return found

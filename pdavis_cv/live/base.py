@@ -1,0 +1,118 @@
+"""What every source that runs by itself is."""
+from __future__ import annotations
+
+import dataclasses
+import threading
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.live.clock import in_order
+from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source
+from pdavis_cv.recording.files import ProblemLog
+
+__all__ = ["HEARTBEAT_S", "LiveSource", "endless"]
+
+HEARTBEAT_S = 0.01
+"""A source says at least this often how far its time is, s: more often than images are
+wanted, so that darkness does not delay them."""
+
+
+def endless(info: RecordingInfo) -> RecordingInfo:
+    """Return the facts of a stream of which only those of a recording are known.
+
+    Whether there are frames or events is known; how many will be sent is not.
+
+    Parameters
+    ----------
+    info : RecordingInfo
+    """
+    counts: dict[str, Any] = {
+        f"{kind}_count": 0 if getattr(info, f"{kind}_count") == 0 else None
+        for kind in ("event", "frame", "imu", "trigger")}
+    return dataclasses.replace(info, start_us=None, stop_us=None, **counts)
+
+
+class LiveSource(Source):
+    """A source that is read once, in time as it passes.
+
+    A device implements `_arrivals`.  Its packets come in time order; where nothing is
+    there to be sent for `HEARTBEAT_S`, an empty packet with ``until_us`` says that time
+    went on.  A device that is gone raises DeviceError.
+
+    Parameters
+    ----------
+    info : RecordingInfo
+    name : str
+        For messages.
+
+    Attributes
+    ----------
+    realtime : bool
+        False: it waits for who reads it, and nothing is lost when that is slow.
+    """
+
+    realtime = True
+
+    def __init__(self, info: RecordingInfo, name: str) -> None:
+        self._info = info
+        self._log = ProblemLog(name)
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        self._begun = False
+
+    @property
+    def name(self) -> str:
+        """Address or name of the device."""
+        return self._log.name
+
+    @property
+    def info(self) -> RecordingInfo:
+        """What is known before the first packet."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """What was found wrong so far: clock resets, samples that came late."""
+        return self._log.problems
+
+    def packets(self) -> Iterator[Packet]:
+        """Iterate over all packets, once; ends when the source is closed.
+
+        Yields
+        ------
+        Packet
+
+        Raises
+        ------
+        RecordingError
+            If they were asked for before.
+        ValueError
+            If the source is closed.
+        DeviceError
+            While iterating, if the device is gone.
+        """
+        with self._lock:
+            if self._closed.is_set():
+                raise ValueError(f"{self.name}: source is closed")
+            if self._begun:
+                raise RecordingError(
+                    f"{self.name}: packets() of a Source can be called once, and it "
+                    "was called before; a Recording can be read again")
+            self._begun = True
+        return in_order(self._until_closed(), self._log)
+
+    def _until_closed(self) -> Iterator[Packet]:
+        for packet in self._arrivals():
+            if self._closed.is_set():
+                return
+            yield packet
+
+    @abstractmethod
+    def _arrivals(self) -> Iterator[Packet]:
+        """Yield packets as they arrive; the arrays belong to the receiver."""
+
+    def close(self) -> None:
+        """Stop; who waits for a packet gets none."""
+        self._closed.set()

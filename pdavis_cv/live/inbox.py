@@ -1,0 +1,141 @@
+"""Packets between the thread that reads and the one that fuses, bounded."""
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+
+from pdavis_cv.recording.base import Packet
+from pdavis_cv.recording.files import ProblemLog
+
+__all__ = ["Inbox", "Waiting", "size_of"]
+
+LONGEST_LAG_US = 500_000
+"""Stream time that may wait to be fused; beyond, time jumps to now; us."""
+MOST_BYTES = 128 * 2**20
+"""Packets that wait are at most so large: 0.3 s of 30 million events per second."""
+
+
+class Waiting(Exception):
+    """Nothing is there now; ask again after the next packet."""
+
+
+class Inbox:
+    """A queue of packets in which nothing becomes old.
+
+    Parameters
+    ----------
+    lossy : bool
+        True: `put` never waits; where the queue would hold more than 0.5 s of stream
+        time, what waits is dropped but for its last frame, and counted.  False: `put`
+        waits for room, and nothing is dropped.
+    log : ProblemLog
+        Where jumps are noted.
+    waits : bool
+        False: asked where nothing is there, it raises `Waiting`.
+    """
+
+    def __init__(self, lossy: bool, log: ProblemLog, *, waits: bool = True) -> None:
+        self._lossy, self._log, self._waits = lossy, log, waits
+        self._packets: deque[Packet] = deque()
+        self._bytes = 0
+        self._change = threading.Condition()
+        self._ended = False
+        self._error: Exception | None = None
+        self.newest_us: int | None = None
+        self.arrived_s = 0.0
+        self.dropped_events = 0
+        self.jumps = 0
+
+    def put(self, packet: Packet) -> None:
+        """Add a packet; drop what has waited too long, or wait for room."""
+        ends = [t for t in (packet.until_us, packet.stop_us) if t is not None]
+        if not ends:
+            return
+        with self._change:
+            while not self._lossy and not self._ended and self._full(max(ends)):
+                self._change.wait()
+            self._packets.append(packet)
+            self._bytes += size_of(packet)
+            self.newest_us = max(ends)
+            self.arrived_s = time.monotonic()
+            if self._full(self.newest_us):
+                self._jump(self.newest_us)
+            self._change.notify_all()
+
+    def _full(self, newest_us: int) -> bool:
+        return self._bytes > MOST_BYTES or self._lag_us(newest_us) > LONGEST_LAG_US
+
+    def _lag_us(self, newest_us: int) -> int:
+        if not self._packets:
+            return 0
+        oldest = self._packets[0]
+        begins = oldest.until_us if oldest.start_us is None else oldest.start_us
+        return 0 if begins is None else newest_us - begins
+
+    def _jump(self, newest_us: int) -> None:
+        """Leave out what waits, but for the last frame: it brings the state to now."""
+        if not self._lossy:
+            return
+        first = self._packets[0]
+        dropped = sum(len(packet.events) for packet in self._packets)
+        frames = [frame for packet in self._packets for frame in packet.frames]
+        self.dropped_events += dropped
+        self.jumps += 1
+        self._log.add(
+            "too slow", self.jumps, "events were dropped because fusing could not "
+            "follow: time jumped to now", count=dropped,
+            start_us=first.until_us if first.start_us is None else first.start_us,
+            stop_us=newest_us)
+        left = Packet(frames=tuple(frames[-1:]), until_us=newest_us)
+        self._packets.clear()
+        self._packets.append(left)
+        self._bytes = size_of(left)
+
+    def end(self, error: Exception | None = None) -> None:
+        """Note that no packet follows; what waits is still handed out."""
+        with self._change:
+            self._ended, self._error = True, self._error or error
+            self._change.notify_all()
+
+    def close(self) -> None:
+        """End, and forget what waits."""
+        with self._change:
+            self._packets.clear()
+            self._bytes = 0
+            self._ended = True
+            self._change.notify_all()
+
+    @property
+    def error(self) -> Exception | None:
+        """Why no packet follows, None if the source simply ended."""
+        return self._error
+
+    @property
+    def waiting(self) -> tuple[int, int]:
+        """Packets that wait, and the stream time in us from the first to the newest."""
+        with self._change:
+            return len(self._packets), self._lag_us(self.newest_us or 0)
+
+    def __iter__(self) -> Iterator[Packet]:
+        return self
+
+    def __next__(self) -> Packet:
+        with self._change:
+            while not self._packets:
+                if self._ended:
+                    raise StopIteration
+                if not self._waits:
+                    raise Waiting
+                self._change.wait()
+            packet = self._packets.popleft()
+            self._bytes -= size_of(packet)
+            self._change.notify_all()
+            return packet
+
+
+def size_of(packet: Packet) -> int:
+    """Return the bytes of a packet's arrays."""
+    return (packet.events.nbytes + packet.imu.nbytes + packet.triggers.nbytes
+            + sum(frame.dn.nbytes for frame in packet.frames))

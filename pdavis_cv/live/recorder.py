@@ -1,0 +1,210 @@
+"""Writing what arrives to a file, in a thread of its own."""
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import threading
+from collections import deque
+from pathlib import Path
+
+from pdavis_cv.errors import DeviceError
+from pdavis_cv.live.inbox import size_of
+from pdavis_cv.recording.aedat4.reader import Aedat4Recording
+from pdavis_cv.recording.aedat4.writer import Aedat4Writer
+from pdavis_cv.recording.base import (
+    MAX_PACKET_EVENTS,
+    MAX_PACKET_US,
+    Packet,
+    Recording,
+    RecordingInfo,
+    Source,
+    joined,
+)
+from pdavis_cv.recording.files import ProblemLog
+
+__all__ = ["Recorder", "recorded"]
+
+MOST_BYTES = 256 * 2**20
+"""Packets that wait for the disk are at most so large: 2 s of 10 million events/s."""
+
+
+class Recorder:
+    """Writes packets as AEDAT-4, whatever becomes of the images made of them.
+
+    What has been written is handed to the system every 10 ms of stream time: when the
+    process is killed, ``.NAME.part<pid>.aedat4`` beside the file can be read up to
+    there.  A disk that is full, or too slow, is a counted problem and not an error.
+
+    Parameters
+    ----------
+    path : path
+        The file appears under this name when the recorder is closed.
+    info : RecordingInfo
+    lossy : bool
+        True: `add` never waits; packets that the disk cannot take are counted.
+    log : ProblemLog
+        Where problems are noted.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be made.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], info: RecordingInfo, lossy: bool,
+        log: ProblemLog,
+    ) -> None:
+        self._writer = Aedat4Writer(
+            path, sensor_size=info.sensor_size, layout=info.layout,
+            camera=info.camera or "DAVIS346_00000000",
+            full_scale_dn=info.sensor.full_scale_dn if info.sensor else 1023)
+        self.path = self._writer.path
+        self._lossy, self._log = lossy, log
+        self._waiting: deque[Packet] = deque()
+        self._bytes = 0
+        self._change = threading.Condition()
+        self._ended = False
+        self.events = self.dropped_events = 0
+        self.error: str | None = None
+        self._thread = threading.Thread(
+            target=self._write, name="pdavis recorder", daemon=True)
+        self._thread.start()
+
+    def add(self, packet: Packet) -> None:
+        """Have a packet written."""
+        if packet.start_us is None:
+            return
+        size = size_of(packet)
+        with self._change:
+            while (not self._lossy and self.error is None and not self._ended
+                   and self._bytes and self._bytes + size > MOST_BYTES):
+                self._change.wait()
+            if self._ended:
+                return
+            if self.error is not None or (
+                    self._lossy and self._bytes + size > MOST_BYTES):
+                self.dropped_events += len(packet.events)
+                self._log.add(
+                    "not recorded", packet.start_us, "events could not be recorded: "
+                    f"{self.error or 'the disk is too slow'}", count=len(packet.events),
+                    start_us=packet.start_us, stop_us=packet.stop_us)
+                return
+            self._waiting.append(packet)
+            self._bytes += size
+            self._change.notify_all()
+
+    def close(self) -> None:
+        """Write what waits, and finish the file."""
+        with self._change:
+            self._ended = True
+            self._change.notify_all()
+        self._thread.join()
+
+    def _write(self) -> None:
+        try:
+            while (packet := self._next()) is not None:
+                self._writer.add(packet)
+                self._writer.flush()
+                self.events += len(packet.events)
+            self._writer.close()
+        except (OSError, ValueError) as error:
+            with self._change:
+                self.error = str(error)
+                lost = sum(len(packet.events) for packet in self._waiting)
+                self._waiting.clear()
+                self._bytes = 0
+                self._change.notify_all()
+            self.dropped_events += lost
+            self._log.add("not recorded", "error", "events could not be recorded: "
+                          f"{self.error}", count=lost)
+            self._writer.leave()
+
+    def _next(self) -> Packet | None:
+        """Return the packets of 10 ms as one; None at the end."""
+        parts: list[Packet] = []
+        with self._change:
+            while not self._waiting:
+                if self._ended:
+                    return None
+                self._change.wait()
+            first = self._waiting[0].start_us
+            assert first is not None
+            count = 0
+            while True:
+                packet = self._waiting.popleft()
+                self._bytes -= size_of(packet)
+                parts.append(packet)
+                count += len(packet.events)
+                while not self._waiting and not self._ended:
+                    self._change.wait()
+                if not self._waiting:
+                    break
+                after = self._waiting[0]
+                assert after.stop_us is not None
+                if (after.stop_us - first > MAX_PACKET_US
+                        or count + len(after.events) > MAX_PACKET_EVENTS):
+                    break
+            self._change.notify_all()
+        if len(parts) == 1:
+            return parts[0]
+        return Packet(
+            joined([part.events for part in parts]),
+            tuple(frame for part in parts for frame in part.frames),
+            joined([part.imu for part in parts]),
+            joined([part.triggers for part in parts]))
+
+
+class _Temporary(Aedat4Recording):
+    """A recording whose folder is removed when it is closed."""
+
+    def close(self) -> None:
+        """Release the file, and remove it."""
+        super().close()
+        shutil.rmtree(self.path.parent, ignore_errors=True)
+
+
+def recorded(source: Source) -> Recording:
+    """Read a source to its end into a temporary file, and open that.
+
+    A device that is gone, and an interrupt, end it too, if something had arrived.
+
+    Parameters
+    ----------
+    source : Source
+        Closed afterwards.
+
+    Returns
+    -------
+    Recording
+        Its file is removed when it is closed.
+
+    Raises
+    ------
+    DeviceError
+        If the device is gone and nothing had arrived.
+    OSError
+        If the disk is full.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="pdavis-"))
+    info, log = source.info, ProblemLog("recording")
+    try:
+        recorder = Recorder(folder / "arrived.aedat4", info, False, log)
+        any_packet = False
+        try:
+            for packet in source.packets():
+                recorder.add(packet)
+                any_packet = any_packet or packet.start_us is not None
+        except (DeviceError, KeyboardInterrupt):
+            if not any_packet:
+                raise
+        finally:
+            source.close()
+            recorder.close()
+        if recorder.error is not None:
+            raise OSError(recorder.error)
+        return _Temporary(recorder.path, layout=info.layout)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise

@@ -1,0 +1,139 @@
+"""A recording as a device: in its own time, again and again."""
+from __future__ import annotations
+
+import math
+import time
+from bisect import bisect_left
+from collections.abc import Iterator
+from typing import Any
+
+from numpy.typing import NDArray
+
+from pdavis_cv.live.base import HEARTBEAT_S, LiveSource, endless
+from pdavis_cv.live.clock import moved
+from pdavis_cv.recording.base import Packet, Recording
+
+__all__ = ["ReplaySource"]
+
+PIECE_US = 2_000
+"""Packets are cut into pieces of at most this time, as a camera's USB transfers are, so
+that nothing arrives later than it would; us."""
+
+
+class ReplaySource(LiveSource):
+    """Sends a recording as a camera would, at its own pace or faster.
+
+    Parameters
+    ----------
+    recording : Recording
+        Closed with the source.
+    name : str
+        For messages.
+    speed : float
+        Stream time per real time; 0 = as fast as it is read, where nothing is lost.
+    loop : bool
+        Begin again at the end.
+    seconds : float
+        End after this stream time.
+
+    Raises
+    ------
+    ValueError
+        If `speed` is negative or `seconds` is not positive.
+    """
+
+    def __init__(
+        self, recording: Recording, name: str, *, speed: float = 1.0,
+        loop: bool = False, seconds: float = math.inf,
+    ) -> None:
+        if not 0 <= speed < math.inf:
+            raise ValueError(f"speed must not be negative, got {speed:g}")
+        if not seconds > 0:
+            raise ValueError(f"seconds must be positive, got {seconds:g}")
+        super().__init__(endless(recording.info), name)
+        self.realtime = speed > 0
+        self._recording, self._speed, self._loop = recording, speed, loop
+        self._seconds = seconds
+
+    def _arrivals(self) -> Iterator[Packet]:
+        first: int | None = None
+        begun = 0.0
+        for packet in self._stream():
+            start, stop = packet.start_us, packet.stop_us
+            assert start is not None
+            assert stop is not None
+            if first is None:
+                first, begun = start, time.monotonic()
+            if start - first >= 1e6 * self._seconds:
+                return
+            if self._speed:
+                yield from self._wait(first, begun, start, stop)
+            if self._closed.is_set():
+                return
+            yield packet
+
+    def _wait(
+        self, first_us: int, begun_s: float, start_us: int, stop_us: int
+    ) -> Iterator[Packet]:
+        """Wait until the time of a packet's last sample; say how time goes on."""
+        due_s = begun_s + (stop_us - first_us) * 1e-6 / self._speed
+        while not self._closed.is_set():
+            now_s = time.monotonic()
+            if now_s >= due_s:
+                return
+            if self._closed.wait(min(due_s - now_s, HEARTBEAT_S)):
+                return
+            passed_us = int((time.monotonic() - begun_s) * 1e6 * self._speed)
+            if time.monotonic() < due_s:
+                yield Packet(until_us=min(first_us + passed_us, start_us))
+
+    def _stream(self) -> Iterator[Packet]:
+        """Yield the recording in pieces, moved by its length at each repetition."""
+        offset = 0
+        while True:
+            first: int | None = None
+            stop = 0
+            for packet in self._recording.packets():
+                for piece in _pieces(packet):
+                    assert piece.start_us is not None
+                    assert piece.stop_us is not None
+                    if first is None:
+                        first = piece.start_us
+                    stop = piece.stop_us
+                    yield moved(piece, offset)
+            if not self._loop or first is None:
+                return
+            info = self._recording.info
+            if info.start_us is not None and info.stop_us is not None:
+                first, stop = info.start_us, info.stop_us
+            offset += stop - first
+
+    def close(self) -> None:
+        """Stop, and close the recording."""
+        super().close()
+        self._recording.close()
+
+
+def _pieces(packet: Packet) -> Iterator[Packet]:
+    """Yield a packet in pieces of at most `PIECE_US`."""
+    start, stop = packet.start_us, packet.stop_us
+    if start is None or stop is None:
+        return
+    edges = [*range(start + PIECE_US, stop, PIECE_US), stop]
+    before = start
+    for edge in edges:
+        piece = Packet(
+            _part(packet.events, before, edge),
+            tuple(f for f in packet.frames if before <= f.available_us < edge),
+            _part(packet.imu, before, edge), _part(packet.triggers, before, edge))
+        before = edge
+        if piece.start_us is not None:
+            yield piece
+
+
+def _part(samples: NDArray[Any], start_us: int, stop_us: int) -> NDArray[Any]:
+    times = samples["t"]
+    part: NDArray[Any] = samples[bisect_left(times, start_us):
+                                 bisect_left(times, stop_us)]
+    return part
+

@@ -1,0 +1,517 @@
+"""Session: images of a source that does not wait."""
+from __future__ import annotations
+
+import atexit
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.fusion import Fusion, FusionOptions
+from pdavis_cv.fusion.options import names_options
+from pdavis_cv.live.address import open_source
+from pdavis_cv.live.base import endless
+from pdavis_cv.live.clock import HostClock
+from pdavis_cv.live.inbox import Inbox, Waiting
+from pdavis_cv.live.recorder import Recorder
+from pdavis_cv.live.statistics import Counter, SessionStats
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.methods import CHEAPER
+from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source, joined
+from pdavis_cv.recording.files import ProblemLog
+
+__all__ = ["Session"]
+
+DEFAULT_FPS = 60
+KEPT_IMAGES = 8
+"""Images that wait for a slow reader; then the oldest is skipped."""
+KEPT_EVENTS_US = 200_000
+"""Events are kept for pictures of them for this stream time; us."""
+LEAST_IMAGES_S = 0.1
+"""However late, an image is made this often: s of the host's time."""
+
+class _Arriving(Source):
+    """What fusing sees of a session: the packets of its inbox."""
+
+    def __init__(self, info: RecordingInfo, packets: Iterator[Packet]) -> None:
+        self._info, self._packets = info, packets
+
+    @property
+    def info(self) -> RecordingInfo:
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        return ()
+
+    def packets(self) -> Iterator[Packet]:
+        return self._packets
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class _Tap:
+    """An iterator that shows what passes to somebody else."""
+
+    def __init__(
+        self, packets: Iterator[Packet], look: Callable[[Packet], None]
+    ) -> None:
+        self._packets, self._look = packets, look
+
+    def __iter__(self) -> Iterator[Packet]:
+        return self
+
+    def __next__(self) -> Packet:
+        packet = next(self._packets)
+        self._look(packet)
+        return packet
+
+
+@names_options
+class Session:
+    """Images of a live source, made as what they show arrives.
+
+    One thread reads, and never waits for fusing; another fuses, with ``causal=True``.
+    Where fusing is late, images are skipped; where it is more than 0.5 s late, events
+    are dropped, time jumps to now, and `problems` counts what was dropped.  A source
+    that is not ``realtime`` (a file, ``speed=0``) waits instead: then nothing is
+    skipped, and the images are those of `fuse` with ``causal=True``, to the bit.
+
+    Iterate, or call `read`; several threads may also look at `latest`.  Use as a
+    context manager, or call `close`, which ends the recording too.
+
+    Parameters
+    ----------
+    where : path, address, Source or RecordingInfo
+        As in `open_source`.  A RecordingInfo says what will be handed to `push`:
+        there are no threads then.
+    record : path, optional
+        AEDAT-4 file to write what arrives to, at the same time, whatever becomes of the
+        images.
+    {options}
+    **method_parameters
+        As in `fuse`; ``causal`` is always True, and `fps` is 60 by default.  Without
+        `method`, the one that is best for the source, and a cheaper one each time that
+        it cannot follow: `stats` says which.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an option does not fit.
+    OSError
+        If the source cannot be opened, or the file to record to cannot be made.
+
+    Examples
+    --------
+    >>> from pdavis_cv import Layout
+    >>> from pdavis_cv.data import example_recording
+    >>> where = f"replay:{example_recording()}?speed=0"
+    >>> with Session(where, method="cf", layout=Layout.PDAVIS,
+    ...              roi=(0, 0, 8, 8)) as session:
+    ...     session.read().dolp.shape
+    (8, 8)
+    """
+
+    def __init__(
+        self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
+        record: str | os.PathLike[str] | None = None, **fuse_parameters: Any,
+    ) -> None:
+        options = FusionOptions(fps=DEFAULT_FPS).replace(
+            **{"fps": DEFAULT_FPS, **fuse_parameters, "causal": True})
+        self._source: Source | None = None
+        if isinstance(where, RecordingInfo):
+            self.info, name = endless(where), where.format
+        else:
+            self._source = open_source(where, layout=options.layout)
+            self.info, name = self._source.info, str(where)
+        realtime = bool(getattr(self._source, "realtime", False))
+        self._log = ProblemLog(name)
+        self._lossy = realtime
+        self._inbox = Inbox(realtime, self._log, waits=self._source is not None)
+        self._seen: deque[Packet] = deque()
+        self._seen_lock = threading.Lock()
+        self._chosen = options.method is None
+        self._recorder: Recorder | None = None
+        self._last_recorder: Recorder | None = None
+        self._change = threading.Condition()
+        self._images: deque[PolarFrame] = deque()
+        self._latest: tuple[int, PolarFrame | None] = (0, None)
+        self._state = "waiting"
+        self._error: Exception | None = None
+        self._closed = False
+        self.clock = HostClock()
+        self._clock_lock = threading.Lock()
+        self._jumps_known = self._skipped = 0
+        self._events, self._made, self._latency = Counter(), Counter(), Counter()
+        self._last_image_s = -np.inf
+        self._threads: list[threading.Thread] = []
+        self._wanted: Fusion | None = None
+        try:
+            self._fusion = self._fusion_of(options)
+            if record is not None:
+                self.record(record)
+        except BaseException:
+            if self._source is not None and self._source is not where:
+                self._source.close()
+            raise
+        # So that a recording is finished whatever ends the program.
+        atexit.register(self.close)
+        for target in (self._read, self._fuse) if self._source is not None else ():
+            thread = threading.Thread(
+                target=target, daemon=True, name=f"pdavis {target.__name__}")
+            self._threads.append(thread)
+            thread.start()
+
+    def _fusion_of(self, options: FusionOptions) -> Fusion:
+        return Fusion(_Arriving(self.info, _Tap(self._inbox, self._keep)), options)
+
+    # ---- reading -----------------------------------------------------------------
+
+    def _read(self) -> None:
+        """Take packets from the source; runs in a thread of its own."""
+        assert self._source is not None
+        error: Exception | None = None
+        try:
+            for packet in self._source.packets():
+                if self._closed:
+                    break
+                self._arrived(packet)
+        except Exception as found:      # of whatever kind: who reads images is told
+            error = found
+        self._inbox.end(None if self._closed else error)
+
+    def _arrived(self, packet: Packet) -> None:
+        recorder = self._recorder
+        if recorder is not None:
+            recorder.add(packet)
+        self._events.add(len(packet.events))
+        if packet.stop_us is not None:
+            with self._clock_lock:
+                self.clock.saw(packet.stop_us - 1, time.monotonic())
+        self._inbox.put(packet)
+
+    def record(self, path: str | os.PathLike[str] | None) -> None:
+        """Begin to write what arrives to a file, or with None end it.
+
+        Parameters
+        ----------
+        path : path or None
+            AEDAT-4.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be made.
+        """
+        recorder = None if path is None else Recorder(
+            path, self.info, self._lossy, self._log)
+        before, self._recorder = self._recorder, recorder
+        self._last_recorder = recorder or before
+        if before is not None:
+            before.close()
+
+    # ---- fusing ------------------------------------------------------------------
+
+    def _fuse(self) -> None:
+        """Make images of what has arrived; runs in a thread of its own."""
+        try:
+            while not self._closed and self._step():
+                pass
+        except Exception as error:      # of whatever kind: who reads images is told
+            self._finish("failed", error)
+            return
+        why = self._inbox.error
+        self._finish("ended" if why is None else "failed", why)
+
+    def _step(self) -> bool:
+        """Go on to the next image and make it, unless it is late; False at the end."""
+        if self._wanted is not None:
+            self._fusion, self._wanted = self._wanted, None
+        if self._inbox.jumps != self._jumps_known:
+            self._jumps_known = self._inbox.jumps
+            self._be_cheaper()
+        if not self._fusion.advance():
+            return False
+        if self._is_late():
+            self._skipped += 1
+            return True
+        image = self._fusion.image()
+        self._last_image_s = time.monotonic()
+        self._note_latency(image)
+        self._give(image)
+        return True
+
+    def _is_late(self) -> bool:
+        """Tell whether the image after this one can be made already."""
+        t, newest, rate = self._fusion.t_us, self._inbox.newest_us, self._fusion.fps
+        if not self._lossy or t is None or newest is None or rate is None:
+            return False
+        waited = time.monotonic() - self._last_image_s
+        return newest - t > 1e6 / float(rate) and waited < LEAST_IMAGES_S
+
+    def _be_cheaper(self) -> None:
+        """Take a method that costs less, if it is ours to choose."""
+        method = CHEAPER.get(self._fusion.method)
+        if not self._chosen or method is None:
+            return
+        self._log.add("cheaper method", method, f"{self._fusion.method} could not "
+                      f"follow: {method} goes on")
+        self._fusion = self._fusion_of(
+            self._fusion.options.replace(method=method, parameters={}))
+
+    def _note_latency(self, image: PolarFrame) -> None:
+        with self._clock_lock:
+            shown_s = None if image.t_us is None else self.clock.host_s(image.t_us)
+        if shown_s is not None and self._lossy:
+            self._latency.add(1e3 * (time.monotonic() - shown_s))
+
+    def _give(self, image: PolarFrame) -> None:
+        self._made.add(1)
+        with self._change:
+            while not self._lossy and len(self._images) >= KEPT_IMAGES and (
+                    not self._closed):
+                self._change.wait()
+            if len(self._images) >= KEPT_IMAGES:
+                self._images.popleft()
+            self._images.append(image)
+            self._latest = (self._latest[0] + 1, image)
+            self._state = "running"
+            self._change.notify_all()
+
+    def _finish(self, state: str, error: Exception | None) -> None:
+        with self._change:
+            self._state, self._error = state, error
+            self._change.notify_all()
+
+    def change(self, **options: Any) -> None:
+        """Go on with other options of `fuse`; the state begins anew.
+
+        Parameters
+        ----------
+        **options
+            As in the constructor.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an option does not fit; nothing is changed.
+        """
+        before = self._fusion.options
+        if "method" in options:             # what belongs to the old one goes with it
+            before = FusionOptions(**{
+                name: getattr(before, name) for name in FusionOptions.facts()})
+            self._chosen = options["method"] is None
+        wanted = self._fusion_of(before.replace(**{**options, "causal": True}))
+        if self._source is None:
+            self._fusion = wanted
+        else:
+            self._wanted = wanted
+
+    # ---- images ------------------------------------------------------------------
+
+    def push(self, packet: Packet) -> list[PolarFrame]:
+        """Hand in a packet and return the images that can be made now.
+
+        For a session that was made of a RecordingInfo.
+
+        Parameters
+        ----------
+        packet : Packet
+            Not before any that was handed in; the session keeps its arrays.
+
+        Returns
+        -------
+        list of PolarFrame
+
+        Raises
+        ------
+        ValueError
+            If the session has a source of its own, or is closed.
+        """
+        if self._source is not None:
+            raise ValueError("push needs a session made of a RecordingInfo, and this "
+                             f"one reads {self._log.name}")
+        if self._closed:
+            raise ValueError("push after close")
+        self._state = "running"
+        self._arrived(packet)
+        return list(self._known())
+
+    def _known(self) -> Iterator[PolarFrame]:
+        try:
+            while self._fusion.advance():
+                image = self._fusion.image()
+                self._made.add(1)
+                self._latest = (self._latest[0] + 1, image)
+                yield image
+        except Waiting:
+            return
+
+    def read(self, timeout: float | None = None) -> PolarFrame | None:
+        """Wait for the next image.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait, s.
+
+        Returns
+        -------
+        PolarFrame or None
+            None at the end of the source, and after `close`.
+
+        Raises
+        ------
+        TimeoutError
+            If there is none in this time.
+        DeviceError, RecordingError
+            If the source failed; after the last image.
+        """
+        if self._source is None:
+            raise ValueError("read needs a source; images come from push")
+        with self._change:
+            come = self._change.wait_for(
+                lambda: self._images or self._over, timeout)
+            if not come:
+                raise TimeoutError(
+                    f"{self._log.name}: no image for {timeout:g} s")
+            if self._images and not self._closed:
+                image = self._images.popleft()
+                self._change.notify_all()
+                return image
+            if self._error is not None:
+                raise self._error
+            return None
+
+    @property
+    def _over(self) -> bool:
+        return self._closed or self._state in ("ended", "failed")
+
+    def latest(
+        self, after: int = 0, timeout: float | None = 0.0
+    ) -> tuple[int, PolarFrame | None]:
+        """Return the newest image, for as many who look as there are.
+
+        Parameters
+        ----------
+        after : int
+            Number of the image that the caller has: wait for a newer one.
+        timeout : float, optional
+            Longest wait, s.
+
+        Returns
+        -------
+        number : int
+            Counts from 1; `after` if none is newer.
+        image : PolarFrame or None
+        """
+        with self._change:
+            self._change.wait_for(
+                lambda: self._latest[0] > after or self._over, timeout)
+            return self._latest if self._latest[0] > after else (after, None)
+
+    def __iter__(self) -> Iterator[PolarFrame]:
+        while (image := self.read()) is not None:
+            yield image
+
+    # ---- what is known ---------------------------------------------------------------
+
+    def _keep(self, packet: Packet) -> None:
+        if not len(packet.events):
+            return
+        with self._seen_lock:
+            self._seen.append(packet)
+            newest = int(packet.events["t"][-1])
+            while newest - int(self._seen[0].events["t"][-1]) > KEPT_EVENTS_US:
+                self._seen.popleft()
+
+    def events(self, after_us: int, until_us: int) -> NDArray[Any]:
+        """Return the events in (after_us, until_us] of the last 0.2 s fused.
+
+        Parameters
+        ----------
+        after_us, until_us : int
+
+        Returns
+        -------
+        ndarray of EVENT_DTYPE, shape (N,)
+        """
+        with self._seen_lock:
+            packets = list(self._seen)
+        parts = [np.empty(0, EVENT_DTYPE)]
+        for packet in packets:
+            times = packet.events["t"]
+            low, high = np.searchsorted(times, [after_us, until_us], "right")
+            parts.append(packet.events[low:high])
+        return joined(parts)
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """What went wrong so far: each kind once, with how often it was."""
+        own = () if self._source is None else self._source.problems
+        return (*own, *self._log.problems)
+
+    @property
+    def options(self) -> FusionOptions:
+        """What is asked of `fuse` now."""
+        return self._fusion.options
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the images."""
+        return self._fusion.shape
+
+    @property
+    def stats(self) -> SessionStats:
+        """How the session fares."""
+        packets, lag_us = self._inbox.waiting
+        recorder = self._last_recorder
+        with self._clock_lock:
+            drift = self.clock.drift_ppm
+        return SessionStats(
+            state="ended" if self._closed else self._state,
+            error=None if self._error is None else str(self._error),
+            method=self._fusion.method, chosen=self._chosen,
+            events_per_s=self._events.rate(), images_per_s=self._made.rate(),
+            latency_ms=self._latency.quantile(0.5),
+            latency_p95_ms=self._latency.quantile(0.95),
+            queued_packets=packets, queued_ms=lag_us / 1000,
+            dropped_events=self._inbox.dropped_events, jumps=self._inbox.jumps,
+            skipped_images=self._skipped, drift_ppm=drift,
+            recorded_events=0 if recorder is None else recorder.events,
+            unrecorded_events=0 if recorder is None else recorder.dropped_events,
+            recording=None if self._recorder is None else str(self._recorder.path),
+            recording_error=None if recorder is None else recorder.error)
+
+    # ---- the end -------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Stop reading, finish the recording; may be called again."""
+        with self._change:
+            self._closed = True
+            self._change.notify_all()
+        if self._source is not None:
+            self._source.close()
+        self._inbox.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join()
+        self.record(None)
+        atexit.unregister(self.close)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
