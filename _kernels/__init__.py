@@ -35,7 +35,12 @@ from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import hue_bgr, polar_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
-from ._redundancy import redundancy_sample, redundancy_solve
+from ._redundancy import (
+    redundancy_sample,
+    redundancy_shown,
+    redundancy_solve,
+    saturated_fill,
+)
 from ._selfcal import sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
@@ -92,9 +97,11 @@ __all__ = [
     "read_out",
     "reconcile",
     "redundancy_sample",
+    "redundancy_shown",
     "redundancy_solve",
     "rest_read",
     "sample_innovations",
+    "saturated_fill",
     "smooth_gap",
     "smooth_past",
     "smooth_read",

@@ -6,7 +6,7 @@ eigenvector of the moments of n_i exp(E_i), relative errors being equal: see
 docs/theory/events.md.
 """
 from libc.math cimport fabs, sqrt
-from libc.stdint cimport int64_t
+from libc.stdint cimport int64_t, uint8_t
 
 from _kernels._estimate cimport read_level, reading_t, walk_to
 from _kernels._lamp cimport lamp_of, lamp_t
@@ -331,3 +331,101 @@ def redundancy_solve(const policy_t[::1] policy not None,
                     for j in range(i, 4):
                         m.product[k] *= gain[i] * gain[j]
                         k += 1
+
+
+def redundancy_shown(const moments_t[:, ::1] moments not None,
+                     float[:, ::1] ratio not None, float[:, ::1] smallest not None):
+    """Write to each pixel what is known of its macropixel; 1 where there is none."""
+    cdef Py_ssize_t h = ratio.shape[0], w = ratio.shape[1], y, x
+    cdef float one, rest
+    if (moments.shape[0] != h // 2 or moments.shape[1] != w // 2
+            or smallest.shape[0] != h or smallest.shape[1] != w):
+        raise ValueError("redundancy_shown: all images must have one shape")
+    with nogil:
+        for y in range(h // 2):
+            for x in range(w // 2):
+                one = moments[y, x].ratio
+                rest = moments[y, x].smallest
+                ratio[2 * y, 2 * x] = one
+                ratio[2 * y, 2 * x + 1] = one
+                ratio[2 * y + 1, 2 * x] = one
+                ratio[2 * y + 1, 2 * x + 1] = one
+                smallest[2 * y, 2 * x] = rest
+                smallest[2 * y, 2 * x + 1] = rest
+                smallest[2 * y + 1, 2 * x] = rest
+                smallest[2 * y + 1, 2 * x + 1] = rest
+        for y in range(h):
+            for x in range(0 if y >= h // 2 * 2 else w // 2 * 2, w):
+                ratio[y, x] = 1.0
+                smallest[y, x] = 1.0
+
+
+def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not None,
+                   float prior, float valid_variance, shown not None):
+    """Complete an estimate in macropixels of which some pixels are not known.
+
+    cells is (pixels, missing, columns): by place in the cell and macropixel its index
+    on the sensor and whether it is not known; and the first column of the macropixel
+    in the planes that events tell, seen (log intensity, variance, enough, quality),
+    two rows high.  bound holds the last samples; prior is the variance where the mean
+    squares of the four are taken equal; shown is (log intensity, variance, valid).
+    """
+    cdef const Py_ssize_t[:, ::1] pixels
+    cdef const uint8_t[:, ::1] missing
+    cdef const Py_ssize_t[::1] columns
+    cdef const float[:, ::1] seen_log, seen_variance, quality
+    cdef const uint8_t[:, ::1] enough
+    cdef float[:, ::1] log, variance
+    cdef uint8_t[:, ::1] valid
+    cdef Py_ssize_t n, width, size, i, k, at, x
+    cdef float apart, level
+    cdef double offset
+    cdef int known
+    check_given((*cells, *seen, *shown))
+    pixels, missing, columns = cells
+    seen_log, seen_variance, enough, quality = seen
+    log, variance, valid = shown
+    n = columns.shape[0]
+    width = seen_log.shape[1]
+    size = log.shape[0] * log.shape[1]
+    if (pixels.shape[0] != 4 or pixels.shape[1] != n or missing.shape[0] != 4
+            or missing.shape[1] != n):
+        raise ValueError("saturated_fill: pixels and missing must be (4, n)")
+    if (seen_log.shape[0] != 2 or seen_variance.shape[0] != 2 or enough.shape[0] != 2
+            or quality.shape[0] != 2 or seen_variance.shape[1] != width
+            or enough.shape[1] != width or quality.shape[1] != width):
+        raise ValueError("saturated_fill: seen must be planes of one shape, two rows")
+    if (bound.shape[0] != log.shape[0] or bound.shape[1] != log.shape[1]
+            or variance.shape[0] != log.shape[0] or variance.shape[1] != log.shape[1]
+            or valid.shape[0] != log.shape[0] or valid.shape[1] != log.shape[1]):
+        raise ValueError("saturated_fill: all images must have one shape")
+    for i in range(n):
+        if columns[i] < 0 or columns[i] + 2 > width:
+            raise ValueError("saturated_fill: columns must lie in seen")
+        for k in range(4):
+            if pixels[k, i] < 0 or pixels[k, i] >= size:
+                raise ValueError("saturated_fill: pixels must lie in the image")
+    with nogil:
+        for i in range(n):
+            # The offset of a macropixel: from pixels that are known, else the bound.
+            known = 0
+            apart = 0.0
+            level = 0.0
+            for k in range(4):
+                at = pixels[k, i]
+                x = columns[i] + k % 2
+                level += (&bound[0, 0])[at]
+                if not missing[k, i]:
+                    known += 1
+                    apart += (&log[0, 0])[at] - seen_log[k // 2, x]
+            offset = <double>apart / known if known else <double>(level / 4)
+            for k in range(4):
+                at = pixels[k, i]
+                x = columns[i] + k % 2
+                if not missing[k, i] or not enough[k // 2, x]:
+                    continue
+                (&log[0, 0])[at] = <float>(seen_log[k // 2, x] + offset)
+                # Where the gains are less certain, the prior has a say.
+                (&variance[0, 0])[at] = (seen_variance[k // 2, x]
+                                         + prior * quality[k // 2, x])
+                (&valid[0, 0])[at] = (&variance[0, 0])[at] <= valid_variance

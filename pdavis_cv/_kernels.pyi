@@ -60,9 +60,11 @@ __all__ = [
     "read_out",
     "reconcile",
     "redundancy_sample",
+    "redundancy_shown",
     "redundancy_solve",
     "rest_read",
     "sample_innovations",
+    "saturated_fill",
     "smooth_gap",
     "smooth_past",
     "smooth_read",
@@ -266,8 +268,14 @@ def redundancy_sample(
     t: int, known: int, chain: _Pair, events: NDArray[Any], model: _Pair,
     policy: NDArray[Any], cells: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
 ) -> None: ...
+def redundancy_shown(moments: NDArray[Any], ratio: _F32, smallest: _F32) -> None: ...
 def redundancy_solve(
     policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any]
+) -> None: ...
+def saturated_fill(
+    cells: tuple[NDArray[np.intp], _U8, NDArray[np.intp]],
+    seen: tuple[_F32, _F32, _U8, _F32], bound: _F32, prior: float,
+    valid_variance: float, shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def sort_events(
     events: NDArray[Any], start: int, counts: NDArray[np.int32], out: NDArray[Any]

@@ -74,3 +74,19 @@ class Macropixel:
         shift -= shift.mean()
         self.base += shift
         self.M *= np.exp(np.add.outer(shift, shift))
+
+
+def saturated_fill(cells, seen, bound, prior, valid_variance, shown):
+    """Complete (log, variance, valid) where pixels of macropixels are missing."""
+    pixels, missing, columns = cells
+    log, variance, valid = (plane.copy() for plane in shown)
+    for at, gone, column in zip(pixels.T, missing.T.astype(bool), columns, strict=True):
+        of = tuple(np.array([(k // 2, column + k % 2) for k in range(4)]).T)
+        told, rest, enough, quality = (plane[of] for plane in seen)
+        offset = (bound.ravel()[at].mean() if gone.all()
+                  else np.mean((log.ravel()[at] - told)[~gone]))
+        here = gone & enough.astype(bool)
+        log.ravel()[at[here]] = (told + offset)[here]
+        variance.ravel()[at[here]] = (rest + prior * quality)[here]
+        valid.ravel()[at[here]] = (rest + prior * quality)[here] <= valid_variance
+    return log, variance, valid

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference_redundancy import Macropixel
+from reference_redundancy import Macropixel, saturated_fill
 from streams import random_events
 
 from pdavis_cv import (
@@ -139,6 +139,61 @@ def test_kernels_refuse_arrays_that_do_not_fit():
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_solve: "):
             _kernels.redundancy_solve(*wrong)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (2, 2), (5, 7)])
+def test_each_pixel_shows_what_is_known_of_its_macropixel(shape):
+    rng = np.random.default_rng(0)
+    moments = np.zeros((shape[0] // 2, shape[1] // 2), MOMENTS_DTYPE)
+    ratio, smallest = np.zeros((2, *shape), np.float32)
+    for name in ("ratio", "smallest"):
+        moments[name] = rng.random(moments.shape)
+    _kernels.redundancy_shown(moments, ratio, smallest)
+    for plane, name in ((ratio, "ratio"), (smallest, "smallest")):
+        want = np.ones(shape, np.float32)
+        for y, x in np.ndindex(*moments.shape):
+            want[2 * y:2 * y + 2, 2 * x:2 * x + 2] = moments[name][y, x]
+        np.testing.assert_array_equal(plane, want)
+    with pytest.raises(ValueError, match="redundancy_shown:"):
+        _kernels.redundancy_shown(moments, ratio, np.zeros((9, 9), np.float32))
+
+
+def saturated(seed=0, shape=(6, 8)):
+    """Arguments of saturated_fill: three macropixels, of which it is told two."""
+    rng = np.random.default_rng(seed)
+    grid = np.arange(shape[0] * shape[1]).reshape(shape)
+    pixels = np.stack([grid[i // 2::2, i % 2::2].ravel()[[1, 6]] for i in range(4)])
+    missing = (rng.random(pixels.shape) < 0.6).astype(np.uint8)
+    missing[:, 0] = 1
+    seen = [rng.normal(size=(2, 6)).astype(np.float32) for _ in range(4)]
+    seen[2] = (rng.random((2, 6)) < 0.7).astype(np.uint8)
+    shown = [*rng.normal(size=(2, *shape)).astype(np.float32), np.zeros(shape, "u1")]
+    return [(pixels.astype(np.intp), missing, np.array([0, 4], np.intp)), tuple(seen),
+            rng.normal(size=shape).astype(np.float32), 0.09, 0.25, tuple(shown)]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_missing_pixels_are_filled_as_the_definition_says(seed):
+    given = saturated(seed)
+    want = saturated_fill(*given)
+    _kernels.saturated_fill(*given)
+    for plane, expected in zip(given[-1], want, strict=True):
+        np.testing.assert_allclose(plane, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_filling_refuses_what_does_not_fit():
+    cells, seen, bound, *_, shown = saturated()
+    pixels, missing, columns = cells
+    for at, wrong, message in (
+            (0, (pixels[:3], missing, columns), "must be"),
+            (0, (pixels + 99, missing, columns), "pixels must lie"),
+            (0, (pixels, missing, columns + 2), "columns"),
+            (1, (*seen[:3], seen[3][:1]), "seen"), (2, bound[:1], "one shape"),
+            (5, (*shown[:2], shown[2][:1]), "one shape")):
+        given = saturated()
+        given[at] = wrong
+        with pytest.raises(ValueError, match=f"saturated_fill: .*{message}"):
+            _kernels.saturated_fill(*given)
 
 
 @pytest.mark.parametrize(("rpm", "aop_deg", "dolp"), [

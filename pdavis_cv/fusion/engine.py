@@ -501,6 +501,8 @@ class Fusion:
         if self._lamp is not None and self._states is not None and ahead is not None:
             for wave in self._lamp.advance(target):
                 self._states.add_wave(wave)
+        if ahead is not None and self._states is not None:
+            self._states.settle(target)
         while len(self._frames) > 1 and self._frames[1][1] <= t:
             self._frames.popleft()
 

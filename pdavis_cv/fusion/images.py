@@ -127,7 +127,8 @@ class ImageMaker:
         variance = self._cropped(demosaic_variance(
             samples, self._layout, self._demosaic, valid=estimate.valid))
         if self._spread.size:
-            _kernels.mismatch(quad, *self._spread.tolist(), variance)
+            gain, angle, contrast = self._spread.tolist()
+            _kernels.mismatch(quad, gain, angle, contrast, variance)
         # The four channels measure three numbers: weighted least squares.
         _kernels.reconcile(quad, variance, self._null)
         return quad, variance

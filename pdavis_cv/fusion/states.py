@@ -61,6 +61,10 @@ class InOrder:
         """Note that everything up to t_us, inclusive, has been there."""
         self.fed_us = t_us if self.fed_us is None else max(self.fed_us, t_us)
 
+    def settle(self, t_us: int) -> None:
+        """Do what is due when everything up to t_us, inclusive, has been there."""
+        self.method.settle(t_us)
+
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
         """Go on from t_us with other parameters of the method."""
         self.method.retune(**learned)
@@ -128,6 +132,10 @@ class AsItArrives:
 
     def passed(self, t_us: int) -> None:
         """Note that everything that arrived up to t_us has been there."""
+
+    def settle(self, t_us: int) -> None:
+        """Do what is due when everything up to t_us, inclusive, has been there."""
+        self.method.settle(t_us)
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
         """Go on from t_us with other parameters of the method.

@@ -207,6 +207,18 @@ class Reconstructor(ABC):
             f"method {self.method!r} has no parameters that can be learned, got "
             f"{', '.join(learned)}")
 
+    def settle(self, t_us: int) -> None:  # noqa: B027
+        """Do what is due, so that no read has to do it on a copy of the state.
+
+        Nothing that is fed later lies at or before t_us, and no later read before
+        t_us less `lookahead_us`.  What is read does not depend on it.
+
+        Parameters
+        ----------
+        t_us : int
+            Not before the last time seen.
+        """
+
     @abstractmethod
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the estimate at t_us without changing the state.

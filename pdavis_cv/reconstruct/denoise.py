@@ -211,6 +211,14 @@ class Denoised(Reconstructor):
         """Go on with other parameters of the method."""
         self._inner.retune(**learned)
 
+    def settle(self, t_us: int) -> None:
+        """Let the method do what is due."""
+        self._inner.settle(t_us)
+
+    def shows(self, t_us: int) -> object | None:
+        """Return what stands for what the method shows."""
+        return self._inner.shows(t_us)
+
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the method's estimate (see `Reconstructor.read`)."""
         return self._inner.read(t_us, out)

@@ -147,6 +147,7 @@ class EventRedundancy(Reconstructor):
         self._fed = 0                   # how often anything was
         self._ahead: tuple[EventRedundancy, int] | None = None
         self._shown = self              # whose moments the last read was of
+        self._ratio: NDArray[np.float32] | None = None  # quality, as of then
 
     def _tune(self) -> None:
         for name, value in zip(
@@ -176,14 +177,9 @@ class EventRedundancy(Reconstructor):
 
         As of the last time that was read.
         """
-        return self._shown._by_pixel("ratio")
-
-    def _by_pixel(self, name: str) -> NDArray[np.float32]:
-        out = np.ones(self.shape, np.float32)
-        rows, columns = self._moments.shape
-        cells = out[:2 * rows, :2 * columns].reshape(rows, 2, columns, 2)
-        cells[:] = self._moments[name][:, None, :, None]
-        return out
+        if self._shown._ratio is None:
+            return np.ones(self.shape, np.float32)
+        return self._shown._ratio.copy()
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
@@ -207,6 +203,17 @@ class EventRedundancy(Reconstructor):
         """Tell how the lamp flickers (see `Reconstructor.add_wave`)."""
         self._fed += 1
         self._lamp.add(wave)
+
+    def settle(self, t_us: int) -> None:
+        """Make the comparisons that are due (see `Reconstructor.settle`)."""
+        self._clock.last_us = max(self._clock.last_us, t_us)
+        if self._due(t_us - self.lookahead_us):
+            self._fed += 1
+            self._compare(t_us - self.lookahead_us)
+
+    def _due(self, t: int) -> bool:
+        return self._next is not None and self._next * STEP_US <= t and (
+            self._unsolved or self._tracks.waiting_us is not None)
 
     def _compare(self, until_us: int) -> None:
         """Make the comparisons, and solutions, up to until_us inclusive.
@@ -246,9 +253,7 @@ class EventRedundancy(Reconstructor):
         t = int(t_us)
         self._clock.check_read(t + self.lookahead_us)
         log = output(out, self.shape, np.float32)
-        due = self._next is not None and self._next * STEP_US <= t and (
-            self._unsolved or self._tracks.waiting_us is not None)
-        self._shown = self._compared(t) if due else self
+        self._shown = self._compared(t) if self._due(t) else self
         return self._shown._estimate(t, log)
 
     def _compared(self, t: int) -> EventRedundancy:
@@ -270,8 +275,9 @@ class EventRedundancy(Reconstructor):
             t, t + self.lookahead_us, rest, 0, self._tracks, self._states,
             (self._tuning, self._lamp.waves),
             (log, np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)))
-        return Estimate(log, self._by_pixel("smallest"),
-                        self._by_pixel("ratio") < VALID_QUALITY)
+        self._ratio, smallest = np.empty((2, *self.shape), np.float32)
+        _kernels.redundancy_shown(self._moments, self._ratio, smallest)
+        return Estimate(log, smallest, self._ratio < VALID_QUALITY)
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal one (see `Reconstructor.assign`)."""

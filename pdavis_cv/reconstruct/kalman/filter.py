@@ -189,6 +189,7 @@ class KalmanFilter(Reconstructor):
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._frames: tuple[_Frame, ...] = ()
+        self._unsampled: NDArray[np.intp] | None = None
         self._innovations = np.zeros(3)
         self._fed = 0           # how often anything was
         self._scratch: tuple[KalmanFilter, int, int] | None = None
@@ -255,6 +256,7 @@ class KalmanFilter(Reconstructor):
         """Note that what was computed ahead holds no more, and states may differ."""
         self._fed += 1
         self._reader.forget()
+        self._unsampled = None
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -327,8 +329,24 @@ class KalmanFilter(Reconstructor):
         due = sum(frame.known_us <= seen for frame in self._frames)
         one = self._ahead(due, seen) if due else self
         one._show(t, log, variance, valid.view(np.uint8))
-        self._saturated.fill(t, log, variance, valid)
+        self._saturated.fill(t, one._unknown, log, variance, valid)
         return Estimate(log, variance, valid)
+
+    def settle(self, t_us: int) -> None:
+        """Use the frames that are due (see `Reconstructor.settle`)."""
+        self._fed += 1
+        self._clock.last_us = max(self._clock.last_us, t_us)
+        self._settle(t_us)
+        self._saturated.settle(t_us)
+
+    @property
+    def _unknown(self) -> NDArray[np.intp]:
+        """Flat indices of the pixels without a sample, as of the last read."""
+        if self._smoother is not None:
+            return self._smoother.unknown
+        if self._unsampled is None:
+            self._unsampled = np.flatnonzero(self._states["samples"] == 0)
+        return self._unsampled
 
     def _ahead(self, due: int, seen_us: int) -> KalmanFilter:
         """Return a filter that has used the first `due` frames that wait here."""
@@ -382,6 +400,7 @@ class KalmanFilter(Reconstructor):
                 recent.tracks, self._states, self._innovations, nodes)
             self._epoch_us = max(self._epoch_us, int(middles.max()))
             self._reader.forget()
+            self._unsampled = None
             if smoother is not None:
                 smoother.pass_until(
                     frame.known_us - self.lookahead_us, self._states)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv.reconstruct.frames import log_exposure
 from pdavis_cv.reconstruct.redundancy import EventRedundancy, null_of
 from pdavis_cv.recording.base import ApsFrame
@@ -57,11 +58,15 @@ class Saturated:
         self._bound = np.zeros(shape, np.float32)
         self._level: float | None = None    # log intensity that saturates
         self._method: EventRedundancy | None = None
+        # The pixels that `fill` was last told of, and what it made of them.
+        self._filled: tuple[NDArray[np.intp], tuple[
+            NDArray[np.intp], NDArray[np.uint8], NDArray[np.intp]]] | None = None
         null_of(self.response, shape)  # refuses an impossible response
 
     def _make(self, pixels: NDArray[np.intp], level: float) -> None:
         """Begin to watch macropixels, pixels (4, n), under light of so much or more."""
         self._pixels, self._level = pixels, level
+        self._filled = None
         count = pixels.shape[1]
         self._column = np.full(self._shape, -1, np.int32)
         self._column.ravel()[pixels] = 2 * np.arange(count)
@@ -118,11 +123,16 @@ class Saturated:
             mine["y"] %= 2
             self._method.add_events(mine)
 
+    def settle(self, t_us: int) -> None:
+        """Do what is due (see `Reconstructor.settle`)."""
+        if self._method is not None:
+            self._method.settle(t_us)
+
     def fill(
-        self, t_us: int, log: NDArray[np.float32], variance: NDArray[np.float32],
-        valid: NDArray[np.bool_],
+        self, t_us: int, unknown: NDArray[np.intp], log: NDArray[np.float32],
+        variance: NDArray[np.float32], valid: NDArray[np.bool_],
     ) -> None:
-        """Complete an estimate where its variance is 0: nothing is known.
+        """Complete an estimate where nothing is known.
 
         There it becomes the last frame's sample, which is a bound (a lower one where
         the pixel saturates), and where the events tell enough, what they tell.
@@ -131,40 +141,46 @@ class Saturated:
         ----------
         t_us : int
             Time of the estimate.
+        unknown : ndarray of intp, shape (N,)
+            Flat indices of the pixels of which nothing is known; the same array as
+            before if they are the same.
         log, variance : ndarray of float32, shape (H, W)
             Log intensity and its variance.
         valid : ndarray of bool, shape (H, W)
             Set where the variance is then at most `VALID_VARIANCE`.
         """
-        unknown = np.flatnonzero(variance == 0)
         if not len(unknown):
             return
         log.ravel()[unknown] = self._bound.ravel()[unknown]
         if self._method is None:
             return
-        missing = variance.ravel()[self._pixels] == 0
-        cells = np.flatnonzero(missing.any(0))
-        if not len(cells):
+        cells = self._cells_of(unknown)
+        if not len(cells[2]):
             return
-        # Most of the macropixels of the first frame have been measured since.
-        pixels, missing = self._pixels[:, cells], missing[:, cells]
         estimate = self._method.read(t_us)
         assert estimate.variance is not None
-        shown, rest, enough, quality = (
-            plane.reshape(2, -1, 2)[:, cells].swapaxes(1, 2).reshape(4, -1)
-            for plane in (estimate.log_intensity, estimate.variance, estimate.valid,
-                          self._method.quality))
-        # The offset of a macropixel: from the pixels that are known, else the bound.
-        count = (~missing).sum(0)
-        apart = np.where(missing, 0, log.ravel()[pixels] - shown).sum(0)
-        bound = self._bound.ravel()[pixels].sum(0) / 4
-        offset = np.where(count > 0, apart / np.maximum(count, 1), bound)
-        here = missing & enough
-        at = pixels[here]
-        log.ravel()[at] = (shown + offset)[here]
-        # Where the gains are less certain, the prior of equal mean squares has a say.
-        variance.ravel()[at] = (rest + PRIOR_SIGMA**2 * quality)[here]
-        valid.ravel()[at] = variance.ravel()[at] <= VALID_VARIANCE
+        _kernels.saturated_fill(
+            cells, (estimate.log_intensity, estimate.variance,
+                    estimate.valid.view(np.uint8), self._method.quality),
+            self._bound, PRIOR_SIGMA**2, VALID_VARIANCE,
+            (log, variance, valid.view(np.uint8)))
+
+    def _cells_of(
+        self, unknown: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], NDArray[np.uint8], NDArray[np.intp]]:
+        """Return the macropixels with an unknown pixel, as the kernel takes them.
+
+        Most of those of the first frame have been measured since.
+        """
+        if self._filled is None or self._filled[0] is not unknown:
+            missing = np.zeros(self._shape, np.uint8)
+            missing.ravel()[unknown] = 1
+            missing = missing.ravel()[self._pixels]
+            cells = np.flatnonzero(missing.any(0))
+            self._filled = unknown, (
+                np.ascontiguousarray(self._pixels[:, cells]),
+                np.ascontiguousarray(missing[:, cells]), 2 * cells)
+        return self._filled[1]
 
     def assign(self, other: Saturated) -> None:
         """Take over what an equal one holds."""

@@ -27,6 +27,11 @@ class Smoother:
     ----------
     shape : (int, int)
         (height, width).
+
+    Attributes
+    ----------
+    unknown : ndarray of intp, shape (N,)
+        Flat indices of the pixels without a frame on either side of the last read.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -37,6 +42,7 @@ class Smoother:
         self._order: tuple[int, ...] = ()
         self._gap = np.zeros(shape, GAP_DTYPE)
         self._passed: NDArray[np.int32] | None = None
+        self.unknown = np.empty(0, np.intp)
 
     def slot(self, times: NDArray[np.int64]) -> NDArray[Any]:
         """Return where the measurements of the next frame go.
@@ -91,6 +97,8 @@ class Smoother:
             _kernels.smooth_gap(
                 self._nodes, self._times, order, passed, states, self._past, self._gap)
             self._passed = passed
+            self.unknown = np.flatnonzero(
+                (self._gap["before"]["var"] < 0) & (self._gap["after"]["var"] < 0))
         tracks.chain_late(known_us)
         _kernels.smooth_read(
             t_us, known_us, (tracks.store, tracks.late), model, self._gap, states,
