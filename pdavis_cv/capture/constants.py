@@ -19,6 +19,7 @@ __all__ = [
     "CAP_PDAVIS_S2",
     "CAP_PDAVIS_STOKES",
     "CAP_PDAVIS_VALID",
+    "CAP_PROP_OPEN_TIMEOUT_MSEC",
     "CAP_PROP_PDAVIS_CAPTURE_FPS",
     "CAP_PROP_PDAVIS_CAUSAL",
     "CAP_PROP_PDAVIS_CUTOFF_HZ",
@@ -34,6 +35,7 @@ __all__ = [
     "CAP_PROP_PDAVIS_POS_US",
     "CAP_PROP_PDAVIS_START_US",
     "CAP_PROP_PDAVIS_WHITE",
+    "CAP_PROP_READ_TIMEOUT_MSEC",
     "CODE_OF_DEMOSAIC",
     "PLANES",
 ]
@@ -81,3 +83,7 @@ CAP_PROP_PDAVIS_WHITE = 94014        # S0 / 2 that is white at gain 1
 
 CODE_OF_DEMOSAIC = ("bilinear", "superpixel", "binned", "guided")
 """Demosaicing methods by their number; new ones come last."""
+
+# OpenCV's own, the same in every version: longest waits for a live source, ms.
+CAP_PROP_OPEN_TIMEOUT_MSEC = 53
+CAP_PROP_READ_TIMEOUT_MSEC = 54

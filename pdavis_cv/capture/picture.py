@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -118,15 +119,13 @@ def colour(frame: PolarFrame, output: int) -> NDArray[np.uint8]:
 
 
 def event_counts(
-    recording: Recording, after_us: int, until_us: int,
-    roi: tuple[int, int, int, int], step: int,
+    parts: Iterable[NDArray[Any]], roi: tuple[int, int, int, int], step: int,
 ) -> NDArray[np.float32]:
-    """Return ON less OFF events of each pixel in (after_us, until_us].
+    """Return ON less OFF events of each pixel.
 
     Parameters
     ----------
-    recording : Recording
-    after_us, until_us : int
+    parts : iterable of ndarray of EVENT_DTYPE
     roi : (int, int, int, int)
         (x, y, width, height).
     step : int
@@ -139,8 +138,7 @@ def event_counts(
     x0, y0, width, height = roi
     columns = width // step
     out: NDArray[np.float64] = np.zeros(height // step * columns)
-    for packet in recording.packets(after_us + 1, until_us + 1):
-        events: NDArray[Any] = packet.events
+    for events in parts:
         x = (events["x"].astype(np.int64) - x0) // step
         y = (events["y"].astype(np.int64) - y0) // step
         inside = (x >= 0) & (x < columns) & (y >= 0) & (y < height // step)

@@ -20,12 +20,14 @@ from pdavis_cv.capture.source import (
     layout_code,
     opened,
 )
+from pdavis_cv.capture.stream import LiveCursor
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion
+from pdavis_cv.live import Session as LiveSession
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
-from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.base import ApsFrame, Recording, Source
 from pdavis_cv.render import ToneCurve
 
 __all__ = ["FAILURES", "Session", "View"]
@@ -51,6 +53,9 @@ class View:
     gain, gamma : float
     log : bool
         See `picture.tone`.
+    open_timeout_ms, read_timeout_ms : float
+        Longest waits for the first sample and for an image of a live source; cv2's own
+        defaults.
     """
 
     output: int = c.CAP_PDAVIS_BGR
@@ -58,14 +63,16 @@ class View:
     gain: float = 1.0
     gamma: float = 1.0
     log: bool = False
+    open_timeout_ms: float = 30_000.0
+    read_timeout_ms: float = 30_000.0
 
 
 class Session:
-    """A recording that is being read image by image.
+    """A recording, or a live source, that is being read image by image.
 
     Parameters
     ----------
-    source : path or Recording
+    source : path, address or Source
     parameters : mapping of str to object
         Of `fuse` and of `open_recording`.
     view : View
@@ -79,15 +86,16 @@ class Session:
     """
 
     def __init__(
-        self, source: str | os.PathLike[str] | Recording,
+        self, source: str | os.PathLike[str] | Source,
         parameters: Mapping[str, Any], view: View,
     ) -> None:
         self.parameters, self.view = dict(parameters), view
-        self._owned = not isinstance(source, Recording)
+        self._owned = not isinstance(source, Source)
         self.recording = opened(source, parameters)
+        self.cursor: Cursor | LiveCursor
+        self._live: LiveSession | None = None
         try:
-            self.cursor = Cursor(self._fusion(self.parameters))
-            self._first = picture.first_frame(self.recording)
+            self.cursor, self._first = self._begun()
             self._tone = self._made_tone(view)
         except BaseException:
             self.close()
@@ -97,8 +105,20 @@ class Session:
         self._broken: Exception | None = None
         self._capture_fps: float | None = None
 
+    def _begun(self) -> tuple[Cursor | LiveCursor, ApsFrame | None]:
+        """Return the place before the first image, and the first frame if known."""
+        if isinstance(self.recording, Recording):
+            return (Cursor(self._fusion(self.parameters)),
+                    picture.first_frame(self.recording))
+        self._live = LiveSession(self.recording, **fuse_parameters(self.parameters))
+        self._live.wait(self.view.open_timeout_ms / 1000)
+        return (LiveCursor(self._live, self.view.read_timeout_ms / 1000),
+                self._live.first_frame)
+
     def close(self) -> None:
         """Release what was opened here."""
+        if self._live is not None:
+            self._live.close()
         if self._owned:
             self.recording.close()
 
@@ -126,9 +146,14 @@ class Session:
             raise self._broken
         try:
             self.grabbed = self.cursor.advance()
+        except TimeoutError:
+            raise
         except FAILURES as error:
             self._broken = error
             raise
+        if self._first is None and isinstance(self.cursor, LiveCursor):
+            self._first = self.cursor.session.first_frame
+            self._tone = self._made_tone(self.view)
         return self.grabbed
 
     def retrieve(self, output: int) -> NDArray[Any]:
@@ -164,8 +189,17 @@ class Session:
         if after is None:
             after = until - round(1e6 / (self.cursor.fps or 100.0))
         step = 2 if fusion.provenance["demosaic"] in HALF_SIZE else 1
-        return picture.event_counts(
-            self.recording, after, until, fusion.provenance["roi"], step)
+        parts = ([self.cursor.session.events(after, until)]
+                 if isinstance(self.cursor, LiveCursor) else
+                 (packet.events for packet in self._readable().packets(
+                     after + 1, until + 1)))
+        return picture.event_counts(parts, fusion.provenance["roi"], step)
+
+    def _readable(self) -> Recording:
+        """Return what can be read again; ValueError where there is nothing such."""
+        if not isinstance(self.recording, Recording):
+            raise ValueError("a live source is read once")
+        return self.recording
 
     # ---- position ----------------------------------------------------------------
 
@@ -221,6 +255,8 @@ class Session:
         if name in View.__dataclass_fields__:
             view = replace(self.view, **{name: decoded})
             self._tone, self.view = self._made_tone(view), view
+            if isinstance(self.cursor, LiveCursor):
+                self.cursor.timeout_s = view.read_timeout_ms / 1000
         else:
             self._change(name, decoded)
         return True
@@ -234,10 +270,19 @@ class Session:
             return value
         if prop == _POS_AVI_RATIO:
             return round(value * self.cursor.count)
-        return self.cursor.index_at((self.cursor.fusion.start_us or 0) + value * 1000)
+        return self.cursor.index_at((self._start_us() or 0) + value * 1000)
+
+    def _start_us(self) -> int | None:
+        """Return the time of the first image, None where it is not known yet."""
+        if isinstance(self.cursor, LiveCursor):
+            return self.cursor.start_us
+        return self.cursor.fusion.start_us
 
     def _change(self, name: str, value: Any) -> None:
         """Go on with another parameter of `fuse`, at the same place."""
+        if isinstance(self.cursor, LiveCursor):
+            self.cursor.session.change(**{name: value})
+            return
         parameters = {**self.parameters, name: value}
         if name == "method":  # what belongs to the old one is unknown to the new
             parameters = {key: kept for key, kept in parameters.items()
@@ -253,7 +298,7 @@ class Session:
         self.grabbed = self.grabbed and grabbed
 
     def _pos_msec(self) -> float:
-        t, start = self.cursor.t_us, self.cursor.fusion.start_us
+        t, start = self.cursor.t_us, self._start_us()
         return 0.0 if t is None or start is None else (t - start) / 1000
 
     def _format(self) -> float:
@@ -271,8 +316,10 @@ class Session:
         return self._first.exposure_ms * 1000 or None
 
     def _rate_of_frames(self) -> float:
+        if isinstance(self.cursor, LiveCursor):
+            return 0.0
         if self._capture_fps is None:
-            times = [frame.mid_us for packet in self.recording.packets()
+            times = [frame.mid_us for packet in self._readable().packets()
                      for frame in packet.frames]
             self._capture_fps = 0.0 if len(times) < 2 else (
                 (len(times) - 1) * 1e6 / (times[-1] - times[0]))
@@ -304,6 +351,8 @@ _GETTERS: dict[int, Callable[[Session], float | None]] = {
     _FORMAT: Session._format,
     _CONVERT_RGB: lambda s: float(s.view.convert),
     _BACKEND: lambda s: float(c.CAP_PDAVIS),
+    c.CAP_PROP_OPEN_TIMEOUT_MSEC: lambda s: s.view.open_timeout_ms,
+    c.CAP_PROP_READ_TIMEOUT_MSEC: lambda s: s.view.read_timeout_ms,
     c.CAP_PROP_PDAVIS_OUTPUT: lambda s: float(s.view.output),
     c.CAP_PROP_PDAVIS_METHOD: lambda s: float(METHODS.index(s.cursor.fusion.method)),
     c.CAP_PROP_PDAVIS_CUTOFF_HZ: _of_parameters("cutoff_hz"),
@@ -313,7 +362,7 @@ _GETTERS: dict[int, Callable[[Session], float | None]] = {
     c.CAP_PROP_PDAVIS_LAYOUT: lambda s: float(layout_code(s.cursor.fusion.layout)),
     c.CAP_PROP_PDAVIS_DEMOSAIC: lambda s: float(
         c.CODE_OF_DEMOSAIC.index(s.cursor.fusion.provenance["demosaic"])),
-    c.CAP_PROP_PDAVIS_START_US: lambda s: _time(s.cursor.fusion.start_us),
+    c.CAP_PROP_PDAVIS_START_US: lambda s: _time(s._start_us()),
     c.CAP_PROP_PDAVIS_POS_US: lambda s: _time(s.cursor.t_us),
     c.CAP_PROP_PDAVIS_CAUSAL: lambda s: float(s.cursor.fusion.provenance["causal"]),
     c.CAP_PROP_PDAVIS_GAIN: lambda s: s.view.gain,

@@ -7,9 +7,9 @@ from typing import Any
 
 from pdavis_cv.capture import constants as c
 from pdavis_cv.fusion import FusionOptions
+from pdavis_cv.live import is_address, open_source
 from pdavis_cv.reconstruct.methods import METHODS, method_parameters
-from pdavis_cv.recording.base import Recording
-from pdavis_cv.recording.open import open_recording
+from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.registry import is_recording
 from pdavis_cv.sensor import Layout
 
@@ -29,24 +29,26 @@ _OPEN = ("bad_events", "camera")
 def is_ours(source: Any, backend: int, layout: Layout | None) -> bool:
     """Tell whether a source is opened here rather than by cv2.
 
-    Ours are recordings, whatever their name, files with a recording's name, and
-    with a layout everything that has a path: a mosaic video or image sequence.
+    Ours are recordings and live sources, addresses of these, files with a recording's
+    name, and with a layout everything that has a path: a mosaic video or image
+    sequence.
 
     Parameters
     ----------
-    source : path, Recording or anything that cv2 takes
+    source : path, address, Source or anything that cv2 takes
     backend : int
         ``CAP_PDAVIS`` makes it ours, another one cv2's; 0 lets the source decide.
     layout : Layout or None
     """
-    if backend == c.CAP_PDAVIS or isinstance(source, Recording):
+    if (backend == c.CAP_PDAVIS or isinstance(source, Source)
+            or (backend == 0 and is_address(source))):
         return True
     if backend != 0 or not isinstance(source, (str, os.PathLike)):
         return False
     return layout is not None or is_recording(source)
 
 
-def opened(source: Any, parameters: Mapping[str, Any]) -> Recording:
+def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
     """Open a source of ours.
 
     Raises
@@ -54,7 +56,7 @@ def opened(source: Any, parameters: Mapping[str, Any]) -> Recording:
     OSError
         If it cannot be opened or is not what it says.
     """
-    if isinstance(source, Recording):
+    if isinstance(source, Source):
         return source
     if not isinstance(source, (str, os.PathLike)):
         raise OSError(f"a recording is opened by its path, got {source!r}")
@@ -62,7 +64,7 @@ def opened(source: Any, parameters: Mapping[str, Any]) -> Recording:
         raise OSError(f"{source!r}: a path cannot hold a null character")
     keywords = {name: parameters[name] for name in (*_OPEN, "layout", "fps")
                 if name in parameters}
-    return open_recording(source, **keywords)
+    return open_source(source, **keywords)
 
 
 def checked_parameters(parameters: Mapping[str, Any]) -> None:
@@ -124,6 +126,8 @@ NAME_OF_PROPERTY = {
     c.CAP_PROP_PDAVIS_GAIN: "gain",
     c.CAP_PROP_PDAVIS_GAMMA: "gamma",
     c.CAP_PROP_PDAVIS_LOG: "log",
+    c.CAP_PROP_OPEN_TIMEOUT_MSEC: "open_timeout_ms",
+    c.CAP_PROP_READ_TIMEOUT_MSEC: "read_timeout_ms",
 }
 """Properties that can be set, by the keyword that says the same."""
 
@@ -134,7 +138,8 @@ def decoded_value(name: str, value: float) -> Any:
         return None
     if name in ("causal", "log"):
         return bool(value)
-    if name in ("cutoff_hz", "fps", "gain", "gamma"):
+    if name in ("cutoff_hz", "fps", "gain", "gamma", "open_timeout_ms",
+                "read_timeout_ms"):
         return float(value) if value > 0 else None
     if name == "output":
         known = 0 <= value <= c.CAP_PDAVIS_EVENTS_BGR and value == int(value)

@@ -22,14 +22,14 @@ from pdavis_cv.capture.manners import (
 from pdavis_cv.capture.session import FAILURES, Session, View
 from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
 from pdavis_cv.fusion.options import names_options
-from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.base import Source
 
 __all__ = ["CaptureStatus", "VideoCapture"]
 
 _CAP_ANY, _PROP_BACKEND = 0, 42
-_VIEW = ("output", "gain", "gamma", "log")
+_VIEW = ("output", "gain", "gamma", "log", "open_timeout_ms", "read_timeout_ms")
 
-Source = str | os.PathLike[str] | int | Recording | None
+Openable = str | os.PathLike[str] | int | Source | None
 
 
 class CaptureStatus(enum.StrEnum):
@@ -54,8 +54,10 @@ class VideoCapture:
 
     Parameters
     ----------
-    filename : path or Recording, optional
-        What to open; None opens nothing.
+    filename : path, address or Source, optional
+        What to open; None opens nothing.  A live source (see `open_source`) has no
+        positions and ``FRAME_COUNT`` -1; `grab` waits for the next image, at most
+        ``CAP_PROP_READ_TIMEOUT_MSEC``.
     apiPreference : int
         ``CAP_PDAVIS`` to have it opened here, another of ``cv2.CAP_*`` to have it
         opened by cv2.
@@ -94,7 +96,7 @@ class VideoCapture:
 
     def __init__(
         self,
-        filename: Source = None,
+        filename: Openable = None,
         apiPreference: int = _CAP_ANY,
         params: Sequence[float] = (),
         *,
@@ -123,7 +125,7 @@ class VideoCapture:
     @overloads
     def open(
         self,
-        filename: Source = None,
+        filename: Openable = None,
         apiPreference: int = _CAP_ANY,
         params: Sequence[float] = (),
         *,
@@ -505,4 +507,4 @@ def _is_integer(value: Any) -> bool:
 
 def _is_source(value: Any) -> bool:
     return _is_integer(value) or isinstance(
-        value, (str, bytes, os.PathLike, Recording, io.BufferedIOBase))
+        value, (str, bytes, os.PathLike, Source, io.BufferedIOBase))

@@ -24,7 +24,14 @@ from pdavis_cv.live.recorder import Recorder
 from pdavis_cv.live.statistics import Counter, SessionStats
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import CHEAPER
-from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source, joined
+from pdavis_cv.recording.base import (
+    ApsFrame,
+    Packet,
+    Problem,
+    RecordingInfo,
+    Source,
+    joined,
+)
 from pdavis_cv.recording.files import ProblemLog
 
 __all__ = ["Session"]
@@ -145,6 +152,7 @@ class Session:
         self._images: deque[PolarFrame] = deque()
         self._latest: tuple[int, PolarFrame | None] = (0, None)
         self._state = "waiting"
+        self._first_frame: ApsFrame | None = None
         self._error: Exception | None = None
         self._closed = False
         self.clock = HostClock()
@@ -193,10 +201,16 @@ class Session:
         if recorder is not None:
             recorder.add(packet)
         self._events.add(len(packet.events))
+        if self._first_frame is None and packet.frames:
+            self._first_frame = packet.frames[0]
         if packet.stop_us is not None:
             with self._clock_lock:
                 self.clock.saw(packet.stop_us - 1, time.monotonic())
         self._inbox.put(packet)
+        with self._change:
+            if self._state == "waiting":
+                self._state = "running"
+                self._change.notify_all()
 
     def record(self, path: str | os.PathLike[str] | None) -> None:
         """Begin to write what arrives to a file, or with None end it.
@@ -283,7 +297,6 @@ class Session:
                 self._images.popleft()
             self._images.append(image)
             self._latest = (self._latest[0] + 1, image)
-            self._state = "running"
             self._change.notify_all()
 
     def _finish(self, state: str, error: Exception | None) -> None:
@@ -341,7 +354,6 @@ class Session:
                              f"one reads {self._log.name}")
         if self._closed:
             raise ValueError("push after close")
-        self._state = "running"
         self._arrived(packet)
         return list(self._known())
 
@@ -463,6 +475,40 @@ class Session:
     def options(self) -> FusionOptions:
         """What is asked of `fuse` now."""
         return self._fusion.options
+
+    @property
+    def fusion(self) -> Fusion:
+        """What makes the images; to look at, not to move."""
+        return self._fusion
+
+    @property
+    def first_frame(self) -> ApsFrame | None:
+        """The first frame that arrived, None before."""
+        return self._first_frame
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Wait until something has arrived.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            Longest wait, s.
+
+        Raises
+        ------
+        TimeoutError
+            If nothing has arrived in this time.
+        DeviceError, RecordingError
+            If the source failed before anything arrived.
+        """
+        with self._change:
+            if not self._change.wait_for(
+                    lambda: self._state != "waiting" or self._closed, timeout):
+                raise TimeoutError(
+                    f"{self._log.name}: nothing arrived for {timeout:g} s")
+            if self._state == "failed" and self._inbox.newest_us is None:
+                assert self._error is not None
+                raise self._error
 
     @property
     def shape(self) -> tuple[int, int]:

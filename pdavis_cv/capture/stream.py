@@ -1,0 +1,99 @@
+"""A place among images that come once, for what has no positions."""
+from __future__ import annotations
+
+from typing import NoReturn
+
+from pdavis_cv.capture.seeking import Bookmark
+from pdavis_cv.fusion import Fusion
+from pdavis_cv.live import Session
+from pdavis_cv.polarimetry import PolarFrame
+
+__all__ = ["LiveCursor"]
+
+
+class LiveCursor:
+    """The images of a live session, one after the other; what `Cursor` is for files.
+
+    Parameters
+    ----------
+    session : live.Session
+        Belongs to the cursor.
+    timeout_s : float
+        Longest wait for an image.
+    """
+
+    count = -1
+    """How many images there will be is not known; cv2 says -1 of a camera."""
+
+    def __init__(self, session: Session, timeout_s: float) -> None:
+        self.session, self.timeout_s = session, timeout_s
+        self.index = 0
+        self.t_us: int | None = None
+        self.start_us: int | None = None
+        self.previous_us: int | None = None
+        self._image: PolarFrame | None = None
+
+    @property
+    def fusion(self) -> Fusion:
+        """What makes the images."""
+        return self.session.fusion
+
+    @property
+    def fps(self) -> float:
+        """Images per second of the stream."""
+        rate = self.session.options.rate
+        return 0.0 if rate is None else float(rate)
+
+    def advance(self) -> bool:
+        """Wait for the next image; False where the stream has ended.
+
+        Raises
+        ------
+        TimeoutError
+            If none came in time; asking again is possible.
+        DeviceError
+            If the device is gone.
+        """
+        image = self.session.read(self.timeout_s)
+        if image is None:
+            return False
+        self._image, self.previous_us, self.t_us = image, self.t_us, image.t_us
+        self.start_us = self.t_us if self.start_us is None else self.start_us
+        self.index += 1
+        return True
+
+    def image(self) -> PolarFrame:
+        """Return the image that `advance` waited for."""
+        assert self._image is not None
+        return self._image
+
+    def seek(self, index: int) -> int:
+        """Stay: there is no other place.
+
+        Raises
+        ------
+        ValueError
+            If another place is asked for.
+        """
+        if index != self.index:
+            raise ValueError("a live source has no positions: images come once")
+        return self.index
+
+    def index_at(self, t_us: float) -> int:
+        """Raise ValueError: images come once."""
+        self._refuse()
+
+    def rewind(self) -> None:
+        """Raise ValueError: images come once."""
+        self._refuse()
+
+    def bookmark(self) -> Bookmark:
+        """Raise TypeError: what a device sends cannot be pickled."""
+        raise TypeError("cannot pickle a capture of a live source")
+
+    def restore(self, mark: Bookmark) -> None:
+        """Raise ValueError: images come once."""
+        self._refuse()
+
+    def _refuse(self) -> NoReturn:
+        raise ValueError("a live source has no positions: images come once")
