@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import math
 import os
 import sys
 import warnings
@@ -18,6 +17,8 @@ if TYPE_CHECKING:  # an interrupt while NumPy loads must find `command` at work
     from pdavis_cv.fusion.options import OptionFacts
 
 __all__ = [
+    "LAST_SEED",
+    "OneLineParser",
     "Parser",
     "UsageError",
     "add_fuse_options",
@@ -26,15 +27,28 @@ __all__ = [
     "command",
     "fuse_options",
     "layout_option",
+    "number",
     "numbers",
     "opened",
     "positive",
     "progress",
     "require_samples",
     "roi_option",
+    "seconds",
     "source_of",
     "start_of",
+    "whole",
+    "within",
 ]
+
+
+TRACEBACK = "PDAVIS_CV_TRACEBACK"
+MOST = 1e18
+"""Numbers of options lie within this of 0: what is larger is a slip, and whole ones
+still fit 64 bits."""
+LAST_SEED = 2**63 - 1
+MOST_S = 1e12
+"""Seconds: as microseconds within the 2**61 that recordings hold."""
 
 
 class Main(Protocol):
@@ -49,8 +63,16 @@ class UsageError(Exception):
     """A mistake of the user; its text is the line that they see."""
 
 
-class Parser(argparse.ArgumentParser):
-    """An ArgumentParser whose complaints are one line.
+class OneLineParser(argparse.ArgumentParser):
+    """An ArgumentParser whose complaints are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise UsageError instead of printing the whole usage."""
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+class Parser(OneLineParser):
+    """The parser of a subcommand.
 
     Parameters
     ----------
@@ -68,17 +90,15 @@ class Parser(argparse.ArgumentParser):
             epilog=f"example:\n  {example}",
             formatter_class=argparse.RawDescriptionHelpFormatter)
 
-    def error(self, message: str) -> NoReturn:
-        """Raise UsageError instead of printing the whole usage."""
-        raise UsageError(f"{message} (see {self.prog} --help)")
-
 
 def command(main: Main) -> Main:
     """Give a tool's main the manners of a command.
 
     A mistake of the user or a file that cannot be read gives one line and 2, an
     output that cannot be written, or an interrupt, one line and 1; warnings are
-    one line each.
+    one line each.  Whatever else goes wrong is a mistake of ours: one line that says
+    how to report it, and 70 (EX_SOFTWARE); where, is said if the environment holds
+    PDAVIS_CV_TRACEBACK.
     """
 
     @functools.wraps(main)
@@ -87,11 +107,10 @@ def command(main: Main) -> Main:
             warnings.simplefilter("always", PdavisWarning)
             warnings.showwarning = _show_warning
             try:
-                return main(argv)
+                code = _flushed(main, argv)
             except SystemExit as leave:  # argparse after --help
                 return leave.code if isinstance(leave.code, int) else 0
             except BrokenPipeError:  # the reader of our output has gone
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return 1
             except (FileNotFoundError, NotADirectoryError, IsADirectoryError,
                     PermissionError, PdavisError, UsageError, ImportError,
@@ -99,10 +118,40 @@ def command(main: Main) -> Main:
                 return _complain(error, 2)
             except OSError as error:
                 return _complain(error, 1)
+            except MemoryError as error:
+                return _complain(f"not enough memory{error and f': {error}'}", 1)
             except KeyboardInterrupt:
                 return _complain("interrupted; nothing unfinished was left", 1)
+            except Exception as error:
+                if TRACEBACK in os.environ:
+                    raise
+                return _complain(
+                    f"this is a mistake of pdavis, {type(error).__name__}: {error}; "
+                    f"please report the command and what it prints with {TRACEBACK}=1",
+                    70)
+            return code
 
     return run
+
+
+def _flushed(main: Main, argv: Sequence[str] | None) -> int:
+    """Run a command and write out what it printed, where that can still be told."""
+    try:
+        code = main(argv)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        _drop_output()
+        raise
+    return code
+
+
+def _drop_output() -> None:
+    """Let what waits for standard output go nowhere, if that cannot be written."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(error: object, code: int) -> int:
@@ -279,23 +328,58 @@ def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterable[Any
 
 
 def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:
-    """Parse so many numbers with commas between them."""
+    """Parse so many finite numbers with commas between them."""
     parts = text.split(",")
     if len(parts) != count:
         raise argparse.ArgumentTypeError(
             f"{count} numbers with commas between them are needed, got {text!r}")
     try:
-        return [kind(part) for part in parts]
+        values = [kind(part) for part in parts]
     except ValueError:
         raise argparse.ArgumentTypeError(f"not {count} numbers: {text!r}") from None
+    if not all(abs(value) < MOST for value in values):
+        raise argparse.ArgumentTypeError(
+            f"numbers must lie within {MOST:g} of 0, got {text}")
+    return values
+
+
+def number(text: str) -> float:
+    """Parse a finite number."""
+    return float(numbers(text, 1)[0])
+
+
+def whole(text: str) -> int:
+    """Parse a whole number."""
+    return int(numbers(text, 1, int)[0])
 
 
 def positive(text: str) -> float:
     """Parse a positive number."""
-    value = numbers(text, 1)[0]
-    if not 0 < value < math.inf:
+    value = number(text)
+    if not value > 0:
         raise argparse.ArgumentTypeError(f"must be positive, got {text}")
-    return float(value)
+    return value
+
+
+def within(low: int, high: int) -> Callable[[str], int]:
+    """Return a function that parses a whole number of low to high."""
+    def parse(text: str) -> int:
+        value = whole(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"must lie in {low}..{high}, got {text}")
+        return value
+
+    return parse
+
+
+def seconds(text: str) -> float:
+    """Parse a time in seconds that fits the clock of recordings."""
+    value = number(text)
+    if not abs(value) < MOST_S:
+        raise argparse.ArgumentTypeError(
+            f"times must lie within {MOST_S:g} s of 0, got {text}")
+    return value
 
 
 def roi_option(text: str) -> tuple[int, int, int, int]:
@@ -358,7 +442,7 @@ def _pair(text: str) -> tuple[float, float]:
 _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
     "text": (str, "NAME"),
     "number": (positive, "RATE"),
-    "seconds": (float, "S"),
+    "seconds": (seconds, "S"),
     "region": (roi_option, "X,Y,W,H"),
     "layout": (layout_option, "LAYOUT"),
     "calibration": (Path, "NPZ"),

@@ -28,10 +28,13 @@ from ._common import (
     add_layout_option,
     command,
     layout_option,
+    number,
     numbers,
     opened,
+    positive,
     roi_option,
     start_of,
+    within,
 )
 
 __all__ = ["main"]
@@ -415,7 +418,7 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
     for name, text in (("wavelength-nm", "wavelength, noted"),
                        ("f-number", "f-number, noted"),
                        ("temperature-c", "temperature, noted")):
-        parser.add_argument(f"--{name}", type=float, help=text)
+        parser.add_argument(f"--{name}", type=positive, help=text)
     if part in ("layout", "all"):
         parser.add_argument("--direction", choices=("ccw", "cw"),
                             help="sense of rotation as displayed")
@@ -442,9 +445,10 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
                 ("hold-s", 1.0, "seconds from step to step"),
                 ("settle-s", 0.1, "seconds after a step that are left out"),
                 ("first-s", 0.0, "when the first step begins")):
-            parser.add_argument(f"--{name}", type=float, default=default,
+            parser.add_argument(f"--{name}", type=number, default=default,
                                 help=f"{text}; default {default:g}")
-        parser.add_argument("--steps", type=int, help="number of steps; default: all")
+        parser.add_argument("--steps", type=within(1, 10**9),
+                            help="number of steps; default: all")
 
 
 def _floats(text: str) -> list[float]:

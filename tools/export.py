@@ -31,7 +31,9 @@ from ._common import (
     positive,
     progress,
     require_samples,
+    seconds,
     start_of,
+    within,
 )
 from ._images import full_scale, told_if_nothing
 
@@ -111,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
     parser.add_argument(
-        "--at", type=float, metavar="S",
+        "--at", type=seconds, metavar="S",
         help="one image, at so many seconds after the start of the recording")
     parser.add_argument(
         "--quantities", type=_quantities, default=["s0", "aop", "dolp"],
@@ -136,7 +138,8 @@ def _parser() -> argparse.ArgumentParser:
         help="intensity shown as white; default: from the first image, then fixed")
     look.add_argument("--title", default="", help="a line above each picture")
     look.add_argument(
-        "--columns", type=int, metavar="N", help="panels in a row; default all")
+        "--columns", type=within(1, 64), metavar="N",
+        help="panels in a row; default all")
     look.add_argument(
         "--bare", action="store_true", help="no titles, no legends, no margins")
     add_fuse_options(parser)

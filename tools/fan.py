@@ -24,10 +24,13 @@ from ._common import (
     command,
     fuse_options,
     layout_option,
+    number,
     numbers,
     opened,
     progress,
+    seconds,
     start_of,
+    within,
 )
 from ._images import (
     facts_of,
@@ -77,33 +80,33 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--beside-layout", type=layout_option, metavar="LAYOUT", help="its polarizers")
     parser.add_argument(
-        "--beside-fps", type=float, metavar="RATE",
+        "--beside-fps", type=number, metavar="RATE",
         help="its images per second, if the file does not say")
     parser.add_argument(
-        "--beside-offset", type=float, default=0.0, metavar="S",
+        "--beside-offset", type=seconds, default=0.0, metavar="S",
         help="its time at the first image shown, seconds after its own first image")
     look = parser.add_argument_group("pictures")
-    look.add_argument("--slow", type=float, default=20.0, metavar="FACTOR",
+    look.add_argument("--slow", type=number, default=20.0, metavar="FACTOR",
                       help="play so many times slower; default 20")
-    look.add_argument("--scale", type=int, default=1, metavar="N",
+    look.add_argument("--scale", type=within(1, 64), default=1, metavar="N",
                       help="enlarge each pixel; default 1")
-    look.add_argument("--mask-dolp", type=float, default=0.3, metavar="DOLP",
+    look.add_argument("--mask-dolp", type=number, default=0.3, metavar="DOLP",
                       help="grey out AoP of weaker polarization; default 0.3")
     look.add_argument("--still", type=Path, metavar="PNG",
                       help="also write the picture in the middle of the video")
     wheel = parser.add_argument_group("sectors")
     wheel.add_argument("--centre", type=lambda text: numbers(text, 2),
                        metavar="X,Y", help="axis, in sensor pixels")
-    wheel.add_argument("--radius", type=float, metavar="PX", help="outer radius")
-    wheel.add_argument("--hub", type=float, default=0.0, metavar="PX",
+    wheel.add_argument("--radius", type=number, metavar="PX", help="outer radius")
+    wheel.add_argument("--hub", type=number, default=0.0, metavar="PX",
                        help="inner radius; default 0")
-    wheel.add_argument("--sectors", type=int, default=6, metavar="N",
+    wheel.add_argument("--sectors", type=within(1, 360), default=6, metavar="N",
                        help="how many; default 6")
-    wheel.add_argument("--rpm", type=float, default=0.0, metavar="RPM",
+    wheel.add_argument("--rpm", type=number, default=0.0, metavar="RPM",
                        help="turns per minute, positive counter-clockwise; default 0")
-    wheel.add_argument("--sector0", type=float, default=0.0, metavar="DEG",
+    wheel.add_argument("--sector0", type=number, default=0.0, metavar="DEG",
                        help="angle of sector 0's middle at the recording's start")
-    wheel.add_argument("--spacing", type=float, metavar="DEG",
+    wheel.add_argument("--spacing", type=number, metavar="DEG",
                        help="from a sector's polarizer to the next; default 180/N")
     add_fuse_options(parser)
     parser.set_defaults(fps=1000.0)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from pdavis_cv import __version__
 
-from ._common import UsageError, command
+from ._common import OneLineParser, UsageError, command
 
 __all__ = ["COMMANDS", "main"]
 
@@ -33,7 +33,7 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a subcommand; return 0, or 2 after a mistake of the user."""
     width = max(map(len, COMMANDS))
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog="pdavis", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="\n".join([

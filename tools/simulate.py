@@ -17,11 +17,22 @@ from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import PRESETS, SCENES, Camera, named_scene
 
-from ._common import Parser, UsageError, command, numbers, positive
+from ._common import (
+    LAST_SEED,
+    Parser,
+    UsageError,
+    command,
+    number,
+    numbers,
+    positive,
+    within,
+)
 
 __all__ = ["main"]
 
 _WHOLE = ("fan", "tendon", "texture")
+LONGEST_S = 1e6
+"""A choice: what takes longer to simulate than anybody waits."""
 _REGION = (12, 12)  # of the paper's figures
 
 
@@ -42,6 +53,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if size[0] > sensor.size[0] or size[1] > sensor.size[1]:
         raise UsageError(f"--size must lie within the {sensor.name}'s "
                          f"{sensor.size[1]}x{sensor.size[0]}, got {size[1]}x{size[0]}")
+    if args.seconds > LONGEST_S:
+        raise UsageError(
+            f"--seconds must be at most {LONGEST_S:g}, got {args.seconds:g}")
     camera = Camera.preset(args.camera, seed=args.seed, size=size)
     if camera.dvs is None and args.out.suffix == ".aedat":
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
@@ -71,29 +85,31 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seconds", type=positive, default=3.0, help="duration, default 3")
     parser.add_argument(
-        "--seed", type=int, default=0, help="names the specimen, default 0")
+        "--seed", type=within(0, LAST_SEED), default=0,
+        help="names the specimen, default 0")
     parser.add_argument(
-        "--run", type=int, default=0,
+        "--run", type=within(0, LAST_SEED), default=0,
         help="same specimen, other noise; default 0")
     parser.add_argument(
         "--size", type=_size, metavar="WxH",
         help="pixels in the middle of the sensor; default 346x260 for scenes with "
              "structure, 12x12 for uniform ones")
     parser.add_argument(
-        "--threads", type=int, default=1, help="default 1; the result is the same")
+        "--threads", type=within(1, 256), default=1,
+        help="default 1; the result is the same")
     group = parser.add_argument_group("scene")
     group.add_argument(
-        "--rpm", type=float, default=200.0,
+        "--rpm", type=number, default=200.0,
         help="turns per minute, default 200; negative is clockwise")
     group.add_argument(
         "--hz", type=positive, default=1.0, help="cycles of the tendon, default 1")
     group.add_argument(
-        "--start-deg", type=float, default=0.0, help="angle at time 0, default 0")
+        "--start-deg", type=number, default=0.0, help="angle at time 0, default 0")
     group.add_argument(
         "--light", type=positive, metavar="DN/MS",
         help="S0 in DN per ms; default 30.75, which gives 600 DN in 20 ms at most")
     group.add_argument(
-        "--background", type=float, default=0.0, metavar="DN/MS",
+        "--background", type=number, default=0.0, metavar="DN/MS",
         help="S0 of a constant background, 30%% polarized at 30 degrees")
     group.add_argument(
         "--flicker", type=positive, metavar="HZ",

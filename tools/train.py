@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pdavis_cv.export import write_beside
 
-from ._common import Parser, UsageError, command, positive
+from ._common import LAST_SEED, Parser, UsageError, command, positive, within
 
 __all__ = ["main"]
 
@@ -26,14 +26,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         "-o", "--output", required=True, metavar="FILE.npz",
         help="weights; beside it FILE.pt, from which training goes on when it is "
              "there, and FILE.csv with the scores")
-    parser.add_argument("--steps", type=int, default=20_000,
+    parser.add_argument("--steps", type=within(1, 10**9), default=20_000,
                         help="updates in all; the rate falls to them along a cosine")
-    parser.add_argument("--every", type=int, default=200,
+    parser.add_argument("--every", type=within(1, 10**9), default=200,
                         help="updates between checkpoints")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=within(0, LAST_SEED), default=0)
     parser.add_argument("--rate", type=positive, default=2e-3, help="of Adam, at most")
-    parser.add_argument("--batch", type=int, default=8, help="clips side by side")
-    parser.add_argument("--side", type=int, default=20,
+    parser.add_argument("--batch", type=within(1, 4096), default=8,
+                        help="clips side by side")
+    parser.add_argument("--side", type=within(4, 512), default=20,
                         help="macropixels along a side of a clip")
     parser.add_argument("--half", action="store_true",
                         help="convolve in bfloat16: quicker on processors that have it")

@@ -22,6 +22,9 @@ __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
 # VP9 in MP4 plays in browsers, and every OpenCV wheel has it; H.264 none writes.
 _CODECS = {".mp4": "vp09", ".m4v": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
+LEAST_FPS = 0.01
+_MOST_FPS = {".mp4": 60_000, ".m4v": 60_000, ".mkv": 1000, ".avi": 1000}
+"""Pictures per second that each container holds, as measured."""
 
 
 class VideoFile:
@@ -41,7 +44,7 @@ class VideoFile:
     Raises
     ------
     ValueError
-        If the suffix is another or the rate not positive.
+        If the suffix is another, or the rate not one that the container holds.
     OSError
         When writing, if the codec cannot write there.
     """
@@ -58,8 +61,11 @@ class VideoFile:
         self.facts = facts
         self.path = Path(path)
         self._fourcc = self._codec(self.path.suffix.lower())
-        if not 0 < fps < float("inf"):
-            raise ValueError(f"fps must be positive, got {fps}")
+        most = _MOST_FPS[self.path.suffix.lower()]
+        if not LEAST_FPS <= fps <= most:
+            raise ValueError(
+                f"fps must lie in {LEAST_FPS:g}..{most:g} for "
+                f"{self.path.suffix.lower()}, got {fps:g}")
         self.fps, self.count = float(fps), 0
         self._cv2 = opencv()
         self._stack = contextlib.ExitStack()

@@ -11,10 +11,11 @@ import numpy as np
 
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording, RecordingInfo
 from pdavis_cv.recording.memory import MemoryRecording
+from pdavis_cv.recording.timeline import FAR
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
-from pdavis_cv.simulation.checks import positive, require
+from pdavis_cv.simulation.checks import affordable, positive, require
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import Optics
@@ -250,6 +251,7 @@ class Camera:
         """
         positive(seconds=seconds, threads=threads, step_us=step_us)
         require("run", run, run >= 0, "not be negative")
+        require("seconds", seconds, seconds * 1e6 < FAR, "be less than 2**61 us")
         return SimulatedRecording(
             self, scene, round(seconds * 1e6), run, threads, step_us)
 
@@ -272,6 +274,10 @@ class Camera:
             The light in front of the camera, and the load of the bus.
         """
         stream = self.stream(scene, seconds, run=run, threads=threads, step_us=step_us)
+        height, width = self.size
+        frames_per_s = 0.0 if self.aps is None else self.aps.fps
+        affordable("the frames; stream() holds none of them",
+                   4 * frames_per_s * seconds * height * width, seconds=seconds)
         pieces = list(stream.pieces())
         events = np.concatenate([piece.events for piece in pieces])
         frames = tuple(frame for piece in pieces for frame in piece.frames)

@@ -3,7 +3,10 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["at_least_zero", "fraction", "positive", "require"]
+__all__ = ["affordable", "at_least_zero", "fraction", "positive", "require"]
+
+MOST_BYTES = 4 << 30
+"""What a simulation may hold in memory; a choice: a laptop has more."""
 
 
 def require(name: str, value: object, holds: bool, rule: str) -> None:
@@ -32,3 +35,26 @@ def fraction(**values: float | None) -> None:
     for name, value in values.items():
         if value is not None:
             require(name, value, 0 <= value <= 1, "lie in 0..1")
+
+
+def affordable(what: str, size: float, /, **because: object) -> None:
+    """Refuse what would take more memory than a simulation may, before it is taken.
+
+    Parameters
+    ----------
+    what : str
+        What would be held.
+    size : float
+        Bytes, estimated.
+    **because : object
+        Arguments that it follows from, for the message.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not size <= MOST_BYTES:
+        raise ValueError(
+            f"{' and '.join(because)} must leave {what} within {MOST_BYTES >> 30} GiB, "
+            f"got {', '.join(f'{value!r}' for value in because.values())}, which "
+            f"would take about {size / 2**30:.3g} GiB")

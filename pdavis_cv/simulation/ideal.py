@@ -13,6 +13,7 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.simulation.checks import affordable
 from pdavis_cv.simulation.scenes import FloatArray, RotatingPolarizer
 from pdavis_cv.simulation.truth import Truth
 
@@ -87,7 +88,11 @@ def rotating_polarizer(
     on, off = (np.broadcast_to(np.asarray(th, np.float64), size) for th in theta)
     _require("theta", theta, bool(np.all(on > 0) and np.all(off > 0)),
              "must be positive")
+    _require("rpm", rpm, bool(np.isfinite(rpm)), "must be finite")
     contrast = (extinction_ratio - 1) / (extinction_ratio + 1)
+    affordable("the recording", _size(
+        rpm, seconds, size, min(float(on.min()), float(off.min())), contrast * dolp,
+        fps), rpm=rpm, seconds=seconds, size=size, theta=theta, fps=fps)
     s0 = 2 * dn / (exposure_us / 1000) / (1 + contrast)
     scene = RotatingPolarizer(rpm=rpm, s0=s0, start_angle=start_angle, dolp=dolp)
     height, width = size
@@ -100,6 +105,21 @@ def rotating_polarizer(
     recording = recording_from_arrays(
         events, frames, sensor_size=size, layout=layout)
     return recording, Truth(scene, size)
+
+
+_EVENT_BYTES = 3 * EVENT_DTYPE.itemsize
+"""Of one event while all are put in order of time: parts, whole and sorted."""
+
+
+def _size(rpm: float, seconds: float, size: tuple[int, int], theta: float, k: float,
+          fps: float) -> float:
+    """Return about how many bytes a recording takes."""
+    pixels = float(size[0]) * size[1]
+    turns = abs(rpm) / 60 * seconds
+    # Four times per turn the log intensity goes from one end of its range to the other.
+    range_ln = np.log1p(k) - np.log1p(-k)
+    return float(pixels * (4 * turns * (1 + range_ln / theta) * _EVENT_BYTES
+                           + seconds * fps * np.dtype(np.float32).itemsize))
 
 
 def _require(name: str, value: object, holds: bool, rule: str) -> None:

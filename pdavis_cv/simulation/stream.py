@@ -22,6 +22,7 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
 from pdavis_cv.simulation.bus import BusState
+from pdavis_cv.simulation.checks import affordable
 from pdavis_cv.simulation.dvs import FILM_ROWS, PixelArray, in_time_order
 from pdavis_cv.simulation.faults import EventFaults
 from pdavis_cv.simulation.film import Film
@@ -37,6 +38,7 @@ __all__ = ["Piece", "SimulatedRecording"]
 PIECE_US = 10_000
 _ROWS = 16  # rows and intervals that a scene with structure is evaluated for at once
 _INTERVALS = 16
+_WEIGHTS = 4    # arrays of float64
 
 
 @dataclass(slots=True)
@@ -84,7 +86,11 @@ class SimulatedRecording(Recording):
             gap = min(camera.aps.exposure_us,
                       1e6 / camera.aps.fps - camera.aps.exposure_us)
             step = min(step, max(gap - dvs.burst_us, 100.0))
-        self._intervals = max(1, math.ceil(PIECE_US / step - 1e-9))
+        intervals = max(1, PIECE_US / step)
+        # Weights of the frames' integrals: of each interval and column, some at once.
+        affordable("10 ms of the light's course",
+                   8 * _WEIGHTS * intervals * camera.size[1], step_us=step)
+        self._intervals = math.ceil(intervals - 1e-9)
         self._info = camera.info(stop_us)
         self._bus: list[tuple[int, float, int]] = []
 

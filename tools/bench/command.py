@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from .._common import Parser, UsageError, command
+from .._common import Parser, UsageError, command, within
 from . import (  # noqa: F401  # they register their cases
     events,
     files,
@@ -124,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser("bench", __doc__ or "", "pdavis bench --pairs 5")
     parser.add_argument("cases", nargs="*", metavar="CASE",
                         help=f"which to run (default all): {', '.join(CASES)}")
-    parser.add_argument("--pairs", type=int, default=PAIRS,
+    parser.add_argument("--pairs", type=within(0, 10_000), default=PAIRS,
                         help=f"interleaved pairs per input (default {PAIRS})")
     parser.add_argument("--json", action="store_true", help="print JSON instead")
     args = parser.parse_args(argv)

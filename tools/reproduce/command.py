@@ -19,15 +19,18 @@ from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
 
 from .._common import (
+    LAST_SEED,
     Parser,
     UsageError,
     calibration_of,
     command,
     layout_option,
+    number,
     numbers,
     positive,
     progress,
     roi_option,
+    within,
 )
 from . import demosaic, denoise, light, network, rotation
 from .page import (
@@ -227,14 +230,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rpm", type=positive, nargs="+", help="turns per minute")
     parser.add_argument(
-        "--seeds", type=int, nargs="+", default=[1], help="which specimens; default 1")
+        "--seeds", type=within(0, LAST_SEED), nargs="+", default=[1],
+        help="which specimens; default 1")
     parser.add_argument(
-        "--starts-deg", type=float, nargs="+", default=[17.0], metavar="DEG",
+        "--starts-deg", type=number, nargs="+", default=[17.0], metavar="DEG",
         help="angles at time 0, each with every specimen; default 17")
     parser.add_argument(
         "--seconds", type=positive, help="length of a recording, more than 1.1")
     parser.add_argument(
-        "--step-us", type=int, metavar="US",
+        "--step-us", type=within(1, 10**9), metavar="US",
         help="interval of the images scored; default 1013 (5077 with --quick), which "
              "no frame clock divides")
     parser.add_argument(

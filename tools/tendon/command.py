@@ -37,9 +37,12 @@ from .._common import (
     add_fuse_options,
     command,
     fuse_options,
+    number,
     opened,
     progress,
+    seconds,
     start_of,
+    within,
 )
 from .._images import facts_of, grid_times, held_at, of_frames
 from . import report
@@ -145,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--estimate", choices=("stokes", "pixels"), default="stokes",
         help="DoLP and AoP of the mean Stokes vector, or the mean of the pixels'")
-    parser.add_argument("--load-hz", type=float, metavar="HZ",
+    parser.add_argument("--load-hz", type=number, metavar="HZ",
                         help="frequency of the load; default: the strongest in DoLP")
     parser.add_argument(
         "--smooth", type=int, choices=(1, 3, 5, 7), default=7, metavar="N",
@@ -153,29 +156,29 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--background", metavar="FILE",
                         help="a recording of the light without the sample: its S1/S0 "
                              "and S2/S0 are subtracted")
-    parser.add_argument("--thickness-um", type=float, metavar="UM",
+    parser.add_argument("--thickness-um", type=number, metavar="UM",
                         help="thickness of the sample, for the birefringence")
-    parser.add_argument("--wavelength-nm", type=float, metavar="NM",
+    parser.add_argument("--wavelength-nm", type=number, metavar="NM",
                         help="wavelength of the light, for the birefringence")
     load = parser.add_argument_group("load file")
     load.add_argument("--load", metavar="CSV", help="force or displacement over time")
     load.add_argument(
         "--align", choices=("correlation", "trigger", "offset"), default="correlation",
         help="how its clock is found; default correlation with DoLP")
-    load.add_argument("--offset", type=float, metavar="S",
+    load.add_argument("--offset", type=seconds, metavar="S",
                       help="recording's time at the file's zero; with correlation, "
                            "where to look")
-    load.add_argument("--within", type=float, default=0.5, metavar="S",
+    load.add_argument("--within", type=seconds, default=0.5, metavar="S",
                       help="how far from --offset correlation looks; default 0.5")
-    load.add_argument("--skew-ppm", type=float, default=0.0, metavar="PPM",
+    load.add_argument("--skew-ppm", type=number, default=0.0, metavar="PPM",
                       help="with --align offset: how much slower its clock runs")
     look = parser.add_argument_group("video")
     look.add_argument("--no-video", action="store_true", help="write no video")
-    look.add_argument("--slow", type=float, default=4.0, metavar="FACTOR",
+    look.add_argument("--slow", type=number, default=4.0, metavar="FACTOR",
                       help="play so many times slower; default 4")
-    look.add_argument("--scale", type=int, default=1, metavar="N",
+    look.add_argument("--scale", type=within(1, 64), default=1, metavar="N",
                       help="enlarge each pixel; default 1")
-    look.add_argument("--pixel-um", type=float, metavar="UM",
+    look.add_argument("--pixel-um", type=number, metavar="UM",
                       help="size of a pixel in the object, for a scale bar")
     add_fuse_options(parser)
     return parser
