@@ -29,7 +29,7 @@ class DeviceError(RecordingError):
 
 
 class LayoutError(PdavisError, ValueError):
-    """Raised when two sources disagree about the polarizer layout."""
+    """Raised for an impossible polarizer layout, or if two sources disagree on it."""
 
 
 class CalibrationError(PdavisError, ValueError):

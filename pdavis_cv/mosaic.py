@@ -40,7 +40,7 @@ the intensity"; the second law alone divides by 0 behind a crossed polarizer."""
 
 def demosaic(
     mosaic: NDArray[Any],
-    layout: Layout,
+    layout: Layout | str,
     method: str = "bilinear",
     out: NDArray[np.float32] | None = None,
     *,
@@ -52,7 +52,7 @@ def demosaic(
     ----------
     mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
         Linear intensity, row 0 at the top.
-    layout : Layout
+    layout : Layout or str
         Polarizer in front of each pixel.
     method : {"bilinear", "superpixel", "binned", "guided"}
         ``"bilinear"``: each channel at every pixel, from its nearest samples.  Exact
@@ -126,7 +126,7 @@ def demosaic(
 
 
 def demosaic_valid(
-    valid: NDArray[np.bool_], layout: Layout, method: str = "bilinear"
+    valid: NDArray[np.bool_], layout: Layout | str, method: str = "bilinear"
 ) -> NDArray[np.bool_]:
     """Tell where the four values of ``demosaic`` are made of usable samples.
 
@@ -134,7 +134,7 @@ def demosaic_valid(
     ----------
     valid : ndarray of bool, shape (H, W)
         True = usable.
-    layout : Layout
+    layout : Layout or str
         Polarizer in front of each pixel.  The union of the four channels' supports
         is the same for every layout.
     method : {"bilinear", "superpixel", "binned", "guided"}
@@ -171,7 +171,7 @@ def demosaic_valid(
 
 
 def demosaic_variance(
-    variance: NDArray[np.float32], layout: Layout, method: str = "bilinear", *,
+    variance: NDArray[np.float32], layout: Layout | str, method: str = "bilinear", *,
     valid: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
     """Bring the samples' variances to where the channels of ``demosaic`` are.
@@ -184,7 +184,7 @@ def demosaic_variance(
     ----------
     variance : ndarray of float32, shape (H, W)
         Of each sample, in any unit.
-    layout : Layout
+    layout : Layout or str
         Polarizer in front of each pixel.
     method : {"bilinear", "superpixel", "binned", "guided"}
         As in `demosaic`; for ``"guided"`` that is bilinear interpolation.
@@ -285,11 +285,9 @@ def check_method(method: str, shape: tuple[int, ...]) -> None:
             f"{shape}")
 
 
-def places_of(layout: Layout) -> NDArray[np.intp]:
+def places_of(layout: Layout | str) -> NDArray[np.intp]:
     """Return the place of each channel in the cell, as the kernels take it."""
-    if not isinstance(layout, Layout):
-        raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
-    return _places(layout)
+    return _places(Layout.of(layout))
 
 
 def scratch_rows(rows: int, width: int) -> NDArray[np.float32]:

@@ -6,8 +6,9 @@ from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv._checks import outputs
 from pdavis_cv.analyser import Analyser, stokes_gain
@@ -160,8 +161,14 @@ class PolarFrame:
 
         Parameters
         ----------
-        t_us, frame_us, provenance
+        t_us : int
+        frame_us : int or None
+        provenance : mapping of str to object
             As for the class.
+
+        Returns
+        -------
+        PolarFrame
         """
         other = type(self).__new__(type(self))
         for name in PolarFrame.__slots__:
@@ -373,15 +380,27 @@ class PolarFrame:
             self._analyser, self._variance, self._provenance, self._mosaic,
             self._quality, self._reconciled)
 
+    def __array__(
+        self, dtype: DTypeLike | None = None, copy: bool | None = None
+    ) -> NDArray[Any]:
+        """Return `quad`, so that ``np.asarray(frame)`` copies nothing."""
+        return np.array(self.quad, dtype, copy=copy)
+
     def __repr__(self) -> str:
         height, width = self.shape
         parts = [f"{width}x{height}"]
-        parts += [f"{name}={value}" for name, value in (
-            ("t_us", self.t_us), ("frame_us", self.frame_us),
-            ("extinction_ratio", self.extinction_ratio),
-            ("analyser", self._analyser)) if value is not None]
-        parts += [f"{name}={value!r}" for name, value in self._provenance.items()]
+        parts += [] if self.t_us is None else [f"t_us={self.t_us}"]
+        parts += [f"{name}={self._provenance[name]!r}"
+                  for name in ("method", "mode") if name in self._provenance]
         return f"PolarFrame({', '.join(parts)})"
+
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture of S0, AoP and DoLP for notebooks; None without OpenCV."""
+        # By the package's lazy name: only a notebook needs the room above this one.
+        try:
+            return pdavis_cv.render.png_of(pdavis_cv.render.summary(self))
+        except ImportError:
+            return None
 
 
 def _restored_frame(*arguments: Any) -> PolarFrame:
@@ -392,7 +411,7 @@ def _restored_frame(*arguments: Any) -> PolarFrame:
 
 def polarization(
     mosaic: NDArray[Any],
-    layout: Layout,
+    layout: Layout | str,
     demosaic: str = "bilinear",
     extinction_ratio: float | None = None,
     out: tuple[NDArray[np.float32] | None, NDArray[np.float32] | None] | None = None,
@@ -403,8 +422,8 @@ def polarization(
     ----------
     mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
         Linear intensity, row 0 at the top; copied.
-    layout : Layout
-        Polarizer in front of each pixel.
+    layout : Layout or str
+        Polarizer in front of each pixel, or its name; see `Layout.of`.
     demosaic : {"bilinear", "superpixel", "binned", "guided"}
         As in `pdavis_cv.demosaic`; ``"superpixel"`` and ``"binned"`` halve the size.
     extinction_ratio : float, optional
@@ -425,7 +444,7 @@ def polarization(
     """
     pixels = checked_mosaic(mosaic)
     check_method(demosaic, pixels.shape)
-    places_of(layout)
+    layout = Layout.of(layout)
     if demosaic != "bilinear":
         quad = demosaic_mosaic(pixels, layout, demosaic)
         frame = PolarFrame.adopt(quad, extinction_ratio=extinction_ratio)

@@ -77,6 +77,44 @@ class Layout:
         object.__setattr__(self, "row0", rows[0])
         object.__setattr__(self, "row1", rows[1])
 
+    @classmethod
+    def of(cls, value: Layout | str) -> Layout:
+        """Return a layout by its name or angles; a Layout as it is.
+
+        Parameters
+        ----------
+        value : Layout or str
+            ``"pdavis"``, ``"sony"``, or four angles in degrees by row, as
+            ``"135,90,0,45"``.
+
+        Raises
+        ------
+        TypeError
+            If it is neither a Layout nor a text.
+        LayoutError
+            If there is no such layout.
+
+        Examples
+        --------
+        >>> Layout.of("135,90,0,45") == Layout.PDAVIS
+        True
+        """
+        if isinstance(value, Layout):
+            return value
+        if not isinstance(value, str):
+            raise TypeError(
+                f"layout must be a Layout or its name, got {type(value).__name__}")
+        named = {"pdavis": cls.PDAVIS, "sony": cls.SONY}.get(value.strip().lower())
+        if named is not None:
+            return named
+        try:
+            a, b, c, d = (int(angle) for angle in value.split(","))
+        except ValueError:
+            raise LayoutError(
+                "layout must be pdavis, sony or four angles by row such as "
+                f"135,90,0,45, got {value!r}") from None
+        return cls((a, b), (c, d))
+
     @property
     def angles_deg(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """The cell, ``angles_deg[row % 2][col % 2]``, in degrees."""

@@ -99,8 +99,8 @@ def test_an_impossible_parameter_is_refused(options, message):
 
 
 def test_a_layout_is_asked_for():
-    with pytest.raises(TypeError, match="layout must be a Layout, got str"):
-        make(layout="PDAVIS")
+    with pytest.raises(TypeError, match="layout must be a Layout or its name, got int"):
+        make(layout=3201)
 
 
 def test_events_outside_or_late_are_refused_by_name():

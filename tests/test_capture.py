@@ -12,6 +12,7 @@ import pytest
 
 import pdavis_cv as p
 from pdavis_cv import CaptureStatus, Layout, VideoCapture, fuse
+from pdavis_cv.capture.constants import NAMES_OF_OUTPUTS
 from pdavis_cv.capture.picture import tone
 from pdavis_cv.capture.source import layout_code, layout_of_code
 from pdavis_cv.simulation.ideal import rotating_polarizer
@@ -50,7 +51,7 @@ def test_every_plane_is_that_of_fuse(ideal, cap):
         stokes = cap.retrieve(None, p.CAP_PDAVIS_STOKES)[1]
         np.testing.assert_array_equal(stokes[..., 1], image.s1)
         valid = cap.retrieve(None, p.CAP_PDAVIS_VALID)[1]
-        np.testing.assert_array_equal(valid, image.valid.astype(np.float32))
+        np.testing.assert_array_equal(valid, 255 * image.valid)
     assert not cap.grab()
 
 
@@ -65,10 +66,29 @@ def test_planes_are_float32_and_pictures_bgr_and_both_belong_to_the_caller(cap):
         image[...] = 0
         np.testing.assert_array_equal(cap.retrieve(None, flag)[1], kept)
         picture = flag in (0, 13, 14, 15)
-        assert image.dtype == (np.uint8 if picture else np.float32)
+        whole = picture or flag == p.CAP_PDAVIS_VALID
+        assert image.dtype == (np.uint8 if whole else np.float32)
         assert image.shape[:2] == (14, 18)
         channels = {11: (4,), 12: (3,)}.get(flag, (3,) if picture else ())
         assert image.shape[2:] == channels
+
+
+def test_the_valid_plane_is_a_mask_for_cv2(cap):
+    cap.grab()
+    dolp, valid = (cap.retrieve(None, name)[1] for name in ("dolp", "valid"))
+    valid[:5] = 0
+    want = dolp[valid > 0].mean()
+    assert cv2.mean(dolp, mask=valid)[0] == pytest.approx(want, rel=1e-5)
+
+
+def test_an_output_may_be_named(ideal, cap):
+    cap.grab()
+    for number, name in enumerate(NAMES_OF_OUTPUTS):
+        assert getattr(p, f"CAP_PDAVIS_{name.upper()}") == number
+        np.testing.assert_array_equal(
+            cap.retrieve(None, name)[1], cap.retrieve(None, number)[1])
+    with VideoCapture(ideal, output="aop_bgr", layout="pdavis") as other:
+        assert other.get(p.CAP_PROP_PDAVIS_OUTPUT) == p.CAP_PDAVIS_AOP_BGR
 
 
 def test_output_selects_what_read_gives(ideal):
@@ -322,7 +342,8 @@ def test_parameters_that_no_method_has_raise_even_if_the_source_is_bad():
     ({"fps": "fast"}, (TypeError, ValueError), "fps must lie in"),
     ({"roi": (0, 0, 99, 99)}, ValueError, "roi"),
     ({"start_us": 1.5}, TypeError, "start_us must be integer"),
-    ({"layout": "PDAVIS"}, TypeError, "layout must be a Layout")])
+    ({"layout": 3201}, TypeError, "layout must be a Layout"),
+    ({"output": "angle"}, ValueError, "output must be one of bgr, i0, .* got 'angle'")])
 def test_parameters_that_do_not_fit_raise(ideal, keywords, error, reason):
     with pytest.raises(error, match=reason):
         VideoCapture(ideal, **keywords)

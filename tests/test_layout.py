@@ -25,6 +25,18 @@ def test_the_two_named_layouts():
     assert Layout.PDAVIS.rot90(-1) == Layout.SONY
 
 
+def test_a_layout_by_its_name_or_angles():
+    assert Layout.of("PDAVIS") is Layout.PDAVIS
+    assert Layout.of(" sony ") is Layout.SONY
+    assert Layout.of("45,0,90,135") == Layout((45, 0), (90, 135))
+    assert Layout.of(Layout.SONY) is Layout.SONY
+    for text in ("", "pdavis346", "0,45,90", "0,45,90,x", "0,45,90,90"):
+        with pytest.raises(LayoutError, match="layout must"):
+            Layout.of(text)
+    with pytest.raises(TypeError, match="a Layout or its name, got tuple"):
+        Layout.of(((135, 90), (0, 45)))
+
+
 def test_half_a_turn_swaps_places_and_keeps_angles():
     assert Layout.PDAVIS.rot90(2) == Layout((45, 0), (90, 135))
 

@@ -158,7 +158,7 @@ def test_an_empty_mosaic_gives_empty_planes():
     (np.zeros((4, 4), "u1"), {"method": "cubic"}, ValueError,
      "one of bilinear, superpixel, binned, guided, got 'cubic'"),
     (np.zeros((4, 4), "u1"), {"layout": ((90, 45), (135, 0))}, TypeError,
-     "layout must be a Layout, got tuple"),
+     "layout must be a Layout or its name, got tuple"),
     (np.zeros((4, 4), "u1"), {"out": np.zeros((4, 4, 4))}, TypeError,
      "out must be float32"),
     (np.zeros((4, 4), "u1"), {"out": np.zeros((4, 2, 2), "f4")}, ValueError,

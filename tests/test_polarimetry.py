@@ -7,7 +7,7 @@ import reference_image as reference
 from images import DTYPES, LAYOUTS, apart, malus, random_mosaic, sample, scene
 
 import pdavis_cv
-from pdavis_cv import CHANNELS, Analyser, Layout, PolarFrame, debias_dolp
+from pdavis_cv import CHANNELS, Analyser, Layout, PolarFrame, debias_dolp, render
 
 POLARIZERS = np.deg2rad(np.array(CHANNELS, float)).reshape(4, 1, 1)
 
@@ -324,9 +324,34 @@ def test_a_frame_pickles():
                                   frame.sigma_aop)
 
 
+def test_an_array_of_a_frame_is_its_four_channels():
+    frame = PolarFrame(np.arange(8.0).reshape(4, 1, 2))
+    assert np.shares_memory(np.asarray(frame), frame.quad)
+    assert np.asarray(frame, np.float64).tolist() == frame.quad.tolist()
+    assert np.array(frame).flags.writeable
+    with pytest.raises(ValueError, match="copy"):
+        np.array(frame, np.float64, copy=False)
+
+
+def test_a_notebook_shows_s0_aop_and_dolp():
+    cv2 = pytest.importorskip("cv2")
+    quad = np.full((4, 6, 8), 2.0)
+    quad[0], quad[2] = 4, 0                    # AoP 0 is red, fully polarized
+    quad[:, :, 4:] = [[[3]], [[1]], [[1]], [[3]]]   # AoP 157.5, DoLP sqrt(1/2)
+    frame = PolarFrame(quad, valid=np.arange(48).reshape(6, 8) > 0)
+    picture = cv2.imdecode(np.frombuffer(frame._repr_png_(), np.uint8), 1)
+    seen = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
+    assert (0, 0, 255) in seen
+    assert render.INVALID in seen
+    weak = np.rint(np.sqrt(0.5) * render.aop_bgr([[np.deg2rad(157.5)]])[0, 0])
+    assert tuple(weak.astype(int).tolist()) in seen
+    nothing = PolarFrame(quad, valid=np.zeros((6, 8), bool))
+    assert nothing._repr_png_().startswith(b"\x89PNG")
+
+
 def test_the_repr_says_what_it_is():
     frame = PolarFrame(random_quad(), t_us=7, frame_us=3, provenance={"method": "cf"})
-    assert repr(frame) == "PolarFrame(7x5, t_us=7, frame_us=3, method='cf')"
+    assert repr(frame) == "PolarFrame(7x5, t_us=7, method='cf')"
     assert repr(Analyser.ideal()) == "Analyser(one for all pixels, shape (4, 3))"
 
 

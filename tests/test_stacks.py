@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from pdavis_cv import PolarFrame
-from pdavis_cv.export import Hdf5File, NpzFile, OmeTiffFile, plane, provenance
+from pdavis_cv.export import (
+    Hdf5File,
+    NpzFile,
+    OmeTiffFile,
+    plane,
+    provenance,
+    to_xarray,
+)
 
 NAMES = ("I0", "I45", "I90", "I135", "S0", "AoP", "DoLP")
 FACTS = {"method": "cf", "parameters": {"cutoff_hz": 1.6}, "label": "größe µm <&>"}
@@ -90,10 +97,43 @@ def test_hdf5_returns_numbers_units_and_provenance(tmp_path):
     with h5py.File(tmp_path / "stack.h5") as file:
         for name in NAMES:
             np.testing.assert_array_equal(file[name][:], expected(name, 5))
-        assert file["AoP"].attrs["unit"] == "rad"
+        assert file["AoP"].attrs["units"] == "rad"
         np.testing.assert_array_equal(file["t_us"], 1_000_000 + 5000 * np.arange(5))
         assert json.loads(file.attrs["provenance"])["method"] == "cf"
         assert file.attrs["pixel_um"] == 0.74
+
+
+@pytest.mark.parametrize(("pixel_um", "unit"), [(None, "pixel"), (0.74, "um")])
+def test_xarray_opens_the_hdf5_with_named_dimensions(tmp_path, pixel_um, unit):
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    write(Hdf5File, tmp_path / "stack.h5", pixel_um=pixel_um)
+    with xarray.open_dataset(tmp_path / "stack.h5", engine="h5netcdf") as data:
+        assert data["AoP"].dims == ("t_us", "y", "x")
+        np.testing.assert_array_equal(data["AoP"], expected("AoP", 5))
+        np.testing.assert_array_equal(
+            data["t_us"], 1_000_000 + 5000 * np.arange(5))
+        np.testing.assert_allclose(
+            data["x"], (pixel_um or 1) * np.arange(data.sizes["x"]))
+        assert (data["AoP"].units, data["x"].units) == ("rad", unit)
+
+
+def test_images_become_an_xarray_dataset():
+    pytest.importorskip("xarray")
+    some = list(images(3))
+    data = to_xarray(iter(some), ["aop", "S0"])
+    assert list(data) == ["AoP", "S0"]
+    np.testing.assert_array_equal(data["AoP"], expected("AoP", 3))
+    assert data["t_us"].values.tolist() == [image.t_us for image in some]
+    assert data["AoP"].units == "rad"
+    assert json.loads(data.provenance) == dict(some[0].provenance)
+    assert to_xarray(some[1])["S0"].shape == (1, *some[1].shape)
+    with pytest.raises(ValueError, match="quantity must be one of"):
+        to_xarray(some, ["angle"])
+    with pytest.raises(ValueError, match="at least one, got none"):
+        to_xarray([])
+    with pytest.raises(ValueError, match="images must have one shape"):
+        to_xarray([some[0], PolarFrame(np.ones((4, 2, 2)))])
 
 
 def test_npz_returns_numbers_times_and_provenance(tmp_path):

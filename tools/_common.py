@@ -391,12 +391,8 @@ def roi_option(text: str) -> tuple[int, int, int, int]:
 def layout_option(text: str) -> Layout:
     """Parse pdavis, sony or four angles by row."""
     from pdavis_cv.sensor import Layout
-    known = {"pdavis": Layout.PDAVIS, "sony": Layout.SONY}
-    if text.lower() in known:
-        return known[text.lower()]
-    a, b, c, d = numbers(text, 4, int)
     try:
-        return Layout((a, b), (c, d))
+        return Layout.of(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 

@@ -23,7 +23,7 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 StsError, StsBadArg = -2, -5
 
 # Type codes for a system without OpenCV: those of OpenCV 5.
-_CODES = {"CV_8UC3": 64, "CV_32FC1": 5, "CV_32FC3": 69, "CV_32FC4": 101}
+_CODES = {"CV_8UC1": 0, "CV_8UC3": 64, "CV_32FC1": 5, "CV_32FC3": 69, "CV_32FC4": 101}
 
 
 @functools.cache

@@ -22,8 +22,7 @@ _CHANNEL = {c.CAP_PDAVIS_I0: 0, c.CAP_PDAVIS_I45: 1, c.CAP_PDAVIS_I90: 2,
             c.CAP_PDAVIS_I135: 3}
 _NAME = {c.CAP_PDAVIS_S0: "s0", c.CAP_PDAVIS_S1: "s1", c.CAP_PDAVIS_S2: "s2",
          c.CAP_PDAVIS_AOP: "aop", c.CAP_PDAVIS_DOLP: "dolp",
-         c.CAP_PDAVIS_VALID: "valid", c.CAP_PDAVIS_AOP_BGR: "aop",
-         c.CAP_PDAVIS_DOLP_BGR: "dolp"}
+         c.CAP_PDAVIS_AOP_BGR: "aop", c.CAP_PDAVIS_DOLP_BGR: "dolp"}
 
 
 def first_frame(recording: Recording) -> ApsFrame | None:
@@ -84,8 +83,8 @@ def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
     return ToneCurve(white / float(gain), gamma=float(gamma), log=bool(log))
 
 
-def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:
-    """Return the float plane of an output; a picture's is what it is made from.
+def plane(frame: PolarFrame, output: int) -> NDArray[Any]:
+    """Return the plane of an output; a picture's is what it is made from.
 
     Parameters
     ----------
@@ -96,7 +95,7 @@ def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:
     Returns
     -------
     ndarray of float32, shape (H, W), or (H, W, 4) for QUAD, (H, W, 3) for STOKES
-        New; channels last, as cv2 has them.
+        New; channels last, as cv2 has them.  VALID is uint8: 0, or 255 = usable.
     """
     if output == c.CAP_PDAVIS_BGR:
         half: NDArray[np.float32] = frame.s0 * np.float32(0.5)
@@ -107,7 +106,9 @@ def plane(frame: PolarFrame, output: int) -> NDArray[np.float32]:
         return np.stack((frame.s0, frame.s1, frame.s2), axis=-1)
     if output in _CHANNEL:
         return np.array(frame.quad[_CHANNEL[output]])
-    made: NDArray[np.float32] = getattr(frame, _NAME[output]).astype(np.float32)
+    if output == c.CAP_PDAVIS_VALID:
+        return frame.valid.view(np.uint8) * np.uint8(255)
+    made: NDArray[np.float32] = getattr(frame, _NAME[output]).copy()
     return made
 
 

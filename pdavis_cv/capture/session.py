@@ -307,6 +307,8 @@ class Session:
             return type_code("CV_32FC4")
         if output == c.CAP_PDAVIS_STOKES:
             return type_code("CV_32FC3")
+        if output == c.CAP_PDAVIS_VALID:
+            return type_code("CV_8UC1")
         plane = output in c.PLANES or not self.view.convert
         return type_code("CV_32FC1" if plane else "CV_8UC3")
 

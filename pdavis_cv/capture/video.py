@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._opencv import native_capture
-from pdavis_cv.capture.constants import CAP_PDAVIS_BGR
+from pdavis_cv.capture.constants import CAP_PDAVIS_BGR, output_of
 from pdavis_cv.capture.manners import (
     StsBadArg,
     overloads,
@@ -65,8 +65,8 @@ class VideoCapture:
         Property, value, property, value ... to open with.
     index : int, optional
         Number of a camera, for cv2.
-    output : int
-        ``CAP_PDAVIS_*`` that ``read()`` gives.
+    output : int or str
+        ``CAP_PDAVIS_*`` that ``read()`` gives, or its name, such as ``"aop"``.
     gain, gamma : float
         Of the grey picture ``255 * (gain * S0 / 2 / white) ** (1 / gamma)``, where
         white is the converter's full scale at the recording's first exposure.
@@ -101,7 +101,7 @@ class VideoCapture:
         params: Sequence[float] = (),
         *,
         index: int | None = None,
-        output: int = CAP_PDAVIS_BGR,
+        output: int | str = CAP_PDAVIS_BGR,
         gain: float = 1.0,
         gamma: float = 1.0,
         log: bool = False,
@@ -114,7 +114,7 @@ class VideoCapture:
         self._foreign: Any = None
         self._source: Any = None
         self._parameters = fuse_parameters
-        self._view = View(output, True, gain, gamma, log)
+        self._view = View(output_of(output), True, gain, gamma, log)
         self._status = CaptureStatus.CLOSED
         self._error: str | None = None
         if filename is not None or index is not None:
@@ -232,7 +232,7 @@ class VideoCapture:
 
     @overloads
     def retrieve(
-        self, image: Any = None, flag: int = CAP_PDAVIS_BGR
+        self, image: Any = None, flag: int | str = CAP_PDAVIS_BGR
     ) -> tuple[bool, NDArray[Any] | None]:
         """Return an output of the image that was grabbed last.
 
@@ -241,8 +241,8 @@ class VideoCapture:
         image : ndarray, optional
             Filled and returned if shape and dtype fit; else there is a new array.
             An integer is ignored.
-        flag : int
-            ``CAP_PDAVIS_*``.
+        flag : int or str
+            ``CAP_PDAVIS_*``, or its name, such as ``"aop"``.
 
         Returns
         -------
@@ -256,6 +256,10 @@ class VideoCapture:
                 self._noted(found[0])
                 return bool(found[0]), found[1]
             self._check_image("retrieve", image)
+            try:
+                flag = output_of(flag)
+            except ValueError as error:
+                self._refuse("retrieve", str(error))
             if not _is_integer(flag):
                 self._refuse("retrieve", "Argument 'flag' is required to be an integer")
             return self._retrieve("retrieve", image, int(flag))

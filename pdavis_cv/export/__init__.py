@@ -3,6 +3,7 @@ from pdavis_cv._beside import write_beside
 from pdavis_cv.export.arrays import ArrayFile
 from pdavis_cv.export.files import write_json
 from pdavis_cv.export.hdf5 import Hdf5File
+from pdavis_cv.export.labelled import to_xarray
 from pdavis_cv.export.npz import NpzFile, write_npz
 from pdavis_cv.export.ometiff import OmeTiffFile
 from pdavis_cv.export.provenance import provenance, read_embedded
@@ -22,6 +23,7 @@ __all__ = [
     "plane",
     "provenance",
     "read_embedded",
+    "to_xarray",
     "write_beside",
     "write_csv",
     "write_jaer_csv",

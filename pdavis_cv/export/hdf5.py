@@ -14,10 +14,12 @@ __all__ = ["Hdf5File"]
 
 
 class Hdf5File(StackFile):
-    """An HDF5 file: datasets (T, H, W) named like the quantities, and ``t_us`` (T,).
+    """An HDF5 file: datasets (T, H, W) named like the quantities, and their scales.
 
-    Each dataset has an attribute ``unit``; the file has ``provenance`` (JSON), and
-    ``pixel_um`` if it is known.
+    The dimension scales are ``t_us`` (T,), ``y`` (H,) and ``x`` (W,), so that
+    ``xarray.open_dataset`` labels all three; ``y`` and ``x`` are pixels, or micrometres
+    in the object where ``pixel_um`` is known.  Each dataset has an attribute ``units``;
+    the file has ``provenance`` (JSON), and ``pixel_um``.
 
     Raises
     ------
@@ -46,12 +48,21 @@ class Hdf5File(StackFile):
                 file.attrs["provenance"] = to_json(self.facts)
                 if self.pixel_um is not None:
                     file.attrs["pixel_um"] = self.pixel_um
-                file["t_us"] = np.array(self.times_us, np.int64)
-                file["t_us"].attrs["unit"] = "us"
+                pitch, unit = ((1, "pixel") if self.pixel_um is None
+                               else (self.pixel_um, "um"))
+                scales = {"t_us": (np.array(self.times_us, np.int64), "us"),
+                          "y": (pitch * np.arange(height), unit),
+                          "x": (pitch * np.arange(width), unit)}
+                for name, (values, unit) in scales.items():
+                    file[name] = values
+                    file[name].attrs["units"] = unit
+                    file[name].make_scale(name)
                 for c, name in enumerate(self.quantities):
                     data = file.create_dataset(
                         name, (self.count, height, width), "<f4")
-                    data.attrs["unit"] = QUANTITIES[name]
+                    data.attrs["units"] = QUANTITIES[name]
+                    for axis, scale in zip(data.dims, scales, strict=True):
+                        axis.attach_scale(file[scale])
                     for t in range(self.count):
                         data[t] = stack[t, c]
                 file.flush()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.polarimetry import PolarFrame
 
-__all__ = ["QUANTITIES", "StackFile", "plane"]
+__all__ = ["QUANTITIES", "StackFile", "names_of", "plane"]
 
 QUANTITIES = {
     "I0": "DN/ms", "I45": "DN/ms", "I90": "DN/ms", "I135": "DN/ms", "S0": "DN/ms",
@@ -27,6 +27,23 @@ QUANTITIES = {
 
 _BY_NAME = {name.lower(): name for name in QUANTITIES}
 HEADER = 16  # bytes before the first plane: room for either TIFF header
+
+
+def names_of(quantities: Sequence[str]) -> tuple[str, ...]:
+    """Return quantities as ``QUANTITIES`` spells them.
+
+    Raises
+    ------
+    ValueError
+        If one is unknown, or there is none.
+    """
+    for name in quantities:
+        if name.lower() not in _BY_NAME:
+            raise ValueError(
+                f"quantity must be one of {', '.join(QUANTITIES)}, got {name!r}")
+    if not quantities:
+        raise ValueError("quantities must name at least one")
+    return tuple(_BY_NAME[name.lower()] for name in quantities)
 
 
 def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
@@ -49,10 +66,7 @@ def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
     ValueError
         If there is no such quantity, or the method does not give it.
     """
-    key = name.lower()
-    if key not in _BY_NAME:
-        raise ValueError(
-            f"quantity must be one of {', '.join(QUANTITIES)}, got {name!r}")
+    key = names_of([name])[0].lower()
     if key.startswith("i"):
         channel: NDArray[np.float32] = frame.quad[
             ("i0", "i45", "i90", "i135").index(key)]
@@ -104,13 +118,7 @@ class StackFile(ABC):
         resume: bool = False,
     ) -> None:
         self.path = Path(path)
-        for name in quantities:
-            if name.lower() not in _BY_NAME:
-                raise ValueError(
-                    f"quantity must be one of {', '.join(QUANTITIES)}, got {name!r}")
-        self.quantities = tuple(_BY_NAME[name.lower()] for name in quantities)
-        if not self.quantities:
-            raise ValueError("quantities must name at least one")
+        self.quantities = names_of(quantities)
         if pixel_um is not None and not (np.isfinite(pixel_um) and pixel_um > 0):
             raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
         self.pixel_um, self.resume = pixel_um, resume

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv.export.provenance import embed, embed_png
-from pdavis_cv.render import even, opencv
+from pdavis_cv.render import even, opencv, png_of
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
@@ -345,9 +345,6 @@ def write_png(
     OSError
         If it cannot be written.
     """
-    done, data = opencv().imencode(".png", picture)
-    if not done:
-        raise OSError(f"{path}: OpenCV cannot encode {picture.shape} as PNG")
+    png = png_of(picture)
     with write_beside(path) as part:
-        png = data.tobytes()
         part.write_bytes(png if facts is None else embed_png(png, facts))

@@ -24,9 +24,10 @@ _warned: weakref.WeakSet[Source] = weakref.WeakSet()
 
 
 def chosen_layout(
-    layout: Layout | None, calibration: Calibration | None, source: Source
+    layout: Layout | str | None, calibration: Calibration | None, source: Source
 ) -> Layout:
     """Return the layout to use; warn once per source if none is known."""
+    layout = None if layout is None else Layout.of(layout)
     of_calibration = None if calibration is None else calibration.layout
     known = (layout, of_calibration, source.info.layout)
     if all(one is None for one in known):

@@ -116,10 +116,10 @@ class FusionOptions:
         None, "int, optional",
         "Images lie before this time, us; default: one past the last sample of any "
         "stream.", "seconds", "end, in the same seconds, exclusive")
-    layout: Layout | None = _option(
-        None, "Layout, optional",
-        "Polarizer layout; default: the calibration's, the recording's, else PDAVIS "
-        "with a LayoutWarning.", "layout",
+    layout: Layout | str | None = _option(
+        None, "Layout or str, optional",
+        'Polarizer layout, or its name ("pdavis", "sony"); default: that of the '
+        "calibration, of the recording, else PDAVIS with a LayoutWarning.", "layout",
         "polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
         "e.g. 135,90,0,45")
     calibration: Calibration | None = _option(
@@ -178,11 +178,11 @@ class FusionOptions:
             factory_of(self.method)
         put("times_us", _checked_times(self))
         _check_rate(self.fps)
-        for name, kind in (("layout", Layout), ("calibration", Calibration)):
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise TypeError(
-                    f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+        if self.layout is not None:
+            put("layout", Layout.of(self.layout))
+        if not isinstance(self.calibration, Calibration | None):
+            raise TypeError("calibration must be a Calibration, got "
+                            f"{type(self.calibration).__name__}")
         _check_extinction_ratio(self.extinction_ratio)
         if self.demosaic not in DEMOSAIC_METHODS:
             raise ValueError(

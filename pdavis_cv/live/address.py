@@ -41,7 +41,7 @@ def is_address(where: object) -> bool:
 
 
 def open_source(
-    where: str | os.PathLike[str] | Source, *, layout: Layout | None = None,
+    where: str | os.PathLike[str] | Source, *, layout: Layout | str | None = None,
     bad_events: str = "drop", camera: str | None = None, **options: Any,
 ) -> Source:
     """Open a recording, or a device by its address.
@@ -54,7 +54,7 @@ def open_source(
         ``simulate:SCENE`` (``camera=nominal``, ``size=48x48``, ``rpm=200``, ``seed=0``,
         and those of replay), followed by ``?name=value&...``.  Both take ``seconds=``,
         after which they end, and the faults of `LinkFaults`, such as ``unplug=3``.
-    layout : Layout, optional
+    layout : Layout or str, optional
     bad_events : {"drop", "raise"}
     camera : str, optional
     **options

@@ -76,12 +76,10 @@ class AopEvents:
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
-        layout: Layout, cutoff_hz: float = 0.5, radius: int = 1,
+        layout: Layout | str, cutoff_hz: float = 0.5, radius: int = 1,
         correct_phase: bool = False,
     ) -> None:
         self.shape = height, width = sensor_shape(shape)
-        if not isinstance(layout, Layout):
-            raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
         on = checked_threshold("theta_on", theta_on, self.shape)
         off = checked_threshold("theta_off", theta_off, self.shape)
         if radius != int(radius) or radius < 0:
@@ -90,7 +88,7 @@ class AopEvents:
             np.broadcast_to(steps(on, off), (height, width, 2)))
         self._rate = 2e-6 * math.pi * positive("cutoff_hz", cutoff_hz)
         self._radius, self._correct = int(radius), bool(correct_phase)
-        self._axes = _axes(layout)
+        self._axes = _axes(Layout.of(layout))
         self._span = float(round(_SPAN / self._rate))
         self._turns = np.zeros(((height + 1) // 2, (width + 1) // 2), TURN_DTYPE)
         self._epoch = np.full(1, -np.inf)

@@ -423,6 +423,16 @@ class Source(ABC):
         """The file that is read, None if there is none."""
         return None
 
+    def __repr__(self) -> str:
+        info = self.info
+        height, width = info.sensor_size
+        name = "" if self.path is None else f" {self.path.name}"
+        counts = "".join(
+            f", {count} {what}" for what, count in (
+                ("frames", info.frame_count), ("events", info.event_count))
+            if count is not None)
+        return f"<{info.format} recording{name}: {width}x{height}{counts}>"
+
     def __enter__(self) -> Self:
         return self
 

@@ -60,7 +60,7 @@ def recording_from_arrays(
     frames: Iterable[ApsFrame] = (),
     *,
     sensor_size: tuple[int, int],
-    layout: Layout | None = None,
+    layout: Layout | str | None = None,
     imu: NDArray[Any] | None = None,
     triggers: NDArray[Any] | None = None,
 ) -> Recording:
@@ -74,8 +74,8 @@ def recording_from_arrays(
         Frames in the order of ``available_us`` and of ``mid_us``.
     sensor_size : (int, int)
         (height, width).
-    layout : Layout, optional
-        Polarizer layout.
+    layout : Layout or str, optional
+        Polarizer layout, or its name; see `Layout.of`.
     imu : ndarray of IMU_DTYPE, optional
     triggers : ndarray of TRIGGER_DTYPE, optional
 
@@ -93,6 +93,7 @@ def recording_from_arrays(
     """
     events = np.empty(0, EVENT_DTYPE) if events is None else as_events(events)
     frames = tuple(frames)
+    layout = None if layout is None else Layout.of(layout)
     height, width = _checked_size(sensor_size)
     check_order(events)
     outside = np.flatnonzero(

@@ -24,7 +24,7 @@ _BAD_EVENTS = ("drop", "raise")
 def open_recording(
     source: str | os.PathLike[str] | Recording,
     *,
-    layout: Layout | None = None,
+    layout: Layout | str | None = None,
     fps: float | None = None,
     bad_events: str = "drop",
     camera: str | None = None,
@@ -40,8 +40,8 @@ def open_recording(
         A file; a Recording is returned as it is.  With a layout also a grey video,
         image, TIFF stack or pattern of image names (``shot_%04d.png``, ``shot_*.png``)
         of a polarization camera.
-    layout : Layout, optional
-        Polarizer layout of the camera.
+    layout : Layout or str, optional
+        Polarizer layout of the camera, or its name; see `Layout.of`.
     fps : float, optional
         Images per second of a source whose images carry no times; default the
         video's, 25 for images.
@@ -74,8 +74,7 @@ def open_recording(
     """
     if isinstance(source, Recording):
         return source
-    if layout is not None and not isinstance(layout, Layout):
-        raise TypeError(f"layout must be a Layout, got {type(layout).__name__}")
+    layout = None if layout is None else Layout.of(layout)
     if bad_events not in _BAD_EVENTS:
         raise ValueError(
             f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")

@@ -19,7 +19,9 @@ from pdavis_cv.render.cyclic import cyclic_bgr, cyclic_legend
 from pdavis_cv.render.layouts import (
     fan_sheet,
     frames_and_fused,
+    png_of,
     quad_picture,
+    summary,
     tendon_sheet,
 )
 from pdavis_cv.render.overlay import burn, events_on, faded, reliable, scale_bar
@@ -52,10 +54,12 @@ __all__ = [
     "grey_bgr",
     "opencv",
     "panel",
+    "png_of",
     "quad_picture",
     "reliable",
     "scale_bar",
     "stack",
+    "summary",
     "tendon_sheet",
     "tile",
 ]

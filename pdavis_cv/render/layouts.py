@@ -1,11 +1,13 @@
-"""Sheets that lie like the paper's Supplementary Videos 1 to 5."""
+"""Sheets that lie like the paper's Supplementary Videos 1 to 5; one image's summary."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._opencv import opencv
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import (
     Picture,
@@ -16,9 +18,17 @@ from pdavis_cv.render.colours import (
     panel,
     tile,
 )
-from pdavis_cv.render.overlay import reliable
+from pdavis_cv.render.overlay import faded, reliable
+from pdavis_cv.render.tone import ToneCurve
 
-__all__ = ["fan_sheet", "frames_and_fused", "quad_picture", "tendon_sheet"]
+__all__ = [
+    "fan_sheet",
+    "frames_and_fused",
+    "png_of",
+    "quad_picture",
+    "summary",
+    "tendon_sheet",
+]
 
 Grey = Callable[[ArrayLike, NDArray[np.bool_] | None], Picture]
 
@@ -85,6 +95,51 @@ def frames_and_fused(
         pictures.append(panel(colour, f"{name}: {_NAMES[quantity]}", legend=quantity,
                               scale=scale))
     return tile(pictures, columns=2, title=title)
+
+
+def summary(image: PolarFrame) -> Picture:
+    """Lay out one image for a first look: S0, AoP faded by DoLP, and DoLP.
+
+    Parameters
+    ----------
+    image : PolarFrame
+        Shown by a tone curve of its own.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR of even size.
+    """
+    grey = (ToneCurve.of([image.s0], [image.valid]) if image.valid.any()
+            else ToneCurve(1.0))
+    colour = aop_bgr(image.aop, image.valid)
+    faint = faded(colour, np.where(image.valid, image.dolp, 1))
+    return tile([
+        panel(grey.bgr(image.s0, image.valid), "S0", legend="grey",
+              end=f"{grey.white:.4g}"),
+        panel(faint, "AoP, black where DoLP is 0", legend="aop"),
+        panel(dolp_bgr(image.dolp, image.valid), "DoLP", legend="dolp")], columns=3)
+
+
+def png_of(picture: NDArray[Any]) -> bytes:
+    """Return a picture as the bytes of a PNG file.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8 or uint16, shape (H, W, 3) or (H, W)
+        BGR or grey.
+
+    Raises
+    ------
+    ImportError
+        If OpenCV is missing.
+    OSError
+        If it cannot encode this picture.
+    """
+    done, data = opencv().imencode(".png", picture)
+    if not done:
+        raise OSError(f"OpenCV cannot encode {picture.shape} as PNG")
+    return bytes(data)
 
 
 _NAMES = {"aop": "angle of polarization", "dolp": "degree of linear polarization"}

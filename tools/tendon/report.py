@@ -129,10 +129,7 @@ def _loop_table(found: Findings) -> str:
 
 
 def _picture(picture: render.Picture) -> str:
-    done, data = render.opencv().imencode(".png", picture)
-    if not done:
-        raise OSError("a picture of the report cannot be encoded")
-    return _image(data.tobytes())
+    return _image(render.png_of(picture))
 
 
 def _image(data: bytes) -> str:

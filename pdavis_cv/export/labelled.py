@@ -1,0 +1,79 @@
+"""Images as labelled arrays."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pdavis_cv.export.provenance import to_json
+from pdavis_cv.export.stacks import QUANTITIES, names_of, plane
+from pdavis_cv.polarimetry import PolarFrame
+
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = ["to_xarray"]
+
+
+def to_xarray(
+    images: PolarFrame | Iterable[PolarFrame],
+    quantities: Sequence[str] = ("S0", "AoP", "DoLP"),
+) -> xarray.Dataset:
+    """Return images as an `xarray.Dataset` with times, units and coordinates.
+
+    Parameters
+    ----------
+    images : PolarFrame, or iterable of PolarFrame of one shape
+        What `fuse` gives; all are kept in memory.
+    quantities : sequence of str
+        Names from ``QUANTITIES``, in any case.
+
+    Returns
+    -------
+    xarray.Dataset
+        A float32 variable (t_us, y, x) per quantity, NaN where a pixel is not valid,
+        with attribute ``units``; coordinates are microseconds and sensor pixels.
+        ``provenance`` (JSON) is that of the first image.
+
+    Raises
+    ------
+    ImportError
+        If xarray is missing.
+    ValueError
+        If a quantity is unknown or not known to the method, there is no image, or
+        shapes differ.
+
+    Examples
+    --------
+    >>> from pdavis_cv import fuse, open_recording
+    >>> from pdavis_cv.data import example_recording
+    >>> with open_recording(example_recording(), layout="pdavis") as recording:
+    ...     data = to_xarray(fuse(recording, fps=50, method="cf"))
+    >>> dict(data["AoP"].sizes)
+    {'t_us': 9, 'y': 260, 'x': 346}
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise ImportError("to_xarray needs xarray: pip install xarray") from None
+    names = names_of(quantities)
+    kept = [images] if isinstance(images, PolarFrame) else list(images)
+    if not kept:
+        raise ValueError("images must hold at least one, got none")
+    shapes = sorted({image.shape for image in kept})
+    if len(shapes) > 1:
+        raise ValueError(f"images must have one shape, got {shapes}")
+    height, width = shapes[0]
+    variables = {
+        name: (("t_us", "y", "x"),
+               np.stack([np.where(image.valid, plane(image, name), np.float32(np.nan))
+                         for image in kept]), {"units": QUANTITIES[name]})
+        for name in names}
+    coordinates = {
+        "t_us": ("t_us", np.array([image.t_us or 0 for image in kept], np.int64),
+                 {"units": "us"}),
+        "y": ("y", np.arange(height), {"units": "pixel"}),
+        "x": ("x", np.arange(width), {"units": "pixel"})}
+    return xarray.Dataset(
+        variables, coordinates, {"provenance": to_json(dict(kept[0].provenance))})
