@@ -28,6 +28,7 @@ from ._leaky import (
     leak_events_map,
     leak_held,
     leak_read,
+    leak_shown,
     log_frame,
     mean_around,
 )
@@ -83,6 +84,7 @@ __all__ = [
     "leak_events_map",
     "leak_held",
     "leak_read",
+    "leak_shown",
     "log_frame",
     "mean_around",
     "mismatch",

@@ -5,11 +5,8 @@
 #include "_clones.h"
 #include "_math.h"
 
-/* Pixels that are taken apart at once: their exponentials fill whole vectors. */
+/* Pixels that are taken apart at once: what follows then fills whole vectors. */
 #define PDAVIS_LEAKS 32
-
-/* See cell_t in _leaky.pyx. */
-typedef struct { double t, value; float rate, unused; } pd_leaky;
 
 PDAVIS_CLONES PDAVIS_UNUSED static void exp_row(
     const float *restrict x, ptrdiff_t n, float *restrict out)
@@ -19,24 +16,86 @@ PDAVIS_CLONES PDAVIS_UNUSED static void exp_row(
         out[i] = pd_exp(x[i]);
 }
 
-/* base + value decayed to t, of pixels that stay as they are. */
-PDAVIS_CLONES PDAVIS_UNUSED static void leak_row(
-    const pd_leaky *restrict cell, const float *restrict base, double t, ptrdiff_t n,
+/* Take m leaky pixels apart.  A cell (cell_t in _leaky.pyx) is three 64-bit words: time,
+   value, and the rate in the lower half of the third; loads by words are what the
+   compiler turns into shuffles instead of one load per field. */
+PDAVIS_INLINE void take_apart(
+    const int64_t *restrict word, ptrdiff_t m, double *restrict t,
+    double *restrict value, float *restrict rate)
+{
+    int64_t part[3][PDAVIS_LEAKS];
+    int32_t low[PDAVIS_LEAKS];
+    ptrdiff_t i;
+    for (i = 0; i < m; i++) {
+        part[0][i] = word[3 * i];
+        part[1][i] = word[3 * i + 1];
+        part[2][i] = word[3 * i + 2];
+    }
+    for (i = 0; i < m; i++)
+        low[i] = (int32_t)part[2][i];
+    memcpy(t, part[0], m * sizeof *t);
+    memcpy(value, part[1], m * sizeof *value);
+    memcpy(rate, low, m * sizeof *rate);
+}
+
+PDAVIS_INLINE void leak_block(
+    const int64_t *restrict word, const float *restrict base, double now, ptrdiff_t m,
     float *restrict out)
 {
-    float fall[PDAVIS_LEAKS];
-    ptrdiff_t from, i;
-    for (from = 0; from < n; from += PDAVIS_LEAKS) {
-        ptrdiff_t m = n - from < PDAVIS_LEAKS ? n - from : PDAVIS_LEAKS;
+    double t[PDAVIS_LEAKS], value[PDAVIS_LEAKS];
+    float rate[PDAVIS_LEAKS], fall[PDAVIS_LEAKS];
+    ptrdiff_t i;
+    take_apart(word, m, t, value, rate);
+    for (i = 0; i < m; i++)
+        fall[i] = pd_expm1(-(rate[i] * (float)(now - t[i])));
+    for (i = 0; i < m; i++)
+        out[i] = (float)(base[i] + (value[i] + value[i] * fall[i]));
+}
+
+/* base + value decayed to now, of pixels that stay as they are. */
+PDAVIS_CLONES PDAVIS_UNUSED static void leak_row(
+    const int64_t *restrict word, const float *restrict base, double now, ptrdiff_t n,
+    float *restrict out)
+{
+    ptrdiff_t at;
+    for (at = 0; at + PDAVIS_LEAKS <= n; at += PDAVIS_LEAKS)
+        leak_block(word + 3 * at, base + at, now, PDAVIS_LEAKS, out + at);
+    if (at < n)
+        leak_block(word + 3 * at, base + at, now, n - at, out + at);
+}
+
+/* Values as the last events left them, and 1 where there was one. */
+PDAVIS_CLONES PDAVIS_UNUSED static void held_row(
+    const int64_t *restrict word, ptrdiff_t n, float *restrict out,
+    uint8_t *restrict seen)
+{
+    double t[PDAVIS_LEAKS], value[PDAVIS_LEAKS];
+    float rate[PDAVIS_LEAKS];
+    ptrdiff_t at, i;
+    for (at = 0; at < n; at += PDAVIS_LEAKS) {
+        ptrdiff_t m = n - at < PDAVIS_LEAKS ? n - at : PDAVIS_LEAKS;
+        take_apart(word + 3 * at, m, t, value, rate);
         for (i = 0; i < m; i++)
-            fall[i] = -(cell[from + i].rate * (float)(t - cell[from + i].t));
+            out[at + i] = (float)value[i];
         for (i = 0; i < m; i++)
-            fall[i] = pd_expm1(fall[i]);
-        for (i = 0; i < m; i++) {
-            double v = cell[from + i].value;
-            out[from + i] = (float)(base[from + i] + (v + v * fall[i]));
-        }
+            seen[at + i] = t[i] > -INFINITY;
     }
+}
+
+PDAVIS_CLONES PDAVIS_UNUSED static void add_row(
+    const float *restrict of, ptrdiff_t n, float *restrict to)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++)
+        to[i] += of[i];
+}
+
+PDAVIS_CLONES PDAVIS_UNUSED static void divide_row(
+    const float *restrict by, ptrdiff_t n, float *restrict to)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++)
+        to[i] /= by[i];
 }
 
 #endif

@@ -5,16 +5,16 @@ rate in 1/us.  For the complementary filter the value is L - L_F, for the printe
 equation L (docs/theory/complementary-filter.md), for the events method the
 high-passed log intensity (docs/theory/events.md).
 """
-from libc.math cimport INFINITY
 from libc.stdint cimport int64_t, uint8_t
 
 from _kernels._math cimport expm1_f, log_f
 from _kernels._types cimport event_t
 
 cdef extern from "_curves.h" nogil:
-    ctypedef struct leaky_t "pd_leaky":
-        pass
-    void leak_row(const leaky_t*, const float*, double, Py_ssize_t, float*)
+    void leak_row(const int64_t*, const float*, double, Py_ssize_t, float*)
+    void held_row(const int64_t*, Py_ssize_t, float*, uint8_t*)
+    void add_row(const float*, Py_ssize_t, float*)
+    void divide_row(const float*, Py_ssize_t, float*)
 
 cdef packed struct cell_t:
     double t          # microseconds, exact to 2**53
@@ -108,55 +108,71 @@ def leak_read(const cell_t[:, ::1] cells not None, const float[:, ::1] base not 
         return
     with nogil:
         for y in range(h):
-            leak_row(<const leaky_t*>&cells[y, 0], &base[y, 0], t, w, &out[y, 0])
+            leak_row(<const int64_t*>&cells[y, 0], &base[y, 0], t, w, &out[y, 0])
 
 
 def leak_held(const cell_t[:, ::1] cells not None, float[:, ::1] out not None,
               uint8_t[:, ::1] seen not None):
     """Write each cell's value as its last event left it, and 1 where there was one."""
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, x
+    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y
     if (cells.shape[0] != h or seen.shape[0] != h or cells.shape[1] != w
             or seen.shape[1] != w):
         raise ValueError("leak_held: cells, out and seen must have one shape")
+    if w == 0:
+        return
     with nogil:
         for y in range(h):
-            for x in range(w):
-                out[y, x] = <float>cells[y, x].value
-                seen[y, x] = cells[y, x].t > -INFINITY
+            held_row(<const int64_t*>&cells[y, 0], w, &out[y, 0], &seen[y, 0])
 
 
-def mean_around(const float[:, ::1] own not None, const uint8_t[:, ::1] known not None,
-                const Py_ssize_t[:, ::1] offsets not None, float[::1] scratch not None,
-                float[:, ::1] out not None, uint8_t[:, ::1] seen not None):
-    """Write the mean of own over a neighbourhood, and 1 where any of it is known.
+def leak_shown(const event_t[::1] events not None, const cell_t[:, ::1] cells not None,
+               float[:, ::1] out not None, uint8_t[:, ::1] seen not None):
+    """As leak_held, of the cells that events lie in; out and seen hold the others.
 
-    offsets, (n, 2), are rows and columns to the neighbours, which count in this order
-    after the pixel itself, where they lie in the image.  scratch is w floats.
+    Stops at the first event outside.
     """
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, x, k, dy, dx
-    cdef float one = 1.0
-    if (own.shape[0] != h or known.shape[0] != h or seen.shape[0] != h
-            or own.shape[1] != w or known.shape[1] != w or seen.shape[1] != w):
+    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], i, y, x
+    if (cells.shape[0] != h or seen.shape[0] != h or cells.shape[1] != w
+            or seen.shape[1] != w):
+        raise ValueError("leak_shown: cells, out and seen must have one shape")
+    with nogil:
+        for i in range(events.shape[0]):
+            y = events[i].y
+            x = events[i].x
+            if y >= h or x >= w:
+                break
+            out[y, x] = <float>cells[y, x].value
+            seen[y, x] = 1
+
+
+def mean_around(const float[:, ::1] own not None, const float[:, ::1] count not None,
+                const Py_ssize_t[:, ::1] offsets not None,
+                float[:, ::1] out not None):
+    """Write the sum of own over a neighbourhood by the number of those in it.
+
+    offsets, (n, 2), are rows and columns to the neighbours, which are added in this
+    order to the pixel itself, where they lie in the image.
+    """
+    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, x, k, dy, dx, n
+    if (own.shape[0] != h or count.shape[0] != h or own.shape[1] != w
+            or count.shape[1] != w):
         raise ValueError("mean_around: all images must have one shape")
-    if offsets.shape[1] != 2 or scratch.shape[0] < w:
-        raise ValueError("mean_around: offsets must be (n, 2), scratch w floats")
+    if offsets.shape[1] != 2:
+        raise ValueError("mean_around: offsets must be (n, 2)")
+    if w == 0:
+        return
     with nogil:
         for y in range(h):
             for x in range(w):
                 out[y, x] = own[y, x]
-                seen[y, x] = known[y, x]
-                scratch[x] = one
             for k in range(offsets.shape[0]):
                 dy = y + offsets[k, 0]
                 dx = offsets[k, 1]
-                if dy < 0 or dy >= h:
-                    continue
-                for x in range(-dx if dx < 0 else 0, w - dx if dx > 0 else w):
-                    out[y, x] += own[dy, x + dx]
-                    seen[y, x] |= known[dy, x + dx]
-                    scratch[x] += one
-            for x in range(w):
-                out[y, x] /= scratch[x]
+                x = -dx if dx < 0 else 0
+                n = w - x - dx if dx > 0 else w - x
+                if 0 <= dy < h and n > 0:
+                    add_row(&own[dy, x + dx], n, &out[y, x])
+            divide_row(&count[y, 0], w, &out[y, 0])
 
 
 def log_frame(const float[:, ::1] dn not None, const uint8_t[:, ::1] usable not None,

@@ -46,6 +46,7 @@ __all__ = [
     "leak_events_map",
     "leak_held",
     "leak_read",
+    "leak_shown",
     "log_frame",
     "mean_around",
     "mismatch",
@@ -193,12 +194,14 @@ def leak_events_map(
 ) -> int: ...
 def leak_held(cells: NDArray[Any], out: _F32, seen: _U8) -> None: ...
 def leak_read(cells: NDArray[Any], base: _F32, t: float, out: _F32) -> None: ...
+def leak_shown(
+    events: NDArray[Any], cells: NDArray[Any], out: _F32, seen: _U8
+) -> None: ...
 def log_frame(
     dn: _F32, usable: _U8, log_exposure: _F32, out: _F32, valid: _U8
 ) -> None: ...
 def mean_around(
-    own: _F32, known: _U8, offsets: NDArray[np.intp], scratch: _F32, out: _F32,
-    seen: _U8,
+    own: _F32, count: _F32, offsets: NDArray[np.intp], out: _F32
 ) -> None: ...
 def mismatch(
     quad: _F32, gain: float, angle: float, contrast: float, variance: _F32

@@ -78,7 +78,8 @@ class PolarFrame:
     """
 
     __slots__ = (
-        "_analyser", "_aop_dolp", "_mosaic", "_provenance", "_quad", "_quality",
+        "_analyser", "_aop_dolp", "_mosaic", "_origin", "_provenance", "_quad",
+        "_quality",
         "_reconciled", "_sigmas", "_stokes", "_usable", "_valid", "_variance",
         "extinction_ratio", "frame_us", "t_us")
 
@@ -89,6 +90,7 @@ class PolarFrame:
     _quality: NDArray[np.float32] | None
     _reconciled: bool
     _mosaic: tuple[NDArray[Any], Layout] | None
+    _origin: PolarFrame | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: tuple[
         NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
@@ -154,10 +156,43 @@ class PolarFrame:
                    provenance, quality=quality, reconciled=reconciled)
         return frame
 
+    @classmethod
+    def adopt_mosaic(
+        cls,
+        mosaic: NDArray[Any],
+        layout: Layout,
+        *,
+        valid: NDArray[np.bool_] | None = None,
+        t_us: int | None = None,
+        frame_us: int | None = None,
+        extinction_ratio: float | None = None,
+        provenance: Mapping[str, Any] | None = None,
+        quality: NDArray[np.float32] | None = None,
+    ) -> Self:
+        """Make a PolarFrame of a mosaic, bilinearly, when it is asked for the result.
+
+        Angle and degree then come in one pass from the mosaic's pixels.
+
+        Parameters
+        ----------
+        mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
+            Linear intensity, C-contiguous, sides at least 2; becomes read-only, and
+            nobody else may hold on to its memory.
+        layout : Layout
+            Polarizer in front of each pixel.
+        valid, t_us, frame_us, extinction_ratio, provenance, quality
+            As for `adopt`.
+        """
+        mosaic.flags.writeable = False
+        frame = cls.__new__(cls)
+        frame._set(None, valid, t_us, frame_us, extinction_ratio, None, None,
+                   provenance, (mosaic, layout), quality)
+        return frame
+
     def retimed(
         self, t_us: int, frame_us: int | None, provenance: Mapping[str, Any]
     ) -> Self:
-        """Return the same image of another time, which shares these arrays.
+        """Return the same image of another time; what one computes, both have.
 
         Parameters
         ----------
@@ -173,6 +208,7 @@ class PolarFrame:
         other = type(self).__new__(type(self))
         for name in PolarFrame.__slots__:
             setattr(other, name, getattr(self, name))
+        other._origin = self._origin or self
         other.t_us, other.frame_us = t_us, frame_us
         other._provenance = dict(provenance)
         return other
@@ -192,6 +228,7 @@ class PolarFrame:
         reconciled: bool = False,
     ) -> None:
         self._quad, self._mosaic, self._reconciled = quad, mosaic, reconciled
+        self._origin = None     # computes what this one is asked for
         self._aop_dolp = self._sigmas = self._stokes = self._usable = None
         if quad is not None and (quad.ndim != 3 or quad.shape[0] != 4):
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
@@ -228,6 +265,8 @@ class PolarFrame:
     @property
     def quad(self) -> NDArray[np.float32]:
         """I0, I45, I90, I135; float32, shape (4, H, W)."""
+        if self._quad is None and self._origin is not None:
+            self._quad = self._origin.quad
         if self._quad is None:
             assert self._mosaic is not None
             self._quad = frozen(demosaic_mosaic(*self._mosaic))
@@ -331,6 +370,8 @@ class PolarFrame:
     def _planes(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        if self._stokes is None and self._origin is not None:
+            self._stokes = self._origin._planes()
         if self._stokes is None:
             s0, s1, s2 = frozen(stokes(
                 self.quad, self._analyser, extinction_ratio=self.extinction_ratio))
@@ -340,6 +381,8 @@ class PolarFrame:
     def _angle_and_degree(
         self, out: tuple[NDArray[np.float32] | None, ...] | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        if self._aop_dolp is None and self._origin is not None:
+            self._aop_dolp = self._origin._angle_and_degree()
         if self._aop_dolp is not None:
             return self._aop_dolp
         shape = self.shape
@@ -449,11 +492,8 @@ def polarization(
         quad = demosaic_mosaic(pixels, layout, demosaic)
         frame = PolarFrame.adopt(quad, extinction_ratio=extinction_ratio)
     else:
-        own = pixels.copy()
-        own.flags.writeable = False
-        frame = PolarFrame.__new__(PolarFrame)
-        frame._set(None, None, None, None, extinction_ratio, None, None, None,
-                   (own, layout))
+        frame = PolarFrame.adopt_mosaic(
+            pixels.copy(), layout, extinction_ratio=extinction_ratio)
     if out is not None:
         frame._angle_and_degree(out)
     return frame

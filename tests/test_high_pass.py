@@ -115,9 +115,8 @@ def test_the_kernels_check_shapes():
     image, flags = np.zeros((2, 3), np.float32), np.zeros((2, 3), np.uint8)
     with pytest.raises(ValueError, match="leak_held:"):
         _kernels.leak_held(np.zeros((2, 2), CELL_DTYPE), image, flags)
-    offsets, row = np.zeros((1, 2), np.intp), np.zeros(3, np.float32)
-    for own, steps, scratch in ((image[:1], offsets, row), (image, offsets[:, :1], row),
-                                (image, offsets, row[:2])):
+    offsets = np.zeros((1, 2), np.intp)
+    for own, count, steps in ((image[:1], image, offsets), (image, image[:1], offsets),
+                              (image, image, offsets[:, :1].copy())):
         with pytest.raises(ValueError, match="mean_around:"):
-            _kernels.mean_around(
-                own, flags, np.ascontiguousarray(steps), scratch, image.copy(), flags)
+            _kernels.mean_around(own, count, steps, image.copy())

@@ -64,7 +64,10 @@ class ImageMaker:
             calibration, (window.rows, window.columns), demosaic)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
+        # Rows of the window are rows of the image, each made of its neighbours.
+        self._whole = demosaic == "bilinear" and self._crop is None
         self._scratch = scratch_rows(2, window.shape[1])
+        self._usable: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
         self._last: tuple[object, PolarFrame] | None = None
         width, height = roi[2:]
         self.shape = ((height // 2, width // 2) if demosaic in HALF_SIZE
@@ -92,21 +95,33 @@ class ImageMaker:
         intensity = method.intensity(estimate.log_intensity)
         if self._gain is not None:
             intensity /= self._gain
-        quad, variance = self._channels(intensity, estimate)
-        valid = self._cropped(
-            demosaic_valid(estimate.valid, self._layout, self._demosaic))
+        valid = self._valid(estimate.valid)
         quality = method.quality
         if quality is not None:
             if self._demosaic in HALF_SIZE:
                 quality = quality[::2, ::2].copy()
             quality = self._cropped(quality)
         # The arrays are new and nobody else's: the image takes them over.
-        image = PolarFrame.adopt(
-            quad, valid=valid, t_us=t_us, frame_us=frame_us,
-            extinction_ratio=self._ratio, analyser=self._analyser, variance=variance,
-            provenance=provenance, quality=quality, reconciled=variance is not None)
+        about: dict[str, Any] = {
+            "valid": valid, "t_us": t_us, "frame_us": frame_us,
+            "extinction_ratio": self._ratio, "provenance": provenance,
+            "quality": quality}
+        if estimate.variance is None and self._whole and self._analyser is None:
+            image = PolarFrame.adopt_mosaic(intensity, self._layout, **about)
+        else:
+            quad, variance = self._channels(intensity, estimate)
+            image = PolarFrame.adopt(
+                quad, analyser=self._analyser, variance=variance,
+                reconciled=variance is not None, **about)
         self._last = None if shown is None else (shown, image)
         return image
+
+    def _valid(self, samples: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return where an image is made of usable samples, which seldom changes."""
+        if self._usable is None or not np.array_equal(self._usable[0], samples):
+            self._usable = samples.copy(), self._cropped(
+                demosaic_valid(samples, self._layout, self._demosaic))
+        return self._usable[1]
 
     def _channels(
         self, intensity: NDArray[np.float32], estimate: Estimate
@@ -116,7 +131,7 @@ class ImageMaker:
         if samples is None:
             return self._cropped(demosaic_mosaic(
                 intensity, self._layout, self._demosaic, valid=estimate.valid)), None
-        if self._demosaic == "bilinear" and self._crop is None:
+        if self._whole:
             quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
             _kernels.bilinear_weighted(
                 intensity, samples, places_of(self._layout), self._spread, self._null,

@@ -109,11 +109,16 @@ class EventHighPass(Reconstructor):
         self._cells["t"] = -np.inf  # no event yet
         self._cells["rate"] = 1e-6 * math.tau * self._cutoff_hz
         self._base = np.zeros(self.shape, np.float32)
-        # What a read writes to on its way.
-        self._own = np.empty(self.shape, np.float32)
-        self._known = np.empty(self.shape, np.bool_)
-        self._count = np.empty(self.shape[1], np.float32)
         self._neighbours = _neighbours(self._radius)
+        ones = np.ones(self.shape, np.float32)
+        self._count = np.empty(self.shape, np.float32)   # pixels that count, by pixel
+        _kernels.mean_around(ones, ones, self._neighbours, self._count)
+        # Of the cells: their values as the last events left them, and whether there was
+        # one; what a read writes to on its way, and what it found last (`_around`).
+        self._held = np.zeros(self.shape, np.float32)
+        self._seen = np.zeros(self.shape, np.bool_)
+        self._decayed = np.empty(self.shape, np.float32)
+        self._known: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -128,6 +133,8 @@ class EventHighPass(Reconstructor):
         events = as_events(events)
         clock = self._clock
         taken = self._leak(events, self._steps, clock.last_us, self._cells)
+        _kernels.leak_shown(
+            events[:taken], self._cells, self._held, self._seen.view(np.uint8))
         if self._turns is not None:
             self._turns.add(events[:taken])
         clock.took(events, taken)
@@ -140,25 +147,30 @@ class EventHighPass(Reconstructor):
         """Return the high-passed log intensity at t_us (see `Reconstructor.read`)."""
         t = self._clock.check_read(t_us)
         log = output(out, self.shape, np.float32)
-        seen = np.empty(self.shape, np.bool_)
-        if not self._radius:
-            self._apart(t, log, seen)
+        own = self._held
+        if not self._hold:
+            own = self._decayed
+            _kernels.leak_read(self._cells, self._base, t, own)
+        if self._radius:
+            _kernels.mean_around(own, self._count, self._neighbours, log)
+            seen = self._around()
         else:
-            self._apart(t, self._own, self._known)
-            _kernels.mean_around(
-                self._own, self._known.view(np.uint8), self._neighbours,
-                self._count, log, seen.view(np.uint8))
+            log[:], seen = own, self._seen.copy()
         if self._turns is not None:
             self._turn_back(log, self._turns.turn(t))
         return Estimate(log, None, seen)
 
-    def _apart(
-        self, t: float, log: NDArray[np.float32], seen: NDArray[np.bool_]
-    ) -> None:
-        """Write each pixel's value, and whether it has had an event."""
-        _kernels.leak_held(self._cells, log, seen.view(np.uint8))
-        if not self._hold:
-            _kernels.leak_read(self._cells, self._base, t, log)
+    def _around(self) -> NDArray[np.bool_]:
+        """Return where a pixel that counts has had an event."""
+        seen = self._seen
+        if self._known is None or not np.array_equal(self._known[0], seen):
+            around = seen.copy()
+            for dy, dx in self._neighbours.tolist():
+                to, of = zip(_shifted(dy, seen.shape[0]), _shifted(dx, seen.shape[1]),
+                             strict=True)
+                around[to] |= seen[of]
+            self._known = seen.copy(), around
+        return self._known[1].copy()
 
     def _turn_back(
         self, log: NDArray[np.float32], turn: NDArray[np.float64]
@@ -184,6 +196,7 @@ class EventHighPass(Reconstructor):
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us = state["last_us"]
         self._cells = state["cells"].copy()
+        _kernels.leak_held(self._cells, self._held, self._seen.view(np.uint8))
         if self._turns is not None:
             self._turns.restore(state["turns"])
 
@@ -194,3 +207,9 @@ def _neighbours(radius: int) -> NDArray[np.intp]:
     return np.array([(2 * dy, 2 * dx) for dy in reach for dx in reach
                      if 0 < dy * dy + dx * dx <= radius * radius],
                     np.intp).reshape(-1, 2)
+
+
+def _shifted(by: int, side: int) -> tuple[slice, slice]:
+    """Return the places that have a neighbour `by` further on, and the neighbours."""
+    lo, hi = min(max(-by, 0), side), max(side - max(by, 0), 0)
+    return slice(lo, max(hi, lo)), slice(lo + by, max(hi, lo) + by)

@@ -147,7 +147,7 @@ class EventRedundancy(Reconstructor):
         self._fed = 0                   # how often anything was
         self._ahead: tuple[EventRedundancy, int] | None = None
         self._shown = self              # whose moments the last read was of
-        self._ratio: NDArray[np.float32] | None = None  # quality, as of then
+        self._solved: NDArray[np.float32] | None = None
 
     def _tune(self) -> None:
         for name, value in zip(
@@ -177,9 +177,16 @@ class EventRedundancy(Reconstructor):
 
         As of the last time that was read.
         """
-        if self._shown._ratio is None:
-            return np.ones(self.shape, np.float32)
-        return self._shown._ratio.copy()
+        ratio: NDArray[np.float32] = self._shown._solution[0]
+        return ratio.copy()
+
+    @property
+    def _solution(self) -> NDArray[np.float32]:
+        """Ratio of the smallest eigenvalues, and the smallest, of each pixel."""
+        if self._solved is None:
+            self._solved = np.empty((2, *self.shape), np.float32)
+            _kernels.redundancy_shown(self._moments, *self._solved)
+        return self._solved
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
@@ -246,6 +253,7 @@ class EventRedundancy(Reconstructor):
             if k % SOLVE_EVERY == 0 and self._unsolved:
                 _kernels.redundancy_solve(self._policy, self._moments, self._states)
                 self._unsolved = False
+                self._solved = None
         self._lamp.forget(until_us - MEMORY_US)
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
@@ -275,9 +283,8 @@ class EventRedundancy(Reconstructor):
             t, t + self.lookahead_us, rest, 0, self._tracks, self._states,
             (self._tuning, self._lamp.waves),
             (log, np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)))
-        self._ratio, smallest = np.empty((2, *self.shape), np.float32)
-        _kernels.redundancy_shown(self._moments, self._ratio, smallest)
-        return Estimate(log, smallest, self._ratio < VALID_QUALITY)
+        ratio, smallest = self._solution
+        return Estimate(log, smallest.copy(), ratio < VALID_QUALITY)
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal one (see `Reconstructor.assign`)."""
@@ -309,6 +316,7 @@ class EventRedundancy(Reconstructor):
         np.copyto(as_bytes(self._states), as_bytes(states))
         np.copyto(as_bytes(self._balance), as_bytes(balance))
         np.copyto(as_bytes(self._moments), as_bytes(moments))
+        self._solved = None
         self._next, self._unsolved = following, unsolved
         self._lamp.restore(lamp)
         self._changed()
