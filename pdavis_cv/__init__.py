@@ -89,6 +89,9 @@ _HOME = {
     "Session": "live.session",
     "SessionStats": "live.statistics",
     "open_source": "live.address",
+    "Server": "viewer.server",
+    "serve": "viewer.server",
+    "view": "viewer.server",
     "patched_cv2": "adapters.patching",
     "CaptureStatus": "capture.video",
     "VideoCapture": "capture.video",
@@ -208,6 +211,7 @@ __all__ = [
     "RecordingError",
     "RecordingInfo",
     "Sensor",
+    "Server",
     "Session",
     "SessionStats",
     "Snapshot",
@@ -238,6 +242,7 @@ __all__ = [
     "recording_from_arrays",
     "render",
     "response_table",
+    "serve",
     "simulation",
     "slices",
     "source_from_packets",
@@ -245,6 +250,7 @@ __all__ = [
     "thresholds_in_situ",
     "time_surface",
     "unpack",
+    "view",
     "voxel_grid",
     "write_aedat2",
     "write_aedat4",
@@ -361,6 +367,7 @@ if TYPE_CHECKING:
     from pdavis_cv.recording.stream import source_from_packets
     from pdavis_cv.sensor import CHANNELS, Layout, Sensor
     from pdavis_cv.stokes_vector import aop, debias_dolp, dolp, stokes
+    from pdavis_cv.viewer.server import Server, serve, view
 
 
 def __getattr__(name: str) -> Any:

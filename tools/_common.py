@@ -26,6 +26,7 @@ __all__ = [
     "calibration_of",
     "command",
     "fuse_options",
+    "fusion_given",
     "layout_option",
     "number",
     "numbers",
@@ -275,21 +276,34 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
     """
     from pdavis_cv.fusion.options import FusionOptions
     defaults = FusionOptions()
+    options: dict[str, Any] = {name: getattr(defaults, name) for name, _ in _offered()}
+    options |= fusion_given(args)
+    for name in ("start_us", "stop_us"):
+        if options[name] is not None:
+            options[name] += start_of(recording)
+    require_samples(recording, options["start_us"])
+    if options["fps"] is None and recording.info.event_count != 0:
+        options["fps"] = 100.0
+    return options
+
+
+def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
+    """Return those keyword arguments of fuse() that were given.
+
+    Times are us after the start of the recording, which is not known here.
+    """
     options: dict[str, Any] = {}
     for name, facts in _offered():
         value = getattr(args, name)
-        if value is None:
-            value = getattr(defaults, name)
-        elif facts.word == "seconds":
-            value = start_of(recording) + round(value * 1e6)
+        if value is None or (facts.word == "flag" and not value):
+            continue
+        if facts.word == "seconds":
+            value = round(value * 1e6)
         elif facts.word == "calibration":
             value = calibration_of(value)
         elif facts.word == "ratio" and value == "none":
             value = None
         options[name] = value
-    require_samples(recording, options["start_us"])
-    if options["fps"] is None and recording.info.event_count != 0:
-        options["fps"] = 100.0
     return {**options, **dict(args.settings)}
 
 

@@ -14,6 +14,7 @@ __all__ = ["COMMANDS", "main"]
 # Subcommand -> what it does; each is pdavis_cv.tools.<name>.main(argv).
 COMMANDS = {
     "info": "say what a recording holds",
+    "view": "show a recording or a live source in a browser, and stream it as MJPEG",
     "export": "fuse a recording into a video, pictures or arrays",
     "convert": "write a recording in another format",
     "calibrate": "measure a camera into its calibration file",

@@ -41,6 +41,8 @@ KEPT_IMAGES = 8
 """Images that wait for a slow reader; then the oldest is skipped."""
 KEPT_EVENTS_US = 200_000
 """Events are kept for pictures of them for this stream time; us."""
+MOST_JUMPS = 3
+"""After so many jumps of time a method is taken that costs less: one may be a burst."""
 LEAST_IMAGES_S = 0.1
 """However late, an image is made this often: s of the host's time."""
 
@@ -106,8 +108,8 @@ class Session:
     {options}
     **method_parameters
         As in `fuse`; ``causal`` is always True, and `fps` is 60 by default.  Without
-        `method`, the one that is best for the source, and a cheaper one each time that
-        it cannot follow: `stats` says which.
+        `method`, the one that is best for the source, and a cheaper one where that
+        cannot follow for long: `stats` says which.
 
     Raises
     ------
@@ -249,7 +251,9 @@ class Session:
         """Go on to the next image and make it, unless it is late; False at the end."""
         if self._wanted is not None:
             self._fusion, self._wanted = self._wanted, None
-        if self._inbox.jumps != self._jumps_known:
+        if self._latest[1] is None:         # what loads at the start is no measure
+            self._jumps_known = self._inbox.jumps
+        if self._inbox.jumps - self._jumps_known >= MOST_JUMPS:
             self._jumps_known = self._inbox.jumps
             self._be_cheaper()
         if not self._fusion.advance():

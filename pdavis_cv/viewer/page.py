@@ -1,0 +1,13 @@
+"""The files of the page, as they lie in the package."""
+from __future__ import annotations
+
+import functools
+from importlib.resources import files
+
+__all__ = ["page"]
+
+
+@functools.cache
+def page(name: str) -> bytes:
+    """Return a file of the page: ``page.html``, ``page.js`` or ``page.css``."""
+    return files("pdavis_cv.viewer").joinpath(name).read_bytes()

@@ -1,0 +1,146 @@
+"""Pictures and numbers of one image, as a page or a stream wants them."""
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv._opencv import opencv
+from pdavis_cv.capture.picture import event_counts, events_bgr
+from pdavis_cv.mosaic import HALF_SIZE
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, faded
+from pdavis_cv.stokes_vector import aop, dolp
+from pdavis_cv.viewer.show import Show
+
+__all__ = ["PANES", "archive", "jpeg", "pane", "ramp", "values"]
+
+FULL_COLOUR_DOLP = 0.25
+"""DoLP from which on the page's AoP has its full colour; below, it fades to black."""
+LARGEST_SIGMA_RAD = math.pi / 4
+"""Uncertainty of AoP that has the last colour: an angle of which nothing is known has a
+standard deviation of pi / sqrt(12), 52 degrees."""
+JPEG_QUALITY = 95
+
+
+def _events(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
+    assert image.t_us is not None
+    provenance = show.fusion.provenance
+    step = 2 if provenance["demosaic"] in HALF_SIZE else 1
+    return events_bgr(event_counts(show.events(image.t_us), provenance["roi"], step))
+
+
+def _uncertainty(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
+    sigma = image.sigma_aop
+    if sigma is None:           # the method gives none
+        return np.full((*image.s0.shape, 3), 64, np.uint8)
+    return dolp_bgr(sigma / np.float32(LARGEST_SIGMA_RAD), image.valid)
+
+
+PANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
+    "s0": lambda show, image: ToneCurve(show.white).bgr(
+        image.s0 * np.float32(0.5), invalid=(0, 0, 0)),
+    "aop": lambda show, image: faded(
+        aop_bgr(image.aop, image.valid), image.dolp / FULL_COLOUR_DOLP),
+    "dolp": lambda show, image: dolp_bgr(image.dolp, image.valid),
+    "events": _events,
+    "uncertainty": _uncertainty,
+    "aop_bgr": lambda show, image: aop_bgr(image.aop, image.valid),
+}
+"""Pictures by name, uint8 (H, W, 3), BGR: grey S0, AoP faded by DoLP, DoLP, events
+since the image before, the standard deviation of AoP, and AoP in full colour."""
+
+
+def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
+    """Return a picture of an image; ``_bgr`` after a name means the same.
+
+    Raises
+    ------
+    ValueError
+        If there is no such picture.
+    """
+    found = PANES.get(name) or PANES.get(name.removesuffix("_bgr"))
+    if found is None:
+        raise ValueError(f"output must be one of {', '.join(PANES)}, got {name!r}")
+    return found(show, image)
+
+
+def jpeg(picture: NDArray[np.uint8]) -> bytes:
+    """Return a picture as JPEG 4:4:4: colour at half the size ruins AoP.
+
+    Raises
+    ------
+    ImportError
+        If no OpenCV is installed.
+    """
+    cv2 = opencv()
+    done, data = cv2.imencode(".jpg", picture, [
+        cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
+    if not done:
+        raise ValueError("cv2 could not encode a picture")
+    return bytes(data)
+
+
+def ramp() -> list[list[int]]:
+    """Return the 256 colours from 0 to 1 of DoLP, as RGB."""
+    steps = np.linspace(0, 1, 256, dtype=np.float32)[None]
+    colours: list[list[int]] = dolp_bgr(steps)[0, :, ::-1].tolist()
+    return colours
+
+
+def values(image: PolarFrame, region: tuple[int, int, int, int]) -> dict[str, Any]:
+    """Return what a region of an image says, for a trace or a pointer.
+
+    Parameters
+    ----------
+    image : PolarFrame
+    region : (int, int, int, int)
+        (x, y, width, height) in the image's pixels; clamped to it.
+
+    Returns
+    -------
+    dict of str to number or None
+        Angle and degree of the mean Stokes vector over valid pixels, and the root mean
+        square of the pixels' own sigmas: that of one pixel, no less for many.
+    """
+    height, width = image.s0.shape
+    x = min(max(region[0], 0), width - 1)
+    y = min(max(region[1], 0), height - 1)
+    part = (slice(y, min(max(y + region[3], y + 1), height)),
+            slice(x, min(max(x + region[2], x + 1), width)))
+    valid = image.valid[part]
+    count = int(np.count_nonzero(valid))
+    found: dict[str, Any] = {"x": x, "y": y, "pixels": count, "t_us": image.t_us}
+    if not count:
+        return found
+    s0, s1, s2 = (np.array([[plane[part][valid].mean(dtype=np.float64)]])
+                  for plane in (image.s0, image.s1, image.s2))
+    found |= {"s0": s0.item(), "aop_deg": math.degrees(aop(s1, s2).item()),
+              "dolp": dolp(s0, s1, s2).item(),
+              "quad": [float(plane[part][valid].mean()) for plane in image.quad]}
+    for name, sigma, scale in (("aop_sigma_deg", image.sigma_aop, 180 / math.pi),
+                               ("dolp_sigma", image.sigma_dolp, 1.0)):
+        if sigma is not None:
+            rms = math.sqrt(float(np.mean(np.square(sigma[part][valid], dtype=float))))
+            found[name] = scale * rms if math.isfinite(rms) else None
+    return {name: None if isinstance(value, float) and not math.isfinite(value)
+            else value for name, value in found.items()}
+
+
+def archive(image: PolarFrame) -> bytes:
+    """Return an image as the bytes of an .npz file: all that is known of it."""
+    arrays: dict[str, Any] = {
+        "quad": image.quad, "s0": image.s0, "aop_rad": image.aop,
+        "dolp": image.dolp, "valid": image.valid, "t_us": np.array(image.t_us)}
+    for name, sigma in (("sigma_aop_rad", image.sigma_aop),
+                        ("sigma_dolp", image.sigma_dolp)):
+        if sigma is not None:
+            arrays[name] = sigma
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()

@@ -1,0 +1,197 @@
+"""serve(): the page and the stream of pictures, from the standard library's server."""
+from __future__ import annotations
+
+import os
+import secrets
+import threading
+from http.server import ThreadingHTTPServer
+from types import TracebackType
+from typing import Any, Self
+
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.viewer.handler import Handler
+from pdavis_cv.viewer.panes import jpeg, pane
+from pdavis_cv.viewer.show import Show, show_of
+
+__all__ = ["PORT", "Server", "serve", "view"]
+
+PORT = 8346
+MOST_CLIENTS = 8
+"""Pages and players that are sent pictures at the same time."""
+MOST_CONNECTIONS = 64
+"""Connections of any kind; one more is closed at once."""
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+class _Listener(ThreadingHTTPServer):
+    """Accepts connections, at most `MOST_CONNECTIONS` at a time."""
+
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 64
+
+    def __init__(self, address: tuple[str, int], owner: Server) -> None:
+        self.owner = owner
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        super().__init__(address, Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Take a connection, if there is room."""
+        if not self._free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection in its own thread."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing: a client that goes away is no error."""
+
+
+class Server:
+    """A page and a stream of pictures; `serve` makes it.
+
+    Use as a context manager, or call `close`.  In a notebook it shows the page.
+
+    Parameters
+    ----------
+    show : Show
+        Closed with the server.
+    host : str
+    port : int
+        0 = any that is free.
+    token : str or None
+        What requests must name; needed where `host` is not of this machine alone.
+
+    Attributes
+    ----------
+    url : str
+        Of the page.
+    """
+
+    def __init__(self, show: Show, host: str, port: int, token: str | None) -> None:
+        self.show, self.host, self.token = show, host, token
+        self.closing = threading.Event()
+        self.clients = threading.BoundedSemaphore(MOST_CLIENTS)
+        self._jpegs: dict[str, tuple[int, bytes]] = {}
+        self._encoding = threading.Lock()
+        self._listener = _Listener((host, port), self)
+        self.port = int(self._listener.server_address[1])
+        self._thread = threading.Thread(
+            target=self._listener.serve_forever, kwargs={"poll_interval": 0.1},
+            name="pdavis server", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where the page is, with its token."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{self.port}/" + (
+            "" if self.token is None else f"?token={self.token}")
+
+    def picture(self, output: str, number: int, image: PolarFrame) -> bytes:
+        """Return a picture as JPEG; encoded once for all who look."""
+        with self._encoding:
+            known = self._jpegs.get(output)
+            if known is None or known[0] != number:
+                known = number, jpeg(pane(output, self.show, image))
+                self._jpegs[output] = known
+            return known[1]
+
+    def close(self) -> None:
+        """Stop answering, and stop what is shown."""
+        self.closing.set()
+        self._listener.shutdown()
+        self._listener.server_close()
+        self._thread.join()
+        self.show.close()
+
+    def wait(self) -> None:
+        """Serve until `close` is called, or an interrupt."""
+        while not self.closing.wait(3600):
+            pass
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _repr_html_(self) -> str:
+        return (f'<iframe src="{self.url}" width="100%" height="640" '
+                'style="border:0"></iframe>')
+
+
+def serve(
+    where: Any, *, host: str = "127.0.0.1", port: int = PORT,
+    record_to: str | os.PathLike[str] = ".", **fuse_parameters: Any,
+) -> Server:
+    """Show a recording or a live source in browsers, and stream it as MJPEG.
+
+    The page is at ``http://127.0.0.1:8346/``; ``/stream.mjpg?output=aop_bgr`` there
+    opens in ``cv2.VideoCapture`` and other players.  Returns at once.
+
+    Parameters
+    ----------
+    where : path, address, Source or Session
+        As in `open_source`; a Session stays the caller's.
+    host : str
+        Address to answer on.  Any other than this machine's own makes a random token,
+        part of ``Server.url``, without which nothing is answered.
+    port : int
+        0 = any that is free.
+    record_to : path
+        Folder for what the page's button records.
+    **fuse_parameters
+        Options of `fuse`; 60 images per second by default.
+
+    Returns
+    -------
+    Server
+
+    Raises
+    ------
+    OSError
+        If the source cannot be opened, or the port is taken.
+    TypeError, ValueError
+        If an option does not fit.
+
+    Examples
+    --------
+    >>> from pdavis_cv import Layout, serve
+    >>> from pdavis_cv.data import example_recording
+    >>> with serve(example_recording(), port=0, layout=Layout.PDAVIS) as server:
+    ...     server.url.startswith("http://127.0.0.1:")
+    True
+    """
+    token = None if host in LOOPBACK else secrets.token_urlsafe(16)
+    show = show_of(where, record_to, fuse_parameters)
+    try:
+        return Server(show, host, port, token)
+    except BaseException:
+        show.close()
+        raise
+
+
+def view(where: Any, **fuse_parameters: Any) -> Server:
+    """Show a recording or a live source in a notebook; `serve` on any free port.
+
+    Parameters
+    ----------
+    where, **fuse_parameters
+        As in `serve`.
+
+    Returns
+    -------
+    Server
+        A notebook shows it as the page.
+    """
+    return serve(where, port=0, **fuse_parameters)

@@ -1,0 +1,146 @@
+"""The page in a real browser: headless Chromium, through Playwright."""
+import shutil
+import threading
+
+import pytest
+
+from pdavis_cv import Layout, Session, serve
+from pdavis_cv.live.replay import ReplaySource
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or (
+    shutil.which("google-chrome"))
+if CHROMIUM is None:
+    pytest.skip("needs a Chromium on the path", allow_module_level=True)
+
+OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "method": "cf"}
+PATIENCE_MS = 60_000
+
+
+@pytest.fixture(scope="module")
+def recording():
+    camera = Camera.preset("realistic", seed=4, size=(16, 24))
+    return camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 0.4)[0]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as run:
+        opened = run.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def served(recording):
+    with serve(recording, port=0, **OPTIONS) as running:
+        yield running
+
+
+@pytest.fixture
+def page(browser, served):
+    """The page of a recording, its first image drawn; nothing foreign is asked for."""
+    foreign, errors = [], []
+    opened = browser.new_page()
+    opened.set_default_timeout(PATIENCE_MS)
+    opened.on("request", lambda request: foreign.append(request.url) if not (
+        request.url.startswith((served.url, "data:", "blob:"))) else None)
+    opened.on("pageerror", lambda error: errors.append(str(error)))
+    opened.on("console", lambda message: errors.append(message.text)
+              if message.type == "error" else None)
+    opened.goto(served.url)
+    drawn(opened, 1)
+    yield opened
+    opened.close()
+    assert (foreign, errors) == ([], [])
+
+
+def until(page, expression):
+    """Wait until an expression holds; wait_for_function would need eval in the page."""
+    for _ in range(PATIENCE_MS // 20):
+        if page.evaluate(expression):
+            return
+        page.wait_for_timeout(20)
+    raise AssertionError(f"never true: {expression}")
+
+
+def drawn(page, least):
+    until(page, f"Number(document.body.dataset.drawn || 0) >= {least}")
+    return int(page.evaluate("document.body.dataset.drawn"))
+
+
+def shown_us(page):
+    return int(page.evaluate("document.body.dataset.t"))
+
+
+def test_a_recording_plays_to_its_end_and_seeks_back(page):
+    first = shown_us(page)
+    count = int(page.get_attribute("#seek", "max")) + 1
+    page.keyboard.press(" ")
+    until(page, f"Number(document.querySelector('#seek').value) >= {count - 1}")
+    page.evaluate("""() => { const seek = document.querySelector('#seek');
+        seek.value = 3; seek.dispatchEvent(new Event('input')); }""")
+    until(page, f"Number(document.body.dataset.t) === {first + round(3 * 1e6 / 60)}")
+    page.click("#on")
+    until(page, f"Number(document.body.dataset.t) === {first + round(4 * 1e6 / 60)}")
+
+
+def test_pointing_tells_values_and_dragging_makes_a_trace(page):
+    box = page.locator("#pane-aop").bounding_box()
+    x, y = box["x"] + box["width"] / 3, box["y"] + box["height"] / 3
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + box["width"] / 3, y + box["height"] / 3)
+    page.mouse.up()
+    until(page, "document.querySelector('#angle').textContent.includes('°')")
+    assert "pixels" in page.text_content("#numbers")
+    page.click("#play")
+    until(page, "Number(document.body.dataset.points || 0) >= 3")
+    with page.expect_download() as waiting:
+        page.click("#csv")
+    lines = waiting.value.path().read_text().splitlines()
+    assert lines[0].startswith("t_us,x,y,pixels,aop_deg")
+    assert len(lines) > 3
+
+
+def test_method_pictures_and_region_are_changed(page):
+    page.select_option("#method", "frames")
+    until(page, "document.querySelector('#stats').textContent.includes('frames')")
+    page.keyboard.press("5")
+    until(page, "document.querySelector('#pane-uncertainty')?.width === 24")
+    page.keyboard.press("z")
+    until(page, "document.querySelector('#said').textContent === 'drag a region first'")
+
+
+def test_two_pages_and_a_narrow_screen(page, browser, served):
+    with browser.new_page(viewport={"width": 320, "height": 640}) as other:
+        other.set_default_timeout(PATIENCE_MS)
+        other.goto(served.url)
+        drawn(other, 1)
+        assert other.evaluate("document.documentElement.scrollWidth") <= 320
+        before = int(page.evaluate("document.body.dataset.drawn"))
+        other.click("#on")
+        drawn(page, before + 1)
+
+
+def test_a_live_source_is_drawn_with_its_statistics(browser, recording):
+    source = ReplaySource(recording, "test", loop=True)
+    with Session(source, **OPTIONS) as session, serve(session, port=0) as running, (
+            browser.new_page()) as page:
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(running.url)
+        drawn(page, 10)
+        assert "Mev/s" in page.text_content("#stats")
+        assert page.is_hidden("#timeline")
+
+
+def test_without_its_token_the_page_is_refused(browser, recording):
+    with serve(recording, host="0.0.0.0", port=0, **OPTIONS) as running, (
+            browser.new_page()) as page:
+        page.set_default_timeout(PATIENCE_MS)
+        here = f"http://127.0.0.1:{running.port}/"
+        assert page.goto(here).status == 403
+        page.goto(here + "?token=" + running.token)
+        drawn(page, 1)
+    assert not any(t.name.startswith("pdavis") for t in threading.enumerate())

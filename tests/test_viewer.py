@@ -1,0 +1,350 @@
+"""The server: pictures, commands, and who is refused."""
+import contextlib
+import http.client
+import io
+import json
+import socket
+import struct
+import threading
+
+import cv2
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv import Layout, Session, serve
+from pdavis_cv.live.replay import ReplaySource
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.tools.main import main
+from pdavis_cv.viewer import handler, server
+from pdavis_cv.viewer.panes import PANES, values
+
+OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "method": "cf"}
+PATIENCE_S = 60
+
+
+@pytest.fixture(scope="module")
+def recording():
+    camera = Camera.preset("realistic", seed=4, size=(8, 12))
+    return camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 0.4)[0]
+
+
+@pytest.fixture
+def served(recording):
+    with serve(recording, port=0, **OPTIONS) as running:
+        yield running
+
+
+def ask(running, path, *, method="GET", body=None, **headers):
+    """Return the status and body of one request."""
+    link = http.client.HTTPConnection("127.0.0.1", running.port, timeout=PATIENCE_S)
+    with contextlib.closing(link):
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        link.request(method, path, body, named)
+        answer = link.getresponse()
+        return answer.status, answer.read()
+
+
+def command(running, what, value=None, **headers):
+    status, body = ask(
+        running, "/command", method="POST",
+        body=json.dumps({"do": what, "value": value}),
+        **{"Content_Type": "application/json", **headers})
+    return status, json.loads(body)
+
+
+def frame(running, **values):
+    """Return what the page gets: a JSON text and pictures."""
+    query = "&".join(f"{name}={value}" for name, value in values.items())
+    status, body = ask(running, f"/frame?{query}")
+    assert status == 200, body
+    length, = struct.unpack_from("<I", body)
+    told, at, pictures = json.loads(body[4:4 + length]), 4 + length, {}
+    for one in told["panes"]:
+        shape = one["height"], one["width"], 3
+        size = int(np.prod(shape))
+        pictures[one["name"]] = np.frombuffer(
+            body, np.uint8, size, at).reshape(shape)[..., ::-1]
+        at += size
+    assert at == len(body)
+    return told, pictures
+
+
+def image_at(recording, t_us):
+    image, = pdavis_cv.fuse(recording, times_us=[t_us], **OPTIONS)
+    return image
+
+
+# ---- pictures ----------------------------------------------------------------------
+
+
+def test_the_page_and_its_files_are_there_and_name_no_other_address(served):
+    for path, kind in [("/", b"<!doctype html>"), ("/page.js", b"use strict"),
+                       ("/page.css", b":root")]:
+        status, body = ask(served, path)
+        assert (status, kind in body) == (200, True)
+        assert b"//" not in body.replace(b"// ", b"").replace(b"://localhost", b"")
+
+
+def test_a_frame_holds_the_pictures_and_values_of_its_image(served, recording):
+    told, pictures = frame(served, panes=",".join(PANES), region="2,1,4,3")
+    image = image_at(recording, told["t_us"])
+    np.testing.assert_array_equal(
+        pictures["aop_bgr"], pdavis_cv.render.aop_bgr(image.aop, image.valid))
+    np.testing.assert_array_equal(
+        pictures["dolp"], pdavis_cv.render.dolp_bgr(image.dolp, image.valid))
+    assert set(pictures) == set(PANES)
+    assert told["values"] == json.loads(json.dumps(values(image, (2, 1, 4, 3))))
+    assert told["values"]["pixels"] == np.count_nonzero(image.valid[1:4, 2:6])
+
+
+def test_values_are_those_of_the_mean_stokes_vector():
+    quad = np.ones((4, 4, 4), np.float32)
+    quad[0], quad[2] = 1.5, 0.5
+    variance = np.full_like(quad, 1e-4)
+    image = pdavis_cv.PolarFrame(quad, variance=variance, t_us=7)
+    found = values(image, (1, 1, 2, 2))
+    assert found["pixels"] == 4
+    assert found["dolp"] == pytest.approx(0.5)
+    assert found["aop_deg"] == pytest.approx(0, abs=1e-4)
+    assert found["aop_sigma_deg"] == pytest.approx(
+        np.degrees(float(image.sigma_aop[1, 1])), rel=1e-5)
+    assert values(image, (99, -5, 0, 0))["x"] == 3
+    assert values(pdavis_cv.PolarFrame(quad, valid=np.zeros((4, 4), bool)),
+                  (0, 0, 2, 2))["pixels"] == 0
+
+
+def test_a_snapshot_holds_all_that_is_known_of_the_image(served, recording):
+    status, body = ask(served, "/snapshot.npz")
+    assert status == 200
+    with np.load(io.BytesIO(body)) as arrays:
+        image = image_at(recording, int(arrays["t_us"]))
+        np.testing.assert_array_equal(arrays["quad"], image.quad)
+        np.testing.assert_array_equal(arrays["aop_rad"], image.aop)
+
+
+def test_a_file_plays_seeks_and_steps(served, recording):
+    told, _ = frame(served, panes="aop")
+    number, first = told["number"], told["t_us"]
+    assert command(served, "seek", 5)[1]["index"] == 5
+    told, pictures = frame(served, panes="aop_bgr", after=number)
+    assert told["t_us"] == first + round(5 * 1e6 / 60)
+    np.testing.assert_array_equal(pictures["aop_bgr"], pdavis_cv.render.aop_bgr(
+        image_at(recording, told["t_us"]).aop, image_at(recording, told["t_us"]).valid))
+    assert command(served, "step", 1)[1]["index"] == 6
+    assert command(served, "step", -2)[1]["index"] == 4
+    assert command(served, "speed", 100)[1]["speed"] == 100
+    assert command(served, "play")[1]["playing"]
+    number = told["number"]
+    while frame(served, after=number)[0]["status"]["playing"]:
+        number = frame(served, after=number)[0]["number"]
+    status = frame(served)[0]["status"]
+    assert status["index"] == status["count"] - 1
+
+
+def test_method_rate_and_region_can_be_changed(served):
+    assert command(served, "method", "frames")[1]["method"] == "frames"
+    assert command(served, "fps", 30)[1]["fps"] == 30
+    told = command(served, "roi", [2, 2, 4, 4])[1]
+    assert (told["width"], told["height"]) == (4, 4)
+    assert command(served, "roi", None)[1]["width"] == 12
+
+
+@pytest.mark.parametrize(("what", "value", "message"), [
+    ("fly", None, "do must be one of"), ("seek", "x", "seek must be a number"),
+    ("seek", 1e300, "seek must be finite"), ("speed", 0, "speed must lie in"),
+    ("method", 7, "method must be a name"),
+    ("method", "magic", "method must be one of"),
+    ("roi", [0, 0, 99, 99], "roi"), ("fps", -1, "fps must lie in")])
+def test_a_command_that_cannot_be_is_refused(served, what, value, message):
+    status, told = command(served, what, value)
+    assert status == 400
+    assert message in told["error"]
+    assert frame(served)[0]["status"]["method"] == "cf"
+
+
+def test_a_live_source_is_shown_and_recorded(recording, tmp_path):
+    source = ReplaySource(recording, "test", speed=1, loop=True)
+    with Session(source, **OPTIONS) as session, serve(
+            session, port=0, record_to=tmp_path) as running:
+        told, pictures = frame(running, panes="aop,events")
+        assert told["status"]["live"]
+        assert pictures["events"].shape == (8, 12, 3)
+        told = command(running, "record", True)[1]
+        name = told["stats"]["recording"]
+        assert "/" not in name
+        frame(running, after=told["stats"]["skipped_images"])
+        assert command(running, "record", False)[1]["stats"]["recording"] is None
+        assert command(running, "record", "../x")[0] == 400
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+# ---- the stream --------------------------------------------------------------------
+
+
+def test_cv2_reads_the_stream(served, recording):
+    url = f"http://127.0.0.1:{served.port}/stream.mjpg?output=aop_bgr"
+    capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG)
+    assert capture.isOpened()
+    ok, picture = capture.read()
+    capture.release()
+    _, pictures = frame(served, panes="aop_bgr")
+    assert ok
+    assert picture.shape == pictures["aop_bgr"].shape
+    # 4:4:4: colours at half the size would be far off on this picture.
+    rms = np.sqrt(np.mean((picture.astype(float) - pictures["aop_bgr"]) ** 2))
+    assert rms < 25
+
+
+def test_the_stream_repeats_its_last_picture_where_none_comes(served, monkeypatch):
+    monkeypatch.setattr(handler, "POLL_S", 0.01)
+    link = http.client.HTTPConnection("127.0.0.1", served.port, timeout=PATIENCE_S)
+    with contextlib.closing(link):
+        link.request("GET", "/stream.mjpg?output=dolp_bgr")
+        answer = link.getresponse()
+        parts = []
+        for _ in range(3):
+            assert answer.readline() == b"--pdavis\r\n"
+            assert answer.readline() == b"Content-Type: image/jpeg\r\n"
+            length = int(answer.readline().removeprefix(b"Content-Length: "))
+            assert answer.readline() == b"\r\n"
+            parts.append(answer.read(length))
+            assert answer.readline() == b"\r\n"
+    assert parts[0] == parts[1] == parts[2]
+    assert parts[0].startswith(b"\xff\xd8")
+
+
+# ---- who is refused ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("path", "headers", "status"), [
+    ("/", {"Host": "evil.example"}, 403), ("/", {"Host": "evil.example:8346"}, 403),
+    ("/frame", {"Origin": "http://evil.example"}, 403),
+    ("/stream.mjpg", {"Sec_Fetch_Site": "cross-site"}, 403),
+    ("/frame", {"Sec_Fetch_Site": "same-origin"}, 200),
+    ("/../pyproject.toml", {}, 404), ("/%2e%2e/%2e%2e/etc/passwd", {}, 404),
+    ("/page.html", {}, 404), ("/frame?after=x", {}, 400), ("/frame?panes=no", {}, 400),
+    ("/frame?region=1,2", {}, 400), ("/stream.mjpg?output=no", {}, 400),
+    ("/frame?panes=" + ",".join(["s0"] * 99), {}, 400)])
+def test_strangers_and_nonsense_are_refused(served, path, headers, status):
+    got, body = ask(served, path, **headers)
+    assert got == status, body
+    assert ask(served, "/status")[0] == 200
+
+
+def test_bodies_are_bounded_json(served):
+    for body, kind, status in [
+            (b"{}", "text/plain", 415), (b"{", "application/json", 400),
+            (b"[" * 60_000, "application/json", 400),
+            (b'"do"', "application/json", 400)]:
+        assert ask(served, "/command", method="POST", body=body,
+                   Content_Type=kind)[0] == status
+    with socket.create_connection(("127.0.0.1", served.port)) as link:
+        link.sendall(b"POST /command HTTP/1.1\r\nHost: localhost\r\n"
+                     b"Content-Type: application/json\r\n"
+                     b"Content-Length: 104857600\r\n\r\n")
+        assert link.recv(100).startswith(b"HTTP/1.1 413")
+    assert ask(served, "/command", method="PUT")[0] == 501
+    assert ask(served, "/status")[0] == 200
+
+
+def test_every_answer_forbids_what_comes_from_elsewhere(served):
+    link = http.client.HTTPConnection("127.0.0.1", served.port, timeout=PATIENCE_S)
+    with contextlib.closing(link):
+        link.request("GET", "/")
+        answer = link.getresponse()
+        answer.read()
+    assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+    assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    assert answer.headers["Referrer-Policy"] == "no-referrer"
+
+
+def test_other_machines_need_the_token(recording):
+    with serve(recording, host="0.0.0.0", port=0, **OPTIONS) as running:
+        token = running.url.partition("token=")[2]
+        assert len(token) > 20
+        assert ask(running, "/status")[0] == 403
+        assert ask(running, "/status?token=wrong")[0] == 403
+        assert ask(running, f"/status?token={token}")[0] == 200
+        assert ask(running, "/status", Authorization=f"Bearer {token}")[0] == 200
+        assert ask(running, f"/frame?token={token}", Origin="http://evil")[0] == 403
+
+
+def test_a_request_a_byte_at_a_time_ends_at_its_deadline(served, monkeypatch):
+    """A socket's own timeout would begin anew with each byte."""
+    monkeypatch.setattr(handler, "PATIENCE_S", 0.1)
+    with socket.create_connection(("127.0.0.1", served.port), PATIENCE_S) as link:
+        closed = False
+        while not closed:
+            try:
+                link.sendall(b"G")
+                link.settimeout(0.02)
+                closed = link.recv(1) == b""
+            except TimeoutError:
+                continue
+            except ConnectionError:
+                closed = True
+    assert ask(served, "/status")[0] == 200
+
+
+def test_more_connections_than_there_may_be_are_closed(served):
+    with contextlib.ExitStack() as stack:
+        links = [stack.enter_context(socket.create_connection(
+            ("127.0.0.1", served.port), PATIENCE_S))
+            for _ in range(server.MOST_CONNECTIONS + 50)]
+        for link in links[server.MOST_CONNECTIONS:]:
+            try:
+                assert link.recv(1) == b""
+            except ConnectionError:
+                pass                # closed even before we asked
+    status = 0
+    while status != 200:            # until their places are free
+        with contextlib.suppress(ConnectionError, http.client.HTTPException):
+            status = ask(served, "/status")[0]
+
+
+def test_a_ninth_client_is_told_that_there_is_no_place(served):
+    with contextlib.ExitStack() as stack:
+        for _ in range(server.MOST_CLIENTS):
+            link = stack.enter_context(contextlib.closing(
+                http.client.HTTPConnection("127.0.0.1", served.port)))
+            link.request("GET", "/stream.mjpg")
+            assert link.getresponse().status == 200
+        assert ask(served, "/stream.mjpg")[0] == 503
+        assert ask(served, "/status")[0] == 200
+
+
+def test_closing_ends_streams_and_threads(recording):
+    running = serve(recording, port=0, **OPTIONS)
+    link = http.client.HTTPConnection("127.0.0.1", running.port, timeout=PATIENCE_S)
+    with contextlib.closing(link):
+        link.request("GET", "/stream.mjpg")
+        answer = link.getresponse()
+        running.close()
+        while answer.read(65_536):
+            pass
+    assert not any(t.name.startswith("pdavis") for t in threading.enumerate())
+
+
+def test_a_port_that_is_taken_is_an_error(served, recording):
+    with pytest.raises(OSError, match="in use"):
+        serve(recording, port=served.port, **OPTIONS)
+
+
+def test_a_notebook_shows_the_page(recording):
+    with pdavis_cv.view(recording, **OPTIONS) as running:
+        assert f'src="{running.url}"' in running._repr_html_()
+
+
+def test_the_command_serves_until_it_is_told_to_end(monkeypatch, capsys):
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(server.Server, "wait", interrupted)
+    where = "simulate:polarizer?size=4x4&rpm=600"
+    assert main(["view", where, "--layout", "pdavis", "--port", "0", "--no-browser",
+                 "--method", "cf"]) == 0
+    assert capsys.readouterr().out.startswith("http://127.0.0.1:")
+    assert main(["view", where, "--layout", "pdavis", "--start", "1",
+                 "--no-browser"]) == 2
+    assert "--start and --stop need a recording" in capsys.readouterr().err

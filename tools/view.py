@@ -1,0 +1,75 @@
+"""Show a recording or a live source in a browser, and stream it as MJPEG.
+
+The page asks for nothing from elsewhere.  /stream.mjpg?output=aop_bgr beside it opens
+in cv2.VideoCapture, VLC and other players.
+"""
+from __future__ import annotations
+
+import argparse
+import signal
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ._common import (
+    Parser,
+    UsageError,
+    add_fuse_options,
+    command,
+    fusion_given,
+    source_of,
+    start_of,
+)
+
+__all__ = ["main"]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis view``."""
+    args = _parser().parse_args(argv)
+    from pdavis_cv import Recording, serve
+
+    with source_of(args) as source:
+        options = fusion_given(args)
+        for name in options.keys() & {"start_us", "stop_us"}:
+            if not isinstance(source, Recording):
+                raise UsageError("--start and --stop need a recording: what is live "
+                                 "begins now")
+            options[name] += start_of(source)
+        with serve(source, host=args.host, port=args.port, record_to=args.record_to,
+                   **options) as server:
+            print(server.url, flush=True)
+            if not args.no_browser:
+                webbrowser.open(server.url)
+            before = signal.signal(signal.SIGTERM, _interrupt)
+            try:
+                server.wait()
+            except KeyboardInterrupt:
+                pass
+            finally:
+                signal.signal(signal.SIGTERM, before)
+    return 0
+
+
+def _interrupt(*_: Any) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser("view", __doc__ or "", 'pdavis view "simulate:fan?rpm=60"')
+    parser.add_argument("file", help="a recording, or the address of a live source")
+    parser.add_argument(
+        "--host", default="127.0.0.1",
+        help="address to answer on, default this machine alone; others need the token "
+             "that is printed")
+    parser.add_argument(
+        "--port", type=int, default=8346, help="default 8346; 0 = any that is free")
+    parser.add_argument(
+        "--no-browser", action="store_true", help="print the address and open nothing")
+    parser.add_argument(
+        "--record-to", type=Path, default=Path(), metavar="FOLDER",
+        help="where the page's record button writes, default the current folder")
+    add_fuse_options(parser)
+    return parser
