@@ -6,7 +6,7 @@ from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport (
     REST_VARIANCE, ahead, at_rest, between, drift, part_t, quiet,
-    start, step, still, walk_t)
+    silence, start, step, still, walk_t)
 
 cdef extern from *:
     """
@@ -21,6 +21,7 @@ cdef struct reading_t:
     double n_off
     double level            # log intensity as the pixel shows it
     double lag              # log intensity less level
+    double doubt            # probability that the last event is noise
 
 cdef struct rest_t:
     # A pixel at rest: log intensity, its variance at an epoch (< 0: no sample was
@@ -33,16 +34,67 @@ cdef struct rest_t:
 
 cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t known,
                            double on, double off, const lamp_t* lamp, double hz,
-                           double t) noexcept nogil:
-    """Part crossed at t, between walk and its next event, if that is known."""
+                           double still_us, double t) noexcept nogil:
+    """Part crossed at t, between walk and its next event, if that is known.
+
+    As far as the pixel moves: what silence says against that counts, see `silence`.
+    """
+    cdef part_t part
+    cdef double gap, rest
     if walk.next >= 0 and store[walk.next].t <= known:
-        return between(walk, store[walk.next].t, store[walk.next].p, on, off, lamp,
+        part = between(walk, store[walk.next].t, store[walk.next].p, on, off, lamp,
                        hz, t)
-    if at_rest(walk.t, <int64_t>t):
+        gap = <double>(store[walk.next].t - walk.t)
+    elif at_rest(walk.t, <int64_t>t):
         return still(walk, lamp, hz, t)
-    if <double>known > t:
-        return quiet(walk.t, walk.p, <double>known, lamp, hz, t)
-    return ahead(walk, on, off, lamp, hz, t)
+    else:
+        gap = max(<double>(walk.t - walk.t_prev), <double>known - <double>walk.t)
+        if <double>known > t:
+            part = quiet(walk.t, walk.p, <double>known, lamp, hz, t)
+        else:
+            part = ahead(walk, on, off, lamp, hz, t)
+    if still_us <= 0.0 or lamp.blocks > 0:
+        return part
+    rest = silence(gap, still_us)
+    part.var = (1.0 - rest) * (part.var + rest * part.fraction * part.fraction)
+    part.rate_var = (1.0 - rest) * (part.rate_var + rest * part.rate * part.rate)
+    part.fraction *= 1.0 - rest
+    part.rate *= 1.0 - rest
+    return part
+
+
+cdef inline double unheard(const walk_t* walk, int64_t sampled,
+                           const tuning_t* tuning) noexcept nogil:
+    """Probability that the last event passed is noise if silence follows."""
+    if tuning.doubt <= 0.0 or walk.t <= sampled:
+        return 0.0
+    return tuning.doubt * silence(<double>(walk.t - walk.t_prev), tuning.still_us)
+
+
+cdef inline double doubted(const walk_t* walk, const stored_t* store, int64_t known,
+                           int64_t sampled, const tuning_t* tuning) noexcept nogil:
+    """Probability that the last event passed is noise; 0 once a sample came after it.
+
+    Only events that are alone are doubted, with silence before and after.
+    """
+    cdef double doubt = unheard(walk, sampled, tuning)
+    if doubt > 0.0 and walk.next >= 0 and store[walk.next].t <= known:
+        doubt *= silence(<double>(store[walk.next].t - walk.t), tuning.still_us)
+    return doubt
+
+
+cdef inline double moved(const walk_t* walk, const stored_t* store, int64_t known,
+                         int64_t sampled, const tuning_t* tuning) noexcept nogil:
+    """Variance (theta^2) that motion leaves, as the next sample will meet it.
+
+    That of the sum of events, where some came since a sample, and of interpolation,
+    there and where the next event is known.
+    """
+    if walk.t > sampled:
+        return 2.0 * tuning.motion_variance
+    if walk.next >= 0 and store[walk.next].t <= known:
+        return tuning.motion_variance
+    return 0.0
 
 
 cdef inline void walk_to(walk_t* walk, int64_t t, const stored_t* store,
@@ -65,7 +117,12 @@ cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
     if lamp.blocks > 0:
         hz = corner(tuning, s.base + s.theta_on * r.n_on - s.theta_off * r.n_off)
     r.part = part_at(&r.walk, store, known, s.theta_on, s.theta_off, lamp, hz,
-                     <double>t)
+                     tuning.still_us, <double>t)
+    r.doubt = doubted(&r.walk, store, known, s.sampled_us, tuning)
+    if r.walk.p:
+        r.n_on -= r.doubt
+    else:
+        r.n_off -= r.doubt
     if r.part.p:
         r.n_on += r.part.fraction
         theta = s.theta_on
@@ -89,31 +146,35 @@ cdef inline double theta_squared(const state_t* s) noexcept nogil:
     return 0.25 * (s.theta_on + s.theta_off) * (s.theta_on + s.theta_off)
 
 
-cdef inline double part_variance(const state_t* s, int64_t sampled, int64_t last,
-                                 const tuning_t* tuning) noexcept nogil:
+cdef inline double part_variance(const state_t* s, int64_t sampled,
+                                 int64_t last) noexcept nogil:
     """Variance of the part of a pixel at rest; last is the time of its last event.
 
-    A sample after it has measured the part, but for what all samples of a pixel have
-    in common (the pixel's difference from nominal), which no averaging reduces.
+    A sample after it has measured the part.
     """
-    if sampled >= last:
-        return tuning.frame_sigma * tuning.frame_sigma
-    return theta_squared(s) * REST_VARIANCE
+    return 0.0 if sampled >= last else theta_squared(s) * REST_VARIANCE
 
 
-cdef inline rest_t rest_of(const state_t* s, double n_on, double n_off, int64_t last,
-                           int64_t epoch, const tuning_t* tuning) noexcept nogil:
-    """Return what a pixel at rest shows; last is the time of its last event."""
+cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
+                           const tuning_t* tuning) noexcept nogil:
+    """Return what a pixel at rest shows; walk has passed its last event."""
     cdef rest_t rest
-    cdef double theta2 = theta_squared(s), v
+    cdef double theta2 = theta_squared(s), v, n_on = walk.n_on, n_off = walk.n_off
+    cdef double doubt = unheard(walk, s.sampled_us, tuning)
+    if walk.p:
+        n_on -= doubt
+    else:
+        n_off -= doubt
     rest.level = <float>(s.base + s.theta_on * n_on - s.theta_off * n_off)
     rest.variance = -1.0
     rest.per_s = 0.0
     rest.offset = 0.0
     if s.samples > 0:
         v = counted(s, n_on, n_off) + theta2 * drift(
-            epoch - s.sampled_us, n_on + n_off, tuning)
-        v += part_variance(s, s.sampled_us, last, tuning)
+            epoch - s.sampled_us, walk.n_on + walk.n_off, tuning)
+        v += part_variance(s, s.sampled_us, walk.t)
+        if walk.t > s.sampled_us:
+            v += theta2 * (doubt * (1.0 - doubt) + 2.0 * tuning.motion_variance)
         rest.variance = <float>(v if v > 0.0 else 0.0)
         rest.per_s = <float>(theta2 * tuning.leak_per_s)
         v = tuning.offset_dn * s.pull
@@ -147,7 +208,7 @@ cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
     walk_to(&r.walk, t, store, track)
     if lamp.blocks == 0 and at_rest(r.walk.t, t) and (
             r.walk.next < 0 or store[r.walk.next].t > known):
-        rest = rest_of(s, r.walk.n_on, r.walk.n_off, r.walk.t, epoch, tuning)
+        rest = rest_of(s, &r.walk, epoch, tuning)
         show_rest(&rest, <float>(1e-6 * <double>(t - epoch)),
                   <float>tuning.valid_variance, out, variance, valid)
         return
@@ -158,6 +219,8 @@ cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
         valid[0] = 0
         return
     theta2 = theta_squared(s)
+    r.part.var += r.doubt * (1.0 - r.doubt) + moved(
+        &r.walk, store, known, s.sampled_us, tuning)
     v = (theta2 * r.part.var + counted(s, r.n_on, r.n_off)
          + theta2 * drift(t - s.sampled_us, r.walk.n_on + r.walk.n_off, tuning))
     v = v if v > LEAST_VARIANCE else LEAST_VARIANCE

@@ -9,7 +9,8 @@ docs/theory/kalman.md.
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._estimate cimport (
-    LEAST_VARIANCE, part_at, read_pixel, rest_of, rest_t, theta_squared)
+    LEAST_VARIANCE, doubted, part_at, read_pixel, rest_of, rest_t,
+    theta_squared)
 from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
@@ -23,6 +24,26 @@ from _kernels._update cimport (
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
                   Py_ssize_t, float*, unsigned char*)
+
+cdef enum:
+    # Places in innovations: sums over samples of e^2 / v, of ln v, their number; of the
+    # parts of doubted events that frames deny, their number; regression of e^2 on what
+    # motion adds to v, relative to v without it: product, square.
+    RATIO
+    LOG
+    SAMPLES
+    DENIED
+    DOUBTED
+    MOTION
+    SQUARE
+    SUMS
+
+cdef struct taken_t:
+    # What a measurement did: variance of its innovation, the innovation squared over
+    # it, at most JUMP_SIGMAS^2, and the variance that a jump of the base was given.
+    double v
+    double ratio
+    double jump
 
 cdef struct sum_t:
     # Integrals over the exposure of exp(part), and of it times counts.
@@ -39,7 +60,8 @@ cdef inline double at(const walk_t* walk, const stored_t* store, int64_t known,
     cdef part_t part
     if lamp.blocks > 0:
         hz = corner(tuning, level + s.theta_on * walk.n_on - s.theta_off * walk.n_off)
-    part = part_at(walk, store, known, s.theta_on, s.theta_off, lamp, hz, t)
+    part = part_at(walk, store, known, s.theta_on, s.theta_off, lamp, hz,
+                   tuning.still_us, t)
     n_on[0] = walk.n_on
     n_off[0] = walk.n_off
     if part.p:
@@ -101,31 +123,29 @@ cdef inline void propagate(state_t* s, double n_on, double n_off) noexcept nogil
     s.cov_base_off += n_on * s.cov_on_off - n_off * s.var_off
 
 
-cdef inline double update(state_t* s, double h_on, double h_off, double noise,
-                          double innovation, bint learn, double per_dn,
-                          double* innovations) noexcept nogil:
+cdef inline taken_t update(state_t* s, double h_on, double h_off, double noise,
+                           double innovation, bint learn,
+                           double per_dn) noexcept nogil:
     """Kalman update with measured = base + h_on theta_on + h_off theta_off + noise.
 
-    Without learn, thresholds stay what they are (Schmidt-Kalman update).  Returns the
-    variance that a jump of the base was given.  per_dn is what one DN more in all
-    frames adds to this sample's log.
+    Without learn, thresholds stay what they are (Schmidt-Kalman update).  per_dn is
+    what one DN more in all frames adds to this sample's log.
     """
     cdef double g0 = s.var_base + h_on * s.cov_base_on + h_off * s.cov_base_off
     cdef double g1 = s.cov_base_on + h_on * s.var_on + h_off * s.cov_on_off
     cdef double g2 = s.cov_base_off + h_on * s.cov_on_off + h_off * s.var_off
-    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2, jump = 0.0
-    cdef double squared = innovation * innovation
-    innovations[1] += log_f(<float>v)
-    innovations[2] += 1.0
-    if squared > JUMP_SIGMAS * JUMP_SIGMAS * v:
+    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2
+    cdef taken_t taken
+    taken.v = v
+    taken.ratio = innovation * innovation / v
+    taken.jump = 0.0
+    if taken.ratio > JUMP_SIGMAS * JUMP_SIGMAS:
         # Lost events or a wrong sample: the base may have jumped, thresholds not.
-        innovations[0] += JUMP_SIGMAS * JUMP_SIGMAS
-        jump = squared
-        s.var_base += jump
-        g0 += jump
-        v += jump
-    else:
-        innovations[0] += squared / v
+        taken.ratio = JUMP_SIGMAS * JUMP_SIGMAS
+        taken.jump = innovation * innovation
+        s.var_base += taken.jump
+        g0 += taken.jump
+        v += taken.jump
     k0 = g0 / v
     k1 = g1 / v
     k2 = g2 / v
@@ -135,13 +155,37 @@ cdef inline double update(state_t* s, double h_on, double h_off, double noise,
     s.cov_base_on -= k0 * g1
     s.cov_base_off -= k0 * g2
     if not learn:
-        return jump
+        return taken
     s.theta_on += k1 * innovation
     s.theta_off += k2 * innovation
     s.var_on -= k1 * g1
     s.cov_on_off -= k1 * g2
     s.var_off -= k2 * g2
-    return jump
+    return taken
+
+
+cdef inline void note(double* innovations, const taken_t* taken, double unit,
+                      double motion, double offset, double doubt,
+                      double denied) noexcept nogil:
+    """Add an innovation to the sums.
+
+    unit is what a motion_variance of 1 would add to its variance, motion what the
+    present one does, offset what that of all frames adds to it; denied is the part of a
+    doubted event that the sample denies.
+    """
+    innovations[RATIO] += taken.ratio
+    innovations[LOG] += log_f(<float>taken.v)
+    innovations[SAMPLES] += 1.0
+    # Weights are those without motion: else the first samples, before it is known,
+    # outweigh all that follow.
+    motion = taken.v - motion + offset
+    unit /= motion
+    innovations[MOTION] += unit * (taken.ratio * taken.v / motion - 1.0)
+    innovations[SQUARE] += unit * unit
+    if doubt > 0.0:
+        denied = denied if denied > 0.0 else 0.0
+        innovations[DENIED] += doubt * (denied if denied < 1.0 else 1.0)
+        innovations[DOUBTED] += doubt
 
 
 cdef inline double limited(double theta, double prior) noexcept nogil:
@@ -158,8 +202,7 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     frame is (samples, exposures by column, time up to which events are known), chain
     (store, tracks that chain its events since the exposure began), model (tuning,
     waves).  Events below index `committed` are counted in tracks.  innovations
-    collects e^2/v (16 at most), ln v and their number.  nodes receives what a smoother
-    needs; it may be empty.
+    collects sums (see above).  nodes receives what a smoother needs; it may be empty.
     """
     cdef const sample_t[:, ::1] samples
     cdef const exposure_t[::1] exposures
@@ -180,7 +223,7 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
             or states.shape[1] != w or old.shape[0] != h or old.shape[1] != w
             or exposures.shape[0] != w):
         raise ValueError("kalman_frame: all images must have one shape")
-    if tuning.shape[0] != 1 or innovations.shape[0] != 3 or store.shape[0] == 0:
+    if tuning.shape[0] != 1 or innovations.shape[0] != SUMS or store.shape[0] == 0:
         raise ValueError(
             "kalman_frame: tuning, innovations or store has a wrong length")
     if keep and (nodes.shape[0] != h or nodes.shape[1] != w):
@@ -202,20 +245,24 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
                      const stored_t* store, const track_t* old, int32_t committed,
                      const tuning_t* tuning, const lamp_t* lamp, track_t* track,
                      state_t* s, double* innovations, node_t* node) noexcept nogil:
-    cdef walk_t walk
+    cdef walk_t walk, at_mid
     cdef sum_t total
+    cdef taken_t taken
+    cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0, e, offset
+    cdef double theta2 = theta_squared(s)
     cdef int at_on = 0, at_off = 0, all_on, all_off
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
     cdef double n_on, n_off, h_on, h_off, blur, level, added = 0.0
     cdef double noise = (tuning.shot_share * sample.variance
                          + tuning.frame_sigma * tuning.frame_sigma)
-    cdef bint fresh = s.samples == 0
+    cdef bint fresh = s.samples == 0, learn = False
     # Counts from the start of exposure to the middle and to the last committed.
     start(&walk, old)
     while walk.next >= 0 and store[walk.next].t <= mid:
         step(&walk, store)
     at_on = walk.n_on
     at_off = walk.n_off
+    at_mid = walk
     while walk.next >= 0 and walk.next < committed:
         step(&walk, store)
     all_on = walk.n_on
@@ -232,8 +279,25 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
         level = sample.log
         s.var_base = FIRST_VARIANCE
     else:
+        learn = n_on + n_off >= LEARN_EVENTS
+        doubt = doubted(&at_mid, store, known, s.sampled_us, tuning)
+        added = theta2 * (drift(mid - s.sampled_us, n_on + n_off, tuning)
+                          + doubt * (1.0 - doubt))
+        motion = theta2 * tuning.motion_variance
+        if n_on + n_off > 0:
+            unit = 2.0 * theta2
+            added += motion
+            noise += motion
+        elif at_mid.next >= 0 and store[at_mid.next].t <= known:
+            unit = theta2
+            noise += motion
+        if at_mid.p:
+            n_on -= doubt
+            worth = s.theta_on
+        else:
+            n_off -= doubt
+            worth = -s.theta_off
         propagate(s, n_on, n_off)
-        added = theta_squared(s) * drift(mid - s.sampled_us, n_on + n_off, tuning)
         s.var_base += added
         level = s.base
     # The double integral, relative to the level at the last event before mid.
@@ -264,9 +328,14 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     node.h_on = <float>h_on
     node.h_off = <float>h_off
     node.noise = <float>noise
-    added += update(s, h_on, h_off, noise, sample.log - s.base - blur,
-                    n_on + n_off >= LEARN_EVENTS, sample.per_dn, innovations)
-    node.drift = <float>added
+    e = sample.log - s.base - blur
+    offset = tuning.offset_dn * (sample.per_dn - s.pull)
+    taken = update(s, h_on, h_off, noise, e, learn, sample.per_dn)
+    note(innovations, &taken, unit, unit * tuning.motion_variance, offset * offset,
+         doubt, doubt - e / worth)
+    added += taken.jump
+    # The smoother counts the event in full: the square of what it may be off by.
+    node.drift = <float>(added + theta2 * doubt * doubt)
     s.theta_on = limited(s.theta_on, s.prior_on)
     s.theta_off = limited(s.theta_off, s.prior_off)
     s.samples += 1
@@ -348,6 +417,7 @@ def kalman_rest(int64_t now, int64_t epoch, bint by_cell,
     cdef uint8_t[:, ::1] listed
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x, n = 0
     cdef const track_t* track
+    cdef walk_t walk
     cdef rest_t rest
     check_given(listing)
     pixels, listed = listing
@@ -370,8 +440,10 @@ def kalman_rest(int64_t now, int64_t epoch, bint by_cell,
                 n += 1
                 continue
             listed[y, x] = 0
-            rest = rest_of(&states[y, x], track.n_on, track.n_off, track.last >> 1,
-                           epoch, &tuning[0])
+            start(&walk, track)
+            walk.n_on = track.n_on
+            walk.n_off = track.n_off
+            rest = rest_of(&states[y, x], &walk, epoch, &tuning[0])
             planes[0, y, x] = rest.level
             planes[1, y, x] = rest.variance
             planes[2, y, x] = rest.per_s

@@ -47,6 +47,9 @@ cdef packed struct tuning_t:
     double shot_share
     double offset_dn
     double valid_variance
+    double motion_variance
+    double doubt
+    double still_us
 
 cdef packed struct sample_t:
     float log               # ln intensity

@@ -222,12 +222,16 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     # What is crossed of the next threshold, and the lag of the photoreceptor.
     if lamp.blocks > 0:
         hz = corner(tuning, level)
-    part = part_at(&walk, store, known, on, off, lamp, hz, <double>t)
+    part = part_at(&walk, store, known, on, off, lamp, hz,
+                   tuning.still_us, <double>t)
     resting = lamp.blocks == 0 and at_rest(walk.t, t) and (
         walk.next < 0 or store[walk.next].t > known)
     spread = theta2 * part.var
     if resting and gap.before.var >= 0:
-        spread = part_variance(s, gap.before.t, walk.t, tuning)
+        spread = part_variance(s, gap.before.t, walk.t)
+    if (walk.next >= 0 and store[walk.next].t <= known) or (
+            gap.before.var >= 0 and walk.t > gap.before.t):
+        spread += theta2 * tuning.motion_variance
     theta = on if part.p else -off
     level += theta * part.fraction + part.ripple
     # What does not change is shown without a lag.

@@ -112,6 +112,14 @@ cdef inline bint at_rest(int64_t last, int64_t t) noexcept nogil:
     return never(last) or t - last >= REST_US
 
 
+cdef inline double silence(double gap, double still_us) noexcept nogil:
+    """Probability that a pixel without an event for a gap is at rest."""
+    gap /= still_us
+    gap *= gap
+    gap *= gap
+    return gap / (1.0 + gap)
+
+
 cdef inline void step(walk_t* walk, const stored_t* store) noexcept nogil:
     walk.t_prev = walk.t
     walk.p_prev = walk.p

@@ -13,7 +13,36 @@ BLOCK, STALE, FINE = 100_000, 10_000_000, 1_500
 REST = 1_000_000
 # Anywhere between the two thresholds.
 UNKNOWN = np.mean(np.linspace(-1, 1, 100_001) ** 2)
-FRAME_SIGMA = 0.02
+FRAME_SIGMA, LEAK, PER_EVENT = 0.01, 0.02, 0.0003
+STILL = 250_000
+
+
+def silence(gap):
+    """Probability that a pixel without an event for a gap (us) is at rest."""
+    return 1 / (1 + (STILL / max(gap, 1e-9)) ** 4)
+
+
+@dataclass
+class Noise:
+    """What innovations say of doubted events and of motion."""
+
+    doubt: float = 0.5
+    motion: float = 0.002
+    denied: float = 0.0
+    doubted: float = 0.0
+    total: float = 0.0
+    frames: float = 0.0
+
+    def adapt(self, sums):
+        denied, doubted, product, square = np.sum(sums, axis=0) if sums else np.zeros(4)
+        self.denied += denied
+        self.doubted += doubted
+        self.total += product / (square + 2 / 0.05**2)
+        self.frames += square / (square + 2 / 0.05**2)
+        self.doubt = (25 + self.denied) / (50 + self.doubted)
+        self.motion = np.clip((0.002 + self.total) / (1 + self.frames), 0, 1)
+        for name in ("denied", "doubted", "total", "frames"):
+            setattr(self, name, getattr(self, name) * np.exp(-1 / 20))
 
 
 def ripple_of(waves):
@@ -176,7 +205,8 @@ class Node:
 class Pixel:
     """One pixel's events (t, p) and the state (base, on, off) with covariance."""
 
-    def __init__(self, on, off, sigma, bandwidth, ripple=None):
+    def __init__(self, on, off, sigma, bandwidth, ripple, noise, offset_dn):
+        self.learned, self.offset_dn = noise, offset_dn
         self.events, self.bandwidth = [], bandwidth
         self.ripple = ripple or steady
         self.x = np.array([0.0, on, off])
@@ -195,13 +225,44 @@ class Pixel:
             return self.ripple(t, hz)
 
         if i < len(self.events) and self.events[i][0] <= known:
-            return between(before, *last, *self.events[i], steps, ripple, t)
-        if last[0] is None or t - last[0] >= REST:
+            part = between(before, *last, *self.events[i], steps, ripple, t)
+            gap = self.events[i][0] - last[0] if i else np.inf
+        elif last[0] is None or t - last[0] >= REST:
             return (last[1], 0.0, 0.0, UNKNOWN, 0.0, 0.0,
                     *(after(last[0], ripple, t) if i else (0.0, 0.0)))
-        if known > t:
-            return quiet(*last, known, ripple, t)
-        return ahead(before, *last, steps, ripple, t)
+        else:
+            part = (quiet(*last, known, ripple, t) if known > t
+                    else ahead(before, *last, steps, ripple, t))
+            gap = max(known - last[0], last[0] - before[0]) if before else np.inf
+        if self.ripple is not steady:
+            return part
+        rest = silence(gap)
+        p, fraction, rate, var, rate_var, fall, *rest_of = part
+        return (p, (1 - rest) * fraction, (1 - rest) * rate,
+                (1 - rest) * (var + rest * fraction**2),
+                (1 - rest) * (rate_var + rest * rate**2), fall, *rest_of)
+
+    def doubt(self, i, known):
+        """Probability that the event before i is noise."""
+        if not i or self.events[i - 1][0] <= self.sampled:
+            return 0.0
+        t = self.events[i - 1][0]
+        doubt = self.learned.doubt
+        if i > 1:
+            doubt *= silence(t - self.events[i - 2][0])
+        if i < len(self.events) and self.events[i][0] <= known:
+            doubt *= silence(self.events[i][0] - t)
+        return doubt
+
+    @property
+    def sampled(self):
+        return 0 if self.reference is None else self.reference
+
+    def motion(self, i, known, sampled):
+        """Variance that motion leaves, thresholds^2."""
+        came = i > 0 and self.events[i - 1][0] > sampled
+        comes = i < len(self.events) and self.events[i][0] <= known
+        return self.learned.motion * (2 if came else 1 if comes else 0)
 
     def next(self, t):
         return sum(time <= t for time, _ in self.events)
@@ -210,13 +271,15 @@ class Pixel:
         p = [p for _, p in self.events[start:stop]]
         return np.array([sum(p), len(p) - sum(p)], float)
 
-    def value(self, t, known, since, level):
+    def value(self, t, known, since, level, doubt=0.0):
         i = self.next(t)
         n = (self.counts(since, i) if i >= since else -self.counts(i, since))
         _, on, off = self.x
         p, fraction, rate, *spread, ripple, slope = self.part(
             i, t, known, level + on * n[0] - off * n[1])
         n[0 if p else 1] += fraction
+        if doubt:
+            n[0 if self.events[i - 1][1] else 1] -= doubt
         y = on * n[0] - off * n[1] + ripple
         return n, y, *self.lag(p, rate, slope, spread, level + y)
 
@@ -233,15 +296,28 @@ class Pixel:
         fresh = self.reference is None
         at = self.next(mid)
         learn = not fresh and at - self.since >= 3
-        added = 0.0
+        added = doubt = unit = 0.0
+        worth, theta2 = 1.0, self.x[1:].mean() ** 2
         if not fresh:
-            n_on, n_off = n = self.counts(self.since, at)
+            n = self.counts(self.since, at)
+            drift = LEAK * US * (mid - self.reference) + PER_EVENT * n.sum()
+            doubt = self.doubt(at, known)
+            motion = theta2 * self.learned.motion
+            if n.sum():
+                drift += self.learned.motion
+            comes = at < len(self.events) and self.events[at][0] <= known
+            unit = theta2 * (2 if n.sum() else 1 if comes else 0)
+            noise += motion if unit else 0
+            if at:
+                last = 0 if self.events[at - 1][1] else 1
+                n[last] -= doubt
+                worth = self.x[1 + last] * (-1 if last else 1)
+            n_on, n_off = n
             F = np.eye(3)
             F[0, 1:] = n_on, -n_off
-            theta2 = self.x[1:].mean() ** 2
             self.x = F @ self.x
             self.P = F @ self.P @ F.T
-            added = theta2 * (0.1 * US * (mid - self.reference) + 0.0003 * n.sum())
+            added = theta2 * (drift + doubt * (1 - doubt))
             self.P[0, 0] += added
         level = sample if fresh else self.x[0]
         inner = sorted({t for t, _ in self.events if begin < t < end})
@@ -262,11 +338,16 @@ class Pixel:
         if fresh:
             self.x[0] = sample - blur
         error = sample - self.x[0] - blur
-        if error**2 > 16 * (H @ self.P @ H + noise):
+        v = H @ self.P @ H + noise
+        still = v - unit * self.learned.motion + (
+            self.offset_dn * (per_dn - self.pull)) ** 2
+        sums = (doubt * np.clip(doubt - error / worth, 0, 1), doubt,
+                unit / still * (min(error**2, 16 * v) / still - 1), (unit / still) ** 2)
+        if error**2 > 16 * v:
             self.P[0, 0] += error**2
             added += error**2
         self.nodes.append(Node(mid, at, sample - blur + H[1:] @ self.x[1:], H[1:],
-                               noise, added))
+                               noise, added + theta2 * doubt**2))
         PH = self.P @ H
         v = H @ PH + noise
         K = PH / v
@@ -277,16 +358,19 @@ class Pixel:
         self.P = self.P - np.outer(K, PH) - np.outer(PH, K) + v * np.outer(K, K)
         self.x[1:] = np.clip(self.x[1:], 0.3 * self.prior, 3 * self.prior)
         self.since, self.reference = at, mid
+        return sums
 
     def read(self, t, known):
         i = self.next(t)
-        n, y, u, spread, lag = self.value(t, known, self.since, self.x[0])
+        doubt = self.doubt(i, known)
+        n, y, u, spread, lag = self.value(t, known, self.since, self.x[0], doubt)
         F = np.array([1.0, n[0], -n[1]])
         theta2 = self.x[1:].mean() ** 2
         if self.reference is not None and self.settled(i, t, known, self.reference):
-            spread = FRAME_SIGMA**2
+            spread = 0
         variance = F @ self.P @ F + spread + theta2 * (
-            0.1 * US * (t - (self.reference or 0)) + 0.0003 * (i - self.since))
+            LEAK * US * (t - (self.reference or 0)) + PER_EVENT * (i - self.since)
+            + doubt * (1 - doubt) + self.motion(i, known, self.sampled))
         fresh = self.reference is None
         variance = max(variance, 1e-8)
         return (self.x[0] + y + u, 0.0 if fresh else variance + lag,
@@ -336,7 +420,7 @@ class Pixel:
         sides, link = [], None      # counts from the samples next to t
 
         def drift(t0, i0, t1, i1):
-            return theta2 * (0.1 * US * (t1 - t0) + 0.0003 * (i1 - i0))
+            return theta2 * (LEAK * US * (t1 - t0) + PER_EVENT * (i1 - i0))
 
         for k in range(here + 1):
             t0, i0, _ = places[k - 1] if k else (None, None, None)
@@ -380,8 +464,12 @@ class Pixel:
         u, spread, lag = self.lag(p, rate, slope, spread, level)
         if not here:
             return level + u, 0.0, False
+        following = i < len(self.events) and self.events[i][0] <= known
         if after and self.settled(i, t, known, places[after - 1][0]):
-            spread = FRAME_SIGMA**2
+            spread = 0
+        elif following or (after and self.events and i
+                           and self.events[i - 1][0] > places[after - 1][0]):
+            spread += theta2 * self.learned.motion
         m = m + fraction * sign
         variance += spread + m @ self.P[1:, 1:] @ m
         variance = max(variance, 1e-8)
@@ -396,23 +484,31 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
     out = np.zeros((2, *shape))
     valid = np.zeros(shape, bool)
     log_ms = [np.log(f.exposure_ms) if f.exposure_ms else 0.0 for f in frames]
+    noise, pixels = Noise(), {}
     for at in np.ndindex(*shape):
         lamp = ripple_of(waves) if any(wave.hz for wave in waves) else steady
-        pixel = Pixel(on[at], off[at], sigma, bandwidth, lamp)
+        pixel = pixels[at] = Pixel(
+            on[at], off[at], sigma, bandwidth, lamp, noise, offset_dn)
         mine = events[(events["y"] == at[0]) & (events["x"] == at[1])]
         pixel.events = [(int(t), int(p)) for t, p in zip(mine["t"], mine["p"],
                                                         strict=True)]
-        for frame, log in zip(frames, log_ms, strict=True):
-            mid, end = frame.mid_us, frame.exposure_end_us
-            known = max(end, mid + wait_us if wait_us else frame.available_us)
+    for frame, log in zip(frames, log_ms, strict=True):
+        mid, end = frame.mid_us, frame.exposure_end_us
+        known = max(end, mid + wait_us if wait_us else frame.available_us)
+        if known > t_us + lookahead_us:
+            continue
+        sums = []
+        for at, pixel in pixels.items():
             dn = float(frame.dn[at])
-            usable = dn >= 1 and (frame.valid is None or frame.valid[at])
-            if known <= t_us + lookahead_us and usable:
-                noise = (4 + dn / 10) / dn**2 + FRAME_SIGMA**2
-                pixel.frame(np.log(dn) - log, noise, frame.exposure_start_us, mid,
-                            max(end, frame.exposure_start_us + 1), known, 1 / dn)
-            if known <= t_us + lookahead_us and offline:
+            if dn >= 1 and (frame.valid is None or frame.valid[at]):
+                sums.append(pixel.frame(
+                    np.log(dn) - log, (4 + dn / 10) / dn**2 + FRAME_SIGMA**2,
+                    frame.exposure_start_us, mid,
+                    max(end, frame.exposure_start_us + 1), known, 1 / dn))
+            if offline:
                 pixel.fold(known - lookahead_us)
+        noise.adapt(sums)
+    for at, pixel in pixels.items():
         read = pixel.smooth if offline else pixel.read
         out[0][at], out[1][at], valid[at] = read(
             t_us, t_us + wait_us)

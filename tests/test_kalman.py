@@ -1,3 +1,4 @@
+import itertools
 import pickle
 
 import numpy as np
@@ -27,7 +28,7 @@ from pdavis_cv.reconstruct.model import (
     TUNING_DTYPE,
     WAVE_DTYPE,
 )
-from pdavis_cv.simulation import Camera, RotatingPolarizer, ideal
+from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer, ideal
 
 SHAPE = (3, 4)
 MAPS = np.random.default_rng(9).uniform(0.1, 0.3, (2, *SHAPE))
@@ -235,7 +236,7 @@ def test_without_events_variance_grows_at_the_stated_rate():
     method.add_frame(ApsFrame(np.full((1, 1), 400.0), 0, 10_000))
     early, late = (float(method.read(t).variance[0, 0])
                    for t in (1_000_000, 3_000_000))
-    assert late - early == pytest.approx(2 * 0.1 * 0.2**2, rel=1e-4)
+    assert late - early == pytest.approx(2 * 0.02 * 0.2**2, rel=1e-4)
 
 
 def test_reading_does_not_change_the_state():
@@ -433,3 +434,83 @@ def test_a_filter_goes_on_with_another_bandwidth_and_noise(mode):
     assert (np.linalg.eigvalsh(after) > 0).all()
     with pytest.raises(TypeError, match="retune takes bandwidth and noise, got leak"):
         plain.retune(leak=3)
+
+
+def steps_and_frames(worth, spread, *, per_frame, seed=5, frames=60, every=100_000):
+    """Pixels whose light steps by ``worth`` thresholds per event, and an error."""
+    rng = np.random.default_rng(seed)
+    shape, level, events, taken = (20, 20), 3.0, [], []
+    base, error = np.full(shape, level), 0.0
+    for k in range(1, frames + 1):
+        count = rng.random(shape) < per_frame
+        y, x = np.nonzero(count)
+        batch = np.zeros(len(y), EVENT_DTYPE)
+        batch["t"] = np.sort((k - 1) * every + rng.integers(20_000, 80_000, len(y)))
+        batch["x"], batch["y"], batch["p"] = x, y, rng.random(len(y)) < 0.5
+        events.append(batch)
+        base[y, x] += worth * 0.2 * np.where(batch["p"], 1, -1)
+        error = rng.normal(0, 0.2 * spread, shape)
+        dn = np.exp(base + error) * 20
+        taken.append(ApsFrame(dn, k * every - 10_000, k * every + 10_000))
+    return shape, np.concatenate(events), taken
+
+
+def coverage_before_frames(method, events, frames):
+    """Part of the pixels that a frame finds within one sigma, after 20 frames."""
+    within = []
+    for before, frame in itertools.pairwise(frames):
+        part = events[(events["t"] > before.mid_us) & (events["t"] <= frame.mid_us)]
+        method.add_frame(before)
+        method.add_events(part)
+        estimate = method.read(frame.mid_us)
+        off = estimate.log_intensity - np.log(frame.dn / frame.exposure_ms)
+        within.append(np.abs(off) <= np.sqrt(estimate.variance))
+    return np.mean(within[20:])
+
+
+@pytest.mark.parametrize("spread", [0.3, 0.6])
+def test_sigmas_follow_what_innovations_show(spread):
+    """Light that frames find elsewhere than events say, at every frame anew."""
+    shape, events, frames = steps_and_frames(1.0, spread, per_frame=1.0)
+    method = make(shape, 0.2, 0.2, mode="causal", threshold_sigma=0.0)
+    assert 0.6 < coverage_before_frames(method, events, frames) < 0.76
+
+
+@pytest.mark.parametrize(("worth", "low", "high"), [(0.0, 0.85, 1.0), (1.0, 0.0, 0.2)])
+def test_lone_events_are_doubted_as_far_as_frames_deny_them(worth, low, high):
+    shape, events, frames = steps_and_frames(worth, 0.02, per_frame=0.1)
+    method = make(shape, 0.2, 0.2, mode="causal", threshold_sigma=0.0)
+    coverage_before_frames(method, events, frames)
+    assert low < method._tuning["doubt"][0] < high
+
+
+def test_light_at_rest_is_as_good_as_frames():
+    """Noise events do not move it, and more than one frame tells of it."""
+    recording, truth = Camera.preset("nominal", seed=4, size=(12, 12)).record(
+        FlatLight(dolp=0.3, aop=0.5), 2.0)
+
+    def error(**options):
+        times = range(1_000_000, 1_900_000, 9_000)
+        scorer = Scorer(truth, (6, 6))
+        for image in fuse(recording, times_us=times, demosaic="superpixel",
+                          nominal_thresholds=(0.16, 0.18), **options):
+            scorer.add(image)
+        return np.array([scorer.score.aop_error, scorer.score.dolp_error])
+
+    frames = error(method="frames")
+    assert np.all(error(method="kalman") < 1.1 * frames)
+    assert np.all(error(method="kalman", causal=True) < 1.2 * frames)
+
+
+def test_a_pixel_that_stopped_is_shown_at_rest():
+    """Silence says so: what is extrapolated goes back to nothing."""
+    method = make((1, 1), 0.2, 0.2, mode="causal")
+    method.add_frame(ApsFrame(np.full((1, 1), 400.0), 0, 10_000))
+    events = np.zeros(5, EVENT_DTYPE)
+    events["t"], events["p"] = np.arange(20_000, 120_000, 20_000), 1
+    method.add_events(events)
+    shown = [float(method.read(t).log_intensity[0, 0])
+             for t in (110_000, 400_000, 800_000)]
+    at_event = shown[-1]
+    assert shown[0] - at_event > 0.05
+    assert abs(shown[1] - at_event) < 0.02

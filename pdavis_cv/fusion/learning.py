@@ -33,6 +33,7 @@ from pdavis_cv.selfcal import (
     SelfCalibration,
 )
 from pdavis_cv.selfcal.estimator import QUANTITIES
+from pdavis_cv.selfcal.noise import LEAST_NOISE
 from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA, USUAL_MISMATCH
 from pdavis_cv.sensor import Sensor
 
@@ -213,11 +214,11 @@ class Learning:
     def _noise(self, of_events: float) -> tuple[float, ...]:
         """Return `noise` of `KalmanFilter`, with that of the events as it was found.
 
-        The lowest value that is ever found means "at or below the default".
+        The lowest value that is ever found stands for all that is less.
         """
         exact = self._calibration is not None and self._calibration.analyser is not None
         sigma, per_s, *rest = CALIBRATED_NOISE if exact else NOISE
-        return sigma, of_events if of_events > NOISE[1] else per_s, *rest
+        return sigma, of_events if of_events > LEAST_NOISE else per_s, *rest
 
 
 _kept: weakref.WeakKeyDictionary[
