@@ -178,7 +178,8 @@ def demosaic_variance(
 
     A channel gets the variance that its samples have there, not that of their mean:
     neighbouring results share samples, and a mean over a region counts them by
-    `pdavis_cv.analysis.pixels_per_sample`.
+    `pdavis_cv.analysis.pixels_per_sample`.  At borders the missing neighbours are taken
+    to be as the others; extrapolated variances could be negative.
 
     Parameters
     ----------
@@ -195,11 +196,24 @@ def demosaic_variance(
     -------
     ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for the two per cell
     """
-    if method != "guided":
+    if method == "superpixel":
         return demosaic(variance, layout, method)
-    if not valid.all():
+    if method == "guided" and not valid.all():
         variance = filled_samples(variance, valid)
-    return demosaic(variance, layout)
+    planes = demosaic(variance, layout)
+    if not variance.size:
+        return planes[:, ::2, ::2].copy() if method == "binned" else planes
+    for plane, place in zip(planes, layout.places, strict=True):
+        for lines, first in ((plane, place // 2), (plane.T, place % 2)):
+            last = len(lines) - 1
+            if first == 1:  # the channel is not in the first line, but in the next
+                lines[0] = lines[1]
+            if last % 2 != first:
+                lines[last] = lines[last - 1]
+    if method == "binned":
+        height, width = variance.shape
+        planes = planes.reshape(4, height // 2, 2, width // 2, 2).mean((2, 4))
+    return planes
 
 
 _ALL_CLEAN = np.empty((0, 0), np.uint8)

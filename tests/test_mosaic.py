@@ -7,7 +7,7 @@ from images import DTYPES, LAYOUTS, random_mosaic
 
 import pdavis_cv
 from pdavis_cv import Layout
-from pdavis_cv.mosaic import DEMOSAIC_METHODS, demosaic_valid
+from pdavis_cv.mosaic import DEMOSAIC_METHODS, demosaic_valid, demosaic_variance
 
 SHAPES = [(2, 2), (2, 3), (3, 2), (3, 3), (4, 5), (7, 4), (8, 9), (260, 346)]
 EVEN = [(0, 0), (0, 4), (2, 2), (4, 6), (260, 346)]
@@ -214,3 +214,31 @@ def test_the_kernels_check_sizes_themselves():
                                  ((-1, 4), valid, "rows"), ((0, 5), valid, "rows")):
         with pytest.raises(ValueError, match=message):
             kernels.reached(image, rows, row, valid.copy())
+
+
+@pytest.mark.parametrize("method", DEMOSAIC_METHODS)
+@pytest.mark.parametrize("layout", LAYOUTS, ids=str)
+def test_variances_stay_among_those_of_their_channel(layout, method):
+    variance = 10 ** np.random.default_rng(1).uniform(-4, 0, (6, 10))
+    variance = variance.astype(np.float32)
+    planes = demosaic_variance(
+        variance, layout, method, valid=np.ones(variance.shape, bool))
+    assert planes.shape == pdavis_cv.demosaic(variance, layout, method).shape
+    for plane, place in zip(planes, layout.places, strict=True):
+        samples = variance[place // 2::2, place % 2::2]
+        assert samples.min() <= plane.min() <= plane.max() <= samples.max()
+    bilinear = pdavis_cv.demosaic(variance, layout, "bilinear")
+    if planes.shape == bilinear.shape:
+        np.testing.assert_array_equal(planes[:, 1:-1, 1:-1], bilinear[:, 1:-1, 1:-1])
+
+
+def test_variances_at_a_border_are_those_of_the_channel_beside_it():
+    variance = np.arange(20, dtype=np.float32).reshape(4, 5)
+    got = demosaic_variance(variance, Layout.PDAVIS, valid=np.ones((4, 5), bool))
+    by_place = dict(zip(Layout.PDAVIS.places, got, strict=True))
+    np.testing.assert_array_equal(by_place[0][:, 0], [0, 5, 10, 10])
+    np.testing.assert_array_equal(by_place[0][0], [0, 1, 2, 3, 4])
+    np.testing.assert_array_equal(by_place[3][0], [6, 6, 7, 8, 8])
+    np.testing.assert_array_equal(by_place[3][:, 4], [8, 8, 13, 18])
+    assert demosaic_variance(np.empty((0, 4), np.float32), Layout.SONY, "binned",
+                             valid=np.ones((0, 4), bool)).shape == (4, 0, 2)
