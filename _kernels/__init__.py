@@ -11,7 +11,14 @@ from ._aop_events import aop_event_stokes
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
-from ._demosaic import bilinear, bilinear_weighted, binned, reached, superpixel
+from ._demosaic import (
+    bilinear,
+    bilinear_variance,
+    bilinear_weighted,
+    binned,
+    reached,
+    superpixel,
+)
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, mismatch, reconcile
 from ._event_words import evt2_words, evt3_words, text_events
@@ -58,6 +65,7 @@ __all__ = [
     "aop_dolp",
     "aop_event_stokes",
     "bilinear",
+    "bilinear_variance",
     "bilinear_weighted",
     "binned",
     "cds",

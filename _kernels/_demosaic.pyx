@@ -2,7 +2,8 @@
 from libc.stdint cimport uint8_t
 
 from _kernels._rows cimport (
-    bilinear_row, check_places, plane_of_place, row_stride, scratch_row)
+    bilinear_row, bilinear_row_f32, check_places, plane_of_place, row_stride,
+    scratch_row)
 from _kernels._types cimport pixel_t
 
 cdef extern from "_channels.h" nogil:
@@ -106,6 +107,54 @@ def binned(const pixel_t[:, ::1] mosaic not None,
                                        + (lower[k][2 * x] + lower[k][2 * x + 1]))
 
 
+cdef inline void variance_row(
+        const float* variance, Py_ssize_t y, Py_ssize_t h, Py_ssize_t w, float* own,
+        float* other, float** to) noexcept nogil:
+    """As bilinear_row, but a missing neighbour is as the opposite one.
+
+    Linear extrapolation of variances could be negative.
+    """
+    cdef Py_ssize_t up = y - 1 if y else 1, down = y + 1 if y + 1 < h else h - 2
+    cdef Py_ssize_t p = 2 * (y & 1), q = 2 - p, c, column
+    bilinear_row_f32(variance + y * w, variance + up * w, variance + down * w, 0, w,
+                     own, other, to[p], to[p + 1], to[q], to[q + 1])
+    for c in range(4):
+        column = c & 1
+        if column == 1:
+            to[c][0] = to[c][1]
+        if (w - 1) & 1 != column:
+            to[c][w - 1] = to[c][w - 2]
+
+
+def bilinear_variance(const float[:, ::1] variance not None,
+                      const Py_ssize_t[::1] places not None,
+                      float[::1] scratch not None, float[:, :, ::1] out not None):
+    """Interpolate the variances of each channel's samples (h, w) into out (4, h, w).
+
+    Within the image as `bilinear`; beyond a border stands what is opposite.  scratch is
+    2 * (w + 32) + 32 floats.
+    """
+    cdef Py_ssize_t h = variance.shape[0], w = variance.shape[1], y, c
+    cdef Py_ssize_t plane[4]
+    cdef float* to[4]
+    cdef float* own
+    cdef float* other
+    if h < 2 or w < 2 or out.shape[0] != 4 or out.shape[1] != h or out.shape[2] != w:
+        raise ValueError(
+            "bilinear_variance: variance must be (h, w), out (4, h, w), sides >= 2")
+    if scratch.shape[0] < 2 * row_stride(w) + 32:
+        raise ValueError("bilinear_variance: scratch must be 2 * (w + 32) + 32 floats")
+    check_places(places)
+    plane_of_place(places, plane)
+    own = scratch_row(&scratch[0], 0, w)
+    other = scratch_row(&scratch[0], 1, w)
+    with nogil:
+        for y in range(h):
+            for c in range(4):
+                to[c] = &out[plane[c], y, 0]
+            variance_row(&variance[0, 0], y, h, w, own, other, to)
+
+
 def bilinear_weighted(const float[:, ::1] mosaic not None,
                       const float[:, ::1] variance not None,
                       const Py_ssize_t[::1] places not None,
@@ -115,9 +164,10 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
                       float[:, :, ::1] out not None):
     """Interpolate mosaic into quad, its variance (of ln I) into out; reconcile them.
 
-    The same bits as `bilinear` of both, `mismatch` with the three of spread (none: not
-    done) and `reconcile` with null, but row by row: what they hand on stays in the
-    cache.  Only rows (first, last) are written; scratch is 2 * (w + 32) + 32 floats.
+    The same bits as `bilinear`, `bilinear_variance`, `mismatch` with the three of
+    spread (none: not done) and `reconcile` with null, but row by row: what they hand on
+    stays in the cache.  Only rows (first, last) are written; scratch is
+    2 * (w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], first, last, y, at, c
     cdef bint one = null.shape[1] == 1 and null.shape[2] == 1
@@ -163,7 +213,7 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
             bilinear_row(&mosaic[0, 0], y, h, w, own, other, to)
             for c in range(4):
                 to[c] = v[plane[c]]
-            bilinear_row(&variance[0, 0], y, h, w, own, other, to)
+            variance_row(&variance[0, 0], y, h, w, own, other, to)
             if differ:
                 mismatch_row(q[0], q[1], q[2], q[3], gain, angle, contrast, w,
                              v[0], v[1], v[2], v[3])

@@ -41,19 +41,17 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_differences(
     }
 }
 
-/* The terms of the weighted fit of each difference to the mean: it becomes its product
-   with weight and mean, and weight_ receives weight times squared mean.
+/* Inverse error variances of the three differences, up to a common factor.
 
-   A difference errs by what the intensity changes along its axis, so its weight is one
-   over the square of that change: across is the part of the other axis' that counts
-   too, floor the least relative variance.  trust is 1 where all nine samples are
-   usable, else so small that it counts only where none is. */
-PDAVIS_CLONES PDAVIS_UNUSED static void guided_terms(
+   A difference errs by what the intensity changes along its axis: across is the part of
+   the other axis' change that counts too, floor the least variance relative to the
+   squared mean.  trust is 1 where all nine samples are usable, else so small that it
+   counts only where none is. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_weights(
     const float *restrict up2, const float *restrict up1, const float *restrict own,
     const float *restrict down1, const float *restrict down2,
     const float *restrict mean, const float *restrict trust, float floor, float across,
-    ptrdiff_t w, float *restrict along_x, float *restrict along_y,
-    float *restrict along_d, float *restrict weight_x, float *restrict weight_y,
+    ptrdiff_t w, float *restrict weight_x, float *restrict weight_y,
     float *restrict weight_d)
 {
     for (ptrdiff_t x = 0; x < w; x++) {
@@ -63,22 +61,51 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_terms(
         float change_y = 0.0625f * ((square(own[x] - up2[x])
                                      + square(down2[x] - own[x]))
                                     + 2.0f * square(down1[x] - up1[x]));
-        float dn = mean[x] > 0.0f ? mean[x] : 0.0f, scale = trust[x] * dn;
+        float dn = mean[x] > 0.0f ? mean[x] : 0.0f;
         float least = floor * (dn * dn) + 1e-30f;
-        float wx = scale / ((change_x + across * change_y) + least);
-        float wy = scale / ((change_y + across * change_x) + least);
-        float wd = wx > wy ? wx : wy;
-        along_x[x] *= wx;
-        weight_x[x] = wx * dn;
-        along_y[x] *= wy;
-        weight_y[x] = wy * dn;
-        along_d[x] *= wd;
-        weight_d[x] = wd * dn;
+        float wx = trust[x] / ((change_x + across * change_y) + least);
+        float wy = trust[x] / ((change_y + across * change_x) + least);
+        weight_x[x] = wx;
+        weight_y[x] = wy;
+        weight_d[x] = wx > wy ? wx : wy;
     }
 }
 
-/* The window (1, 8, 14, 8, 1), not normalized. */
-#define PDAVIS_WINDOW(a, b, c, d, e) (((a) + (e)) + 8.0f * ((b) + (d)) + 14.0f * (c))
+/* The terms of the weighted fit of a difference in proportion to the mean: weight times
+   difference times mean, and weight times squared mean. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_terms(
+    const float *restrict difference, const float *restrict mean,
+    const float *restrict weight, ptrdiff_t w, float *restrict product,
+    float *restrict power)
+{
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float dn = mean[x] > 0.0f ? mean[x] : 0.0f, weighted = weight[x] * dn;
+        product[x] = weighted * difference[x];
+        power[x] = weighted * dn;
+    }
+}
+
+/* The terms of the fit of what the first fit left, and its weighted square.
+
+   To the square comes its variance by noise of the samples: variance is theirs, relative
+   to their square, and 9/64 the sum of a 3x3 difference's squared factors. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_residual(
+    const float *restrict difference, const float *restrict mean,
+    const float *restrict weight, const float *restrict part,
+    const float *restrict variance, ptrdiff_t w, float *restrict product,
+    float *restrict energy)
+{
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float dn = mean[x] > 0.0f ? mean[x] : 0.0f, weighted = weight[x] * dn;
+        float left = difference[x] - part[x] * mean[x];
+        product[x] = weighted * left;
+        energy[x] = (weight[x] * left) * left
+                    + (weighted * dn) * (0.140625f * variance[x]);
+    }
+}
+
+/* The window (1, 5, 8, 5, 1), not normalized. */
+#define PDAVIS_WINDOW(a, b, c, d, e) (((a) + (e)) + 5.0f * ((b) + (d)) + 8.0f * (c))
 
 /* Along a row. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_window(
@@ -88,38 +115,100 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_window(
         out[x] = PDAVIS_WINDOW(in[x - 2], in[x - 1], in[x], in[x + 1], in[x + 2]);
 }
 
-/* Down five rows of a product and of its weight, and the quotient of the two. */
-PDAVIS_CLONES PDAVIS_UNUSED static void guided_quotient(
-    const float *const *product, const float *const *weight, ptrdiff_t w,
-    float *restrict out)
+/* Down five rows of products and powers: the windowed power, and the part of the mean
+   that a difference is. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_fit(
+    const float *const *product, const float *const *power, ptrdiff_t w,
+    float *restrict total, float *restrict part)
 {
     const float *restrict p0 = product[0], *restrict p1 = product[1];
     const float *restrict p2 = product[2], *restrict p3 = product[3];
     const float *restrict p4 = product[4];
-    const float *restrict w0 = weight[0], *restrict w1 = weight[1];
-    const float *restrict w2 = weight[2], *restrict w3 = weight[3];
-    const float *restrict w4 = weight[4];
-    for (ptrdiff_t x = 0; x < w; x++)
-        out[x] = PDAVIS_WINDOW(p0[x], p1[x], p2[x], p3[x], p4[x])
-                 / (PDAVIS_WINDOW(w0[x], w1[x], w2[x], w3[x], w4[x]) + 1e-30f);
+    const float *restrict w0 = power[0], *restrict w1 = power[1];
+    const float *restrict w2 = power[2], *restrict w3 = power[3];
+    const float *restrict w4 = power[4];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        total[x] = PDAVIS_WINDOW(w0[x], w1[x], w2[x], w3[x], w4[x]) + 1e-30f;
+        part[x] = PDAVIS_WINDOW(p0[x], p1[x], p2[x], p3[x], p4[x]) / total[x];
+    }
 }
 
-/* Four channels of a row, by place in the cell, from its samples, its 3x3 means and the
-   differences' parts of the mean; down as above.  additive is the weight of the law
-   "difference as in the mean" against "difference in proportion to what is here". */
-PDAVIS_CLONES PDAVIS_UNUSED static void guided_row(
+/* Add the fit of what was left to the first one, as far as it coheres over the window:
+   times gain and the share of the residual's energy that the fit explains, at most.
+
+   least receives what neither explains, relative to the squared mean, where that is
+   less than it holds: of three differences, that which edges disturb the least. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_refine(
+    const float *const *product, const float *const *energy,
+    const float *restrict total, const float *restrict first, float gain, float most,
+    ptrdiff_t w, float *restrict part, float *restrict least)
+{
+    const float *restrict p0 = product[0], *restrict p1 = product[1];
+    const float *restrict p2 = product[2], *restrict p3 = product[3];
+    const float *restrict p4 = product[4];
+    const float *restrict e0 = energy[0], *restrict e1 = energy[1];
+    const float *restrict e2 = energy[2], *restrict e3 = energy[3];
+    const float *restrict e4 = energy[4];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float summed = PDAVIS_WINDOW(p0[x], p1[x], p2[x], p3[x], p4[x]);
+        float left = PDAVIS_WINDOW(e0[x], e1[x], e2[x], e3[x], e4[x]) + 1e-30f;
+        float step = summed / total[x], explained = summed * step;
+        float taken = gain * (explained / left);
+        float rest = (left - explained) / total[x];
+        part[x] = first[x] + (taken < most ? taken : most) * step;
+        least[x] = rest < least[x] ? rest : least[x];
+    }
+}
+
+/* What the sample itself tells of the mean at its pixel, less the 3x3 mean, and the
+   square of that times trust.  additive is the weight of the law "difference as in the
+   3x3 mean" against "difference in proportion to the mean that is here"; down as above. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_detail(
     const float *restrict own, const float *restrict mean, const float *restrict part_x,
     const float *restrict part_y, const float *restrict part_d, float down,
-    float additive, ptrdiff_t w, float *restrict to0, float *restrict to1,
-    float *restrict to2, float *restrict to3)
+    float additive, const float *restrict trust, ptrdiff_t w, float *restrict detail,
+    float *restrict power)
 {
     for (int32_t x = 0; x < (int32_t)w; x++) {
         float right = x & 1 ? -1.0f : 1.0f;
-        float ax = part_x[x], ay = part_y[x], ad = part_d[x];
-        float change = (right * ax + down * ay) + right * (down * ad);
+        float change = (right * part_x[x] + down * part_y[x])
+                       + right * (down * part_d[x]);
         float share = 1.0f + change;
         float shifted = own[x] - change * mean[x];
         float dn = (share * own[x] + additive * shifted) / (share * share + additive);
+        detail[x] = dn - mean[x];
+        power[x] = trust[x] * (detail[x] * detail[x]);
+    }
+}
+
+/* Binomial sum (1, 2, 1) along a row. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_beside(
+    const float *restrict in, ptrdiff_t w, float *restrict out)
+{
+    for (ptrdiff_t x = 0; x < w; x++)
+        out[x] = (in[x - 1] + in[x + 1]) + 2.0f * in[x];
+}
+
+/* Four channels of a row, by place in the cell, from its 3x3 means, the detail of the
+   mean and the differences' parts of it.  The detail is taken as far as its mean square
+   nearby (power over trust, each summed along three rows) exceeds that of noise: noise
+   times the relative variance that the differences show. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_row(
+    const float *restrict mean, const float *restrict detail, const float *const *power,
+    const float *const *trust, const float *restrict least, float noise,
+    const float *restrict part_x, const float *restrict part_y,
+    const float *restrict part_d, ptrdiff_t w, float *restrict to0, float *restrict to1,
+    float *restrict to2, float *restrict to3)
+{
+    const float *restrict d0 = power[0], *restrict d1 = power[1], *restrict d2 = power[2];
+    const float *restrict t0 = trust[0], *restrict t1 = trust[1], *restrict t2 = trust[2];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float ax = part_x[x], ay = part_y[x], ad = part_d[x];
+        float square_sum = (d0[x] + d2[x]) + 2.0f * d1[x];
+        float trusted = (t0[x] + t2[x]) + 2.0f * t1[x];
+        float noisy = noise * (least[x] * (mean[x] * mean[x]));
+        float taken = 1.0f - noisy / (square_sum / trusted + 1e-30f);
+        float dn = mean[x] + (taken > 0.0f ? taken : 0.0f) * detail[x];
         float plus = ay + ad, minus = ay - ad;
         to0[x] = dn * ((1.0f + ax) + plus);
         to1[x] = dn * ((1.0f - ax) + minus);

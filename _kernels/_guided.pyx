@@ -2,10 +2,12 @@
 
 A sample is mean + X(x) cx + Y(y) cy + X(x) Y(y) cd, X and Y being 1 at even and -1 at
 odd columns and rows: the mean of the four channels and their three differences, by
-place in the cell.  3x3 sums tell all four, blurred (they are bilinear interpolation);
-what the differences are in proportion to the mean is fitted in a 5x5 window, each 3x3
-sum weighted by how little the intensity changes along its axis; and the sample itself
-then tells the mean at its own pixel.
+place in the cell.  3x3 sums tell all four, blurred (they are bilinear interpolation).
+What each difference is in proportion to the mean is fitted in a 5x5 window, the 3x3
+sums weighted by how little the intensity changes along its axis; what that fit leaves
+is fitted once more and added as far as it coheres, which keeps detail of the
+polarization; and the sample itself then tells the mean at its own pixel, as far as it
+differs from the 3x3 mean by more than noise.
 """
 from libc.stdint cimport uint8_t
 
@@ -17,26 +19,54 @@ cdef extern from "_guided.h" nogil:
                         float*)
     void guided_differences(const float*, const float*, float, Py_ssize_t, float*,
                             float*, float*, float*)
-    void guided_terms(const float*, const float*, const float*, const float*,
-                      const float*, const float*, const float*, float, float,
-                      Py_ssize_t, float*, float*, float*, float*, float*, float*)
+    void guided_weights(const float*, const float*, const float*, const float*,
+                        const float*, const float*, const float*, float, float,
+                        Py_ssize_t, float*, float*, float*)
+    void guided_terms(const float*, const float*, const float*, Py_ssize_t, float*,
+                      float*)
+    void guided_residual(const float*, const float*, const float*, const float*,
+                         const float*, Py_ssize_t, float*, float*)
     void guided_window(const float*, Py_ssize_t, float*)
-    void guided_quotient(const float**, const float**, Py_ssize_t, float*)
-    void guided_row(const float*, const float*, const float*, const float*,
-                    const float*, float, float, Py_ssize_t, float*, float*, float*,
-                    float*)
+    void guided_fit(const float**, const float**, Py_ssize_t, float*, float*)
+    void guided_refine(const float**, const float**, const float*, const float*, float,
+                       float, Py_ssize_t, float*, float*)
+    void guided_detail(const float*, const float*, const float*, const float*,
+                       const float*, float, float, const float*, Py_ssize_t, float*,
+                       float*)
+    void guided_beside(const float*, Py_ssize_t, float*)
+    void guided_row(const float*, const float*, const float**, const float**,
+                    const float*, float, const float*, const float*, const float*,
+                    Py_ssize_t, float*, float*, float*, float*)
 
-# Scratch rows: samples, means and windowed terms of five rows, one row of the rest.
+# As GUIDED_DTYPE in mosaic.py, which says what they are.
+cdef packed struct guided_t:
+    float floor
+    float across
+    float gain
+    float most
+    float additive
+    float noise
+
+# Scratch rows.  Three differences each have a row where one is said.
 cdef enum:
-    SAMPLES = 0
-    MEANS = 5
-    WINDOWED = 10
-    SUM = 40
-    DIFFERENCE = 41
-    TRUST = 42
-    TERM = 43
-    PARTS = 49
-    ROWS = 52
+    SAMPLES = 0       # of seven rows
+    MEANS = 7         # of six
+    DIFFERENCES = 13  # of three
+    WEIGHTS = 22      # of three
+    WINDOWED = 31     # products and powers, summed along five rows each
+    RESIDUAL = 61     # products and energies, likewise
+    TOTALS = 91       # of three
+    PARTS = 100       # of three
+    REFINED = 109     # of two
+    LEAST = 115       # of two
+    DETAIL = 117      # of two
+    POWER = 119       # of three, and as many of trust
+    SUM = 125
+    DIFFERENCE = 126
+    TRUST = 127
+    VARIANCE = 128
+    TERM = 129        # two
+    ROWS = 131
 
 
 cdef inline Py_ssize_t mirrored(Py_ssize_t i, Py_ssize_t n) noexcept nogil:
@@ -60,76 +90,139 @@ cdef inline void take_trust(const uint8_t* clean, Py_ssize_t w,
         trust[x] = full if clean[x] else last_resort
 
 
+cdef inline void sum_along(float** term, Py_ssize_t w, float** sums,
+                           Py_ssize_t slot) noexcept nogil:
+    """Put the two terms, windowed along the row, into slots of two sets of five."""
+    cdef Py_ssize_t k
+    for k in range(2):
+        mirror_ends(term[k], w)
+        guided_window(term[k], w, sums[5 * k + slot])
+
+
+cdef inline void five_of(float** sums, Py_ssize_t y, Py_ssize_t h, const float** first,
+                         const float** second) noexcept nogil:
+    """Rows y - 2 to y + 2, mirrored, of two sets of five slots."""
+    cdef Py_ssize_t r, slot
+    for r in range(5):
+        slot = mirrored(y + r - 2, h) % 5
+        first[r] = sums[slot]
+        second[r] = sums[5 + slot]
+
+
 def guided(const pixel_t[:, ::1] mosaic not None,
            const uint8_t[:, ::1] clean not None,
+           const float[:, ::1] variance not None,
            const Py_ssize_t[::1] places not None,
-           float floor, float across, float additive,
+           const guided_t[::1] constants not None,
            float[::1] scratch not None,
            float[:, :, ::1] out not None):
     """Interpolate each channel of mosaic (h, w), sides >= 2, into out (4, h, w).
 
     clean (h, w) is 1 where a sample and its eight neighbours are usable; empty: all
-    are.  Every sample must be finite.  scratch is 52 * (w + 32) + 32 floats.
+    are.  variance (h, w) is the samples', relative to their squares; empty: unknown.
+    Every sample must be finite.  scratch is 131 * (w + 32) + 32 floats.
     """
-    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, x, k, f, i, r
+    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, x, k, f, i
     cdef Py_ssize_t plane[4]
     cdef bint marked = clean.shape[0] * clean.shape[1] != 0
-    cdef float one = 1, down
+    cdef bint known = variance.shape[0] * variance.shape[1] != 0
+    cdef float zero = 0, one = 1, huge = 1e30, down
+    cdef guided_t constant
     cdef float* base
-    cdef float* row[52]
+    cdef float* row[131]
     cdef float* to[4]
+    cdef const float* noise
     cdef const float* five[5]
     cdef const float* product[5]
-    cdef const float* weight[5]
+    cdef const float* other[5]
     if h < 2 or w < 2 or out.shape[0] != 4 or out.shape[1] != h or out.shape[2] != w:
         raise ValueError("guided: mosaic must be (h, w), out (4, h, w), sides >= 2")
-    if marked and (clean.shape[0] != h or clean.shape[1] != w):
-        raise ValueError("guided: clean must be empty or have the size of mosaic")
-    if scratch.shape[0] < ROWS * row_stride(w) + 32:
-        raise ValueError("guided: scratch must be 52 * (w + 32) + 32 floats")
+    if (marked and (clean.shape[0] != h or clean.shape[1] != w)
+            or known and (variance.shape[0] != h or variance.shape[1] != w)):
+        raise ValueError(
+            "guided: clean and variance must be empty or have the size of mosaic")
+    if scratch.shape[0] < ROWS * row_stride(w) + 32 or constants.shape[0] != 1:
+        raise ValueError(
+            "guided: constants must be one, scratch 131 * (w + 32) + 32 floats")
     check_places(places)
     plane_of_place(places, plane)
     base = &scratch[0]
     with nogil:
+        constant = constants[0]
         for k in range(ROWS):
             row[k] = scratch_row(base, k, w)
         for x in range(w):
             row[TRUST][x] = one
-        for i in range(h + 4):
+            row[VARIANCE][x] = zero
+        for i in range(h + 7):
             if i < h:      # samples of row i
                 for x in range(w):
-                    row[SAMPLES + i % 5][x] = <float>mosaic[i, x]
-                mirror_ends(row[SAMPLES + i % 5], w)
+                    row[SAMPLES + i % 7][x] = <float>mosaic[i, x]
+                mirror_ends(row[SAMPLES + i % 7], w)
             f = i - 2
-            if 0 <= f < h:  # terms of row f
+            if 0 <= f < h:  # differences of row f, and the terms of their fit
                 for k in range(5):
-                    five[k] = row[SAMPLES + mirrored(f + k - 2, h) % 5]
+                    five[k] = row[SAMPLES + mirrored(f + k - 2, h) % 7]
                 if marked:
                     take_trust(&clean[f, 0], w, row[TRUST])
                 down = -one if f & 1 else one
                 guided_columns(five[1], five[2], five[3], w, row[SUM],
                                row[DIFFERENCE])
+                k = f % 3
                 guided_differences(row[SUM], row[DIFFERENCE], down, w,
-                                   row[MEANS + f % 5], row[TERM], row[TERM + 2],
-                                   row[TERM + 4])
-                guided_terms(five[0], five[1], five[2], five[3], five[4],
-                             row[MEANS + f % 5], row[TRUST], floor, across, w,
-                             row[TERM], row[TERM + 2], row[TERM + 4], row[TERM + 1],
-                             row[TERM + 3], row[TERM + 5])
-                for k in range(6):
-                    mirror_ends(row[TERM + k], w)
-                    guided_window(row[TERM + k], w, row[WINDOWED + 5 * k + f % 5])
-            y = i - 4
+                                   row[MEANS + f % 6], row[DIFFERENCES + k],
+                                   row[DIFFERENCES + 3 + k], row[DIFFERENCES + 6 + k])
+                guided_weights(five[0], five[1], five[2], five[3], five[4],
+                               row[MEANS + f % 6], row[TRUST], constant.floor,
+                               constant.across, w, row[WEIGHTS + k],
+                               row[WEIGHTS + 3 + k], row[WEIGHTS + 6 + k])
+                for k in range(3):
+                    guided_terms(row[DIFFERENCES + 3 * k + f % 3], row[MEANS + f % 6],
+                                 row[WEIGHTS + 3 * k + f % 3], w, row[TERM],
+                                 row[TERM + 1])
+                    sum_along(row + TERM, w, row + WINDOWED + 10 * k, f % 5)
+            f = i - 4
+            if 0 <= f < h:  # parts of row f, and the terms of what they leave
+                noise = &variance[f, 0] if known else row[VARIANCE]
+                for k in range(3):
+                    five_of(row + WINDOWED + 10 * k, f, h, product, other)
+                    guided_fit(product, other, w, row[TOTALS + 3 * k + f % 3],
+                               row[PARTS + 3 * k + f % 3])
+                    guided_residual(row[DIFFERENCES + 3 * k + f % 3],
+                                    row[MEANS + f % 6], row[WEIGHTS + 3 * k + f % 3],
+                                    row[PARTS + 3 * k + f % 3], noise, w, row[TERM],
+                                    row[TERM + 1])
+                    sum_along(row + TERM, w, row + RESIDUAL + 10 * k, f % 5)
+            f = i - 6
+            if 0 <= f < h:  # detail of row f
+                for x in range(w):
+                    row[LEAST + f % 2][x] = huge
+                for k in range(3):
+                    five_of(row + RESIDUAL + 10 * k, f, h, product, other)
+                    guided_refine(product, other, row[TOTALS + 3 * k + f % 3],
+                                  row[PARTS + 3 * k + f % 3], constant.gain,
+                                  constant.most, w, row[REFINED + 2 * k + f % 2],
+                                  row[LEAST + f % 2])
+                if marked:
+                    take_trust(&clean[f, 0], w, row[TRUST])
+                down = -one if f & 1 else one
+                guided_detail(row[SAMPLES + f % 7], row[MEANS + f % 6],
+                              row[REFINED + f % 2], row[REFINED + 2 + f % 2],
+                              row[REFINED + 4 + f % 2], down, constant.additive,
+                              row[TRUST], w, row[DETAIL + f % 2], row[TERM])
+                mirror_ends(row[TERM], w)
+                mirror_ends(row[TRUST], w)
+                guided_beside(row[TERM], w, row[POWER + f % 3])
+                guided_beside(row[TRUST], w, row[POWER + 3 + f % 3])
+            y = i - 7
             if y >= 0:     # channels of row y
                 for k in range(3):
-                    for r in range(5):
-                        f = mirrored(y + r - 2, h) % 5
-                        product[r] = row[WINDOWED + 10 * k + f]
-                        weight[r] = row[WINDOWED + 10 * k + 5 + f]
-                    guided_quotient(product, weight, w, row[PARTS + k])
+                    f = mirrored(y + k - 1, h) % 3
+                    product[k] = row[POWER + f]
+                    other[k] = row[POWER + 3 + f]
                 for k in range(4):
                     to[k] = &out[plane[k], y, 0]
-                down = -one if y & 1 else one
-                guided_row(row[SAMPLES + y % 5], row[MEANS + y % 5], row[PARTS],
-                           row[PARTS + 1], row[PARTS + 2], down, additive, w, to[0],
+                guided_row(row[MEANS + y % 6], row[DETAIL + y % 2], product, other,
+                           row[LEAST + y % 2], constant.noise, row[REFINED + y % 2],
+                           row[REFINED + 2 + y % 2], row[REFINED + 4 + y % 2], w, to[0],
                            to[1], to[2], to[3])

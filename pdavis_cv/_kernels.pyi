@@ -22,6 +22,7 @@ __all__ = [
     "aop_dolp",
     "aop_event_stokes",
     "bilinear",
+    "bilinear_variance",
     "bilinear_weighted",
     "binned",
     "cds",
@@ -122,6 +123,9 @@ def aop_event_stokes(
 def bilinear(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
 ) -> None: ...
+def bilinear_variance(
+    variance: _F32, places: NDArray[np.intp], scratch: _F32, out: _F32
+) -> None: ...
 def bilinear_weighted(
     mosaic: _F32, variance: _F32, places: NDArray[np.intp], spread: _F32, null: _F32,
     rows: tuple[int, int], scratch: _F32, quad: _F32, out: _F32,
@@ -162,8 +166,8 @@ def count(
 ) -> int: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def guided(
-    mosaic: NDArray[_Pixel], clean: _U8, places: NDArray[np.intp], floor: float,
-    across: float, additive: float, scratch: _F32, out: _F32,
+    mosaic: NDArray[_Pixel], clean: _U8, variance: _F32, places: NDArray[np.intp],
+    constants: NDArray[Any], scratch: _F32, out: _F32,
 ) -> None: ...
 def kalman_frame(
     frame: tuple[NDArray[Any], NDArray[Any], int], chain: _Pair, committed: int,

@@ -20,22 +20,33 @@ DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
 HALF_SIZE = frozenset(("superpixel", "binned"))
 """Those whose images have one pixel per 2x2 cell."""
 
-REACH = {"bilinear": 4, "superpixel": 0, "binned": 4, "guided": 6}
+REACH = {"bilinear": 4, "superpixel": 0, "binned": 4, "guided": 9}
 """Pixels beyond a region that its images depend on.
 
-Bilinear: one, and three where it extrapolates at a border.  Guided: four, and two more
-where it fills an unusable sample."""
+Bilinear: one, and three where it extrapolates at a border.  Guided: a window of one,
+two of two and the two that a weight looks at, and two more where it fills an unusable
+sample."""
 
 PIXEL_DTYPES = tuple(map(np.dtype, (np.uint8, np.uint16, np.float32)))
 
-# Constants of "guided", without unit, found by studies/demosaic_constants.py.
-_FLOOR = 1e-3
-"""Relative variance of a channel difference where no edge disturbs it."""
-_ACROSS = 0.1
-"""Part of the intensity's change along the other axis that disturbs a difference."""
-_ADDITIVE = 1.0
-"""Weight of "channel differences are those around" against "they are in proportion to
-the intensity"; the second law alone divides by 0 behind a crossed polarizer."""
+GUIDED_DTYPE = np.dtype([(name, "<f4") for name in (
+    "floor", "across", "gain", "most", "additive", "noise")])
+"""Constants of ``"guided"``, without unit.
+
+``floor``: relative variance of a channel difference where no edge disturbs it.
+``across``: part of the intensity's change along the other axis that disturbs it.
+``gain``, ``most``: the second fit counts by ``gain`` times the share of the first one's
+residual that it explains, at most ``most``; above 1, as a smoothed residual is smaller
+than the residual.
+``additive``: weight of "channel differences are those around" against "they are in
+proportion to the intensity"; the second law alone divides by 0 behind a crossed
+polarizer.
+``noise``: the relative variance that differences show, times this, is noise in the
+detail of the intensity.  For white noise 64/9 * .64 = 4.6: a 3x3 difference has 9/64 of
+a sample's variance, the detail .64; less, as edges disturb the differences too."""
+
+# Found by studies/demosaic_constants.py.
+_GUIDED = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 3.5)], GUIDED_DTYPE)
 
 
 def demosaic(
@@ -45,6 +56,7 @@ def demosaic(
     out: NDArray[np.float32] | None = None,
     *,
     valid: NDArray[np.bool_] | None = None,
+    variance: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Interpolate I0, I45, I90 and I135 from a mosaic.
 
@@ -66,7 +78,8 @@ def demosaic(
         ``"guided"``: each channel at every pixel; sharper than ``"bilinear"``, with
         a half to a third of its error in AoP and DoLP (docs/demosaicing.md).  The
         mosaic's own pixels tell the intensity, their surroundings how the channels
-        differ in proportion to it, weighted by the absence of edges.
+        differ in proportion to it, weighted by the absence of edges; what that leaves
+        is added as far as neighbours agree on it.
     out : ndarray of float32, shape of the result, optional
         Overwritten and returned.
     valid : ndarray of bool, shape (H, W), optional
@@ -74,6 +87,10 @@ def demosaic(
         usable pixel's result does not depend on their values) and fills them from
         the usable ones of their channel two pixels away.  The other methods pass
         on what they are given, and `demosaic_valid` tells where.
+    variance : ndarray of float32, shape (H, W), optional
+        Of each usable sample's logarithm (relative variance).  ``"guided"`` then takes
+        less of what its first fit leaves, as part of that is noise; the other methods
+        do not use it.
 
     Returns
     -------
@@ -84,10 +101,10 @@ def demosaic(
     Raises
     ------
     TypeError
-        If ``mosaic`` or ``valid`` has another dtype.
+        If ``mosaic``, ``valid`` or ``variance`` has another dtype.
     ValueError
         If a side is 1 (``"bilinear"``, ``"guided"``) or odd (the two per cell), the
-        method is unknown, or ``out`` or ``valid`` does not fit.
+        method is unknown, or ``out``, ``valid`` or ``variance`` does not fit.
 
     Examples
     --------
@@ -99,9 +116,12 @@ def demosaic(
     check_method(method, mosaic.shape)
     if valid is not None:
         valid = _checked_valid(valid)
-        if valid.shape != mosaic.shape:
-            raise ValueError(
-                f"valid must have the mosaic's shape {mosaic.shape}, got {valid.shape}")
+    if variance is not None:
+        variance = _checked_variance(variance)
+    for name, array in (("valid", valid), ("variance", variance)):
+        if array is not None and array.shape != mosaic.shape:
+            raise ValueError(f"{name} must have the mosaic's shape {mosaic.shape}, got "
+                             f"{array.shape}")
     height, width = mosaic.shape
     places = places_of(layout)
     if method in HALF_SIZE:
@@ -114,12 +134,14 @@ def demosaic(
     elif method == "binned":
         _kernels.binned(mosaic, places, scratch_rows(10, mosaic.shape[1]), out)
     elif method == "guided":
-        clean = _ALL_CLEAN
+        clean, noise = _ALL_CLEAN, _NO_NOISE if variance is None else variance
         if valid is not None and not valid.all():
             mosaic = filled_samples(mosaic, valid)
             clean = _eroded(valid).view(np.uint8)
-        _kernels.guided(mosaic, clean, places, _FLOOR, _ACROSS, _ADDITIVE,
-                        scratch_rows(52, width), out)
+            if variance is not None:
+                noise = np.where(valid, variance, np.float32(0))
+        _kernels.guided(mosaic, clean, noise, places, _GUIDED,
+                        scratch_rows(131, width), out)
     else:
         _kernels.bilinear(mosaic, places, scratch_rows(2, width), out)
     return out
@@ -178,8 +200,8 @@ def demosaic_variance(
 
     A channel gets the variance that its samples have there, not that of their mean:
     neighbouring results share samples, and a mean over a region counts them by
-    `pdavis_cv.analysis.pixels_per_sample`.  At borders the missing neighbours are taken
-    to be as the others; extrapolated variances could be negative.
+    `pdavis_cv.analysis.pixels_per_sample`.  Beyond a border stands what is opposite, as
+    extrapolated variances could be negative.
 
     Parameters
     ----------
@@ -196,20 +218,16 @@ def demosaic_variance(
     -------
     ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for the two per cell
     """
+    check_method(method, variance.shape)
     if method == "superpixel":
         return demosaic(variance, layout, method)
     if method == "guided" and not valid.all():
         variance = filled_samples(variance, valid)
-    planes = demosaic(variance, layout)
-    if not variance.size:
-        return planes[:, ::2, ::2].copy() if method == "binned" else planes
-    for plane, place in zip(planes, layout.places, strict=True):
-        for lines, first in ((plane, place // 2), (plane.T, place % 2)):
-            last = len(lines) - 1
-            if first == 1:  # the channel is not in the first line, but in the next
-                lines[0] = lines[1]
-            if last % 2 != first:
-                lines[last] = lines[last - 1]
+    planes = np.empty((4, *variance.shape), np.float32)
+    if variance.size:
+        _kernels.bilinear_variance(
+            np.ascontiguousarray(variance), places_of(layout),
+            scratch_rows(2, variance.shape[1]), planes)
     if method == "binned":
         height, width = variance.shape
         planes = planes.reshape(4, height // 2, 2, width // 2, 2).mean((2, 4))
@@ -217,6 +235,14 @@ def demosaic_variance(
 
 
 _ALL_CLEAN = np.empty((0, 0), np.uint8)
+_NO_NOISE = np.empty((0, 0), np.float32)
+
+
+def _checked_variance(variance: NDArray[np.float32]) -> NDArray[np.float32]:
+    variance = np.asarray(variance)
+    if variance.dtype != np.float32:
+        raise TypeError(f"variance must be float32, got {variance.dtype}")
+    return np.ascontiguousarray(variance)
 
 
 def _checked_valid(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -33,6 +33,12 @@ def bilinear(mosaic, layout):
         for p in layout.places])
 
 
+def bilinear_variance(variance, layout):
+    """Beyond a border stands what is opposite."""
+    padded = np.pad(variance, 2, mode="reflect")
+    return bilinear(padded, layout)[:, 2:-2, 2:-2]
+
+
 def binned(mosaic, layout):
     quad = bilinear(mosaic, layout)
     above, below = quad[:, 0::2], quad[:, 1::2]
@@ -69,15 +75,16 @@ def window(terms):
     for axis in (1, 0):
         before2, after2 = beside(terms, axis, 2)
         before, after = beside(terms, axis, 1)
-        terms = (before2 + after2) + F32(8) * (before + after) + F32(14) * terms
+        terms = (before2 + after2) + F32(5) * (before + after) + F32(8) * terms
     return terms
 
 
-def guided(mosaic, layout, clean=None, floor=1e-3, across=0.1, additive=1.0):
+def guided(mosaic, layout, clean=None, variance=0, floor=1e-3, across=0.3, gain=3.0,
+           most=2.0, additive=1.0, noise=3.5):
     own = mosaic.astype(F32)
     y, x = np.indices(own.shape)
     right, down = (F32(1) - F32(2) * (i % 2).astype(F32) for i in (x, y))
-    sixteenth, additive = F32(1 / 16), F32(additive)
+    sixteenth, additive, tiny = F32(1 / 16), F32(additive), F32(1e-30)
     total, difference = binomial(own, 0), second_difference(own, 0)
     mean = binomial(total, 1) * sixteenth
     dn = np.maximum(mean, F32(0))
@@ -86,14 +93,30 @@ def guided(mosaic, layout, clean=None, floor=1e-3, across=0.1, additive=1.0):
              down * (binomial(difference, 1) * sixteenth),
              down * (right * sixteenth * second_difference(difference, 1)))
     change_x, change_y = square_of_change(own, 1), square_of_change(own, 0)
-    least, scale = F32(floor) * (dn * dn) + F32(1e-30), trust * dn
-    wx = scale / ((change_x + F32(across) * change_y) + least)
-    wy = scale / ((change_y + F32(across) * change_x) + least)
-    ax, ay, ad = (window(c * w) / (window(w * dn) + F32(1e-30)) for c, w in zip(
-        along, (wx, wy, np.maximum(wx, wy)), strict=True))
+    least = F32(floor) * (dn * dn) + tiny
+    wx = trust / ((change_x + F32(across) * change_y) + least)
+    wy = trust / ((change_y + F32(across) * change_x) + least)
+    parts, least = [], F32(1e30)
+    for c, w in zip(along, (wx, wy, np.maximum(wx, wy)), strict=True):
+        weighted = w * dn
+        total = window(weighted * dn) + tiny
+        part = window(weighted * c) / total
+        left = c - part * mean
+        energy = (w * left) * left + (weighted * dn) * (F32(9 / 64) * F32(variance))
+        summed = window(weighted * left)
+        step, energy = summed / total, window(energy) + tiny
+        taken = F32(gain) * (summed * step / energy)
+        parts.append(part + np.minimum(taken, F32(most)) * step)
+        least = np.minimum(least, (energy - summed * step) / total)
+    ax, ay, ad = parts
     change = (right * ax + down * ay) + right * (down * ad)
     share = F32(1) + change
-    dn = (share * own + additive * (own - change * mean)) / (share * share + additive)
+    detail = (share * own + additive * (own - change * mean)) / (
+        share * share + additive) - mean
+    power, trusted = (binomial(binomial(a, 1), 0) for a in (
+        trust * (detail * detail), trust * np.ones_like(own)))
+    taken = F32(1) - F32(noise) * (least * (mean * mean)) / (power / trusted + tiny)
+    dn = mean + np.maximum(taken, F32(0)) * detail
     plus, minus, one = ay + ad, ay - ad, F32(1)
     cell = (dn * ((one + ax) + plus), dn * ((one - ax) + minus),
             dn * ((one + ax) - plus), dn * ((one - ax) - minus))

@@ -42,6 +42,13 @@ def test_the_polarization_case_agrees_with_malus_and_runs(capsys):
     assert "skipped" not in capsys.readouterr().out
 
 
+def test_the_guided_case_runs_for_both_sensors(capsys):
+    assert bench.main(["guided", "--pairs", "2", "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    assert [r["input"] for r in report["results"]] == ["346x260", "2448x2048"]
+    assert all(r["ratio"] > 0 and r["goal"] == 8 for r in report["results"])
+
+
 @pytest.mark.parametrize(("name", "inputs", "goal"), [
     ("aedat2", ["uniform", "clustered"], 3),
     ("aedat4", ["uniform", "clustered", "calm, with frames"], 1.2),

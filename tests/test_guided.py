@@ -8,7 +8,7 @@ from images import DTYPES, LAYOUTS, malus, random_mosaic, sample, scene
 
 import pdavis_cv
 from pdavis_cv import Layout
-from pdavis_cv.mosaic import REACH, demosaic_valid
+from pdavis_cv.mosaic import GUIDED_DTYPE, REACH, demosaic_valid
 
 SHAPES = [(2, 2), (2, 3), (3, 2), (3, 3), (4, 5), (5, 2), (7, 4), (8, 9), (61, 83)]
 # The layouts of one sensor turned and mirrored: 0 opposite 90 in the cell.
@@ -35,6 +35,10 @@ def dolp(quad):
     return np.hypot(quad[0] - quad[2], quad[1] - quad[3]) / (quad.sum(0) / 2)
 
 
+def shares(quad):
+    return quad / quad.sum(0)
+
+
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_guided_equals_its_twin(shape, dtype):
@@ -51,6 +55,36 @@ def test_every_layout_equals_the_twin(layout):
     mosaic = random_mosaic((9, 12), np.uint16)
     np.testing.assert_array_equal(
         guided(mosaic, layout), reference.guided(mosaic, layout))
+
+
+def test_with_variances_it_equals_its_twin_and_takes_less_of_a_noisy_residual():
+    mosaic = random_mosaic((14, 17), np.uint16)
+    variance = np.random.default_rng(8).random(mosaic.shape).astype(np.float32)
+    got = guided(mosaic, variance=variance)
+    np.testing.assert_array_equal(
+        got, reference.guided(mosaic, Layout.SONY, variance=variance))
+    first = shares(reference.guided(mosaic, Layout.SONY, gain=0))
+    steps = [np.abs(shares(guided(mosaic, variance=np.full_like(variance, level)))
+                    - first).mean() for level in (0, 1, 1e6)]
+    assert steps[0] > 1.2 * steps[1] > 100 * steps[2]
+
+
+def test_variances_of_unusable_samples_do_not_matter():
+    mosaic = random_mosaic((20, 24), np.uint16)
+    valid = np.random.default_rng(2).random(mosaic.shape) > 0.03
+    variance = np.full(mosaic.shape, 0.01, np.float32)
+    want = guided(mosaic, valid=valid, variance=variance)
+    got = guided(mosaic, valid=valid,
+                 variance=np.where(valid, variance, np.float32(np.nan)))
+    np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.parametrize(("variance", "error", "match"), [
+    (np.zeros((4, 4)), TypeError, "variance must be float32, got float64"),
+    (np.zeros((4, 3), np.float32), ValueError, r"variance must have .* got \(4, 3\)")])
+def test_variances_that_do_not_fit_are_refused(variance, error, match):
+    with pytest.raises(error, match=match):
+        guided(np.zeros((4, 4), np.uint8), variance=variance)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=str)
@@ -191,13 +225,20 @@ def test_the_kernel_checks_sizes_itself():
     kernel = pdavis_cv._kernels.guided
     mosaic, places = np.zeros((4, 4), np.uint8), np.arange(4, dtype=np.intp)
     out, clean = np.zeros((4, 4, 4), np.float32), np.zeros((0, 0), np.uint8)
-    scratch = np.zeros(52 * 36 + 32, np.float32)
-    constants = 1e-3, 0.1, 1.0
+    noise = np.zeros((0, 0), np.float32)
+    scratch = np.zeros(131 * 36 + 32, np.float32)
+    constants = np.ones(1, GUIDED_DTYPE)
     with pytest.raises(ValueError, match="sides >= 2"):
-        kernel(mosaic[:1], clean, places, *constants, scratch, out)
-    with pytest.raises(ValueError, match="clean must be empty"):
-        kernel(mosaic, np.zeros((4, 3), np.uint8), places, *constants, scratch, out)
+        kernel(mosaic[:1], clean, noise, places, constants, scratch, out)
+    with pytest.raises(ValueError, match="clean and variance must be empty"):
+        kernel(mosaic, np.zeros((4, 3), np.uint8), noise, places, constants, scratch,
+               out)
+    with pytest.raises(ValueError, match="clean and variance must be empty"):
+        kernel(mosaic, clean, np.zeros((3, 4), np.float32), places, constants, scratch,
+               out)
     with pytest.raises(ValueError, match="scratch"):
-        kernel(mosaic, clean, places, *constants, scratch[:900], out)
+        kernel(mosaic, clean, noise, places, constants, scratch[:900], out)
+    with pytest.raises(ValueError, match="constants must be one"):
+        kernel(mosaic, clean, noise, places, constants[:0], scratch, out)
     with pytest.raises(ValueError, match="permutation"):
-        kernel(mosaic, clean, places * 0, *constants, scratch, out)
+        kernel(mosaic, clean, noise, places * 0, constants, scratch, out)

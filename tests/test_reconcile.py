@@ -3,7 +3,7 @@ import pytest
 
 from pdavis_cv import Layout, PolarFrame, _kernels, demosaic
 from pdavis_cv.analyser import Analyser
-from pdavis_cv.mosaic import places_of, scratch_rows
+from pdavis_cv.mosaic import demosaic_variance, places_of, scratch_rows
 from pdavis_cv.stokes_vector import stokes
 
 IDEAL = np.array([1, -1, 1, -1], np.float32).reshape(4, 1, 1)
@@ -122,7 +122,8 @@ def test_one_pass_by_rows_equals_one_step_after_another(shape, spread, own_null)
     samples = rng.uniform(1e-4, 1e-1, shape).astype(np.float32)
     null = rng.normal(size=(4, *shape)).astype(np.float32) if own_null else IDEAL
     quad = demosaic(mosaic, Layout.PDAVIS)
-    variance = demosaic(samples, Layout.PDAVIS)
+    variance = demosaic_variance(
+        samples, Layout.PDAVIS, valid=np.ones(shape, bool))
     if spread:
         _kernels.mismatch(quad, *spread, variance)
     _kernels.reconcile(quad, variance, null)

@@ -138,7 +138,8 @@ class ImageMaker:
                 (0, len(intensity)), self._scratch, quad, variance)
             return quad, variance
         quad = self._cropped(demosaic_mosaic(
-            intensity, self._layout, self._demosaic, valid=estimate.valid))
+            intensity, self._layout, self._demosaic, valid=estimate.valid,
+            variance=samples))
         variance = self._cropped(demosaic_variance(
             samples, self._layout, self._demosaic, valid=estimate.valid))
         if self._spread.size:

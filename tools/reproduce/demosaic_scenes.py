@@ -1,7 +1,7 @@
 """Scenes of known polarization for demosaicing: made ones, and images of the user's.
 
 A made scene is drawn with 2 to 4 samples per pixel and axis, blurred as by a lens
-(Gaussian, sigma .4 to .45 pixels) and averaged over each pixel, channel by channel:
+(Gaussian, sigma .4 to .7 pixels) and averaged over each pixel, channel by channel:
 what four cameras behind four polarizers would measure at one place.
 """
 from __future__ import annotations
@@ -158,10 +158,122 @@ def _polarizer(shape: tuple[int, int], pitch: int, rng: np.random.Generator) -> 
     return s0, np.full(shape, 0.97), np.full(shape, rng.random() * np.pi)
 
 
+def _waves(shape: tuple[int, int], pitch: int, rng: np.random.Generator) -> Fields:
+    """Draw plane waves of 8 to 60 pixels in S0, DoLP and AoP alike, without edges."""
+    y, x = np.indices(shape)
+
+    def field() -> NDArray[np.float64]:
+        total, count = np.zeros(shape), 12
+        for wave in range(count):
+            length = 8 * (60 / 8) ** ((wave + rng.random()) / count) * pitch
+            turn = 2 * np.pi * rng.random()
+            total += np.sin(2 * np.pi * ((x * np.cos(turn) + y * np.sin(turn)) / length
+                                         + rng.random()))
+        return np.asarray(total / total.std())
+
+    return (0.35 * np.exp(0.35 * field()), 0.4 + 0.3 * np.clip(field() / 2, -1, 1),
+            0.6 * field())
+
+
+_REFRACTION = 1.5
+"""Refractive index of the objects' varnish: of acrylic paint and of most plastics."""
+
+
+def _paint(shape: tuple[int, int], pitch: int, rng: np.random.Generator
+           ) -> NDArray[np.float64]:
+    """Return an albedo: a texture, and on half of the surfaces blots or stripes."""
+    albedo = np.exp(0.25 * _fractal(shape, rng, rng.uniform(1.2, 1.8))
+                    + rng.uniform(np.log(0.06), np.log(0.8)))
+    dark = rng.uniform(0.15, 0.7)
+    kind = rng.integers(4)
+    if kind == 0:
+        blots = _fractal(shape, rng, rng.uniform(1.4, 2)) > rng.uniform(-0.5, 0.8)
+        albedo *= np.where(blots, 1, dark)
+    elif kind == 1:
+        y, x = np.indices(shape)
+        turn, period = np.pi * rng.random(), rng.uniform(5, 25) * pitch
+        along = (x * np.cos(turn) + y * np.sin(turn)) / period
+        albedo *= np.where(np.sin(2 * np.pi * along) > rng.uniform(-0.6, 0.6), 1, dark)
+    return albedo
+
+
+def _objects(shape: tuple[int, int], pitch: int, rng: np.random.Generator) -> Fields:
+    """Draw varnished balls, rods and boards under lamps, by Fresnel's equations.
+
+    Light from within a surface is polarized in the plane of its normal, light that is
+    mirrored across it, so DoLP and AoP follow the shape and the lamps, S0 also the
+    paint, and dark paint is the more polarized.
+    """
+    y, x = np.indices(shape).astype(np.float64)
+    total, first, second = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    lamps = rng.standard_normal((6, 3))
+    lamps[:, 2] = np.abs(lamps[:, 2]) + 0.3
+    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
+    power, width = rng.uniform(0.1, 1, 6), rng.uniform(0.15, 0.6, 6)
+
+    def lay(part: tuple[slice, slice], slopes: NDArray[np.float64],
+            inside: NDArray[np.bool_]) -> None:
+        bumps = [0.02 * _fractal(inside.shape, rng, 2.0) for _ in range(2)]
+        normal = np.stack([slopes[0] + bumps[0], slopes[1] + bumps[1],
+                           np.sqrt(np.clip(1 - slopes[0]**2 - slopes[1]**2, 0.02, 1))])
+        normal /= np.linalg.norm(normal, axis=0)
+        mirrored = 2 * normal[2] * normal
+        mirrored[2] -= 1
+        facing = np.tensordot(lamps, normal, 1).clip(0)
+        diffuse = _paint(inside.shape, pitch, rng) * (
+            0.4 + np.tensordot(power, facing, 1))
+        glare = 0.25 + sum(
+            p * np.exp((np.tensordot(lamp, mirrored, 1) - 1) / wide**2) / wide
+            for lamp, p, wide in zip(lamps, power, width, strict=True))
+        cosine = normal[2]
+        root = np.sqrt(_REFRACTION**2 - 1 + cosine**2)
+        across = ((cosine - root) / (cosine + root))**2
+        along = ((_REFRACTION**2 * cosine - root) / (_REFRACTION**2 * cosine + root))**2
+        gloss = rng.choice([0.1, 0.5, 1.0])
+        s0 = diffuse + gloss * glare * (across + along) / 2
+        polarized = (diffuse * (across - along) / (2 - across - along)
+                     - gloss * glare * (across - along) / 2)
+        azimuth = np.arctan2(-normal[1], normal[0])
+        total[part][inside] = s0[inside]
+        first[part][inside] = (polarized * np.cos(2 * azimuth))[inside]
+        second[part][inside] = (polarized * np.sin(2 * azimuth))[inside]
+
+    horizon = int(rng.uniform(0.35, 0.75) * shape[0])
+    for rows in (slice(0, horizon), slice(horizon, shape[0])):
+        part = rows, slice(0, shape[1])
+        slopes = rng.uniform(-0.6, 0.6, (2, 1, 1)) * np.ones((2, *y[part].shape))
+        lay(part, slopes, np.ones(y[part].shape, bool))
+    for _ in range(rng.integers(14, 40)):
+        high, wide = rng.uniform(6, 60, 2) * pitch
+        at_y, at_x = rng.random() * shape[0], rng.random() * shape[1]
+        reach = np.hypot(high, wide)
+        part = (slice(max(int(at_y - reach), 0), int(at_y + reach) + 1),
+                slice(max(int(at_x - reach), 0), int(at_x + reach) + 1))
+        turn = np.pi * rng.random()
+        dx, dy = x[part] - at_x, y[part] - at_y
+        u = (dx * np.cos(turn) + dy * np.sin(turn)) / wide
+        v = (dy * np.cos(turn) - dx * np.sin(turn)) / high
+        inside = (np.abs(u) < 1) & (np.abs(v) < 1)
+        shape_of_it = rng.integers(3)
+        if shape_of_it == 0:     # ball
+            inside &= u * u + v * v < 1
+        elif shape_of_it == 1:   # rod
+            u = np.zeros_like(u)
+        else:                    # board
+            u, v = (np.full_like(u, tilt) for tilt in rng.uniform(-0.6, 0.6, 2))
+        lay(part, np.stack([u * np.cos(turn) - v * np.sin(turn),
+                            u * np.sin(turn) + v * np.cos(turn)]), inside)
+    bright = np.quantile(total, 0.98)
+    return (total / np.maximum(total, bright), np.hypot(first, second) / total,
+            np.arctan2(second, first) / 2)
+
+
 MADE: Mapping[str, tuple[int, float, Callable[
     [tuple[int, int], int, np.random.Generator], Fields]]] = {
     "leaves": (3, 0.45, _leaves),
+    "objects": (3, 0.7, _objects),
     "texture": (2, 0.45, _texture),
+    "waves": (2, 0.45, _waves),
     "edges": (4, 0.4, _edges),
     "tissue": (2, 0.45, _tissue),
     "fan": (3, 0.4, _fan),
