@@ -7,8 +7,9 @@ import reference_image as reference
 from images import DTYPES, LAYOUTS, malus, random_mosaic, sample, scene
 
 import pdavis_cv
-from pdavis_cv import Layout
+from pdavis_cv import Calibration, Layout, fuse
 from pdavis_cv.mosaic import GUIDED_DTYPE, REACH, demosaic_valid
+from pdavis_cv.simulation import Camera, FlatLight
 
 SHAPES = [(2, 2), (2, 3), (3, 2), (3, 3), (4, 5), (5, 2), (7, 4), (8, 9), (61, 83)]
 # The layouts of one sensor turned and mirrored: 0 opposite 90 in the cell.
@@ -155,6 +156,19 @@ def test_usable_pixels_do_not_depend_on_the_others(bad):
     assert usable.mean() > valid.mean() - 0.01  # they do not spread
     # and are still right
     assert np.abs(dolp(got[:, usable]) - degree[usable]).max() < 0.05
+
+
+def test_fused_images_take_the_calibrated_gain_out_before_they_are_guided():
+    """Even light; pixels whose gain and polarizers differ, all known."""
+    camera = Camera.preset("nominal", seed=2, size=(20, 22))
+    recording, truth = camera.record(FlatLight(dolp=0.4, aop=0.6), 0.2)
+    known = Calibration(**camera.exact_calibration())
+    errors = {}
+    for name, calibration in (("known", known), ("unknown", None)):
+        image, = fuse(recording, method="frames", demosaic="guided", times_us=[150_000],
+                      calibration=calibration)
+        errors[name] = np.sqrt(np.mean((image.dolp - truth.dolp(150_000))**2))
+    assert errors["known"] < 0.5 * errors["unknown"]
 
 
 def test_valid_is_where_the_sample_and_some_square_of_nine_are():

@@ -32,6 +32,15 @@ def test_superpixel_equals_its_twin(shape, dtype):
     np.testing.assert_array_equal(got, reference.superpixel(mosaic, Layout.SONY))
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("shape", EVEN[2:])
+@pytest.mark.parametrize("layout", [Layout.PDAVIS, Layout.SONY.rot90()], ids=str)
+def test_binned_equals_its_twin(layout, shape, dtype):
+    mosaic = random_mosaic(shape, dtype)
+    np.testing.assert_array_equal(
+        pdavis_cv.demosaic(mosaic, layout, "binned"), reference.binned(mosaic, layout))
+
+
 @pytest.mark.parametrize("layout", LAYOUTS, ids=str)
 def test_every_layout_equals_the_twin_and_keeps_the_samples(layout):
     mosaic = random_mosaic((6, 7), np.uint16)
