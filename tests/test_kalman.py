@@ -1,3 +1,4 @@
+import copy
 import itertools
 import pickle
 
@@ -421,17 +422,32 @@ def test_a_filter_goes_on_with_another_bandwidth_and_noise(mode):
     found = plain.thresholds
     plain.retune(noise=noise)
     assert same(found, plain.thresholds)
-    # What they were found to be made up for the lag that was not taken out: all of it
-    # is given up where there was none, half of the variance where half of it was wrong.
-    plain.retune(bandwidth=law)
-    assert same(make(shape, mode=mode).thresholds, plain.thresholds)
+    # Thresholds that explain two samples T apart err by 2 dt / T, relatively, where the
+    # lag errs by dt; no more is given up than the prior's variance.
     theta, covariance = told.thresholds
-    told.retune(bandwidth=(2 * law[0], 2 * law[1], law[2]))
     prior, first = make(shape, mode=mode).thresholds
-    halved, after = told.thresholds
-    np.testing.assert_allclose(halved, prior + 0.5**0.5 * (theta - prior), rtol=1e-12)
-    np.testing.assert_allclose(after, (covariance + first) / 2, rtol=1e-9)
-    assert (np.linalg.eigvalsh(after) > 0).all()
+    frame_us = frames[-1].mid_us - frames[-2].mid_us
+    for hz, slope in ((210.0, 1.0), (1.0, 0.0)):
+        other = copy.deepcopy(told)
+        light = np.exp(told._states["base"])
+        lags = [1 / (2 * np.pi * (a + 0.12 * b * light)) for a, b in (
+            law[:2], (hz, slope))]
+        wrong = 2e6 * (lags[1] - lags[0]) / frame_us
+        part = np.minimum((wrong * prior)**2 / np.moveaxis(
+            first.diagonal(0, 2, 3), -1, 0), 1)
+        assert (part.max() < 0.1) if hz > 100 else (part.min() == 1)
+        other.retune(bandwidth=(hz, slope, law[2]))
+        given, after = other.thresholds
+        np.testing.assert_allclose(
+            given, prior + np.sqrt(1 - part) * (theta - prior), rtol=1e-6)
+        kept = np.sqrt((1 - part[0]) * (1 - part[1]))
+        np.testing.assert_allclose(
+            after[..., 0, 1], kept * covariance[..., 0, 1], rtol=1e-5, atol=1e-15)
+        for i in (0, 1):
+            np.testing.assert_allclose(after[..., i, i], (
+                1 - part[i]) * covariance[..., i, i] + part[i] * first[..., i, i],
+                rtol=1e-6)
+        assert (np.linalg.eigvalsh(after) > 0).all()
     with pytest.raises(TypeError, match="retune takes bandwidth and noise, got leak"):
         plain.retune(leak=3)
 

@@ -98,10 +98,13 @@ _CURVATURE_INFLATION, _MODEL_SIGMA = 1.2, 0.016
 # a lag of dt = 0.3 ms * (72 Hz / r)^4, r = events per second and pixel.
 _TURN_LAG_S, _TURN_RATE_HZ, _TURN_POWER = 0.3e-3, 72.0, 4
 
-_LAW_EVIDENCE = 20.0
+_LAW_EVIDENCE, _LAW_FALL = 20.0, 0.15
 """By how much -ln L must fall for a bandwidth in proportion to the light to be
-preferred to a constant one.  A fan's steps alone give up to 18; pixels that do follow,
-at least 37 except in the dimmest light."""
+preferred to a constant one: by 20, and the mean square of the innovations by .15,
+relatively.  What interpolation and de-blurring get wrong repeats in every frame, so
+the evidence that it fakes grows with their number: a fan's steps lower the mean square
+by up to .12; where pixels do follow it falls by .19 or more, but for the dimmest light
+(studies/selfcal_law.py)."""
 
 _GRID_SHARES = np.array([0.0, 0.5, 0.8, 1.0])
 """Shares in proportion to the light at which -ln L is first evaluated."""
@@ -133,16 +136,11 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     Bandwidth
     """
     cost = _Cost(sample)
-    ln_hz, costs = cost.coarse()
-    share = vertex(_GRID_SHARES, costs)
-    least = [cost.minimum(each, float(np.interp(
-        each, _GRID_SHARES, ln_hz + _ln_dim(_GRID_SHARES)) - _ln_dim(each)))
-        for each in {0.0, share, float(_GRID_SHARES[np.argmin(costs)])}]
-    constant = next(each for each in least if each.share == 0)
-    best = min(least, key=lambda each: each.cost)
+    least = cost.minima()
+    constant, best = least[0], min(least, key=lambda each: each.cost)
     # A law is applied beyond the light that told it, as where frames saturate:
     # without evidence for one the bandwidth is constant.
-    if constant.cost < best.cost + _LAW_EVIDENCE:
+    if constant.cost - best.cost < max(_LAW_EVIDENCE, _LAW_FALL * cost.count / 2):
         best = constant
     hz, slope = _law(best.share, best.ln_hz, sample.bright)
     at = _DIM * sample.bright
@@ -166,6 +164,7 @@ class _Cost:
 
     def __init__(self, sample: PixelSample) -> None:
         self._sample = sample.with_leak_in_frames()
+        self.count = 0.0        # of innovations, at the last call
 
     def __call__(
         self, share: ArrayLike, ln_hz: NDArray[np.float64], every: int = 1,
@@ -174,6 +173,7 @@ class _Cost:
         found = self._sample.innovations(candidates_of(np.transpose(
             _law(np.broadcast_to(share, ln_hz.shape), ln_hz, self._sample.bright))),
             every)
+        self.count = float(found["count"][0])
         prior = 0.5 * ((ln_hz - _LN_HZ) / _LN_HZ_SIGMA) ** 2
         return negative_log_likelihood(found) + prior
 
@@ -195,6 +195,16 @@ class _Cost:
         y = y.reshape(x.shape)
         return (np.array([vertex(*each) for each in zip(x, y, strict=True)]),
                 every * y.min(1))
+
+    def minima(self) -> list[_Minimum]:
+        """Return the minimum of a constant bandwidth, then those of likely shares."""
+        ln_hz, costs = self.coarse()
+        start = ln_hz + _ln_dim(_GRID_SHARES)
+        shares = {0.0, vertex(_GRID_SHARES, costs),
+                  float(_GRID_SHARES[np.argmin(costs)])}
+        return [self.minimum(share, float(
+            np.interp(share, _GRID_SHARES, start) - _ln_dim(share)))
+            for share in sorted(shares)]
 
     def minimum(self, share: float, ln_hz: float) -> _Minimum:
         """Return the minimum near ln_hz at a share, by all pixels."""

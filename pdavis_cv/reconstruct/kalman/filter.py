@@ -78,6 +78,10 @@ engineering choice, a second of the paper's cameras."""
 
 # Committed events are kept this long, and at least twice the longest exposure.
 KEEP_US = 100_000
+_DIM_SHARE = 0.12
+"""Of a pixel's light, where a lag in inverse proportion to it matters.  Log intensity
+changes fastest where light is dim: weighed by the squared slope of 1 + .9 cos, the mean
+square of the lag is that at .12 of the brightest."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 # Sums over innovations that kalman_frame collects, the first three being `misfit`;
 # beside them, sums over frames of what they say of motion, and of their weights.
@@ -209,6 +213,7 @@ class KalmanFilter(Reconstructor):
         self._smoother = Smoother(self.shape) if offline else None
         self._reader = Reader(self.shape)
         self._epoch_us = 0      # not before the last sample of any pixel
+        self._interval_us = 0   # between the last two frames used, 0 before
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._frames: tuple[_Frame, ...] = ()
@@ -251,8 +256,8 @@ class KalmanFilter(Reconstructor):
     def retune(self, **learned: Any) -> None:
         """Go on with another bandwidth or noise (see `Reconstructor.retune`).
 
-        Thresholds that were learned made up for what was wrong with the lag: the part
-        of it that was wrong is the part of the prior's variance that they take back.
+        Thresholds that were learned made up for what was wrong with the lag: they
+        become less certain by as much.
         """
         unknown = learned.keys() - self.needs.learned
         if unknown:
@@ -262,34 +267,42 @@ class KalmanFilter(Reconstructor):
             before = self._lags()
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
-            lags = self._lags()
-            longer = np.maximum(np.maximum(lags, before), np.finfo(float).tiny)
-            self._give_up(np.abs(lags - before) / longer)
+            self._give_up(np.abs(self._lags() - before))
         if "noise" in learned:
             self._noise = _checked_noise(learned["noise"])
         self._tune()
         self._changed()
 
     def _lags(self) -> NDArray[np.float64]:
-        """Return the lag of every pixel at its last sample (s / 2 pi), 0 for none."""
-        intensity = self.intensity(self._states["base"].astype(np.float32))
-        hz = self._bandwidth[0] + self._bandwidth[1] * intensity.astype(np.float64)
-        return np.divide(1, hz, out=np.zeros(self.shape), where=hz > 0)
+        """Return the time constant of every pixel in dim light, s; 0 for none."""
+        light = self.intensity(self._states["base"].astype(np.float32))
+        hz = self._bandwidth[0] + self._bandwidth[1] * _DIM_SHARE * light.astype(float)
+        return np.divide(1 / math.tau, hz, out=np.zeros(self.shape), where=hz > 0)
 
-    def _give_up(self, part: NDArray[np.float64]) -> None:
-        """Let the thresholds take back a part of their prior's variance, 0 to 1.
+    def _give_up(self, lag_error_s: NDArray[np.float64]) -> None:
+        """Add to the thresholds' covariance what a wrong lag did to them.
 
-        Their error becomes ``kept`` times what it was plus an independent one of the
-        prior's distribution, so that the covariance stays one.
+        A lag that is wrong by dt shifts a sample by the slope of log intensity times
+        dt.  Between two samples T apart the light changed by slope * T at most, so
+        thresholds that explain both err by 2 dt / T, relatively.  Their error becomes
+        ``kept`` times what it was plus an independent one of the prior's distribution,
+        with so much variance but no more than the prior's: a covariance stays one.
         """
-        states, kept = self._states, np.sqrt(1 - part)
+        if not self._interval_us:
+            return                      # nothing has been learned
+        states = self._states
+        relative = 2 * lag_error_s / (1e-6 * self._interval_us)
         for name, sigma in zip(("on", "off"), self._sigma, strict=True):
             prior = states[f"prior_{name}"]
+            share = np.divide(relative * prior, sigma, where=sigma > 0,
+                              out=np.zeros(self.shape))
+            part = np.minimum(share**2, 1)
+            kept = np.sqrt(1 - part)
             states[f"theta_{name}"] = prior + kept * (states[f"theta_{name}"] - prior)
             states[f"var_{name}"] = (
                 (1 - part) * states[f"var_{name}"] + part * sigma**2)
             states[f"cov_base_{name}"] *= kept
-        states["cov_on_off"] *= 1 - part
+            states["cov_on_off"] *= kept
 
     def _changed(self) -> None:
         """Note that what was computed ahead holds no more, and states may differ."""
@@ -438,7 +451,9 @@ class KalmanFilter(Reconstructor):
                 (recent.store, recent.old), recent.committed, self._model,
                 recent.tracks, self._states, self._innovations[:_SUMS], nodes)
             self._adapt()
-            self._epoch_us = max(self._epoch_us, int(middles.max()))
+            middle = int(middles.max())
+            self._interval_us = middle - self._epoch_us if self._epoch_us else 0
+            self._epoch_us = max(self._epoch_us, middle)
             self._reader.forget()
             self._unsampled = None
             if smoother is not None:
@@ -460,6 +475,7 @@ class KalmanFilter(Reconstructor):
         np.copyto(as_bytes(self._states), as_bytes(other._states))
         np.copyto(self._innovations, other._innovations)
         self._clock.last_us, self._epoch_us = other._clock.last_us, other._epoch_us
+        self._interval_us = other._interval_us
         self._frames = other._frames
         self._tracks.assign(other._tracks)
         self._lamp.restore(other._lamp.state())
@@ -470,6 +486,7 @@ class KalmanFilter(Reconstructor):
     def _state(self) -> Mapping[str, Any]:
         smoother = self._smoother
         return {"last_us": self._clock.last_us, "epoch_us": self._epoch_us,
+                "interval_us": self._interval_us,
                 "frames": self._frames, "tracks": self._tracks.state(),
                 "states": as_bytes(self._states).copy(), "lamp": self._lamp.state(),
                 "innovations": self._innovations.copy(),
@@ -479,6 +496,7 @@ class KalmanFilter(Reconstructor):
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us, self._epoch_us = state["last_us"], state["epoch_us"]
+        self._interval_us = state["interval_us"]
         self._frames = state["frames"]
         self._tracks.restore(state["tracks"])
         as_bytes(self._states)[:] = state["states"]
