@@ -2,6 +2,10 @@
 import numpy as np
 
 import pdavis_cv
+import pdavis_cv.live.address
+import pdavis_cv.recording.open
+import pdavis_cv.tools.fan
+from pdavis_cv import live, recording, tools
 
 
 def random_events(n, shape, *, seed=0, start_us=0, stop_us=1_000_000, read_only=True):
@@ -23,6 +27,12 @@ def random_frame(shape, mid_us, *, seed=0, exposure_us=10_000, low=-20, high=110
     return pdavis_cv.ApsFrame(
         rng.uniform(low, high, shape), start, start + exposure_us,
         valid=rng.random(shape) > 0.1, available_us=start + exposure_us + 2_000)
+
+
+def opens_by(monkeypatch, opened):
+    """Let the commands open recordings by a function; fan opens its second itself."""
+    for module in (recording.open, live.address, tools.fan):
+        monkeypatch.setattr(module, "open_recording", opened)
 
 
 def feed(method, events, frames):

@@ -10,6 +10,7 @@ import warnings
 
 import numpy as np
 import pytest
+from streams import opens_by
 
 from pdavis_cv import (
     EVENT_DTYPE,
@@ -53,12 +54,6 @@ def pulled():
 
 def opener(recordings):
     return lambda path, **options: recordings[str(path)]
-
-
-def opens_by(monkeypatch, opened):
-    """Let the commands open recordings by a function; fan opens its second itself."""
-    monkeypatch.setattr("pdavis_cv.recording.open.open_recording", opened)
-    monkeypatch.setattr(fan, "open_recording", opened)
 
 
 @pytest.mark.parametrize(("rpm", "method"), [(200.0, "cf"), (1000.0, "kalman")])

@@ -1,6 +1,7 @@
 """pdavis calibrate: from simulated recordings of known chips to a calibration file."""
 import numpy as np
 import pytest
+from streams import opens_by
 
 from pdavis_cv import Calibration, Layout
 from pdavis_cv.simulation import ideal
@@ -32,7 +33,7 @@ def files(bench, monkeypatch):
         if name not in bench[1]:
             raise FileNotFoundError(2, "No such file or directory", name)
         return bench[1][name]
-    monkeypatch.setattr("pdavis_cv.recording.open.open_recording", opener)
+    opens_by(monkeypatch, opener)
     return bench[0]
 
 
@@ -99,7 +100,7 @@ def test_the_flat_frame_and_one_file_per_angle(files, tmp_path):
 
 @pytest.mark.parametrize(("arguments", "code", "words"), [
     (["dark", "missing", "-o", "OUT"], 2, "missing: No such file"),
-    (["dark", "dark"], 2, "-o/--output"),
+    (["dark", "dark"], 2, "-o/--out"),
     (["all", "-o", "OUT"], 2, "at least one part"),
     (["sweep", "sweep", "--angles", "0,5", "-o", "OUT"], 2, "names 2 angles for 1"),
     (["flat", "dark", "-o", "OUT"], 2, "needs light"),

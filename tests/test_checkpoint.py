@@ -269,7 +269,7 @@ def test_truncated_and_foreign_files_are_refused_by_name(checkpoint, tmp_path, c
     assert main(["weights", "convert", str(tmp_path / "none"), *out]) == 2
     assert main(["weights", "convert", str(checkpoint), "-o", "w.txt"]) == 2
     assert main(["weights"]) == 2
-    assert "--output must end in .npz" in capsys.readouterr().err
+    assert "--out must end in .npz" in capsys.readouterr().err
 
 
 def test_a_state_dict_of_another_network_is_refused_by_name(tmp_path):

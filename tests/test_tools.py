@@ -2,6 +2,7 @@
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 import termios
@@ -12,6 +13,7 @@ import pytest
 from streams import random_events
 
 import pdavis_cv
+from pdavis_cv import render
 from pdavis_cv.data import example_recording
 from pdavis_cv.tools import demo
 from pdavis_cv.tools.main import COMMANDS, main
@@ -62,6 +64,9 @@ def test_version(capsys):
 
 @pytest.mark.parametrize(("arguments", "word"), [
     (["fuze"], "no command 'fuze'"),
+    (["exprot"], "no command 'exprot'; did you mean export?"),
+    (["export", SAMPLE, "-o", "x.mp4", "--metod", "cf"], "did you mean --method?"),
+    (["export", SAMPLE, "-o", "x.mp4", "--range", "0,1"], "--range is the scale of"),
     (["info"], "required: file"),
     (["info", "nowhere.aedat4"], "nowhere.aedat4"),
     (["info", __file__], "test_tools.py"),
@@ -264,6 +269,19 @@ def test_export_png_at_a_time_is_one_picture(tmp_path):
         picture, pdavis_cv.render.aop_bgr(image.aop, image.valid))
 
 
+def test_the_top_of_dolp_colours_the_same_numbers_otherwise(tmp_path):
+    path = tmp_path / "dolp.png"
+    assert run("export", SAMPLE, "-o", path, "--layout", "pdavis", "--at", "0.1",
+               "--method", "frames", "--quantities", "dolp", "--bare",
+               "--dolp-top", "0.25") == 0
+    with pdavis_cv.open_recording(SAMPLE, layout="pdavis") as recording:
+        image, = pdavis_cv.fuse(recording, method="frames", times_us=[
+            recording.info.start_us + 100_000])
+    want = render.dolp_bgr(image.dolp, image.valid, top=0.25)
+    np.testing.assert_array_equal(cv2.imread(str(path)), want)
+    assert (want != render.dolp_bgr(image.dolp, image.valid)).any()
+
+
 def test_export_png_without_a_time_is_a_series(tmp_path, capsys):
     assert run("export", SAMPLE, "-o", tmp_path / "x.png", "--fps", 50,
                "--layout", "pdavis") == 0
@@ -341,7 +359,7 @@ def test_no_command_opens_a_recording_past_the_one_way(root):
     for path in (root / "tools").rglob("*.py"):
         if "bench" in path.parts or "reproduce" in path.parts:
             continue  # these name their files themselves
-        calls = path.read_text().count("open_recording(")
+        calls = len(re.findall(r"\bopen_(?:recording|source)\(", path.read_text()))
         # fan's second camera has options of its own
         assert calls == {"_common.py": 1, "fan.py": 1}.get(path.name, 0), path
 

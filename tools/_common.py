@@ -2,8 +2,10 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import functools
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -69,7 +71,11 @@ class OneLineParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError instead of printing the whole usage."""
-        raise UsageError(f"{message} (see {self.prog} --help)")
+        asked = re.match(r"unrecognized arguments: (--[^\s=]+)", message)
+        close = difflib.get_close_matches(
+            asked[1], self._option_string_actions, 1) if asked else []
+        advice = f"did you mean {close[0]}? " if close else ""
+        raise UsageError(f"{message} ({advice}see {self.prog} --help)")
 
 
 class Parser(OneLineParser):

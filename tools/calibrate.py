@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.part == "align":
         return _align(args)
     parts = _ALL if args.part == "all" else (args.part,)
-    path = Path(args.output)
+    path = Path(args.out)
     known = Calibration.load(path) if path.exists() else None
     done = 0
     for part in parts:
@@ -94,7 +94,7 @@ def _measure(
     if "layout" in values and args.force:
         merged = merged.replace(layout=None)
     merged = merged.merge(Calibration(sensor_size=known.sensor_size, **values))
-    report = Path(args.output).with_suffix(f".{part}.png")
+    report = Path(args.out).with_suffix(f".{part}.png")
     if write_report(report, page):
         print(f"wrote {report}")
     return merged
@@ -411,7 +411,7 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
     if part in ("check", "align"):
         return
     parser.add_argument(
-        "-o", "--output", required=True, metavar="NPZ",
+        "-o", "--out", required=True, metavar="NPZ",
         help="the camera's calibration file; what it holds already is kept")
     parser.add_argument("--force", action="store_true",
                         help="replace a layout that contradicts the new one")

@@ -69,6 +69,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(
             "--lossless writes one quantity to .mkv or .avi, got "
             f"{','.join(args.quantities)} and {args.out}")
+    if args.range is not None and not args.lossless:
+        raise UsageError(
+            "--range is the scale of --lossless; pictures have --white and --dolp-top, "
+            "and the other files hold the numbers themselves")
     if suffix not in (".npy", *_STACKS):
         render.opencv()  # say what is missing before the work, not after
     with opened(args) as recording:
@@ -136,6 +140,9 @@ def _parser() -> argparse.ArgumentParser:
     look.add_argument(
         "--white", type=positive, metavar="DN/MS",
         help="intensity shown as white; default: from the first image, then fixed")
+    look.add_argument(
+        "--dolp-top", type=positive, default=1.0, metavar="DOLP",
+        help="DoLP shown in the brightest colour; default 1")
     look.add_argument("--title", default="", help="a line above each picture")
     look.add_argument(
         "--columns", type=within(1, 64), metavar="N",
@@ -193,7 +200,8 @@ class Sheet:
         names = self.args.quantities
         places = (None,) * len(names) if self._sheet is None else self._sheet.places
         at_once = {name: place for name, place in zip(names, places, strict=True)
-                   if name in _AT_ONCE}
+                   if name in _AT_ONCE
+                   and (name != "dolp" or self.args.dolp_top == 1)}
         drawn = render.draw_polarization(
             frame, at_once, white=self.white, saturated=self.saturated)
         pictures = [drawn[name] if name in drawn else self._colour(frame, name, place)
@@ -210,8 +218,9 @@ class Sheet:
         self, frame: PolarFrame, name: str, out: Picture | None
     ) -> Picture:
         plane = export.plane(frame, name)
-        if name == "dolp_debiased":
-            return render.dolp_bgr(plane, frame.valid, out=out)
+        if name.startswith("dolp"):
+            return render.dolp_bgr(
+                plane, frame.valid, top=self.args.dolp_top, out=out)
         if name == "quality" or name.startswith("sigma"):
             return render.grey_bgr(
                 plane, _UNIFORM if name == "sigma_aop" else 1.0, out=out)
@@ -225,7 +234,8 @@ class Sheet:
     def _panel(self, name: str) -> render.Panel:
         legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"
         if name == "aop" or name.startswith("dolp"):
-            legend, end = name.removesuffix("_debiased"), "1"
+            legend = name.removesuffix("_debiased")
+            end = f"{self.args.dolp_top:g}"
         elif name == "quality" or name.startswith("sigma"):
             end = "52 deg" if name == "sigma_aop" else "1"
         elif name in ("s1", "s2"):

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 from collections.abc import Sequence
 
@@ -51,8 +52,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 0
     if args.command not in COMMANDS:
+        close = difflib.get_close_matches(args.command, COMMANDS, 1)
         raise UsageError(
-            f"no command {args.command!r}; there are {', '.join(COMMANDS)}")
+            f"no command {args.command!r}; "
+            + (f"did you mean {close[0]}? " if close else "")
+            + f"there are {', '.join(COMMANDS)}")
     module = importlib.import_module(f"pdavis_cv.tools.{args.command}")
     result: int = module.main(args.arguments)
     return result

@@ -23,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--set weights=mine/joint.npz")
     parser.add_argument("network", choices=("joint", "firenet"))
     parser.add_argument(
-        "-o", "--output", required=True, metavar="FILE.npz",
+        "-o", "--out", required=True, metavar="FILE.npz",
         help="weights; beside it FILE.pt, from which training goes on when it is "
              "there, and FILE.csv with the scores")
     parser.add_argument("--steps", type=within(1, 10**9), default=20_000,
@@ -39,9 +39,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--half", action="store_true",
                         help="convolve in bfloat16: quicker on processors that have it")
     args = parser.parse_args(argv)
-    out = Path(args.output)
+    out = Path(args.out)
     if out.suffix != ".npz":
-        raise UsageError(f"--output must end in .npz, got {args.output!r}")
+        raise UsageError(f"--out must end in .npz, got {args.out!r}")
     for name in ("steps", "every", "batch"):
         if getattr(args, name) < 1:
             raise UsageError(f"--{name} must be at least 1, got {getattr(args, name)}")

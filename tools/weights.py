@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "convert", help="read a checkpoint of the published FireNet, without torch and "
                         "without running what is in it")
     convert.add_argument("checkpoint", help="a file that torch.save wrote")
-    convert.add_argument("-o", "--output", required=True, metavar="FILE.npz",
+    convert.add_argument("-o", "--out", required=True, metavar="FILE.npz",
                          help="for fuse(method='firenet', weights=...)")
     show = actions.add_parser("show", help="say what an npz file of weights holds")
     show.add_argument("file", metavar="FILE.npz")
@@ -41,12 +41,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.action == "show":
         _show(Weights.load(args.file))
         return 0
-    if Path(args.output).suffix != ".npz":
-        raise UsageError(f"--output must end in .npz, got {args.output!r}")
+    if Path(args.out).suffix != ".npz":
+        raise UsageError(f"--out must end in .npz, got {args.out!r}")
     weights = firenet_weights(args.checkpoint)
-    with write_beside(Path(args.output)) as path:
+    with write_beside(Path(args.out)) as path:
         weights.save(path)
-    print(f"{args.output}: {weights.parameters} weights, {weights.digest}")
+    print(f"{args.out}: {weights.parameters} weights, {weights.digest}")
     return 0
 
 

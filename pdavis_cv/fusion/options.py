@@ -23,7 +23,7 @@ from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import checked_choice
 from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.base import Factory
-from pdavis_cv.reconstruct.methods import factory_of
+from pdavis_cv.reconstruct.methods import METHODS, factory_of
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 
 __all__ = ["FusionOptions", "OptionFacts", "names_options", "takes_options"]
@@ -97,7 +97,8 @@ class FusionOptions:
         "or a function ``(shape, *, theta_on, theta_off, **parameters)``, also called "
         "with a small shape to see what it makes.  Default: what fits the "
         "recording (``frames`` without events, ``events`` without frames, else "
-        "``DEFAULT_METHOD``).", "text", "how to fuse; default: what fits the file")
+        "``DEFAULT_METHOD``).", "text",
+        f"how to fuse: {', '.join(METHODS)}; default: what fits the file")
     fps: float | None = _option(
         None, "float, optional",
         "Images per second of recording time, at most 1,000,000: "

@@ -191,12 +191,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Simulate, score, write; return 0."""
     args = _parser().parse_args(argv)
     settings = _settings(args)
-    if args.output.name in ("", ".."):
-        raise UsageError(f"-o must name what files begin with, got '{args.output}'")
+    if args.out.name in ("", ".."):
+        raise UsageError(f"-o must name what files begin with, got '{args.out}'")
     if args.recording is None:
-        page, _ = EXPERIMENTS[args.figure][1](args.figure, args.output, settings)
+        page, _ = EXPERIMENTS[args.figure][1](args.figure, args.out, settings)
     elif args.figure == "fig2":
-        page, _ = _recorded(args.output, settings, args)
+        page, _ = _recorded(args.out, settings, args)
     else:
         raise UsageError(f"--recording belongs to fig2, not to {args.figure}")
     print(page)
@@ -210,7 +210,7 @@ def _parser() -> argparse.ArgumentParser:
         "figure", choices=list(EXPERIMENTS), metavar="FIGURE",
         help="; ".join(f"{name}: {what}" for name, (what, _) in EXPERIMENTS.items()))
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="STEM",
+        "-o", "--out", type=Path, required=True, metavar="STEM",
         help="writes STEM.csv, STEM.md and, with matplotlib, STEM.png and STEM.svg")
     parser.add_argument(
         "--camera", nargs="+", choices=EVENT_CAMERAS, metavar="PRESET",
