@@ -361,14 +361,15 @@ def redundancy_shown(const moments_t[:, ::1] moments not None,
 
 
 def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not None,
-                   float prior, float valid_variance, shown not None):
-    """Complete an estimate in macropixels of which some pixels are not known.
+                   float prior, float excess, float valid_variance, shown not None):
+    """Weigh an estimate of frames and what events tell of the same macropixels.
 
     cells is (pixels, missing, columns): by place in the cell and macropixel its index
     on the sensor and whether it is not known; and the first column of the macropixel
     in the planes that events tell, seen (log intensity, variance, enough, quality),
     two rows high.  bound holds the last samples; prior is the variance where the mean
-    squares of the four are taken equal; shown is (log intensity, variance, valid).
+    squares of the four are taken equal, excess what that of the events is multiplied
+    by; shown is (log intensity, variance, valid).
     """
     cdef const Py_ssize_t[:, ::1] pixels
     cdef const uint8_t[:, ::1] missing
@@ -378,9 +379,8 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
     cdef float[:, ::1] log, variance
     cdef uint8_t[:, ::1] valid
     cdef Py_ssize_t n, width, size, i, k, at, x
-    cdef float apart, level
-    cdef double offset
-    cdef int known
+    cdef double apart, level, total, offset, weight, told
+    cdef bint known
     check_given((*cells, *seen, *shown))
     pixels, missing, columns = cells
     seen_log, seen_variance, enough, quality = seen
@@ -408,24 +408,30 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
     with nogil:
         for i in range(n):
             # The offset of a macropixel: from pixels that are known, else the bound.
-            known = 0
-            apart = 0.0
-            level = 0.0
+            apart = level = total = 0.0
             for k in range(4):
                 at = pixels[k, i]
                 x = columns[i] + k % 2
-                level += (&bound[0, 0])[at]
+                level += 0.25 * (&bound[0, 0])[at]
                 if not missing[k, i]:
-                    known += 1
-                    apart += (&log[0, 0])[at] - seen_log[k // 2, x]
-            offset = <double>apart / known if known else <double>(level / 4)
+                    weight = 1.0 / ((&variance[0, 0])[at] + excess * (
+                        seen_variance[k // 2, x] + prior * quality[k // 2, x]))
+                    total += weight
+                    apart += weight * ((&log[0, 0])[at] - seen_log[k // 2, x])
+            offset = apart / total if total > 0.0 else level
             for k in range(4):
                 at = pixels[k, i]
                 x = columns[i] + k % 2
-                if not missing[k, i] or not enough[k // 2, x]:
+                known = not missing[k, i]
+                if not enough[k // 2, x]:
                     continue
-                (&log[0, 0])[at] = <float>(seen_log[k // 2, x] + offset)
-                # Where the gains are less certain, the prior has a say.
-                (&variance[0, 0])[at] = (seen_variance[k // 2, x]
-                                         + prior * quality[k // 2, x])
+                told = excess * (seen_variance[k // 2, x] + prior * quality[k // 2, x])
+                if total > 0.0:
+                    told += 1.0 / total     # of the offset
+                weight = (&variance[0, 0])[at] / ((&variance[0, 0])[at] + told) if (
+                    known) else 1.0
+                (&log[0, 0])[at] += <float>(weight * (
+                    seen_log[k // 2, x] + offset - (&log[0, 0])[at]))
+                (&variance[0, 0])[at] = <float>(
+                    (1.0 - weight) * (&variance[0, 0])[at] if known else told)
                 (&valid[0, 0])[at] = (&variance[0, 0])[at] <= valid_variance

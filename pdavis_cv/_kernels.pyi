@@ -281,7 +281,7 @@ def redundancy_solve(
 ) -> None: ...
 def saturated_fill(
     cells: tuple[NDArray[np.intp], _U8, NDArray[np.intp]],
-    seen: tuple[_F32, _F32, _U8, _F32], bound: _F32, prior: float,
+    seen: tuple[_F32, _F32, _U8, _F32], bound: _F32, prior: float, excess: float,
     valid_variance: float, shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def sort_events(

@@ -76,17 +76,23 @@ class Macropixel:
         self.M *= np.exp(np.add.outer(shift, shift))
 
 
-def saturated_fill(cells, seen, bound, prior, valid_variance, shown):
-    """Complete (log, variance, valid) where pixels of macropixels are missing."""
+def saturated_fill(cells, seen, bound, prior, excess, valid_variance, shown):
+    """Weigh (log, variance, valid) and what events tell, by their variances."""
     pixels, missing, columns = cells
     log, variance, valid = (plane.copy() for plane in shown)
     for at, gone, column in zip(pixels.T, missing.T.astype(bool), columns, strict=True):
         of = tuple(np.array([(k // 2, column + k % 2) for k in range(4)]).T)
         told, rest, enough, quality = (plane[of] for plane in seen)
-        offset = (bound.ravel()[at].mean() if gone.all()
-                  else np.mean((log.ravel()[at] - told)[~gone]))
-        here = gone & enough.astype(bool)
-        log.ravel()[at[here]] = (told + offset)[here]
-        variance.ravel()[at[here]] = (rest + prior * quality)[here]
-        valid.ravel()[at[here]] = (rest + prior * quality)[here] <= valid_variance
+        spread = excess * (rest + prior * quality).astype(float)
+        weight = np.where(gone, 0, 1 / (variance.ravel()[at] + spread))
+        offset = bound.ravel()[at].mean()
+        if not gone.all():
+            offset = (weight * (log.ravel()[at] - told)).sum() / weight.sum()
+            spread = spread + 1 / weight.sum()
+        own = variance.ravel()[at].astype(float)
+        share = np.where(gone, 1, own / (own + spread))
+        here = enough.astype(bool)
+        log.ravel()[at[here]] += (share * (told + offset - log.ravel()[at]))[here]
+        variance.ravel()[at[here]] = np.where(gone, spread, (1 - share) * own)[here]
+        valid.ravel()[at[here]] = variance.ravel()[at[here]] <= valid_variance
     return log, variance, valid

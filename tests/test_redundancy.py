@@ -16,6 +16,7 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays,
 )
+from pdavis_cv.analysis import Scorer
 from pdavis_cv.reconstruct.model import (
     STATE_DTYPE,
     STORED_DTYPE,
@@ -30,7 +31,13 @@ from pdavis_cv.reconstruct.redundancy import (
     EventRedundancy,
     null_of,
 )
-from pdavis_cv.simulation import Camera, Fan, FlatLight, RotatingPlate
+from pdavis_cv.simulation import (
+    Camera,
+    Fan,
+    FlatLight,
+    RotatingPlate,
+    RotatingPolarizer,
+)
 
 KEEP, SIGMA, PER_EVENT, LOSS = 0.98, 0.06, 1 / 300, 0.006
 PULL, LEAST = 1e-3, 8
@@ -167,13 +174,15 @@ def saturated(seed=0, shape=(6, 8)):
     missing[:, 0] = 1
     seen = [rng.normal(size=(2, 6)).astype(np.float32) for _ in range(4)]
     seen[2] = (rng.random((2, 6)) < 0.7).astype(np.uint8)
-    shown = [*rng.normal(size=(2, *shape)).astype(np.float32), np.zeros(shape, "u1")]
+    seen[1], seen[3] = abs(seen[1]), abs(seen[3])
+    shown = [rng.normal(size=shape).astype(np.float32),
+             rng.uniform(0.01, 1, shape).astype(np.float32), np.zeros(shape, "u1")]
     return [(pixels.astype(np.intp), missing, np.array([0, 4], np.intp)), tuple(seen),
-            rng.normal(size=shape).astype(np.float32), 0.09, 0.25, tuple(shown)]
+            rng.normal(size=shape).astype(np.float32), 0.09, 1.2, 0.25, tuple(shown)]
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_missing_pixels_are_filled_as_the_definition_says(seed):
+def test_frames_and_events_are_weighed_as_the_definition_says(seed):
     given = saturated(seed)
     want = saturated_fill(*given)
     _kernels.saturated_fill(*given)
@@ -189,7 +198,7 @@ def test_filling_refuses_what_does_not_fit():
             (0, (pixels + 99, missing, columns), "pixels must lie"),
             (0, (pixels, missing, columns + 2), "columns"),
             (1, (*seen[:3], seen[3][:1]), "seen"), (2, bound[:1], "one shape"),
-            (5, (*shown[:2], shown[2][:1]), "one shape")):
+            (6, (*shown[:2], shown[2][:1]), "one shape")):
         given = saturated()
         given[at] = wrong
         with pytest.raises(ValueError, match=f"saturated_fill: .*{message}"):
@@ -276,6 +285,23 @@ def test_light_that_is_too_bright_and_still_is_shown_by_its_bound(mode):
     assert not image.valid.any()
     np.testing.assert_allclose(image.quad, frame.dn.mean() / frame.exposure_ms,
                                rtol=0.05)
+
+
+def test_dim_light_is_told_by_frames_and_redundancy_together():
+    """Frames of at most 21 DN: neither is thrown away."""
+    recording, truth = Camera.preset("nominal", seed=1, size=(12, 12)).record(
+        RotatingPolarizer(rpm=61, start_angle=0.3, s0=1.08), 2.0)
+
+    def errors(**options):
+        scorer = Scorer(truth, (6, 6))
+        for image in fuse(recording, times_us=range(1_000_000, 1_900_000, 9_000),
+                          demosaic="superpixel", nominal_thresholds=(0.16, 0.18),
+                          **options):
+            scorer.add(image)
+        return np.array([scorer.score.aop_error, scorer.score.dolp_error])
+
+    assert np.all(errors(method="kalman", thresholds="in-situ") < errors(
+        method="events", offsets="redundancy"))
 
 
 def test_a_macropixel_that_is_partly_saturated_keeps_the_scale_of_its_frames():

@@ -358,7 +358,7 @@ class KalmanFilter(Reconstructor):
         waiting = _Frame(frame, self._wait_us)
         self._frames = (*self._frames, waiting)
         self._saturated.add_frame(
-            frame, waiting.samples["log"], waiting.samples["variance"] > 0)
+            frame, waiting.samples["log"], waiting.samples["variance"])
         longest = int(np.max(np.subtract(frame.exposure_end_us,
                                          frame.exposure_start_us)))
         delay = frame.available_us - int(np.min(frame.exposure_start_us))

@@ -1,4 +1,4 @@
-"""Pixels that no frame has measured: offsets from the channels' redundancy."""
+"""Pixels that frames measure badly: offsets from the channels' redundancy."""
 from __future__ import annotations
 
 import math
@@ -18,16 +18,25 @@ __all__ = ["VALID_VARIANCE", "Saturated"]
 VALID_VARIANCE = 0.25
 """An estimate is valid up to this variance of log intensity, lag apart."""
 
+EXCESS = 1.2
+"""Factor of the variance that `EventRedundancy` states, that of its comparisons alone.
+Engineering choice: coverage (44 to 57 % within a sigma on `nominal` cameras) asks for
+up to 2.5, but in dim light the filter's own variance is too small as well."""
+
+DIM_VARIANCE = 0.04
+"""Variance (ln^2) of read and shot noise above which a sample is dim:
+20 %, at 11 DN."""
+
 PRIOR_SIGMA = 0.3
 """Of a log intensity, where the mean squares of a macropixel's four are taken equal."""
 
 
 class Saturated:
-    """What is known of pixels that have never had a usable sample.
+    """What events alone tell of pixels that frames measure badly or not at all.
 
     Macropixels with such a pixel in the first frame are put side by side, as the cells
-    of a sensor of their own that `EventRedundancy` sees; later frames measure some of
-    them.  Where every pixel has had a sample this costs next to nothing.
+    of a sensor of their own that `EventRedundancy` sees.  Where there are none this
+    costs nothing.
 
     Parameters
     ----------
@@ -98,16 +107,18 @@ class Saturated:
             self._method.retune(bandwidth=self._law(self._level))
 
     def add_frame(
-        self, frame: ApsFrame, sample: NDArray[np.float32], usable: NDArray[np.bool_]
+        self, frame: ApsFrame, sample: NDArray[np.float32], noise: NDArray[np.float32]
     ) -> None:
-        """Note a frame; sample is what `log_samples` gives."""
+        """Note a frame: its log samples, and their variance, 0 where not usable."""
         # Of pixels that are not usable the converter's end: a bound is all there is.
         self._bound = np.ascontiguousarray(sample)
         if self._level is None:
             level = math.log(frame.full_scale_dn) - float(log_exposure(frame)[0])
-            pixels = _cells_with(~usable)
+            poor = (noise <= 0) | (noise > DIM_VARIANCE)
+            pixels = _cells_with(poor)
             if pixels.size:
-                self._make(pixels, level)
+                # The photoreceptors are as fast as the light: that of these pixels.
+                self._make(pixels, min(level, float(np.median(sample[poor]))))
             else:
                 self._level = level
 
@@ -132,10 +143,10 @@ class Saturated:
         self, t_us: int, unknown: NDArray[np.intp], log: NDArray[np.float32],
         variance: NDArray[np.float32], valid: NDArray[np.bool_],
     ) -> None:
-        """Complete an estimate where nothing is known.
+        """Weigh an estimate of frames and what events tell, by their variances.
 
-        There it becomes the last frame's sample, which is a bound (a lower one where
-        the pixel saturates), and where the events tell enough, what they tell.
+        Where nothing is known it becomes the last frame's sample, which is a bound (a
+        lower one where the pixel saturates), and where the events tell enough, that.
 
         Parameters
         ----------
@@ -149,7 +160,7 @@ class Saturated:
         valid : ndarray of bool, shape (H, W)
             Set where the variance is then at most `VALID_VARIANCE`.
         """
-        if not len(unknown):
+        if not len(unknown) and self._method is None:
             return
         log.ravel()[unknown] = self._bound.ravel()[unknown]
         if self._method is None:
@@ -162,24 +173,19 @@ class Saturated:
         _kernels.saturated_fill(
             cells, (estimate.log_intensity, estimate.variance,
                     estimate.valid.view(np.uint8), self._method.quality),
-            self._bound, PRIOR_SIGMA**2, VALID_VARIANCE,
+            self._bound, PRIOR_SIGMA**2, EXCESS, VALID_VARIANCE,
             (log, variance, valid.view(np.uint8)))
 
     def _cells_of(
         self, unknown: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.uint8], NDArray[np.intp]]:
-        """Return the macropixels with an unknown pixel, as the kernel takes them.
-
-        Most of those of the first frame have been measured since.
-        """
+        """Return the macropixels, and what is unknown, as the kernel takes them."""
         if self._filled is None or self._filled[0] is not unknown:
             missing = np.zeros(self._shape, np.uint8)
             missing.ravel()[unknown] = 1
             missing = missing.ravel()[self._pixels]
-            cells = np.flatnonzero(missing.any(0))
-            self._filled = unknown, (
-                np.ascontiguousarray(self._pixels[:, cells]),
-                np.ascontiguousarray(missing[:, cells]), 2 * cells)
+            cells = np.arange(missing.shape[1], dtype=np.intp)
+            self._filled = unknown, (self._pixels, missing, 2 * cells)
         return self._filled[1]
 
     def assign(self, other: Saturated) -> None:
