@@ -62,6 +62,7 @@ SHARED = (
     "_model.pxd",
     "_picture.h",
     "_pixel.pxd",
+    "_prefetch.h",
     "_rest.h",
     "_rows.pxd",
     "_stencil.h",

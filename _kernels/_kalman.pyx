@@ -346,14 +346,15 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
 
 def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
                 model not None, const state_t[:, ::1] states not None,
-                const int32_t[::1] pixels not None, shown not None):
+                const int32_t[::1] pixels not None, rows not None, shown not None):
     """Log intensity and its variance at t from the events up to known >= t.
 
-    Only the pixels listed (row * width + column) are written to shown (log intensity,
-    variance, valid).  chain is (store, tracks that chain the events not counted there
-    yet), model (tuning, waves); epoch is as in `kalman_rest`.  The variance is 0 where
-    no frame was used yet; the log intensity then counts from 0.  valid is 1 where the
-    variance without that of the lag and of the offset is small enough.
+    Only the pixels listed (row * width + column) that lie in rows (first, last) are
+    written to shown (log intensity, variance, valid).  chain is (store, tracks that
+    chain the events not counted there yet), model (tuning, waves); epoch is as in
+    `kalman_rest`.  The variance is 0 where no frame was used yet; the log intensity
+    then counts from 0.  valid is 1 where the variance without that of the lag and of
+    the offset is small enough.
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks
@@ -362,7 +363,9 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
     cdef float[:, ::1] out, variance
     cdef uint8_t[:, ::1] valid
     cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, y, x
+    cdef Py_ssize_t first, last
     cdef lamp_t lamp
+    first, last = rows
     check_given((*chain, *model, *shown))
     store, tracks = chain
     tuning, waves = model
@@ -378,6 +381,8 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
         for i in range(pixels.shape[0]):
             if pixels[i] < 0 or pixels[i] >= h * w:
                 break
+            if pixels[i] < first * w or pixels[i] >= last * w:
+                continue
             y = pixels[i] // w
             x = pixels[i] - y * w
             read_pixel(t, known, epoch, &store[0], &tuning[0], &lamp, &tracks[y, x],
@@ -456,15 +461,16 @@ def kalman_rest(int64_t now, int64_t epoch, bint by_cell,
 
 
 def rest_read(const float[:, :, ::1] planes not None, float dt,
-              const tuning_t[::1] tuning not None, shown not None):
+              const tuning_t[::1] tuning not None, rows not None, shown not None):
     """Write what all pixels show if they are at rest, dt seconds after the epoch.
 
-    shown is (log intensity, variance, valid).
+    shown is (log intensity, variance, valid), of which rows (first, last) are written.
     """
     cdef float[:, ::1] out, variance
     cdef uint8_t[:, ::1] valid
-    cdef Py_ssize_t h, w, y, x
+    cdef Py_ssize_t h, w, y, x, first, last
     check_given(shown)
+    first, last = rows
     out, variance, valid = shown
     h = out.shape[0]
     w = out.shape[1]
@@ -474,10 +480,12 @@ def rest_read(const float[:, :, ::1] planes not None, float dt,
         raise ValueError("rest_read: all images must have one shape")
     if tuning.shape[0] != 1:
         raise ValueError("rest_read: tuning must be one record")
+    if first < 0 or last > h:
+        raise ValueError("rest_read: rows must lie in the image")
     if w == 0:
         return
     with nogil:
-        for y in range(h):
+        for y in range(first, last):
             for x in range(w):
                 out[y, x] = planes[0, y, x]
             rest_row(&planes[1, y, 0], &planes[2, y, 0], &planes[3, y, 0], dt,

@@ -16,11 +16,23 @@ cdef extern from "_curves.h" nogil:
     void add_row(const float*, Py_ssize_t, float*)
     void divide_row(const float*, Py_ssize_t, float*)
 
+cdef extern from "_prefetch.h" nogil:
+    const Py_ssize_t AHEAD "PDAVIS_AHEAD"
+    void prefetch "PDAVIS_PREFETCH"(const void*)
+
 cdef packed struct cell_t:
     double t          # microseconds, exact to 2**53
     double value      # float32 would lose 1e-4 within some 10,000 events
     float rate
     float unused      # keeps the doubles aligned
+
+
+cdef inline void ask(const event_t[::1] events, Py_ssize_t i,
+                     cell_t[:, ::1] cells) noexcept nogil:
+    """Ask for the cell of an event to come, if there is one."""
+    if (i < events.shape[0] and events[i].y < cells.shape[0]
+            and events[i].x < cells.shape[1]):
+        prefetch(&cells[events[i].y, events[i].x])
 
 
 cdef inline void leak(cell_t* cell, double t) noexcept nogil:
@@ -64,6 +76,7 @@ def leak_events(const event_t[::1] events not None, const float[::1] step not No
             if y >= h or x >= w or p > 1 or t < last:
                 break
             last = t
+            ask(events, i + AHEAD, cells)
             leak(&cells[y, x], <double>t)
             cells[y, x].value += step[p]
         else:
@@ -89,6 +102,7 @@ def leak_events_map(const event_t[::1] events not None,
             if y >= h or x >= w or p > 1 or t < last:
                 break
             last = t
+            ask(events, i + AHEAD, cells)
             leak(&cells[y, x], <double>t)
             cells[y, x].value += step[y, x, p]
         else:

@@ -4,6 +4,18 @@ from libc.stdint cimport int32_t, int64_t, uint8_t
 from _kernels._model cimport stored_t, track_t
 from _kernels._types cimport event_t
 
+cdef extern from "_prefetch.h" nogil:
+    const Py_ssize_t AHEAD "PDAVIS_AHEAD"
+    void prefetch "PDAVIS_PREFETCH"(const void*)
+
+
+cdef inline void ask(const stored_t[::1] store, Py_ssize_t i,
+                     track_t[:, ::1] tracks) noexcept nogil:
+    """Ask for the track of a stored event, if the index is one."""
+    if (0 <= i < store.shape[0] and store[i].y < tracks.shape[0]
+            and store[i].x < tracks.shape[1]):
+        prefetch(&tracks[store[i].y, store[i].x])
+
 
 cdef inline Py_ssize_t enlist(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
                               int32_t[::1] pixels,
@@ -68,6 +80,7 @@ def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t s
     with nogil:
         i = at
         while i < stop and store[i].t <= until:
+            ask(store, i + AHEAD, tracks)
             y = store[i].y
             x = store[i].x
             if y >= h or x >= w:
@@ -94,6 +107,7 @@ def store_link(stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
     with nogil:
         i = stop - 1
         while i >= start:
+            ask(store, i - AHEAD, tracks)
             y = store[i].y
             x = store[i].x
             if y < h and x < w:
@@ -110,6 +124,7 @@ def store_unlink(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_
         raise ValueError("store_unlink: indices must lie in store")
     with nogil:
         for i in range(start, stop):
+            ask(store, i + AHEAD, tracks)
             y = store[i].y
             x = store[i].x
             if y < h and x < w:

@@ -176,14 +176,16 @@ def kalman_frame(
 ) -> None: ...
 def kalman_read(
     t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],
-    pixels: NDArray[np.int32], shown: tuple[_F32, _F32, _U8],
+    pixels: NDArray[np.int32], rows: tuple[int, int],
+    shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def kalman_rest(
     now: int, epoch: int, by_cell: bool, tuning: NDArray[Any], tracks: NDArray[Any],
     states: NDArray[Any], listing: tuple[NDArray[np.int32], _U8], planes: _F32,
 ) -> int: ...
 def rest_read(
-    planes: _F32, dt: float, tuning: NDArray[Any], shown: tuple[_F32, _F32, _U8],
+    planes: _F32, dt: float, tuning: NDArray[Any], rows: tuple[int, int],
+    shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def lamp_push(
     events: NDArray[Any], until: int, sensor: tuple[int, int, int],

@@ -283,6 +283,7 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
     from pdavis_cv.fusion.options import FusionOptions
     defaults = FusionOptions()
     options: dict[str, Any] = {name: getattr(defaults, name) for name, _ in _offered()}
+    options["threads"] = _threads_for(recording.info.sensor_size)
     options |= fusion_given(args)
     for name in ("start_us", "stop_us"):
         if options[name] is not None:
@@ -311,6 +312,12 @@ def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
             value = None
         options[name] = value
     return {**options, **dict(args.settings)}
+
+
+def _threads_for(size: tuple[int, int]) -> int:
+    """Return how many threads an image is worth: smaller ones cost less than them."""
+    from pdavis_cv._workers import usable_cores
+    return usable_cores() if size[0] * size[1] > 65_536 else 1
 
 
 def calibration_of(path: Path) -> Calibration:
@@ -458,6 +465,7 @@ def _pair(text: str) -> tuple[float, float]:
 _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
     "text": (str, "NAME"),
     "number": (positive, "RATE"),
+    "count": (within(1, 1024), "N"),
     "seconds": (seconds, "S"),
     "region": (roi_option, "X,Y,W,H"),
     "layout": (layout_option, "LAYOUT"),

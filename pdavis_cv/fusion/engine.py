@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdavis_cv
+from pdavis_cv._workers import Workers
 from pdavis_cv.calibration.corrected import Clipping, FrameCorrection
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
@@ -185,13 +186,14 @@ class Fusion:
         asked, parameters = self._asked()
         self._lookahead_us = asked.lookahead_us
         self._learning = Learning(recording, options, parameters, self.needs)
+        self._workers = Workers(options.threads)
         self._window = window_of(roi, info.sensor_size, options.demosaic, asked.margin)
         self._response = response_of(
             self._window.layout(self.layout), options.calibration,
             self._window.rows, self._window.columns)
         self._images = ImageMaker(
             self._window, roi, self.layout, options.demosaic, ratio,
-            options.calibration, info.sensor)
+            options.calibration, info.sensor, self._workers)
         self.shape = self._images.shape
         self._fps, self._times = options.rate, options.times
         if self._fps is None and self._times is None and info.frame_count == 0:
@@ -483,11 +485,13 @@ class Fusion:
     def _made(self) -> Reconstructor:
         assert self._tuning is not None
         plane = self._window.plane
-        return make_reconstructor(
+        made = make_reconstructor(
             self._factory, self._window.shape, plane(self._tuning.theta_on),
             plane(self._tuning.theta_off),
             {name: plane(value) for name, value in self._tuning.parameters.items()},
             self._response, self._denoise)
+        made.workers = self._workers
+        return made
 
     def _say(self, parameters: Mapping[str, Any]) -> None:
         """Put the parameters in force into the provenance of the images to come."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.fusion.camera import analyser_of, gain_of, mismatch_of
@@ -44,13 +45,16 @@ class ImageMaker:
     calibration : Calibration or None
     sensor : Sensor or None
         Gives the spread of the polarizers; default `Sensor.PDAVIS`.
+    workers : Workers
+        Share the rows.
     """
 
     def __init__(
         self, window: Window, roi: Roi, layout: Layout, demosaic: str,
         extinction_ratio: float | None, calibration: Calibration | None,
-        sensor: Sensor | None,
+        sensor: Sensor | None, workers: Workers,
     ) -> None:
+        self._workers = workers
         self._layout, self._demosaic = window.layout(layout), demosaic
         self._crop = window.crop_of(roi, demosaic)
         self._analyser = analyser_of(
@@ -66,7 +70,6 @@ class ImageMaker:
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
         # Rows of the window are rows of the image, each made of its neighbours.
         self._whole = demosaic == "bilinear" and self._crop is None
-        self._scratch = scratch_rows(2, window.shape[1])
         self._usable: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
         self._last: tuple[object, PolarFrame] | None = None
         width, height = roi[2:]
@@ -133,9 +136,14 @@ class ImageMaker:
                 intensity, self._layout, self._demosaic, valid=estimate.valid)), None
         if self._whole:
             quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
-            _kernels.bilinear_weighted(
-                intensity, samples, places_of(self._layout), self._spread, self._null,
-                (0, len(intensity)), self._scratch, quad, variance)
+
+            def work(first: int, last: int) -> None:
+                _kernels.bilinear_weighted(
+                    intensity, samples, places_of(self._layout), self._spread,
+                    self._null, (first, last), scratch_rows(2, intensity.shape[1]),
+                    quad, variance)
+
+            self._workers.rows(len(intensity), work)
             return quad, variance
         quad = self._cropped(demosaic_mosaic(
             intensity, self._layout, self._demosaic, valid=estimate.valid,

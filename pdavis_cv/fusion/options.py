@@ -169,6 +169,13 @@ class FusionOptions:
         "those of hot pixels; parameters of `EventDenoiser`, or True for its own.",
         "flag", "leave out events without support by neighbours behind the same "
         "polarizer, and hot pixels")
+    threads: int = _option(
+        1, "int",
+        "Threads that share the rows of each image; the images are the same for any "
+        "number.  More than one pays from about 64,000 pixels on; 1 leaves the cores "
+        "to the program's own threads.", "count",
+        "threads that share the rows of an image; default: a core each above 65536 "
+        "pixels, else 1")
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -191,6 +198,10 @@ class FusionOptions:
                 f"{self.demosaic!r}")
         put("roi", _checked_roi(self.roi))
         put("causal", bool(self.causal))
+        if not isinstance(self.threads, (int, np.integer)) or self.threads < 1:
+            raise ValueError(
+                f"threads must be a whole number from 1, got {self.threads!r}")
+        put("threads", int(self.threads))
         checked_choice(self.thresholds)
         put("denoise", _checked_denoise(self.denoise))
         put("parameters", MappingProxyType(dict(self.parameters)))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
@@ -161,6 +162,9 @@ class Reconstructor(ABC):
     shape: tuple[int, int]
     """(height, width)."""
 
+    workers: Workers = Workers()
+    """Threads that may share the rows of what it does; `fuse` sets them."""
+
     @property
     @abstractmethod
     def parameters(self) -> Mapping[str, Any]:
@@ -250,7 +254,8 @@ class Reconstructor(ABC):
     def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the intensity of what `read` returned, as a new array."""
         out = np.empty_like(log_intensity)
-        _kernels.exp(log_intensity, out)
+        self.workers.rows(len(out), lambda first, last: _kernels.exp(
+            log_intensity[first:last], out[first:last]))
         return out
 
     def snapshot(self) -> Snapshot:

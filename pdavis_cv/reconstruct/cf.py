@@ -143,7 +143,8 @@ class ComplementaryFilter(Reconstructor):
             np.subtract(self._cells["value"], self._exposure, out=log,
                         casting="same_kind")
         else:
-            _kernels.leak_read(self._cells, self._held, t, log)
+            self.workers.rows(len(log), lambda first, last: _kernels.leak_read(
+                self._cells[first:last], self._held[first:last], t, log[first:last]))
         return Estimate(log, None, self._valid.copy())
 
     def _state(self) -> Mapping[str, Any]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import positive, sensor_shape
+from pdavis_cv._workers import Workers
 from pdavis_cv.events import as_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.lamp import Wave
@@ -189,6 +190,15 @@ class Denoised(Reconstructor):
     def parameters(self) -> Mapping[str, Any]:
         """Parameters of the method, and of the denoiser as ``denoise``."""
         return {**self._inner.parameters, "denoise": dict(self._denoiser.parameters)}
+
+    @property
+    def workers(self) -> Workers:
+        """Those of the method."""
+        return self._inner.workers
+
+    @workers.setter
+    def workers(self, workers: Workers) -> None:
+        self._inner.workers = workers
 
     @property
     def quality(self) -> NDArray[np.float32] | None:

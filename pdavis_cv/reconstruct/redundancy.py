@@ -272,6 +272,7 @@ class EventRedundancy(Reconstructor):
         """
         one, fed = self._ahead or (EventRedundancy(self.shape, **self.parameters), -1)
         if fed != self._fed or (one._next or 0) > t // STEP_US + 1:
+            one.workers = self.workers
             one.assign(self)
         one._compare(t)
         self._ahead = one, self._fed
@@ -282,7 +283,8 @@ class EventRedundancy(Reconstructor):
         self._reader.read(
             t, t + self.lookahead_us, rest, 0, self._tracks, self._states,
             (self._tuning, self._lamp.waves),
-            (log, np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)))
+            (log, np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)),
+            self.workers)
         ratio, smallest = self._solution
         return Estimate(log, smallest.copy(), ratio < VALID_QUALITY)
 

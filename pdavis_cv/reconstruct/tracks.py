@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.model import REST_PLANES, STORED_DTYPE, TRACK_DTYPE
 
 __all__ = ["Reader", "Tracks", "as_bytes"]
@@ -233,6 +234,7 @@ class Reader:
         self, t_us: int, known_us: int, rest_us: int, epoch_us: int, tracks: Tracks,
         states: NDArray[Any], model: tuple[NDArray[Any], NDArray[Any]],
         shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
+        workers: Workers,
     ) -> None:
         """Write log intensity, variance and validity at t_us.
 
@@ -250,11 +252,13 @@ class Reader:
             Noise and bandwidth; waves of the lamp.
         shown : (ndarray of float32, ndarray of float32, ndarray of uint8)
             Log intensity, variance, validity; shape (H, W).
+        workers : Workers
+            Share the rows.
         """
         tuning, waves = model
         tracks.chain_pending()
-        pixels = self._every
-        if not len(waves):
+        steady = not len(waves)
+        if steady:
             if self._swept_us is None:
                 self.pixels[:] = self._every
                 self.n = len(self.pixels)
@@ -263,12 +267,18 @@ class Reader:
                     rest_us, epoch_us, self.by_cell, tuning, tracks.tracks, states,
                     (self.pixels[:self.n], self.listed), self._planes)
                 self._swept_us = rest_us
-            _kernels.rest_read(
-                self._planes, 1e-6 * (t_us - epoch_us), tuning, shown)
-            pixels = self.pixels[:self.n]
-        _kernels.kalman_read(
-            t_us, known_us, epoch_us, (tracks.store, tracks.tracks), model, states,
-            pixels, shown)
+        pixels = self.pixels[:self.n] if steady else self._every
+
+        def work(first: int, last: int) -> None:
+            if steady:
+                _kernels.rest_read(
+                    self._planes, 1e-6 * (t_us - epoch_us), tuning, (first, last),
+                    shown)
+            _kernels.kalman_read(
+                t_us, known_us, epoch_us, (tracks.store, tracks.tracks), model, states,
+                pixels, (first, last), shown)
+
+        workers.rows(len(states), work)
 
 
 def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:

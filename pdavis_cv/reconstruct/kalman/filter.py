@@ -87,6 +87,8 @@ _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 # beside them, sums over frames of what they say of motion, and of their weights.
 _SUMS, _MISFIT = 7, 3
 _KEPT = _SUMS + 2
+# Rows that a frame is used by at a time.
+_BAND = 32
 _NO_NODES = np.zeros((0, 0), NODE_DTYPE)
 
 
@@ -410,6 +412,7 @@ class KalmanFilter(Reconstructor):
         else:
             one, fed, done = self._scratch
         if (fed, done) != (self._fed, due):
+            one.workers = self.workers
             one._take(self)
             one._settle(seen_us)
             self._scratch = one, self._fed, due
@@ -422,13 +425,13 @@ class KalmanFilter(Reconstructor):
         if self._smoother is not None:
             self._smoother.read(
                 t, t + self._wait_us, self._tracks, self._model, self._states,
-                (log, variance, valid))
+                (log, variance, valid), self.workers)
             return
         # Reads of an earlier time than the last one may follow, down to the last seen.
         rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
         self._reader.read(
             t, t + self.lookahead_us, rest, self._epoch_us, self._tracks, self._states,
-            self._model, (log, variance, valid))
+            self._model, (log, variance, valid), self.workers)
 
     @property
     def _model(self) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -446,10 +449,7 @@ class KalmanFilter(Reconstructor):
             middles = frame.exposures["middle"]
             nodes = _NO_NODES if smoother is None else smoother.slot(middles)
             recent.chain_since(int(frame.exposures["begin"].min()))
-            _kernels.kalman_frame(
-                (frame.samples, frame.exposures, frame.known_us),
-                (recent.store, recent.old), recent.committed, self._model,
-                recent.tracks, self._states, self._innovations[:_SUMS], nodes)
+            self._use(frame, nodes)
             self._adapt()
             middle = int(middles.max())
             self._interval_us = middle - self._epoch_us if self._epoch_us else 0
@@ -460,6 +460,26 @@ class KalmanFilter(Reconstructor):
                 smoother.pass_until(
                     frame.known_us - self.lookahead_us, self._states)
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
+
+    def _use(self, frame: _Frame, nodes: NDArray[Any]) -> None:
+        """Update the states by a frame, whose events are chained."""
+        recent = self._tracks
+        # Sums are formed by bands that do not depend on the number of threads.
+        bands = range(0, self.shape[0], _BAND)
+        innovations = np.zeros((len(bands), _SUMS))
+
+        def work(first: int, last: int) -> None:
+            for band in range(first, last):
+                rows = slice(bands[band], bands[band] + _BAND)
+                _kernels.kalman_frame(
+                    (frame.samples[rows], frame.exposures, frame.known_us),
+                    (recent.store, recent.old[rows]), recent.committed, self._model,
+                    recent.tracks[rows], self._states[rows], innovations[band],
+                    nodes[rows])
+
+        self.workers.rows(len(bands), work, least=1)
+        for sums in innovations:
+            self._innovations[:_SUMS] += sums
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal filter (see `Reconstructor.assign`)."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.model import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
 from pdavis_cv.reconstruct.tracks import Tracks, as_bytes
 
@@ -85,11 +86,12 @@ class Smoother:
         self, t_us: int, known_us: int, tracks: Tracks,
         model: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
         shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
+        workers: Workers,
     ) -> None:
         """Write log intensity, variance and validity at t_us (see ``smooth_read``).
 
         ``known_us`` is after t_us, and the events up to then count; ``model`` is
-        (tuning, waves).
+        (tuning, waves); the workers share the rows.
         """
         order = np.array(self._order, np.int32)
         passed = (self._times[order] <= t_us).sum(0, np.int32)
@@ -100,9 +102,15 @@ class Smoother:
             self.unknown = np.flatnonzero(
                 (self._gap["before"]["var"] < 0) & (self._gap["after"]["var"] < 0))
         tracks.chain_late(known_us)
-        _kernels.smooth_read(
-            t_us, known_us, (tracks.store, tracks.late), model, self._gap, states,
-            shown)
+        log, variance, valid = shown
+
+        def work(first: int, last: int) -> None:
+            rows = slice(first, last)
+            _kernels.smooth_read(
+                t_us, known_us, (tracks.store, tracks.late[rows]), model,
+                self._gap[rows], states[rows], (log[rows], variance[rows], valid[rows]))
+
+        workers.rows(len(states), work)
 
     def assign(self, other: Smoother) -> None:
         """Take over what an equal one holds."""

@@ -1,0 +1,104 @@
+import multiprocessing
+import pickle
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from pdavis_cv import FusionOptions, fuse
+from pdavis_cv._workers import LEAST_ROWS, Workers, usable_cores
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+OPTIONS = [{"method": "cf"}, {"method": "kalman"},
+           {"method": "kalman", "mode": "offline"},
+           {"method": "events", "offsets": "redundancy"},
+           {"method": "kalman", "causal": True, "denoise": True}]
+
+
+@pytest.fixture(scope="module")
+def tall():
+    camera = Camera.preset("nominal", size=(4 * LEAST_ROWS, 6))
+    recording, _ = camera.record(RotatingPolarizer(rpm=240), 0.3)
+    return recording
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+def test_images_have_the_same_bits_for_any_number_of_threads(tall, options):
+    want, *others = (
+        list(fuse(tall, fps=150, thresholds=(0.15, 0.15), threads=n, **options))
+        for n in (1, 2, 8))
+    for got in others:
+        assert len(got) == len(want) > 10
+        for one, other in zip(want, got, strict=True):
+            for name in ("quad", "aop", "dolp", "valid"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+            if one.variance is not None:
+                np.testing.assert_array_equal(one.variance, other.variance)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 8])
+@pytest.mark.parametrize("height", [0, 1, 31, 32, 33, 260])
+def test_bands_are_the_rows_of_the_image_in_as_many_threads_at_most(threads, height):
+    bands, seen = [], set()
+
+    def work(first, last):
+        bands.append((first, last))
+        seen.add(threading.get_ident())
+
+    Workers(threads).rows(height, work)
+    assert [row for band in sorted(bands) for row in range(*band)] == [*range(height)]
+    assert len(seen) <= threads
+    assert len(bands) == max(min(threads, height // LEAST_ROWS), 1)
+
+
+def test_what_a_band_raises_is_raised():
+    def work(first, last):
+        if first:
+            raise ValueError(f"row {first}")
+
+    with pytest.raises(ValueError, match="row 32"):
+        Workers(2).rows(64, work)
+
+
+def test_several_threads_may_share_workers_and_a_copy_works_on():
+    workers = pickle.loads(pickle.dumps(Workers(3)))
+
+    def total(_):
+        done = []
+        workers.rows(100, lambda first, last: done.append(last - first))
+        return sum(done)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(total, range(50))) == [100] * 50
+
+
+def _rows_in_a_child(workers, queue):
+    done = []
+    workers.rows(64, lambda first, last: done.append(last - first))
+    queue.put(sum(done))
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(),
+                    reason="this system does not fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_child_starts_threads_of_its_own():
+    workers = Workers(2)
+    workers.rows(64, lambda first, last: None)
+    context = multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    child = context.Process(target=_rows_in_a_child, args=(workers, queue))
+    child.start()
+    child.join(20)
+    assert not child.is_alive()
+    assert queue.get() == 64
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, "two"])
+def test_threads_must_be_a_whole_number_from_1(threads):
+    with pytest.raises(ValueError, match="threads must be a whole number from 1, got"):
+        FusionOptions(threads=threads)
+
+
+def test_there_is_a_core_to_work_on():
+    assert usable_cores() >= 1
