@@ -45,6 +45,10 @@ cdef struct taken_t:
     double ratio
     double jump
 
+cdef extern from "_prefetch.h" nogil:
+    const Py_ssize_t AHEAD "PDAVIS_AHEAD"
+    void prefetch "PDAVIS_PREFETCH"(const void*)
+
 cdef struct sum_t:
     # Integrals over the exposure of exp(part), and of it times counts.
     double whole
@@ -344,6 +348,15 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     track.n_off = all_off - at_off
 
 
+cdef inline void ask(Py_ssize_t at, const track_t* tracks, const state_t* states,
+                     Py_ssize_t size) noexcept nogil:
+    """Ask for what is known of a pixel that is read soon."""
+    if 0 <= at < size:
+        prefetch(&tracks[at])
+        prefetch(&states[at].base)
+        prefetch(&states[at].prior_on)
+
+
 def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
                 model not None, const state_t[:, ::1] states not None,
                 const int32_t[::1] pixels not None, rows not None, shown not None):
@@ -383,6 +396,8 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
                 break
             if pixels[i] < first * w or pixels[i] >= last * w:
                 continue
+            if i + AHEAD < pixels.shape[0]:
+                ask(pixels[i + AHEAD], &tracks[0, 0], &states[0, 0], h * w)
             y = pixels[i] // w
             x = pixels[i] - y * w
             read_pixel(t, known, epoch, &store[0], &tuning[0], &lamp, &tracks[y, x],

@@ -2,7 +2,7 @@
 #ifndef PDAVIS_CV_PREFETCH_H
 #define PDAVIS_CV_PREFETCH_H
 
-/* Events ahead: a miss of the second-level cache takes as long as so many events. */
+/* Events, or pixels, ahead: a miss of the second-level cache takes as long as so many events. */
 #define PDAVIS_AHEAD 12
 
 #if defined(__GNUC__)

@@ -14,7 +14,9 @@ cdef inline void ask(const stored_t[::1] store, Py_ssize_t i,
     """Ask for the track of a stored event, if the index is one."""
     if (0 <= i < store.shape[0] and store[i].y < tracks.shape[0]
             and store[i].x < tracks.shape[1]):
-        prefetch(&tracks[store[i].y, store[i].x])
+        # A record may lie across two cache lines.
+        prefetch(&tracks[store[i].y, store[i].x].prev)
+        prefetch(&tracks[store[i].y, store[i].x].first)
 
 
 cdef inline Py_ssize_t enlist(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,

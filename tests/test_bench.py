@@ -64,6 +64,15 @@ def test_the_file_cases_run_or_say_what_is_not_installed(name, inputs, goal, cap
     assert all(r["ratio"] > 0 and r["goal"] == goal for r in report["results"])
 
 
+def test_images_are_timed_by_rate_of_events_and_of_images(monkeypatch, capsys):
+    monkeypatch.setattr("pdavis_cv.tools.bench.images.RATES", (1e4,))
+    assert bench.main(["image-frames", "--pairs", "2", "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    assert [r["input"] for r in report["results"]] == [
+        "0.01 Mev/s, 1000 images/s", "0.01 Mev/s, 50 images/s"]
+    assert [r["reached"] is None for r in report["results"]] == [False, True]
+
+
 def test_the_networks_are_timed_against_each_other_or_it_is_said_why_not(capsys):
     assert bench.main(["joint", "--pairs", "2", "--json"]) in (0, 1)
     report = json.loads(capsys.readouterr().out)

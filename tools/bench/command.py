@@ -20,6 +20,7 @@ from . import (  # noqa: F401  # they register their cases
     demosaic,
     events,
     files,
+    images,
     kalman,
     network,
     simulate,
