@@ -8,6 +8,7 @@ high-passed log intensity (docs/theory/events.md).
 from libc.stdint cimport int64_t, uint8_t
 
 from _kernels._math cimport expm1_f, log_f
+from _kernels._check cimport far
 from _kernels._types cimport event_t
 
 cdef extern from "_curves.h" nogil:
@@ -38,6 +39,18 @@ cdef inline void ask(const event_t[::1] events, Py_ssize_t i,
 cdef inline void leak(cell_t* cell, double t) noexcept nogil:
     cell.value += cell.value * expm1_f(-(cell.rate * <float>(t - cell.t)))
     cell.t = t
+
+
+def check_times(const event_t[::1] events not None):
+    """Return the index of the first event whose time is too far from 0."""
+    cdef Py_ssize_t n = events.shape[0], i
+    with nogil:
+        for i in range(n):
+            if far(events[i].t):
+                break
+        else:
+            i = n
+    return i
 
 
 def check_events(const event_t[::1] events not None, int64_t last, Py_ssize_t h,

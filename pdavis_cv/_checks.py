@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["checked_threshold", "output", "outputs", "positive", "sensor_shape"]
+__all__ = ["MOST_SIDE", "checked_threshold", "output", "outputs", "positive",
+           "sensor_shape", "whole_number"]
+
+MOST_SIDE = 65_536
+"""Of a sensor, pixels: coordinates of events have 16 bits."""
 
 
 def output(
@@ -114,14 +118,26 @@ def positive(name: str, value: float) -> float:
     return number
 
 
-def sensor_shape(shape: Sequence[int]) -> tuple[int, int]:
+def whole_number(name: str, value: float, low: int, high: int) -> int:
+    """Return value as an int; raise ValueError unless it is whole and of low..high."""
+    try:
+        number = int(value)
+    except (TypeError, ValueError, OverflowError):
+        number = low - 1
+    if not (low <= number <= high and number == value):
+        raise ValueError(
+            f"{name} must be a whole number of {low}..{high}, got {value!r}")
+    return number
+
+
+def sensor_shape(shape: Sequence[int], name: str = "shape") -> tuple[int, int]:
     """Return shape as (height, width); raise ValueError unless both are positive."""
     try:
         height, width = (int(side) for side in shape)
-    except (TypeError, ValueError):
-        raise ValueError(f"shape must be (height, width), got {shape!r}") from None
-    if not (0 < height <= 65_536 and 0 < width <= 65_536):
-        raise ValueError(f"shape must lie in 1..65536, got {shape!r}")
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} must be (height, width), got {shape!r}") from None
+    if not (0 < height <= MOST_SIDE and 0 < width <= MOST_SIDE):
+        raise ValueError(f"{name} must lie in 1..{MOST_SIDE}, got {shape!r}")
     return height, width
 
 

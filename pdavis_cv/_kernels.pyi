@@ -29,6 +29,7 @@ __all__ = [
     "cf_frame",
     "cf_frame_literal",
     "check_events",
+    "check_times",
     "correct",
     "count",
     "denoise_events",
@@ -147,6 +148,7 @@ def cf_frame_literal(
     cells: NDArray[Any],
 ) -> None: ...
 def check_events(events: NDArray[Any], last: int, h: int, w: int) -> int: ...
+def check_times(events: NDArray[Any]) -> int: ...
 def correct(
     raw: _F32, dark: _F32 | None, gain: _F32 | None, clip_dn: float, dn: _F32,
     valid: NDArray[np.uint8]

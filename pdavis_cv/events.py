@@ -9,22 +9,38 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
+from pdavis_cv._checks import (
+    checked_threshold,
+    output,
+    positive,
+    sensor_shape,
+    whole_number,
+)
 
 __all__ = [
     "EVENT_DTYPE",
+    "FAR",
     "EventSlice",
     "accumulate",
     "as_events",
     "bad_event",
     "check_order",
+    "checked_time",
     "slices",
     "time_surface",
+    "timed_events",
     "voxel_grid",
 ]
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """Time in microseconds, column, row (0 at the top), polarity (1 = ON); 13 bytes."""
+
+FAR = 1 << 61
+"""Times lie within this of 0, us (73,000 years): sums and differences of two stay in
+64 bits."""
+
+MOST_BINS = 65_536
+"""A choice: the bins of `voxel_grid` are held in memory, each an image."""
 
 _ALIASES = {
     "t": ("t", "timestamp", "ts"),
@@ -77,6 +93,35 @@ def as_events(events: Any) -> NDArray[Any]:
     if _same_memory(dtype, found):
         return np.ascontiguousarray(events).view(EVENT_DTYPE)
     return _copy({name: events[field] for name, field in found.items()}, found)
+
+
+def timed_events(events: Any) -> NDArray[Any]:
+    """Return what `as_events` does, for what calculates with the times.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `as_events`, and if a time lies further than `FAR` from 0; the message names
+        the first such event.
+    """
+    checked: NDArray[Any] = as_events(events)
+    i = _kernels.check_times(checked)
+    if i < len(checked):
+        raise ValueError(
+            f"times must lie within 2**61 us of 0, but event {i} is at "
+            f"t={checked['t'][i]}")
+    return checked
+
+
+def checked_time(name: str, t_us: int) -> int:
+    """Return a time as an int; raise ValueError if it is further than `FAR` from 0."""
+    try:
+        t = int(t_us)
+    except (ValueError, OverflowError):     # NaN and infinities
+        t = FAR + 1
+    if not -FAR <= t <= FAR:
+        raise ValueError(f"{name} must lie within 2**61 us of 0, got {t_us!r}")
+    return t
 
 
 def check_order(events: NDArray[Any], name: str = "events") -> None:
@@ -161,8 +206,9 @@ def accumulate(
     """
     events, size = as_events(events), sensor_shape(shape)
     bounds = np.iinfo(np.int64)
-    start = int(bounds.min) if start_us is None else int(start_us)
-    stop = int(bounds.max) if stop_us is None else int(stop_us)
+    start = int(bounds.min) if start_us is None else checked_time(
+        "start_us", start_us)
+    stop = int(bounds.max) if stop_us is None else checked_time("stop_us", stop_us)
     if theta is None:
         counts = output(out, (2, *size), np.int32, events)
         counts.fill(0)
@@ -218,9 +264,14 @@ def slices(
         raise ValueError(
             "slices needs either duration_us or count, got "
             f"duration_us={duration_us}, count={count}")
-    for name, value in (("duration_us", duration_us), ("count", count)):
-        if value is not None and value < 1:
-            raise ValueError(f"{name} must be at least 1, got {value}")
+    if duration_us is not None:
+        duration_us = whole_number("duration_us", duration_us, 1, FAR)
+    if count is not None:
+        count = whole_number("count", count, 1, FAR)
+    if start_us is not None:
+        start_us = checked_time("start_us", start_us)
+    if stop_us is not None:
+        stop_us = checked_time("stop_us", stop_us)
     events = as_events(events)
     check_order(events)
     t = events["t"]
@@ -228,16 +279,16 @@ def slices(
     end = len(t) if stop_us is None else bisect_left(t, stop_us)
     events = events[first:end]
     if count is not None:
-        return _by_count(events, int(count))
+        return _by_count(events, count)
     assert duration_us is not None
     if start_us is None and len(events):
         start_us = int(events["t"][0])
     if stop_us is None and len(events) and start_us is not None:
         whole = (int(events["t"][-1]) - start_us) // duration_us + 1
-        stop_us = start_us + whole * int(duration_us)
+        stop_us = start_us + whole * duration_us
     if start_us is None or stop_us is None:
         return iter(())
-    return _by_duration(events, int(duration_us), int(start_us), int(stop_us))
+    return _by_duration(events, duration_us, start_us, stop_us)
 
 
 def _by_count(events: NDArray[Any], count: int) -> Iterator[EventSlice]:
@@ -299,15 +350,16 @@ def voxel_grid(
     TypeError
         If ``out`` has another dtype.
     """
-    events, size = as_events(events), sensor_shape(shape)
-    if bins < 1:
-        raise ValueError(f"bins must be at least 1, got {bins}")
-    grid = output(out, (int(bins), *size), np.float32, events)
+    events, size = timed_events(events), sensor_shape(shape)
+    bins = whole_number("bins", bins, 1, MOST_BINS)
+    grid = output(out, (bins, *size), np.float32, events)
     if not len(events):
         grid.fill(0)
         return grid
-    start = int(events["t"][0]) if start_us is None else int(start_us)
-    stop = int(events["t"][-1]) + 1 if stop_us is None else int(stop_us)
+    start = int(events["t"][0]) if start_us is None else checked_time(
+        "start_us", start_us)
+    stop = int(events["t"][-1]) + 1 if stop_us is None else checked_time(
+        "stop_us", stop_us)
     if stop <= start:
         raise ValueError(f"stop_us must lie after start_us, got [{start}, {stop})")
     grid.fill(0)
@@ -353,14 +405,14 @@ def time_surface(
     TypeError
         If ``out`` has another dtype.
     """
-    events, size = as_events(events), sensor_shape(shape)
+    events, size = timed_events(events), sensor_shape(shape)
     rate = 1 / positive("tau_us", tau_us)
     surface = output(out, (2, *size), np.float32, events)
     never = int(np.iinfo(np.int64).min)
     _all_taken(events, _kernels.check_events(events, never, *size), size)
     surface.fill(0)
     if len(events):
-        t = int(events["t"][-1]) if t_us is None else int(t_us)
+        t = int(events["t"][-1]) if t_us is None else checked_time("t_us", t_us)
         _kernels.surface(events[:bisect_right(events["t"], t)], t, rate, surface)
     return surface
 

@@ -1,6 +1,8 @@
 """Pixels of 10 and 12 bits as cameras pack them."""
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -68,13 +70,14 @@ def unpack(
         else np.frombuffer(data, np.uint8))
     if raw.dtype != np.uint8:
         raise TypeError(f"data must be bytes or uint8, got {raw.dtype}")
-    out = np.empty(shape, np.uint16)
-    groups, rest = divmod(out.size, pixels)
+    count = math.prod(operator.index(side) for side in shape)
+    groups, rest = divmod(count, pixels)
     # The bits of a group's first pixels reach into the byte after the last whole one.
     needed = groups * size + (rest * size + pixels - 1) // pixels
     if raw.size < needed:
         raise ValueError(
-            f"data must hold {needed} bytes for {out.size} pixels of {packing}, got "
+            f"data must hold {needed} bytes for {count} pixels of {packing}, got "
             f"{raw.size}")
+    out = np.empty(shape, np.uint16)
     kernel(np.ascontiguousarray(raw).reshape(-1), out.reshape(-1))
     return out

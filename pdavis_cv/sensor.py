@@ -67,7 +67,7 @@ class Layout:
             exact = all(
                 a == b for row, got in zip(rows, (self.row0, self.row1), strict=True)
                 for a, b in zip(row, got, strict=True))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             rows, exact = (), False
         if (not exact or [len(row) for row in rows] != [2, 2]
                 or sorted(rows[0] + rows[1]) != list(CHANNELS)):

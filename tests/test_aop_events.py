@@ -89,7 +89,7 @@ def test_the_phase_is_corrected_for_either_sense_of_rotation(rpm):
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"radius": -1}, "radius must be a whole number from 0, got -1"),
+    ({"radius": -1}, "radius must be a whole number of 0..32, got -1"),
     ({"cutoff_hz": 0}, "cutoff_hz must be positive"),
     ({"on": -1}, "theta_on must be positive"),
 ])

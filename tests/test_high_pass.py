@@ -93,8 +93,8 @@ def test_a_snapshot_survives_pickling_and_restores_every_bit():
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"radius": -1}, "radius must be a whole number from 0, got -1"),
-    ({"radius": 0.5}, "radius must be a whole number from 0, got 0.5"),
+    ({"radius": -1}, "radius must be a whole number of 0..32, got -1"),
+    ({"radius": 0.5}, "radius must be a whole number of 0..32, got 0.5"),
     ({"cutoff_hz": 0}, "cutoff_hz must be positive"),
     ({"on": -1}, "theta_on must be positive"),
 ])

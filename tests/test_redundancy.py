@@ -377,7 +377,7 @@ def test_ideal_polarizers_of_any_layout_share_the_diagonals():
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"lookahead_us": -1}, "lookahead_us must be a whole number from 0, got -1"),
+    ({"lookahead_us": -1}, "lookahead_us must be a whole number of 0"),
     ({"bandwidth": (-1, 0)}, "bandwidth must hold"),
     ({"cutoff_hz": 0}, "cutoff_hz must be positive"),
     ({"response": np.ones((3, 3))}, r"response must have shape \(2, 2, 3\) or"),

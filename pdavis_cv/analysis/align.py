@@ -422,23 +422,24 @@ def hysteresis(
     Raises
     ------
     ValueError
-        If there is no complete cycle with eight samples.
+        If there is no complete cycle with eight samples, or ``hz`` is no frequency.
     """
-    from pdavis_cv.analysis.spectrum import cycle_average
-    t = np.asarray(t_us, np.int64)
-    a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    from pdavis_cv.analysis.spectrum import (
+        checked_hz,
+        checked_trace,
+        complete_cycles,
+        cycle_average,
+    )
+    hz = checked_hz(hz)
+    t, a, b = checked_trace(t_us, x=x, y=y)
     usable = np.isfinite(a) & np.isfinite(b)
     t, a, b = t[usable], a[usable], b[usable]
     areas = []
-    if len(t):
-        cycles = (t - t[0]) * (hz / 1e6)
-        step = float(np.median(np.diff(cycles))) if len(t) > 1 else 0.0
-        for n in range(int(np.floor(cycles[-1] + step + 1e-6))):
-            part = (cycles >= n) & (cycles < n + 1)
-            if np.count_nonzero(part) >= 8:
-                px, py = a[part], b[part]
-                areas.append(0.5 * float(
-                    np.sum(px * np.roll(py, -1) - np.roll(px, -1) * py)))
+    for _, _, part in complete_cycles(t, int(t[0]) if len(t) else 0, hz):
+        px, py = a[part], b[part]
+        if len(px) >= 8:
+            areas.append(0.5 * float(
+                np.sum(px * np.roll(py, -1) - np.roll(px, -1) * py)))
     if not areas:
         raise ValueError("t_us must hold a complete cycle with eight samples")
     loop_x, loop_y = cycle_average(t, a, hz, bins=bins), cycle_average(

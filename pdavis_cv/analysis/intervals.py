@@ -6,6 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._checks import positive, whole_number
+from pdavis_cv.events import MOST_BINS, timed_events
+
 __all__ = ["events_by_phase", "pixel_intervals"]
 
 
@@ -55,10 +58,9 @@ def events_by_phase(
     ValueError
         If the period or the number of bins is not positive.
     """
-    if not (period_us > 0 and bins > 0):
-        raise ValueError(
-            f"period_us and bins must be positive, got {period_us} and {bins}")
-    part = np.floor(events["t"] % period_us * (bins / period_us)).astype(np.int64)
+    events, period_us = timed_events(events), positive("period_us", period_us)
+    bins = whole_number("bins", bins, 1, MOST_BINS)
+    part = np.floor(events["t"] % period_us / period_us * bins).astype(np.int64)
     part = np.minimum(part, bins - 1)  # a remainder may round up to the period
     return np.bincount(
         events["p"].astype(np.int64) * bins + part, minlength=2 * bins)[

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.analysis.spectrum import checked_hz
+
 __all__ = ["LockIn", "LockInMaps"]
 
 FloatArray = NDArray[np.float64]
@@ -115,9 +117,7 @@ class LockIn:
     """
 
     def __init__(self, shape: tuple[int, int], hz: float, reference_us: int) -> None:
-        if not (np.isfinite(hz) and hz > 0):
-            raise ValueError(f"hz must be positive, got {hz!r}")
-        self.hz, self.reference_us = float(hz), int(reference_us)
+        self.hz, self.reference_us = checked_hz(hz), int(reference_us)
         self.shape = (int(shape[0]), int(shape[1]))
         # Normal equations of 1, cos, sin: those of all images, less missing pixels'.
         self._whole = np.zeros((3, 3))

@@ -2,18 +2,25 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import whole_number
 from pdavis_cv.errors import AnalysisWarning
+from pdavis_cv.events import FAR, checked_time
 
 __all__ = [
     "Cycle",
     "Drift",
     "Tone",
     "alias_warning",
+    "checked_hz",
+    "checked_trace",
+    "complete_cycles",
     "cycle_average",
     "cycle_drift",
     "dominant_tone",
@@ -25,6 +32,16 @@ FloatArray = NDArray[np.float64]
 
 # Below this many samples a cycle's amplitude depends on where they happen to fall.
 _SAMPLES_PER_CYCLE = 2.5
+
+MOST_HZ = 500_000.0
+"""Half the rate of a clock of microseconds."""
+MOST_HARMONICS = 64
+"""A choice: the fit solves for two unknowns of each."""
+MOST_OVERSAMPLING = 50
+"""Cycles per sample; a choice: the cost grows with it.  Frequencies beyond the sampling
+rate are looked for in unevenly sampled traces only."""
+MOST_BINS = 1_000_000
+"""A choice: the bins are held in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +177,12 @@ def dominant_tone(
         raise ValueError(
             "lowest_hz must lie between 0 and highest_hz, got "
             f"{low:g} and {high:g} for a record of {span:g} s at {rate:g} Hz")
+    harmonics = whole_number("harmonics", harmonics, 1, MOST_HARMONICS)
+    if (high - low) * span > MOST_OVERSAMPLING * len(t):
+        raise ValueError(
+            "highest_hz - lowest_hz must be at most "
+            f"{MOST_OVERSAMPLING * len(t) / span:g} Hz for {len(t)} samples in "
+            f"{span:g} s, got {high - low:g}")
     detrended = v - np.polynomial.Polynomial.fit(t, v, 1)(t)
     variance = float(np.var(detrended))
     if variance <= 1e-24 * max(float(np.max(np.abs(v))), 1e-300) ** 2:
@@ -200,8 +223,8 @@ def fit_tone(
     ValueError
         If fewer than 8 samples are left or ``hz`` is not positive.
     """
-    if not (np.isfinite(hz) and hz > 0):
-        raise ValueError(f"hz must be positive, got {hz!r}")
+    hz = checked_hz(hz)
+    harmonics = whole_number("harmonics", harmonics, 1, MOST_HARMONICS)
     t, v, reference = _clean(t_us, values)
     rate = 1 / float(np.median(np.diff(t)))
     basis = _basis(t, hz, 1)
@@ -210,11 +233,80 @@ def fit_tone(
     return _refine(t, v, reference, hz, rate, harmonics, float(np.exp(-z)))
 
 
-def _clean(t_us: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray, int]:
-    t, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
-    if t.ndim != 1 or t.shape != v.shape:
+def checked_trace(t_us: ArrayLike, **values: ArrayLike) -> tuple[NDArray[Any], ...]:
+    """Return the times of a trace as int64 and its values as float64, of one shape.
+
+    Raises
+    ------
+    ValueError
+        If a time is too far from 0, or a signal is not one value per time.
+    """
+    times = np.asarray(t_us)
+    if times.ndim != 1 or times.dtype.kind not in "iuf":
         raise ValueError(
-            f"values must be one per time, got {v.shape} values at {t.shape} times")
+            f"t_us must be (N,) integers, got {times.dtype} of shape {times.shape}")
+    if not np.all(np.abs(times.astype(np.float64)) <= FAR):
+        raise ValueError("t_us must lie within 2**61 us of 0")
+    signals = []
+    for name, value in values.items():
+        signal = np.asarray(value)
+        if signal.shape != times.shape or signal.dtype.kind not in "biuf":
+            raise ValueError(
+                f"{name} must be one per time, got {signal.dtype} of shape "
+                f"{signal.shape} at {times.shape} times")
+        signals.append(signal.astype(np.float64))
+    return times.astype(np.int64), *signals
+
+
+def checked_hz(hz: float) -> float:
+    """Return a frequency that a clock of microseconds can tell.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not 0 < hz <= MOST_HZ:
+        raise ValueError(f"hz must be positive and at most {MOST_HZ:g}, got {hz!r}")
+    return float(hz)
+
+
+def complete_cycles(
+    t: NDArray[np.int64], reference_us: int, hz: float
+) -> Iterator[tuple[int, FloatArray, slice]]:
+    """Yield the complete cycles that hold samples, one after the other.
+
+    Parameters
+    ----------
+    t : ndarray of int64, shape (N,)
+        Increasing times in us.
+    reference_us : int
+        Where cycle 0 begins.
+    hz : float
+
+    Yields
+    ------
+    number : int
+    phase : ndarray of float64, shape (N,)
+        Of all samples, in cycles since the reference.
+    part : slice
+        The cycle's samples.
+    """
+    if not t.size:
+        return
+    cycles = np.asarray((t - reference_us) * (hz / 1e6), np.float64)
+    number = np.floor(cycles).astype(np.int64)
+    step = float(np.median(np.diff(cycles))) if t.size > 1 else 0.0
+    first = int(np.ceil(cycles[0] - 1e-6))
+    end = int(np.floor(cycles[-1] + step + 1e-6))
+    found, at = np.unique(number, return_index=True)
+    for n, start, stop in zip(
+            found.tolist(), at.tolist(), [*at[1:].tolist(), len(t)], strict=True):
+        if first <= n < end:
+            yield n, cycles, slice(start, stop)
+
+
+def _clean(t_us: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray, int]:
+    t, v = checked_trace(t_us, values=values)
     if np.any(np.diff(t) <= 0):
         raise ValueError("t_us must increase")
     usable = np.isfinite(v)
@@ -245,7 +337,7 @@ def _refine(
 ) -> Tone:
     from scipy.optimize import minimize_scalar
     # At half the sampling rate a cosine and a sine are no longer independent.
-    count = max(1, min(harmonics, int(np.floor(0.49 * rate / hz)), (len(t) - 4) // 2))
+    count = max(1, int(min(harmonics, 0.49 * rate / hz, (len(t) - 4) // 2)))
     half = 0.5 / float(t[-1] - t[0])
 
     def cost(f: float) -> float:
@@ -320,12 +412,11 @@ def cycle_average(
     ValueError
         If ``hz`` or ``bins`` is not positive.
     """
-    if not (np.isfinite(hz) and hz > 0):
-        raise ValueError(f"hz must be positive, got {hz!r}")
-    if bins < 1:
-        raise ValueError(f"bins must be positive, got {bins!r}")
-    t, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
-    reference = int(t[0]) if reference_us is None and t.size else int(reference_us or 0)
+    hz = checked_hz(hz)
+    bins = whole_number("bins", bins, 1, MOST_BINS)
+    t, v = checked_trace(t_us, values=values)
+    reference = checked_time("reference_us", (
+        int(t[0]) if reference_us is None and t.size else reference_us or 0))
     usable = np.isfinite(v)
     t, v = t[usable], v[usable]
     phase = np.mod((t - reference) * (hz / 1e6), 1)
@@ -369,23 +460,18 @@ def cycle_drift(
     ValueError
         If ``hz`` is not positive.
     """
-    if not (np.isfinite(hz) and hz > 0):
-        raise ValueError(f"hz must be positive, got {hz!r}")
-    t, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
-    reference = int(t[0]) if reference_us is None and t.size else int(reference_us or 0)
-    cycles = (t - reference) * (hz / 1e6)
-    number = np.floor(cycles).astype(np.int64)
+    hz = checked_hz(hz)
+    t, v = checked_trace(t_us, values=values)
+    reference = checked_time("reference_us", (
+        int(t[0]) if reference_us is None and t.size else reference_us or 0))
     numbers, means, amplitudes = [], [], []
-    step = float(np.median(np.diff(cycles))) if t.size > 1 else 0.0
-    complete = (range(int(np.ceil(cycles[0] - 1e-6)),
-                      int(np.floor(cycles[-1] + step + 1e-6))) if t.size else ())
-    for n in complete:
-        part = (number == n) & np.isfinite(v)
-        if np.count_nonzero(part) < 5:
+    for n, cycles, part in complete_cycles(t, reference, hz):
+        usable = np.isfinite(v[part])
+        if np.count_nonzero(usable) < 5:
             continue
-        u = 2 * np.pi * cycles[part]
+        u = 2 * np.pi * cycles[part][usable]
         basis = np.stack((np.ones_like(u), np.cos(u), np.sin(u)), axis=1)
-        solution = np.linalg.lstsq(basis, v[part], rcond=None)[0]
+        solution = np.linalg.lstsq(basis, v[part][usable], rcond=None)[0]
         numbers.append(n)
         means.append(float(solution[0]))
         amplitudes.append(float(np.hypot(solution[1], solution[2])))

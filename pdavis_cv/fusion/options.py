@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import checked_choice
+from pdavis_cv.events import checked_time
 from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.reconstruct.methods import METHODS, factory_of
@@ -257,6 +258,8 @@ def _checked_times(options: FusionOptions) -> NDArray[np.int64] | None:
         if value is not None and not isinstance(value, (int, np.integer)):
             raise TypeError(
                 f"{name} must be integer microseconds, got {type(value).__name__}")
+        if value is not None:
+            checked_time(name, int(value))
     if options.times_us is None:
         return None
     if any(value is not None
@@ -270,6 +273,9 @@ def _checked_times(options: FusionOptions) -> NDArray[np.int64] | None:
     times = raw.astype(np.int64)
     if np.any(times[1:] <= times[:-1]):
         raise ValueError("times_us must increase")
+    for t in times[:1], times[-1:]:
+        if t.size:
+            checked_time("times_us", int(t[0]))
     return times
 
 

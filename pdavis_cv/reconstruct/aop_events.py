@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import checked_threshold, positive, sensor_shape
-from pdavis_cv.events import as_events
+from pdavis_cv._checks import checked_threshold, positive, sensor_shape, whole_number
+from pdavis_cv.events import FAR, timed_events
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.sensor import CHANNELS, Layout
 from pdavis_cv.stokes_vector import aop
 
-__all__ = ["AOP_EVENT_DTYPE", "AopEvents", "axes_of", "layout_of"]
+__all__ = ["AOP_EVENT_DTYPE", "MOST_RADIUS", "AopEvents", "axes_of", "layout_of"]
+
+MOST_RADIUS = 32
+"""Macropixels; a choice.  3,200 of them count for one, and the paper takes 4."""
 
 AOP_EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("aop", "<f4")])
 """An event with the AoP of its macropixel after it: us, pixels, radians in [0, pi)."""
@@ -82,12 +85,14 @@ class AopEvents:
         self.shape = height, width = sensor_shape(shape)
         on = checked_threshold("theta_on", theta_on, self.shape)
         off = checked_threshold("theta_off", theta_off, self.shape)
-        if radius != int(radius) or radius < 0:
-            raise ValueError(f"radius must be a whole number from 0, got {radius!r}")
+        self._radius = whole_number("radius", radius, 0, MOST_RADIUS)
         self._step = np.ascontiguousarray(
             np.broadcast_to(steps(on, off), (height, width, 2)))
         self._rate = 2e-6 * math.pi * positive("cutoff_hz", cutoff_hz)
-        self._radius, self._correct = int(radius), bool(correct_phase)
+        if not self._rate * FAR > 1:
+            raise ValueError(
+                f"cutoff_hz must be a time constant within 2**61 us, got {cutoff_hz!r}")
+        self._correct = bool(correct_phase)
         self._axes = _axes(Layout.of(layout))
         self._span = float(round(_SPAN / self._rate))
         self._turns = np.zeros(((height + 1) // 2, (width + 1) // 2), TURN_DTYPE)
@@ -112,7 +117,7 @@ class AopEvents:
             If an event lies outside the sensor or is late; the message names it, and
             those before it have been taken.
         """
-        events = as_events(events)
+        events = timed_events(events)
         out = np.empty(len(events), AOP_EVENT_DTYPE)
         if not len(events):
             return out

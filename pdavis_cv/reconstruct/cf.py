@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
-from pdavis_cv.events import as_events
+from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.frames import log_exposure, log_samples
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
@@ -105,7 +105,7 @@ class ComplementaryFilter(Reconstructor):
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Integrate events (see `Reconstructor.add_events`)."""
-        events = as_events(events)
+        events = timed_events(events)
         clock = self._clock
         clock.took(events, self._leak(events, self._steps, clock.last_us, self._cells))
 

@@ -6,7 +6,7 @@ from bisect import bisect_right
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdavis_cv.events import as_events
+from pdavis_cv.events import checked_time
 from pdavis_cv.reconstruct.base import Estimate
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.kalman import LOOKAHEAD_US, KalmanFilter
@@ -56,8 +56,10 @@ def deblur(
     counts alone, with the thresholds as given.  Event-based double integral: Pan et
     al., CVPR 2019.
     """
-    events = StreamClock(frame.shape).check_events(as_events(events))
-    t = frame.mid_us if t_us is None else int(t_us)
+    if not isinstance(frame, ApsFrame):
+        raise TypeError(f"frame must be an ApsFrame, got {type(frame).__name__}")
+    events = StreamClock(frame.shape).check_events(events)
+    t = frame.mid_us if t_us is None else checked_time("t_us", t_us)
     begin = min(t, int(np.min(frame.column_mid_us)))
     stop = max(t, int(np.max(frame.exposure_end_us)))
     # Read so far ahead that the frame, and the events that it needs, have been seen.

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import positive, sensor_shape
+from pdavis_cv._checks import sensor_shape, whole_number
 from pdavis_cv._workers import Workers
-from pdavis_cv.events import as_events
+from pdavis_cv.events import FAR, as_events, timed_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.reconstruct.stream_clock import StreamClock
@@ -76,7 +76,7 @@ class EventDenoiser:
         support: int = SUPPORT,
     ) -> None:
         self.shape = sensor_shape(shape)
-        self._window_us = int(positive("window_us", window_us))
+        self._window_us = whole_number("window_us", window_us, 1, FAR)
         if support not in range(1, _NEIGHBOURS + 1):
             raise ValueError(f"support must be 1 to 8, got {support!r}")
         self._support = int(support)
@@ -115,7 +115,7 @@ class EventDenoiser:
             If an event lies outside the sensor or is late; the message names it, and
             those before it have been taken.
         """
-        events = as_events(events)
+        events = timed_events(events)
         keep = np.zeros(len(events), np.uint8)
         if len(events) and self._stop_us is None:
             self._stop_us = (int(events["t"][0]) // RATE_WINDOW_US + 1) * RATE_WINDOW_US

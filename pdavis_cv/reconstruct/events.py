@@ -9,9 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
-from pdavis_cv.events import as_events
-from pdavis_cv.reconstruct.aop_events import AopEvents, axes_of, layout_of
+from pdavis_cv._checks import (
+    checked_threshold,
+    output,
+    positive,
+    sensor_shape,
+    whole_number,
+)
+from pdavis_cv.events import timed_events
+from pdavis_cv.reconstruct.aop_events import MOST_RADIUS, AopEvents, axes_of, layout_of
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.cf import CELL_DTYPE
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
@@ -85,9 +91,7 @@ class EventHighPass(Reconstructor):
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
         self._cutoff_hz = positive("cutoff_hz", cutoff_hz)
-        if radius != int(radius) or radius < 0:
-            raise ValueError(f"radius must be a whole number from 0, got {radius!r}")
-        self._radius = int(radius)
+        self._radius = whole_number("radius", radius, 0, MOST_RADIUS)
         self._hold = not correct_phase if hold is None else bool(hold)
         self._response = None if response is None else np.array(response, np.float64)
         self._turns: AopEvents | None = None
@@ -130,7 +134,7 @@ class EventHighPass(Reconstructor):
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Integrate events (see `Reconstructor.add_events`)."""
-        events = as_events(events)
+        events = timed_events(events)
         clock = self._clock
         taken = self._leak(events, self._steps, clock.last_us, self._cells)
         _kernels.leak_shown(

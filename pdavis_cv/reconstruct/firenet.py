@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, sensor_shape
 from pdavis_cv.errors import WindowWarning
-from pdavis_cv.events import as_events
+from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.onnx import model_shapes
 from pdavis_cv.reconstruct.runner import Runner, chosen_backend, make_runner
@@ -123,7 +123,7 @@ class _Recurrent(Reconstructor):
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Collect events; run the network for each window that they end."""
-        events = as_events(events)
+        events = timed_events(events)
         clock, first = self._clock, 0
         height, width = self.shape
         while first < len(events):

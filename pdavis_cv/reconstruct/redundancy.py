@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, positive, sensor_shape
-from pdavis_cv.events import as_events
+from pdavis_cv._checks import output, positive, sensor_shape, whole_number
+from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.model import STATE_DTYPE, TUNING_DTYPE
@@ -118,10 +118,7 @@ class EventRedundancy(Reconstructor):
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
         self._cutoff_hz = positive("cutoff_hz", cutoff_hz)
-        if lookahead_us != int(lookahead_us) or lookahead_us < 0:
-            raise ValueError(
-                f"lookahead_us must be a whole number from 0, got {lookahead_us!r}")
-        self.lookahead_us: int = int(lookahead_us)
+        self.lookahead_us: int = whole_number("lookahead_us", lookahead_us, 0, FAR)
         self._bandwidth = checked_bandwidth(bandwidth)
         self._response = None if response is None else np.array(response, np.float64)
         self._tuning = np.zeros(1, TUNING_DTYPE)
@@ -190,7 +187,7 @@ class EventRedundancy(Reconstructor):
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
-        events = as_events(events)
+        events = timed_events(events)
         self._fed += 1
         taken = self._tracks.push(events, self._clock.last_us, self._reader)
         if taken and self._next is None:
@@ -258,7 +255,7 @@ class EventRedundancy(Reconstructor):
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
-        t = int(t_us)
+        t = checked_time("t_us", t_us)
         self._clock.check_read(t + self.lookahead_us)
         log = output(out, self.shape, np.float32)
         self._shown = self._compared(t) if self._due(t) else self

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold
-from pdavis_cv.events import as_events, bad_event
+from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BANDWIDTH_SIGMA", "NEVER", "StreamClock", "checked_bandwidth",
@@ -55,7 +55,7 @@ class StreamClock:
         if taken < len(events):
             raise bad_event(events, taken, self.shape, before)
 
-    def check_events(self, events: NDArray[Any]) -> NDArray[Any]:
+    def check_events(self, events: Any) -> NDArray[Any]:
         """Check events that are not otherwise looked at.
 
         Raises
@@ -63,10 +63,10 @@ class StreamClock:
         ValueError
             If one lies outside the sensor or is late; the message names it.
         """
-        events = as_events(events)
+        checked = timed_events(events)
         height, width = self.shape
-        self.took(events, _kernels.check_events(events, self.last_us, height, width))
-        return events
+        self.took(checked, _kernels.check_events(checked, self.last_us, height, width))
+        return checked
 
     def check_frame(self, frame: ApsFrame) -> int:
         """Return the time of a frame, its mid-exposure, and note it.
@@ -76,6 +76,8 @@ class StreamClock:
         ValueError
             If it has another shape or lies before the last time seen.
         """
+        if not isinstance(frame, ApsFrame):
+            raise TypeError(f"frame must be an ApsFrame, got {type(frame).__name__}")
         if frame.shape != self.shape:
             raise ValueError(
                 f"frame must be {self.shape[1]}x{self.shape[0]}, got "
@@ -94,9 +96,9 @@ class StreamClock:
         Raises
         ------
         ValueError
-            If it lies before the last time seen.
+            If it lies before the last time seen, or too far from 0.
         """
-        t = int(t_us)
+        t = checked_time("t_us", t_us)
         if t < self.last_us:
             raise ValueError(
                 f"t_us must not lie before the last time seen, {self.last_us}, "

@@ -12,7 +12,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv._checks import whole_number
+from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = [
@@ -41,6 +42,8 @@ right, y up, z towards the scene, rotation counter-clockwise positive."""
 TRIGGER_DTYPE = np.dtype([("t", "<i8"), ("type", "u1")])
 """Time in us; type as in AEDAT-4: 0 time reset, 1/2/3 external rising/falling/pulse,
 4/5 generator rising/falling, 6/7 frame start/end, 8/9 exposure start/end."""
+MOST_DN = 2**32
+"""Of a full scale; converters have 8 to 16 bits."""
 
 
 class ApsFrame:
@@ -95,6 +98,9 @@ class ApsFrame:
         if self.dn.ndim != 2:
             raise ValueError(f"dn must be (H, W), got shape {self.dn.shape}")
         for name, array in (("valid", valid), ("reset", reset), ("signal", signal)):
+            if array is not None and not isinstance(array, np.ndarray):
+                raise TypeError(
+                    f"{name} must be an ndarray, got {type(array).__name__}")
             if array is not None and array.shape != self.dn.shape:
                 raise ValueError(
                     f"{name} must have dn's shape {self.dn.shape}, got {array.shape}")
@@ -107,18 +113,23 @@ class ApsFrame:
                 "exposure_end_us must not be before exposure_start_us, got "
                 f"{self.exposure_start_us} .. {self.exposure_end_us}")
         end = int(np.max(self.exposure_end_us))
-        self.available_us = end if available_us is None else int(available_us)
+        self.available_us = end if available_us is None else checked_time(
+            "available_us", available_us)
         if self.available_us < end:
             raise ValueError(
                 f"available_us must not be before the exposure's end {end}, got "
                 f"{available_us}")
         self.valid, self.reset, self.signal = valid, reset, signal
-        self.full_scale_dn = int(full_scale_dn)
+        self.full_scale_dn = whole_number("full_scale_dn", full_scale_dn, 1, MOST_DN)
 
     def _times(self, name: str, value: int | NDArray[Any]) -> int | NDArray[np.int64]:
         array = np.asarray(value)
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must be integer microseconds, got {array.dtype}")
+        if array.size and not -FAR <= array.min() <= array.max() <= FAR:
+            raise ValueError(
+                f"{name} must lie within 2**61 us of 0, got {array.min()} .. "
+                f"{array.max()}")
         if array.ndim == 0:
             return int(array)
         if array.shape != (self.dn.shape[1],):

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.numpy_files import StoredArray, stored_arrays
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
-from pdavis_cv.recording.timeline import FAR, FILLED, OFFSET, Clock, Timeline
+from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["NumpyRecording", "TextRecording", "is_text_events"]

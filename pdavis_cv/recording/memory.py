@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.events import EVENT_DTYPE, as_events, check_order
+from pdavis_cv._checks import sensor_shape
+from pdavis_cv.events import EVENT_DTYPE, check_order, timed_events
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
     TRIGGER_DTYPE,
@@ -91,10 +92,10 @@ def recording_from_arrays(
     ValueError
         If time runs backward, or an event or a frame lies outside the sensor.
     """
-    events = np.empty(0, EVENT_DTYPE) if events is None else as_events(events)
+    events = np.empty(0, EVENT_DTYPE) if events is None else timed_events(events)
     frames = tuple(frames)
     layout = None if layout is None else Layout.of(layout)
-    height, width = _checked_size(sensor_size)
+    height, width = sensor_shape(sensor_size, "sensor_size")
     check_order(events)
     outside = np.flatnonzero(
         (events["x"] >= width) | (events["y"] >= height) | (events["p"] > 1))
@@ -104,6 +105,9 @@ def recording_from_arrays(
             f"event {i} at (x={events['x'][i]}, y={events['y'][i]}, "
             f"p={events['p'][i]}) lies outside the {width}x{height} sensor")
     for i, frame in enumerate(frames):
+        if not isinstance(frame, ApsFrame):
+            raise TypeError(
+                f"frame {i} must be an ApsFrame, got {type(frame).__name__}")
         if frame.shape != (height, width):
             raise ValueError(
                 f"frame {i} is {frame.shape[1]}x{frame.shape[0]}, the sensor "
@@ -136,17 +140,6 @@ def _likely_sensor(
     if len(events) or size == Sensor.PDAVIS.size:
         return Sensor.PDAVIS
     return Sensor.SONY if layout == Layout.SONY else None
-
-
-def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        height, width = (int(side) for side in size)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"sensor_size must be (height, width), got {size!r}") from None
-    if not (0 < height <= 65_536 and 0 < width <= 65_536):
-        raise ValueError(f"sensor_size must lie in 1..65536, got {size!r}")
-    return height, width
 
 
 def _checked_samples(

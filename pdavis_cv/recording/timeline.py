@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.events import FAR
+
 __all__ = ["NEVER", "SEGMENT_US", "SPIKE_US", "Clock", "Marks", "Timeline", "spikes"]
 
-NEVER = -(1 << 61)
+NEVER = -FAR
 """Before any time that a file may hold."""
-FAR = 1 << 61
-"""Times lie within this of 0, us; sums and differences of two stay in 64 bits."""
 SEGMENT_US = 1_000_000
 SPIKE_US = 1_000
 WRAP_US = 1 << 32

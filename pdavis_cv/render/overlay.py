@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import MOST_SIDE, sensor_shape, whole_number
 from pdavis_cv.events import as_events
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import Picture, _text_width, caption
@@ -45,8 +46,15 @@ def events_on(
         A new picture.
     """
     if isinstance(picture, tuple):
-        picture = np.full((*picture, 3), 128, np.uint8)
+        picture = np.full((*sensor_shape(picture, "picture"), 3), 128, np.uint8)
+    if not isinstance(picture, np.ndarray) or picture.ndim not in (2, 3):
+        raise TypeError(
+            f"picture must be an image or (height, width), got {picture!r:.60}")
     height, width = picture.shape[:2]
+    if not (isinstance(origin, tuple) and len(origin) == 2):
+        raise ValueError(f"origin must be (x, y), got {origin!r:.60}")
+    origin = (whole_number("origin", origin[0], -MOST_SIDE, MOST_SIDE),
+              whole_number("origin", origin[1], -MOST_SIDE, MOST_SIDE))
     found = as_events(events)
     x = found["x"].astype(np.int64) - origin[0]
     y = found["y"].astype(np.int64) - origin[1]

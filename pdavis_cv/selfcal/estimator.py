@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import sensor_shape
-from pdavis_cv.events import as_events
+from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
@@ -153,7 +153,7 @@ class SelfCalibration:
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events of the whole sensor, later than all before."""
-        events = as_events(events)
+        events = timed_events(events)
         if len(events):
             self._window.add_events(events)
             if self._whole is not None:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording, RecordingInfo
 from pdavis_cv.recording.memory import MemoryRecording
-from pdavis_cv.recording.timeline import FAR
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv._checks import sensor_shape, whole_number
+from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout, Sensor
@@ -18,6 +19,9 @@ from pdavis_cv.simulation.scenes import FloatArray, RotatingPolarizer
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = ["rotating_polarizer"]
+
+MOST_ANGLE = 1e6
+"""Radians; beyond it a phase has no microseconds left."""
 
 
 def rotating_polarizer(
@@ -75,11 +79,15 @@ def rotating_polarizer(
     ValueError
         If a parameter is impossible; the message names it.
     """
-    _require("seconds", seconds, seconds > 0, "must be positive")
+    size = sensor_shape(size, "size")
+    start_angle = float(start_angle)
+    _require("start_angle", start_angle, abs(start_angle) <= MOST_ANGLE,
+             f"must lie within {MOST_ANGLE:g} of 0")
+    exposure_us = whole_number("exposure_us", exposure_us, 1, FAR)
+    readout_us = whole_number("readout_us", readout_us, 0, FAR)
+    _require("seconds", seconds, 0 < seconds * 1e6 < FAR, "must be positive")
     _require("dn", dn, dn > 0, "must be positive")
     _require("fps", fps, fps > 0, "must be positive")
-    _require("exposure_us", exposure_us, exposure_us > 0, "must be positive")
-    _require("readout_us", readout_us, readout_us >= 0, "must not be negative")
     _require("exposure_us", exposure_us, exposure_us * fps <= 1e6,
              "must be at most the frame interval")
     _require("dolp", dolp, 0 <= dolp <= 1, "must lie in 0..1")

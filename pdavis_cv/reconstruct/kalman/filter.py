@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, sensor_shape
-from pdavis_cv.events import as_events
+from pdavis_cv._checks import output, sensor_shape, whole_number
+from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
@@ -178,11 +178,12 @@ class KalmanFilter(Reconstructor):
                 f"mode must be 'buffered', 'causal' or 'offline', got {mode!r}")
         if lookahead_us is None:
             lookahead_us = _LOOKAHEADS[mode]
+        lookahead_us = whole_number("lookahead_us", lookahead_us, 0, FAR)
         if (lookahead_us > 0) != (mode != "causal"):
             raise ValueError(
                 "lookahead_us must be positive in modes 'buffered' and 'offline' and 0 "
                 f"in mode 'causal', got {lookahead_us} in {mode!r}")
-        self._mode, self.lookahead_us = mode, int(lookahead_us)
+        self._mode, self.lookahead_us = mode, lookahead_us
         # The filter goes ahead of the smoother: it waits for next events only.
         self._wait_us = (min(self.lookahead_us, LOOKAHEAD_US) if mode == "offline"
                          else self.lookahead_us)
@@ -344,7 +345,7 @@ class KalmanFilter(Reconstructor):
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
-        events = as_events(events)
+        events = timed_events(events)
         self._fed += 1
         taken = self._tracks.push(events, self._clock.last_us, self._reader)
         self._saturated.add_events(events[:taken])
@@ -374,7 +375,7 @@ class KalmanFilter(Reconstructor):
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
-        t = int(t_us)
+        t = checked_time("t_us", t_us)
         seen = t + self.lookahead_us
         self._clock.check_read(seen)
         log = output(out, self.shape, np.float32)

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import PdavisWarning, RecordingError
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, PayloadError
 from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.recording.timeline import (
-    FAR,
     NEVER,
     SEGMENT_US,
     SPIKE_US,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv.events import FAR
 from pdavis_cv.recording.aedat4.container import PayloadError
 from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, Table
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
@@ -182,6 +183,8 @@ def aps_frame(
         raise PayloadError(
             f"a frame of {width}x{height} at ({raw.x}, {raw.y}) does not fit on a "
             f"sensor of {size[1]}x{size[0]}")
+    if not all(-FAR <= t <= FAR for t in times):
+        raise PayloadError(f"a frame at {times[0]} us")
     usable = raw.pixels < scale.clipped
     dn = raw.pixels * np.float32(scale.factor)
     if (height, width) != size:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import DamagedFileWarning, PdavisError, RecordingError
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
     TRIGGER_DTYPE,
@@ -28,7 +28,7 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
-from pdavis_cv.recording.timeline import FAR, NEVER, Clock, Timeline
+from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
 __all__ = ["Hdf5Recording", "h5py_module"]
