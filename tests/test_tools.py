@@ -78,8 +78,9 @@ def test_version(capsys):
     (["export", SAMPLE, "-o", "x.mp4", "--layout", "0,0,45,90"], "layout must hold"),
     (["export", SAMPLE, "-o", "x.mp4", "--method", "magic"], "method"),
     (["export", SAMPLE, "-o", "x.mp4", "--quantities", "aop,q"], "'q' is none of"),
-    (["export", SAMPLE, "-o", "x.mp4", "--start", "100"], "no image in the interval"),
-    (["export", SAMPLE, "-o", "x.png", "--at", "100"], "ends before 100 s"),
+    (["export", SAMPLE, "-o", "x.mp4", "--start", "100"], "no image at 100 s"),
+    (["export", SAMPLE, "-o", "x.png", "--at", "100"],
+     "no image at 100 s or later: the recording covers 0 .. "),
     (["export", SAMPLE, "-o", "x.png", "--at", "-1"], "must not be negative, got -1"),
     (["export", SAMPLE, "-o", "x.mkv", "--lossless"], "--lossless writes one"),
     (["export", SAMPLE, "-o", "x.png", "--at", "0.1", "--fps", "5"], "--at is one"),
@@ -133,6 +134,7 @@ def as_hdf5(tmp_path):
     (["cv2"], ["fan", SAMPLE, "-o", "{out}.mp4"], "opencv"),
     (["matplotlib", "matplotlib.figure"], ["tendon", SAMPLE, "-o", "{out}"],
      "matplotlib"),
+    (["rosbags"], ["info", "{bag}"], "rosbags"),
     (["onnxruntime", "cv2"], [
         "export", SAMPLE, "-o", "{out}.npy", "--method", "firenet", "--layout",
         "pdavis"], "onnxruntime"),
@@ -143,7 +145,9 @@ def test_a_missing_package_is_one_line_with_its_command(
     capsys.readouterr()
     for name in missing:
         monkeypatch.setitem(sys.modules, name, None)
-    names = {"h5": as_hdf5, "png": tmp_path / "shot.png", "out": tmp_path / "out"}
+    (tmp_path / "x.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    names = {"bag": tmp_path / "x.bag", "h5": as_hdf5, "png": tmp_path / "shot.png",
+             "out": tmp_path / "out"}
     assert run(*(one.format(**names) for one in arguments)) == 2
     text = capsys.readouterr().err
     assert "pip install " + package in text
@@ -329,6 +333,27 @@ def test_images_without_a_valid_pixel_say_why(dn, method, why, name, tmp_path, c
     text = capsys.readouterr().err
     assert text.count("no image has a valid pixel") == 1
     assert why in text
+
+
+@pytest.mark.parametrize(("dn", "why"), [
+    (1023, "100% of the pixels of its frames are saturated"),
+    (None, "needs frames, and there are none")])
+@pytest.mark.parametrize("command", ["fan", "tendon"])
+def test_other_commands_say_why_no_pixel_is_valid(command, dn, why, tmp_path, capsys):
+    _written(tmp_path / "in.aedat4", dn, 500)
+    out = tmp_path / ("out" if command == "tendon" else "out.mp4")
+    run(command, tmp_path / "in.aedat4", "-o", out, "--fps", 10, "--method", "cf",
+        "--layout", "pdavis", "--thresholds", "nominal")
+    assert f"no image has a valid pixel: {'method' * (dn is None)}" in (
+        text := capsys.readouterr().err)
+    assert why in text
+
+
+@pytest.mark.parametrize("command", ["fan", "tendon", "export"])
+def test_a_time_outside_the_recording_names_its_range(command, tmp_path, capsys):
+    out = tmp_path / ("out" if command == "tendon" else "out.mp4")
+    assert run(command, SAMPLE, "-o", out, "--start", 100, "--layout", "pdavis") == 2
+    assert "the recording covers 0 .. " in capsys.readouterr().err
 
 
 def test_images_with_valid_pixels_warn_of_nothing(tmp_path, capsys):

@@ -27,6 +27,7 @@ __all__ = [
     "add_layout_option",
     "calibration_of",
     "command",
+    "covered",
     "fuse_options",
     "fusion_given",
     "layout_option",
@@ -240,8 +241,15 @@ def require_samples(recording: Recording, start_us: int | None) -> None:
         raise UsageError(f"{name}: holds no frame and no event")
     after = (start_us - start_of(recording)) / 1e6
     raise UsageError(
-        f"{name}: no image in the interval asked for: the recording ends before "
-        f"{after:g} s")
+        f"{name}: no image at {after:g} s or later: {covered(recording)}")
+
+
+def covered(recording: Recording) -> str:
+    """Return which seconds a recording covers, for messages; reads it to its end."""
+    report = recording.scan()
+    if report.start_us is None or report.stop_us is None:
+        return "the recording is empty"
+    return f"the recording covers 0 .. {(report.stop_us - report.start_us) / 1e6:g} s"
 
 
 def add_layout_option(parser: argparse.ArgumentParser) -> None:

@@ -23,7 +23,7 @@ from pdavis_cv import (
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion import Fusion
 
-from ._common import UsageError
+from ._common import UsageError, covered
 
 __all__ = [
     "facts_of",
@@ -65,7 +65,8 @@ def grid_times(
     end = recording.scan().stop_us if stop_us is None else stop_us
     if start is None or end is None or start >= end:
         raise UsageError(
-            f"{recording.path or 'the recording'}: no image in the interval asked for")
+            f"{recording.path or 'the recording'}: no image in the interval asked for: "
+            f"{covered(recording)}")
     count = int(np.ceil(float(Fraction(end - start) * Fraction(fps) / 1_000_000))) + 1
     times = start + np.array([round(Fraction(k * 1_000_000) / Fraction(fps))
                               for k in range(count)], np.int64)
@@ -96,7 +97,10 @@ def tone_of(
             [image.valid for image in usable], saturated=top and top / 2)
     if top is None or not any((export.plane(image, quantity) >= top / 2).any()
                               for image in images):
-        raise UsageError("no image has a valid pixel: is there a frame before its end?")
+        method = str(images[0].provenance["method"])
+        raise UsageError(
+            "no image has a valid pixel: "
+            f"{_why_nothing(recording, method, options['calibration'])}")
     return render.ToneCurve(top, saturated=top / 2)
 
 

@@ -25,6 +25,7 @@ from ._common import (
     UsageError,
     add_fuse_options,
     command,
+    covered,
     fuse_options,
     numbers,
     opened,
@@ -90,7 +91,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             fuse(recording, **options), recording, options["calibration"])
         first = list(itertools.islice(images, 2))
         if not first:
-            raise UsageError(f"{args.file}: no image in the interval asked for")
+            raise UsageError(
+                f"{args.file}: no image in the interval asked for: "
+                f"{covered(recording)}")
         rate = _playing_rate(first, options["fps"], args.slow)
         total = _expected(recording, options, first)
         frames = iter(progress(itertools.chain(first, images), total, "images"))

@@ -38,6 +38,7 @@ from ._images import (
     grid_times,
     held_at,
     of_frames,
+    told_if_nothing,
     tone_of,
 )
 
@@ -146,8 +147,9 @@ def make_fan(
     beside = _beside(args, second, times)
     measured: dict[str, list[Any]] = {"frames": [], "fused": []}
     still = None
-    pairs = zip(fuse(recording, **held_options), fuse(recording, **options),
-                times.tolist(), strict=True)
+    images = told_if_nothing(
+        fuse(recording, **options), recording, options["calibration"])
+    pairs = zip(fuse(recording, **held_options), images, times.tolist(), strict=True)
     with export.VideoFile(args.out, args.fps / args.slow, facts) as video:
         for held, fused, t in progress(pairs, len(times), "images"):
             rows = [("frames", held, tones[0].seen),

@@ -44,7 +44,7 @@ from .._common import (
     start_of,
     within,
 )
-from .._images import facts_of, grid_times, held_at, of_frames
+from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
 from . import report
 from .video import TendonSheet
 
@@ -297,8 +297,9 @@ def _traces(
         regions, estimate=args.estimate, background=background)
     busiest = analysis.TraceRecorder(busy, background=background) if busy else None
     times = options["times_us"]
-    for image in progress(fuse(recording, **options),
-                          None if times is None else len(times), "images"):
+    images = told_if_nothing(
+        fuse(recording, **options), recording, options["calibration"])
+    for image in progress(images, None if times is None else len(times), "images"):
         recorder.add(image)
         if busiest is not None:
             busiest.add(image)
