@@ -82,6 +82,7 @@ _HOME = {
     "DEFAULT_METHOD": "reconstruct.methods",
     "FusionOptions": "fusion.options",
     "bandwidth_in_situ": "fusion.learning",
+    "clock_offset_in_situ": "fusion.learning",
     "fuse": "fusion.engine",
     "thresholds_in_situ": "fusion.learning",
     "LinkFaults": "live.faults",
@@ -228,6 +229,7 @@ __all__ = [
     "bandwidth_in_situ",
     "calibration",
     "cds",
+    "clock_offset_in_situ",
     "debias_dolp",
     "deblur",
     "demosaic",
@@ -323,6 +325,7 @@ if TYPE_CHECKING:
     from pdavis_cv.fusion import (
         FusionOptions,
         bandwidth_in_situ,
+        clock_offset_in_situ,
         fuse,
         thresholds_in_situ,
     )

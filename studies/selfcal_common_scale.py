@@ -42,13 +42,9 @@ def scale_of(preset, rpm, seed):
     law = fit_bandwidth(sample).law
     with patch.multiple(common_scale, _EVIDENCE=-math.inf, _MIN_CHANGE=-1.0,
                         _MAX_SIGMA=math.inf, _MAX_NOISE_SHARE=math.inf):
-        on, off, _ = common_scale.fit_common_scale(sample, law)
-    scale, ratio = math.log(on * off) / 2, math.log(on / off)
-    clean = sample.without_dim_samples().with_leak_in_frames()
-    other = fit_bandwidth(sample.with_thresholds_scaled(on, off)).law
-    before, = common_scale._Cost(clean, law)(np.zeros(1), np.zeros(1))
-    after, = common_scale._Cost(clean, other)(np.array([scale]), np.array([ratio]))
-    return before - after, scale, ratio
+        found = common_scale.fit_common_scale(sample, law)
+    scale, ratio = math.log(found.on * found.off) / 2, math.log(found.on / found.off)
+    return found.evidence, scale, ratio
 
 
 def measure(presets, chips):

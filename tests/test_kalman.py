@@ -450,7 +450,15 @@ def test_a_filter_goes_on_with_another_bandwidth_and_noise(mode):
                 1 - part[i]) * covariance[..., i, i] + part[i] * first[..., i, i],
                 rtol=1e-6)
         assert (np.linalg.eigvalsh(after) > 0).all()
-    with pytest.raises(TypeError, match="retune takes bandwidth and noise, got leak"):
+    on, off = told.parameters["theta_on"] * 1.5, told.parameters["theta_off"] * 1.2
+    told.retune(theta_on=on, theta_off=off, threshold_sigma=0.05)
+    anew, spread = told.thresholds
+    for found, stated in zip(anew, (on, off), strict=True):
+        np.testing.assert_allclose(found, np.broadcast_to(stated, shape), rtol=1e-15)
+    np.testing.assert_allclose(spread, np.broadcast_to(
+        np.diag([0.05**2, 0.05**2]), spread.shape), rtol=1e-15)
+    assert np.all(told.parameters["threshold_sigma"] == 0.05)
+    with pytest.raises(TypeError, match=r"retune takes bandwidth, .*, got leak"):
         plain.retune(leak=3)
 
 

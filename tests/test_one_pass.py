@@ -141,8 +141,10 @@ def endless(fps=20, size=(8, 8)):
     ({"causal": True, "method": "cf"}, 20_000),
     ({"causal": True}, 20_000),
     ({"method": "cf"}, 220_000),
-    ({"thresholds": NOMINAL, "bandwidth": None, "noise": (0.02, 0.1, 0.0003)}, 280_000),
-    ({"mode": "offline", "bandwidth": None, "noise": (0.02, 0.1, 0.0003)}, 800_000),
+    ({"thresholds": NOMINAL, "clock_offset_us": None, "bandwidth": None,
+      "noise": (0.02, 0.1, 0.0003)}, 280_000),
+    ({"mode": "offline", "clock_offset_us": None, "bandwidth": None,
+      "noise": (0.02, 0.1, 0.0003)}, 800_000),
 ], ids=str)
 def test_no_image_waits_for_more_than_it_needs(options, wait_us):
     source, taken = endless()

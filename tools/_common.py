@@ -316,7 +316,7 @@ def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
             value = round(value * 1e6)
         elif facts.word == "calibration":
             value = calibration_of(value)
-        elif facts.word == "ratio" and value == "none":
+        elif facts.word in ("ratio", "offset") and value == "none":
             value = None
         options[name] = value
     return {**options, **dict(args.settings)}
@@ -465,6 +465,12 @@ def _ratio(text: str) -> float | str:
     return float(numbers(text, 1)[0])
 
 
+def _offset(text: str) -> float | str:
+    if text in ("learned", "none"):
+        return text
+    return float(numbers(text, 1)[0])
+
+
 def _pair(text: str) -> tuple[float, float]:
     on, off = numbers(text, 2)
     return on, off
@@ -475,6 +481,7 @@ _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
     "number": (positive, "RATE"),
     "count": (within(1, 1024), "N"),
     "seconds": (seconds, "S"),
+    "offset": (_offset, "US"),
     "region": (roi_option, "X,Y,W,H"),
     "layout": (layout_option, "LAYOUT"),
     "calibration": (Path, "NPZ"),

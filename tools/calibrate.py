@@ -292,6 +292,13 @@ def _thresholds(
         values["bandwidth_hz"] = hz if hz > 0 else None
         values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
         values["bandwidth_sigma"] = found.bandwidth.sigma
+    clock = found.clock_offset
+    if clock is not None:
+        page.say("frames' stamps", f"off by {clock.us / 1000:+.2f} +- "
+                 f"{clock.sigma_us / 1000:.2f} ms"
+                 + ("" if clock.counts else ": not told from 0"))
+        if clock.counts:
+            values["clock_offset_us"] = clock.us
     return values, page
 
 

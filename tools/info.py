@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import Layout, Sensor
-from pdavis_cv.recording.advice import advise
-from pdavis_cv.recording.base import RecordingInfo, Report
+from pdavis_cv.fusion.learning import clock_offset_in_situ
+from pdavis_cv.recording.advice import Advice, advise
+from pdavis_cv.recording.base import Recording, RecordingInfo, Report
 
 from ._common import Parser, add_layout_option, command, opened
 
@@ -26,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     with opened(args) as recording:
         report = recording.scan() if args.scan else None
-        advice = advise(recording) if args.scan else []
+        advice = [*advise(recording), *_clock(recording)] if args.scan else []
         problems = recording.problems
         if args.json:
             facts = {"file": args.file, "info": _plain(recording.info),
@@ -45,6 +46,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         for one in advice:
             print(f"  {one.topic}: {one.finding}; {one.action}")
     return 0
+
+
+def _clock(recording: Recording) -> list[Advice]:
+    """Return what is to be said about the clocks of frames and events."""
+    found = clock_offset_in_situ(recording) if recording.info.frame_count != 0 else None
+    if found is None or not found.counts:
+        return []
+    return [Advice(
+        "clocks", f"frames' stamps are {abs(found.us) / 1000:.1f} +- "
+        f"{found.sigma_us / 1000:.1f} ms {'early' if found.us > 0 else 'late'} by the "
+        "clock of the events",
+        "method kalman moves them; give other methods --clock-offset "
+        f"{found.applied_us}")]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -22,7 +22,9 @@ import numpy as np
 from pdavis_cv import Calibration, Recording, __version__, fuse
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, observed
 from pdavis_cv.export import write_beside, write_csv
+from pdavis_cv.fusion import Fusion
 from pdavis_cv.reconstruct.base import Estimate
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
 from ._common import (
     Parser,
@@ -51,7 +53,7 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 """Name -> options of fuse."""
 
-SOURCES = ("nominal", "in-situ", "fitted")
+SOURCES = ("default", "nominal", "in-situ", "fitted")
 _LEAST_MOVING = 100   # pixels: with fewer, what is static decides
 _ALLOWED_STATIC = 1.2  # times the least static error that a suited method may have
 
@@ -117,7 +119,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--thresholds", nargs="+", type=_source, default=list(SOURCES), metavar="T",
         help=f"of {', '.join(SOURCES)} (by regression on the frames), or ON,OFF in "
-             "natural-log units; default these three")
+             "natural-log units; default these")
     parser.add_argument(
         "--calibration", type=Path, metavar="NPZ",
         help="of this camera; its thresholds are tried too")
@@ -146,7 +148,8 @@ def _tries(
     for source in sources:
         if source != "fitted":
             name = source if isinstance(source, str) else "given"
-            tries.append((name, {"thresholds": source}))
+            tries.append((name, {
+                "thresholds": None if source == "default" else source}))
         elif left_out.thresholds is not None:
             tries.append(("fitted", {"thresholds": left_out.thresholds}))
     if calibration is not None:
@@ -162,8 +165,8 @@ def _tries(
 
 def _pair(options: dict[str, Any]) -> tuple[float, float] | None:
     value = options["thresholds"]
-    return (0.2, 0.2) if value == "nominal" else (
-        None if isinstance(value, str) else value)
+    return NOMINAL_THRESHOLDS if value == "nominal" else (
+        value if isinstance(value, tuple) else None)
 
 
 def _simple(
@@ -172,9 +175,9 @@ def _simple(
     rows: dict[str, Row] = {}
     for source, options in tries:
         pair = _pair(options)
-        if pair is None:
-            continue
-        for name, guesses in left_out.simple(pair).items():
+        for name, guesses in left_out.simple(pair or NOMINAL_THRESHOLDS).items():
+            if pair is None and "events" in name:
+                continue
             said, used = (source, pair) if "events" in name else ("", None)
             row = Row(name, said, used, left_out.score(guesses))
             rows.setdefault(row.name, row)
@@ -182,12 +185,18 @@ def _simple(
 
 
 def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
-    """Yield what a method makes of each left-out frame; options are those of fuse."""
+    """Yield what a method makes of each left-out frame; options are those of fuse.
+
+    Images are on the clock of the events.  Where frames' stamps are found to be off,
+    the left-out ones' are moved as those of the others: of a causal method too, whose
+    past may not have told it yet.
+    """
     seen: list[Estimate] = []
-    method = observed(options.pop("method"), seen)
+    options = {**options, "method": observed(options["method"], seen),
+               "demosaic": "superpixel"}
     recording: Recording = left_out.kept
-    for _ in fuse(recording, method=method, times_us=left_out.times_us,
-                  demosaic="superpixel", **options):
+    clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
+    for _ in fuse(recording, times_us=left_out.times_us + clock_us, **options):
         yield seen[0]
 
 

@@ -28,7 +28,9 @@ _POSITIVE = ("theta_on", "theta_off", "gain")
 _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
     "gain", "analyser", "usable")
-_NUMBERS = ("clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn", "bandwidth_sigma")
+_POSITIVE_NUMBERS = (
+    "clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn", "bandwidth_sigma")
+_NUMBERS = (*_POSITIVE_NUMBERS, "clock_offset_us")
 # Parts that only make sense together.
 _TOGETHER = (("theta_on", "theta_off"),)
 
@@ -71,6 +73,9 @@ class Calibration:
     bandwidth_sigma : float, optional
         Relative error of both, one standard deviation.  With it ``kalman`` learns
         onwards from each recording; without, the bandwidth is taken as it is.
+    clock_offset_us : float, optional
+        What is added to the frames' exposure times to bring them to the clock of the
+        events, microseconds; positive where events trail frames.
     notes : mapping of str to object
         Provenance and conditions, JSON values: wavelength in nm, f-number,
         temperature, how each part was measured.
@@ -99,6 +104,7 @@ class Calibration:
     bandwidth_hz: float | None = None
     bandwidth_hz_per_dn: float | None = None
     bandwidth_sigma: float | None = None
+    clock_offset_us: float | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -107,10 +113,13 @@ class Calibration:
         for name in _PLANES:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, self._checked_plane(name))
-        for name in _NUMBERS:
+        for name in _POSITIVE_NUMBERS:
             value = getattr(self, name)
             if value is not None and not 0 < float(value) < np.inf:
                 raise ValueError(f"{name} must be positive, got {value}")
+        if self.clock_offset_us is not None and not np.isfinite(self.clock_offset_us):
+            raise ValueError(
+                f"clock_offset_us must be finite, got {self.clock_offset_us}")
         for pair in _TOGETHER:
             if len({getattr(self, name) is None for name in pair}) > 1:
                 raise ValueError(f"{' and '.join(pair)} must be given together")
@@ -282,7 +291,8 @@ class Calibration:
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
             layout = head["layout"]
-            head.setdefault("bandwidth_sigma", None)     # earlier files do not say
+            for name in ("bandwidth_sigma", "clock_offset_us"):
+                head.setdefault(name, None)     # earlier files do not say
             return cls(
                 sensor_size=tuple(head["sensor_size"]), chip=head["chip"],
                 serial=head["serial"], notes=head["notes"],

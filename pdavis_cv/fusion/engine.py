@@ -187,6 +187,7 @@ class Fusion:
         self._lookahead_us = asked.lookahead_us
         self._learning = Learning(recording, options, parameters, self.needs)
         self._workers = Workers(options.threads)
+        self._clock_us = self._learning.prior.clock_us
         self._window = window_of(roi, info.sensor_size, options.demosaic, asked.margin)
         self._response = response_of(
             self._window.layout(self.layout), options.calibration,
@@ -205,6 +206,7 @@ class Fusion:
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
             "parameters": {name: value for name, value in asked.parameters.items()
                            if np.ndim(value) < 2},
+            "clock_offset_us": self._clock_us,
             "causal": options.causal, "layout": str(self.layout),
             "extinction_ratio": ratio, "demosaic": options.demosaic, "roi": roi,
             "calibration": options.calibration and options.calibration.identity,
@@ -332,9 +334,7 @@ class Fusion:
         if self._online is not None and snapshot.learning is not None:
             before = self._online.tuning
             self._online.restore(snapshot.learning)
-            self._go_on_with(_AFTER, {
-                name: value for name, value in self._online.tuning.parameters.items()
-                if value != before.parameters[name]})
+            self._go_on_with(_AFTER, self._online.tuning.changes(before))
         self._states.restore(snapshot.state, snapshot.fed_us)
         if self._lamp is not None and snapshot.lamp is not None:
             self._lamp.restore(snapshot.lamp)
@@ -355,6 +355,17 @@ class Fusion:
         if self._fps is None and self._times is None and self._grid_start is None:
             self._peek()
         return self._fps
+
+    @property
+    def clock_offset_us(self) -> int:
+        """What is added to the frames' exposure times, us.
+
+        Not `causal`, the beginning of the recording is read for it where it is to be
+        learned; with `causal` it is what has been learned up to the last image.
+        """
+        if not self.options.causal:
+            self._clock_us = self._learned().clock_us
+        return self._clock_us
 
     @property
     def start_us(self) -> int | None:
@@ -430,57 +441,63 @@ class Fusion:
         self._states: InOrder | AsItArrives | None = None
         self._online: OnlineLearning | None = None
         self._lamp: LampTracker | None = None
-        self._ahead: Iterator[Packet] | None = None
-        self._corrected = FrameCorrection(self.options.calibration)
+        self._corrected: FrameCorrection = FrameCorrection(self.options.calibration)
 
     def _open(
         self, after_us: int | None = None, frames_after_us: int | None = None,
         reached_us: int | None = None,
     ) -> None:
         """Begin to read, after what has been fed."""
+        clock_us = self._learned().clock_us
+        if self._online is not None:
+            clock_us = self._online.tuning.clock_us
         source = self.recording
         if isinstance(source, Recording):
-            self._packets = source.packets(None if after_us is None else after_us + 1)
-        else:
+            # A frame that is moved on may have been stamped before what has been fed.
+            self._packets = source.packets(
+                None if after_us is None else after_us + 1 - max(clock_us, 0))
+        elif self._packets is None:
             self._packets = source.packets()
-            if self._learns_first:
-                # What is looked at before the first image is kept until it is fed.
-                self._packets, self._ahead = itertools.tee(self._packets)
         self._feed = Feed(
             self._packets, by_arrival=self.options.causal,
             has_frames=source.info.frame_count != 0, stop_us=source.info.stop_us,
-            after_us=after_us, frames_after_us=frames_after_us, reached_us=reached_us)
+            after_us=after_us, frames_after_us=frames_after_us, reached_us=reached_us,
+            clock_us=clock_us)
 
     @property
     def _learns_first(self) -> bool:
         return bool(self._learning.wanted) and not self.options.causal
 
-    def _start(self) -> None:
-        """Make the states, with what is known before the first image."""
-        if self._learning.wanted and self.options.causal:
-            self._online = OnlineLearning(self._learning)
+    def _learned(self) -> Tuning:
+        """Return what is known before the first image: not causal, by a beginning."""
         if self._tuning is None:
             self._tuning = self._learning.prior
             if self._learns_first:
-                if self._feed is None and self._ahead is None:
-                    self._open()
-                ahead, self._ahead = self._ahead, None
-                self._tuning = self._learning.beginning(
-                    self.recording, ahead or self._again())
+                source = self.recording
+                if isinstance(source, Recording):
+                    ahead = source.packets()
+                else:
+                    # What is looked at is kept until it is fed.
+                    self._packets, ahead = itertools.tee(source.packets())
+                self._tuning = self._learning.beginning(source, ahead)
+        return self._tuning
+
+    def _start(self) -> None:
+        """Make the states, with what is known before the first image."""
+        tuning = self._learned()
+        if self._learning.wanted and self.options.causal:
+            self._online = OnlineLearning(self._learning)
         behind = InOrder(self._made(), self._window,
                          None if self._online is None else self._online.camera)
         arrives = self.options.causal and self.needs.frames
         self._states = AsItArrives(behind, self._made()) if arrives else behind
+        self._set_clock(tuning.clock_us)
         if self.needs.lamp:
             # Over the whole sensor, so that an image of a region is the crop.
             self._lamp = LampTracker(
-                self.recording.info.sensor_size, self._tuning.theta_on,
-                self._tuning.theta_off, self._tuning.parameters.get("bandwidth"))
+                self.recording.info.sensor_size, tuning.theta_on, tuning.theta_off,
+                tuning.parameters.get("bandwidth"))
         self._say(self._states.method.parameters)
-
-    def _again(self) -> Iterator[Packet]:
-        assert isinstance(self.recording, Recording)
-        return self.recording.packets()
 
     def _made(self) -> Reconstructor:
         assert self._tuning is not None
@@ -496,7 +513,16 @@ class Fusion:
     def _say(self, parameters: Mapping[str, Any]) -> None:
         """Put the parameters in force into the provenance of the images to come."""
         self.provenance = MappingProxyType(
-            {**self.provenance, "parameters": dict(parameters)})
+            {**self.provenance, "parameters": dict(parameters),
+             "clock_offset_us": self._clock_us})
+
+    def _set_clock(self, clock_us: int) -> None:
+        """Add this to the exposure times of the frames to come."""
+        self._clock_us = clock_us
+        if isinstance(self._states, AsItArrives):
+            self._states.clock_us = clock_us
+        if self._feed is not None:
+            self._feed.clock_us = clock_us
 
     def _advance_to(self, t: int) -> None:
         ahead = self._lookahead_us
@@ -550,10 +576,15 @@ class Fusion:
 
     def _go_on_with(self, t_us: int, changed: dict[str, Any]) -> None:
         """Go on with other parameters; the state goes on, the past stays as it was."""
-        if not changed:
-            return
         assert self._states is not None
-        self._states.retune(t_us, changed)
+        assert self._online is not None
+        if self._online.tuning.clock_us != self._clock_us:
+            self._set_clock(self._online.tuning.clock_us)
+        elif not changed:
+            return
+        if changed:
+            self._states.retune(t_us, {
+                name: self._window.plane(value) for name, value in changed.items()})
         if self._lamp is not None and "bandwidth" in changed:
             self._lamp.retune(changed["bandwidth"])
         self._say(self._states.method.parameters)

@@ -36,7 +36,7 @@ class Feed:
     ----------
     packets : iterator of Packet
     after_us : int, optional
-        Up to this time, inclusive, there are no events.
+        Up to this time, inclusive, events are left out.
     frames_after_us : int, optional
         Leave out the frames whose mid-exposure is not after this.
     by_arrival : bool
@@ -47,6 +47,9 @@ class Feed:
         One past the last sample, where that is known.
     reached_us : int, optional
         A sample at or after this time is known to exist: `reached_us` of another Feed.
+    clock_us : int
+        Added to the frames' exposure times.  With `by_arrival` frames are handed out as
+        they are, when they would arrive with it; it may be changed on the way.
     """
 
     def __init__(
@@ -59,7 +62,9 @@ class Feed:
         after_us: int | None = None,
         frames_after_us: int | None = None,
         reached_us: int | None = None,
+        clock_us: int = 0,
     ) -> None:
+        self.clock_us, self._after_us = clock_us, after_us
         self._frames_after, self._by_arrival = frames_after_us, by_arrival
         self.has_frames = has_frames
         self._packets = packets
@@ -134,7 +139,8 @@ class Feed:
         return True
 
     def _time(self, frame: ApsFrame) -> int:
-        return frame.available_us if self._by_arrival else frame.mid_us
+        return (frame.moved(self.clock_us).available_us if self._by_arrival
+                else frame.mid_us)
 
     def _knows(self, t_us: int) -> bool:
         """Tell whether nothing unread lies at or before t_us."""
@@ -157,11 +163,15 @@ class Feed:
             self._last_us = max(self._last_us, packet.stop_us - 1)
         if packet.until_us is not None:
             self._last_us = max(self._last_us, packet.until_us)
-        if len(packet.events):
-            self._events.append(packet.events)
+        events = packet.events
+        if self._after_us is not None and len(events):
+            events = events[bisect_right(events["t"], self._after_us):]
+        if len(events):
+            self._events.append(events)
         for frame in packet.frames:
-            if self._frames_after is None or frame.mid_us > self._frames_after:
-                self._take(frame)
+            one = frame if self._by_arrival else frame.moved(self.clock_us)
+            if self._frames_after is None or one.mid_us > self._frames_after:
+                self._take(one)
         return True
 
     def _take(self, frame: ApsFrame) -> None:

@@ -30,15 +30,20 @@ from pdavis_cv.selfcal import (
     TYPICAL_BANDWIDTH,
     Bandwidth,
     CameraEstimate,
+    ClockOffset,
     SelfCalibration,
 )
 from pdavis_cv.selfcal.estimator import QUANTITIES
 from pdavis_cv.selfcal.noise import LEAST_NOISE
-from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA, USUAL_MISMATCH
-from pdavis_cv.sensor import Sensor
+from pdavis_cv.selfcal.priors import (
+    CLOCK_OFFSET_SIGMA_US,
+    THRESHOLD_SIGMA,
+    USUAL_MISMATCH,
+)
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["FIRST_LOOK_S", "Learning", "OnlineLearning", "Tuning",
-           "bandwidth_in_situ", "thresholds_in_situ"]
+           "bandwidth_in_situ", "clock_offset_in_situ", "thresholds_in_situ"]
 
 FIRST_LOOK_S = 0.5
 """The passing stream is first looked at so long after the first frame, s of stream
@@ -55,6 +60,9 @@ _COMMON_ERROR = math.sqrt(2)
 errors as independent, which understates the scale's sigma by this factor."""
 
 
+_UNSET = object()
+
+
 @dataclass(frozen=True, eq=False)
 class Tuning:
     """What a method is made with, as far as it is known.
@@ -65,11 +73,29 @@ class Tuning:
         Contrast thresholds, natural-log units.
     parameters : mapping of str to object
         Further parameters of the method.
+    clock : ClockOffset
+        What is added to the frames' exposure times, if it counts.
     """
 
     theta_on: Theta
     theta_off: Theta
     parameters: Mapping[str, Any]
+    clock: ClockOffset
+
+    @property
+    def clock_us(self) -> int:
+        """What is added to the frames' exposure times."""
+        return self.clock.applied_us
+
+    def changes(self, before: Tuning) -> dict[str, Any]:
+        """Return what a method made with another tuning is to be retuned with."""
+        out = {name: value for name, value in self.parameters.items()
+               if not np.array_equal(value, before.parameters.get(name, _UNSET))}
+        for name in ("theta_on", "theta_off"):
+            value = getattr(self, name)
+            if not np.array_equal(value, getattr(before, name)):
+                out[name] = value
+        return out
 
     def changed(self, **parameters: Any) -> Tuning:
         """Return the tuning with other parameters."""
@@ -112,11 +138,15 @@ class Learning:
                 f"{given['bandwidth']!r}")
         known = {**self._of_calibration(options), **given}
         wanted = {name for name in needs.learned if name not in known}
-        if not options.causal and options.thresholds == "in-situ":
-            wanted.add("thresholds")
-        elif not options.causal and wanted and options.thresholds is None and (
+        if options.thresholds == "in-situ":
+            # A stream that passes is not kept for what each pixel needs.
+            wanted.add("scale" if options.causal else "thresholds")
+        elif wanted and options.thresholds is None and (
                 self._calibration is None or self._calibration.theta_on is None):
             wanted.add("scale")     # of what only biases or data sheet say
+        clock = _stated_clock(options)
+        if needs.learned and clock is None:
+            wanted.add("clock_offset")
         self.wanted = frozenset(wanted) if source.info.frame_count != 0 else frozenset()
         self._stated = _stated_bandwidth(self._calibration)
         if "bandwidth" in wanted:
@@ -125,7 +155,8 @@ class Learning:
                 TYPICAL_BANDWIDTH if options.causal else None)
         if "noise" in wanted:
             known["noise"] = self._noise(0.0)
-        self.prior = Tuning(on, off, known)
+        self.prior = Tuning(on, off, known, clock or ClockOffset(
+            0.0, CLOCK_OFFSET_SIGMA_US))
 
     def _of_calibration(self, options: FusionOptions) -> dict[str, Any]:
         """Return what calibration and sensor say; learned bandwidths are left out."""
@@ -202,13 +233,16 @@ class Learning:
             found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
         if "noise" in self.wanted and estimate.noise is not None:
             found["noise"] = self._noise(estimate.noise)
-        if not {"thresholds", "scale"}.isdisjoint(self.wanted):
-            tuning = Tuning(estimate.theta_on.astype(np.float32),
-                            estimate.theta_off.astype(np.float32), tuning.parameters)
-            if "threshold_sigma" in self._needs.prior and (
-                    "thresholds" in self.wanted or estimate.common_scale_sigma > 0):
-                found["threshold_sigma"] = tuning.parameters.get(
+        scaled = "scale" in self.wanted and estimate.common_scale_sigma > 0
+        if "thresholds" in self.wanted or scaled:
+            tuning = dataclasses.replace(
+                tuning, theta_on=estimate.theta_on.astype(np.float32),
+                theta_off=estimate.theta_off.astype(np.float32))
+            if "threshold_sigma" in self._needs.prior:
+                found["threshold_sigma"] = self.prior.parameters.get(
                     "threshold_sigma", _sigma_of(estimate))
+        if estimate.clock_offset is not None:
+            tuning = dataclasses.replace(tuning, clock=estimate.clock_offset)
         return tuning.changed(**found)
 
     def _noise(self, of_events: float) -> tuple[float, ...]:
@@ -274,14 +308,20 @@ class OnlineLearning:
         """Estimate from what has passed; return the parameters that change by it."""
         before = self.tuning
         estimate = self._learning.estimate(self.camera)
-        if estimate.bandwidth is not None and not _is_news(
+        clock = estimate.clock_offset
+        if clock is not None and clock.ambiguous:
+            estimate = dataclasses.replace(estimate, bandwidth=None)
+        if clock is not None and clock.sigma_us > before.clock.sigma_us:
+            estimate, clock = dataclasses.replace(estimate, clock_offset=None), None
+        moved = clock is not None and clock.applied_us != before.clock_us
+        # What was found of the lag with other stamps holds no more.
+        if estimate.bandwidth is not None and not moved and not _is_news(
                 estimate.bandwidth, checked_bandwidth(before.parameters["bandwidth"])):
             estimate = dataclasses.replace(estimate, bandwidth=None)
         self.tuning = self._learning.tuned(before, estimate)
         self._looks += 1
         self.next_us = self._look_us()
-        return {name: value for name, value in self.tuning.parameters.items()
-                if value != before.parameters[name]}
+        return self.tuning.changes(before)
 
     def state(self) -> Mapping[str, Any]:
         """Return everything that passing data change; arrays in it never change."""
@@ -305,6 +345,17 @@ def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
                     / (known[0] + known[1] * level))
     return bool(np.abs(change).max() > _WORTHWHILE
                 or found.sigma < known[2] / 2)
+
+
+def _stated_clock(options: FusionOptions) -> ClockOffset | None:
+    """Return what is to be added to frames' stamps, None if it is to be learned."""
+    stated = options.clock_offset_us
+    if stated == "learned":
+        known = options.calibration
+        if known is None or known.clock_offset_us is None:
+            return None
+        stated = known.clock_offset_us
+    return ClockOffset(0.0 if stated is None else float(stated), 0.0)
 
 
 def _stated_bandwidth(
@@ -397,8 +448,8 @@ def thresholds_in_situ(
                              leak_hz=leak_hz, threshold_sigma=sigma)
     if isinstance(bandwidth, str):
         return camera.estimate(wanted=QUANTITIES)
-    found = camera.estimate(wanted={"thresholds", "noise"}, bandwidth=(
-        None if bandwidth is None else bandwidth.law))
+    found = camera.estimate(wanted=QUANTITIES - {"bandwidth"}, bandwidth=(
+        None if bandwidth is None else (*bandwidth.law, bandwidth.sigma)))
     return dataclasses.replace(found, bandwidth=bandwidth)
 
 
@@ -434,7 +485,42 @@ def bandwidth_in_situ(
     """
     return _that_looked_on(
         recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
-            wanted={"bandwidth"}).bandwidth
+            wanted={"bandwidth", "clock_offset"}).bandwidth
+
+
+def clock_offset_in_situ(
+    recording: Recording,
+    *,
+    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
+    calibration: Calibration | None = None,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+) -> ClockOffset | None:
+    """Estimate how far the frames' stamps are off the clock of the events.
+
+    Events that trail frames at all intensities and speeds alike tell it; the lag of
+    photoreceptors, which does nearly the same, is taken for the usual one unless it is
+    seen to depend on the light.
+
+    Parameters
+    ----------
+    recording : Recording
+        With frames and events; the light must change.
+    nominal : (on, off)
+        Expected thresholds, scalars or (H, W); their common scale is found too.
+    calibration : Calibration, optional
+        Its dark, gain and clip level are applied to the frames.
+    start_us, stop_us : int, optional
+        The part to look at; as for `thresholds_in_situ`.
+
+    Returns
+    -------
+    ClockOffset or None
+        None where frames or events are too few to tell anything.
+    """
+    return _that_looked_on(
+        recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
+            wanted={"bandwidth", "scale", "clock_offset"}).clock_offset
 
 
 def _that_looked_on(

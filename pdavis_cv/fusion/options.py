@@ -30,6 +30,7 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 __all__ = ["FusionOptions", "OptionFacts", "names_options", "takes_options"]
 
 _MOST_FPS = 1_000_000
+_MOST_OFFSET_US = 1_000_000     # beyond, frames and events are not of one camera
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class OptionFacts:
     word : str or None
         How a command line reads it: ``"text"``, ``"number"``, ``"seconds"`` (after the
         start of the recording), ``"flag"``, ``"region"``, ``"layout"``,
-        ``"calibration"`` (a file), ``"ratio"``, ``"thresholds"``, ``"pair"``; None =
-        not at all.
+        ``"calibration"`` (a file), ``"ratio"``, ``"offset"``, ``"thresholds"``,
+        ``"pair"``; None = not at all.
     brief : str
         Help on the command line; default: the first sentence of `help`.
     choices : tuple of str
@@ -158,12 +159,21 @@ class FusionOptions:
         "corrects the scale of bias or nominal ones that all pixels share where the "
         'beginning of the recording contradicts it.  "in-situ" starts from those and '
         "finds each pixel's from the first 10 s, before the first image; with `causal` "
-        "nothing is looked at before its time.", "thresholds",
+        "nothing is looked at before its time, and only the scale found.", "thresholds",
         "calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     nominal_thresholds: tuple[ArrayLike, ArrayLike] = _option(
         NOMINAL_THRESHOLDS, "(on, off)",
         'Natural-log units; used for "nominal", and where nothing better is known.',
         "pair", "thresholds ON,OFF where nothing better is known")
+    clock_offset_us: float | str | None = _option(
+        "learned", 'float, "learned" or None',
+        "What is added to the frames' exposure times to bring them to the clock of the "
+        "events, us; positive where events trail frames, as in a DAVIS346 by some ms.  "
+        '"learned" takes the calibration\'s, else a method that learns, as kalman, '
+        "finds it from the beginning of the recording (with `causal`, as the stream "
+        "passes) and applies what is beyond three standard errors and 1 ms.  None "
+        "leaves stamps as they are.  Images are on the clock of the events.", "offset",
+        "microseconds to add to the frames' stamps, learned, or none")
     denoise: bool | Mapping[str, Any] = _option(
         False, "bool or mapping",
         "Leave out events without support by neighbours behind the same polarizer, and "
@@ -204,6 +214,7 @@ class FusionOptions:
                 f"threads must be a whole number from 1, got {self.threads!r}")
         put("threads", int(self.threads))
         checked_choice(self.thresholds)
+        put("clock_offset_us", _checked_offset(self.clock_offset_us))
         put("denoise", _checked_denoise(self.denoise))
         put("parameters", MappingProxyType(dict(self.parameters)))
 
@@ -309,6 +320,16 @@ def _checked_roi(roi: Any) -> tuple[int, int, int, int] | None:
         raise TypeError(
             f"roi must be four integers (x, y, width, height), got {roi!r}") from None
     return x, y, width, height
+
+
+def _checked_offset(value: Any) -> float | str | None:
+    if value is None or (isinstance(value, str) and value == "learned"):
+        return value
+    if isinstance(value, str) or not abs(float(value)) <= _MOST_OFFSET_US:
+        raise ValueError(
+            "clock_offset_us must be 'learned', None or within "
+            f"{_MOST_OFFSET_US} of 0, got {value!r}")
+    return float(value)
 
 
 def _checked_denoise(value: Any) -> bool | dict[str, Any]:

@@ -45,11 +45,19 @@ class InOrder:
         if len(inside):
             self.method.add_events(inside)
 
-    def add_frame(self, frame: ApsFrame) -> None:
-        """Take a frame of the whole sensor, corrected."""
+    def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
+        """Take a frame of the whole sensor, corrected.
+
+        Parameters
+        ----------
+        frame : ApsFrame
+            Of which the camera learns as it is.
+        clock_us : int
+            Added to its exposure times for the method.
+        """
         if self.camera is not None:
             self.camera.add_frame(frame)
-        self.method.add_frame(self.window.frame(frame))
+        self.method.add_frame(self.window.frame(frame.moved(clock_us)))
 
     def add_wave(self, wave: Wave) -> None:
         """Tell how the lamp flickers."""
@@ -93,10 +101,15 @@ class AsItArrives:
         Fed in order of time, `LONGEST_DELAY_US` or less behind what has arrived.
     method : Reconstructor
         The current state; equal to that of `behind`.
+
+    Attributes
+    ----------
+    clock_us : int
+        Added to the exposure times of frames that arrive.
     """
 
     def __init__(self, behind: InOrder, method: Reconstructor) -> None:
-        self.behind, self.method = behind, method
+        self.behind, self.method, self.clock_us = behind, method, 0
         self._since: deque[NDArray[Any]] = deque()   # events after the state behind
 
     @property
@@ -112,7 +125,7 @@ class AsItArrives:
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame of the whole sensor, corrected, when it has arrived."""
-        mid = frame.mid_us
+        mid = frame.mid_us + self.clock_us
         late = frame.available_us - mid > LONGEST_DELAY_US
         if late or (self.fed_us is not None and mid <= self.fed_us):
             warnings.warn(
@@ -122,7 +135,7 @@ class AsItArrives:
             return
         self._advance(mid)
         self.behind.fed_us = mid - 1
-        self.behind.add_frame(frame)
+        self.behind.add_frame(frame, self.clock_us)
         self._catch_up()
 
     def add_wave(self, wave: Wave) -> None:

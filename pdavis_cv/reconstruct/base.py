@@ -200,6 +200,7 @@ class Reconstructor(ABC):
     def retune(self, **learned: Any) -> None:
         """Go on with other values of the parameters that ``needs.learned`` names.
 
+        And of thresholds and ``threshold_sigma``, where ``needs.prior`` names that.
         The state stays as it is: what was fed before is not looked at again.
 
         Parameters

@@ -183,6 +183,19 @@ class ApsFrame:
         return ApsFrame(**{name: getattr(self, name) for name in self.__slots__}
                         | changes)
 
+    def moved(self, us: int) -> ApsFrame:
+        """Return the frame with other exposure times, later by us.
+
+        When it arrives stays as it is, but for a frame that would arrive before its
+        exposure ends.
+        """
+        if us == 0:
+            return self
+        end = self.exposure_end_us + us
+        return self.replace(
+            exposure_start_us=self.exposure_start_us + us, exposure_end_us=end,
+            available_us=max(self.available_us, int(np.max(end))))
+
     def cropped(self, rows: slice, columns: slice) -> ApsFrame:
         """Return the frame of a part of the sensor; arrays are views where possible."""
         def part(array: NDArray[Any] | None) -> NDArray[Any] | None:

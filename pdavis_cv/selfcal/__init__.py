@@ -5,6 +5,7 @@ For whoever feeds a stream: `SelfCalibration` looks on and gives a `CameraEstima
 It knows arrays only: no file, no recording, no calibration file.
 """
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths
+from pdavis_cv.selfcal.clock_offset import ClockOffset
 from pdavis_cv.selfcal.estimator import CameraEstimate, SelfCalibration
 from pdavis_cv.selfcal.priors import LEAK_HZ, TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
 
@@ -14,6 +15,7 @@ __all__ = [
     "USUAL_BANDWIDTH",
     "Bandwidth",
     "CameraEstimate",
+    "ClockOffset",
     "SelfCalibration",
     "combine_bandwidths",
 ]

@@ -29,7 +29,7 @@ _EVIDENCE = 40.0
 """By how much -ln L must fall for the nominal thresholds to be given up: model
 selection between "nominal" and "anything within a factor of three".  An engineering
 choice: above what it falls by where thresholds are stated right (`nominal`,
-`realistic`, 30 to 1000 RPM: up to 32; studies/selfcal_common_scale.py)."""
+`realistic`, 30 to 1000 RPM: up to 38; studies/selfcal_common_scale.py)."""
 
 _NO_EVENTS = -3.0
 """ln of a scale at which events count for 5 % of what they are, an engineering choice:
@@ -41,7 +41,7 @@ _MAX_NOISE_SHARE = 0.05
 in the predictor attenuates a regression, here the scale, by about this share.
 An engineering choice, of the order of the scale's own sigma."""
 
-_MAX_SIGMA = 0.03
+_MAX_SIGMA = 0.05
 """Greatest sigma (ln) by the curvature of -ln L at which a scale counts: as
 much as the models have wrong (`_MODEL_SIGMA`)."""
 
@@ -55,12 +55,27 @@ frames make of it (up to .07, studies/selfcal_common_scale.py), and is what
 `THRESHOLD_SIGMA` allows each pixel anyway."""
 
 
+_DIM, _LEAST_HZ = 0.1, 20.0
+"""Part of a bright pixel's light at which lag is taken, as for the bandwidth, and the
+least corner frequency that is reckoned with there, Hz (a lag of 8 ms)."""
+
+
 class CommonScale(NamedTuple):
-    """Factors on the nominal thresholds of all pixels; sigma of the ln of both."""
+    """Factors on the nominal thresholds of all pixels.
+
+    Parameters
+    ----------
+    on, off : float
+    sigma : float
+        Standard deviation of the ln of both.
+    evidence : float
+        By how much -ln L falls.
+    """
 
     on: float
     off: float
     sigma: float
+    evidence: float
 
 
 def fit_common_scale(
@@ -79,21 +94,24 @@ def fit_common_scale(
         at the usual one too: what fits wrong thresholds best may be far off.
     """
     clean = sample.without_dim_samples().with_leak_in_frames()
+    # Elsewhere interpolation errs by as much as a threshold, and attenuates the scale.
+    steady = clean.between_like_events(
+        1e6 / (2 * math.pi * max(law[0] + law[1] * _DIM * sample.bright, _LEAST_HZ)))
     every = max(len(sample.pixels) // _COARSE_PIXELS, 1)
     tried: list[tuple[float, float, float, float, _Cost]] = []
     for start in (law, USUAL_BANDWIDTH[:2]) if learn_bandwidth else (law,):
-        cost = _Cost(clean, start)
+        cost = _Cost(steady, start)
         scale = vertex(_GRID, cost(_GRID, np.zeros_like(_GRID), every))
         scale, ratio, _ = cost.minimum(scale, 0.0, _STEPS)
         if learn_bandwidth:
-            cost = _Cost(clean, fit_bandwidth(
+            cost = _Cost(steady, fit_bandwidth(
                 sample.with_thresholds_scaled(*_factors(scale, ratio))).law)
         scale, ratio, bend = cost.minimum(scale, ratio, _STEPS[1:])
         least = float(cost(np.array([scale]), np.array([ratio]))[0])
         tried.append((least, scale, ratio, bend, cost))
     found, scale, ratio, bend, cost = min(tried, key=lambda each: each[0])
     without, = cost(np.array([_NO_EVENTS]), np.zeros(1))
-    nominal, = _Cost(clean, law)(np.zeros(1), np.zeros(1))
+    nominal, = _Cost(steady, law)(np.zeros(1), np.zeros(1))
     if not (nominal - found > _EVIDENCE and without - found > _EVIDENCE
             and bend * _MAX_SIGMA**2 > 1
             and max(abs(scale), abs(ratio)) > _MIN_CHANGE):
@@ -102,7 +120,8 @@ def fit_common_scale(
     noise = fit_event_noise(clean.with_thresholds_scaled(on, off), cost.law)
     if noise > _MAX_NOISE_SHARE * sample.events_per_s:
         return None
-    return CommonScale(on, off, math.hypot(bend**-0.5, _MODEL_SIGMA))
+    return CommonScale(
+        on, off, math.hypot(bend**-0.5, _MODEL_SIGMA), float(nominal - found))
 
 
 class _Cost:

@@ -1,7 +1,8 @@
 """The online self-calibration: looks on while a stream passes, gives an estimate."""
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +13,10 @@ from pdavis_cv._checks import sensor_shape
 from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.lamp import Wave
+from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths, fit_bandwidth
+from pdavis_cv.selfcal.clock_offset import ClockOffset, fit_clock_offset
 from pdavis_cv.selfcal.common_scale import CommonScale, fit_common_scale
 from pdavis_cv.selfcal.noise import fit_event_noise
 from pdavis_cv.selfcal.pixel_sample import (
@@ -30,9 +33,10 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
-QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise"})
+QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise", "clock_offset"})
 """What a `SelfCalibration` can estimate: thresholds of every pixel, or only the scale
-that all share (which the former include), bandwidth, event noise."""
+that all share (which the former include), bandwidth, event noise, and how far the
+frames' stamps are off."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
 """Bounds on the factors on variances, of the ratio and of the scale."""
@@ -59,6 +63,9 @@ class CameraEstimate:
     common_scale_sigma : float
         Standard deviation of the ln of the scale that all pixels share.  Part of
         `covariance`, and the same error in every pixel: no mean over pixels reduces it.
+    clock_offset : ClockOffset or None
+        What the frames' stamps must be moved by to the clock of the events; None where
+        it was not estimated.  The rest is estimated with stamps moved by what counts.
     """
 
     theta_on: NDArray[np.float64]
@@ -67,6 +74,7 @@ class CameraEstimate:
     bandwidth: Bandwidth | None = None
     noise: float | None = None
     common_scale_sigma: float = 0.0
+    clock_offset: ClockOffset | None = None
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -92,8 +100,8 @@ class SelfCalibration:
 
     Fed in order of time like a `Reconstructor`: a frame at its mid-exposure, corrected
     by what is known of the camera.  It keeps the last 10 s, 100 frames or 1 million
-    events of at most 8192 pixels, 25 MB at most; with `every_pixel` also the first 10 s
-    or 5 million events of all, 65 MB and the frames.
+    events of at most 16384 pixels, 40 MB at most; with `every_pixel` also the first
+    10 s or 5 million events of all, 65 MB and the frames.
 
     Parameters
     ----------
@@ -201,7 +209,15 @@ class SelfCalibration:
         noise: float | None = None
         law = (0.0, 0.0) if bandwidth is None else (
             float(bandwidth[0]), float(bandwidth[1]))
+        clock: ClockOffset | None = None
+        known = None if "bandwidth" in wanted or bandwidth is None else (
+            checked_bandwidth(bandwidth))
         if sample is not None:
+            stamped = sample
+            if "clock_offset" in wanted:
+                clock = fit_clock_offset(stamped, known)
+                sample = stamped.with_frames_moved(clock.applied_us)
+            first = sample
             if "bandwidth" in wanted:
                 found = fit_bandwidth(sample)
                 law = found.law
@@ -209,10 +225,16 @@ class SelfCalibration:
                 scale = fit_common_scale(
                     sample, law, learn_bandwidth=found is not None)
             if scale is not None:
-                sample = sample.with_thresholds_scaled(scale.on, scale.off)
-                if found is not None:
-                    found = fit_bandwidth(sample)
-                    law = found.law
+                stamped = stamped.with_thresholds_scaled(scale.on, scale.off)
+                sample = stamped
+            if clock is not None:
+                # Wrong thresholds and wrong stamps each make the other hard to tell.
+                if scale is not None:
+                    clock = fit_clock_offset(stamped, known)
+                sample = stamped.with_frames_moved(clock.applied_us)
+            if found is not None and sample is not first:
+                found = fit_bandwidth(sample)
+                law = found.law
             if "noise" in wanted:
                 noise = fit_event_noise(sample, law)
         if found is not None and self._stated is not None:
@@ -222,31 +244,33 @@ class SelfCalibration:
             self._nominal, factors, strict=True))
         if "thresholds" in wanted and self._whole is not None:
             theta, covariance, common = self._thresholds(
-                self._whole, sample, law, (nominal[0], nominal[1]))
+                self._whole, sample, law, (nominal[0], nominal[1]),
+                0 if clock is None else clock.applied_us)
             return CameraEstimate(
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
-                bandwidth=found, noise=noise, common_scale_sigma=common)
+                bandwidth=found, noise=noise, common_scale_sigma=common,
+                clock_offset=clock)
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
-            common_scale_sigma=0.0 if scale is None else scale.sigma)
+            common_scale_sigma=0.0 if scale is None else scale.sigma,
+            clock_offset=clock)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,
         law: tuple[float, float],
-        nominal: tuple[NDArray[np.float64], NDArray[np.float64]],
+        nominal: tuple[NDArray[np.float64], NDArray[np.float64]], clock_us: int,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
         """Return all thresholds, their covariance and the common scale's sigma."""
-        items = whole.items
-        frames = [i for i, item in enumerate(items) if isinstance(item, ApsFrame)]
-        half = frames[len(frames) // 2] if frames else 0
+        ordered = _in_order(whole.items, clock_us)
+        frames = sum(isinstance(item, ApsFrame) for item in whole.items)
         on, off = nominal
         method = KalmanFilter(
             self.shape, theta_on=on, theta_off=off, threshold_sigma=self._sigma,
             bandwidth=law, noise=FILTER_NOISE)
-        _feed(method, items[:half])
+        _feed(method, ordered, frames // 2)
         after_half = method.thresholds
-        _feed(method, items[half:])
+        _feed(method, ordered, -1)
         theta, covariance = method.thresholds
         chi, _, n = method.misfit
         low_ratio, low_scale = _MIN_INFLATION
@@ -279,16 +303,38 @@ class SelfCalibration:
             self._whole.restore(state["whole"])
 
 
-def _feed(method: KalmanFilter, items: Iterable[Item]) -> None:
-    """Give a filter frames, the lamp's waves and events in their order.
+def _in_order(items: Sequence[Item], clock_us: int) -> Iterator[Item]:
+    """Yield a window's items with the frames' stamps moved, in order of time."""
+    frames = deque(item.moved(clock_us) for item in items if isinstance(item, ApsFrame))
+    for item in items:
+        if isinstance(item, Wave):
+            yield item
+        elif isinstance(item, np.ndarray):
+            events = item
+            while frames and frames[0].mid_us <= events["t"][-1]:
+                n = int(np.searchsorted(events["t"], frames[0].mid_us))
+                if n:
+                    yield events[:n]
+                yield frames.popleft()
+                events = events[n:]
+            yield events
+    yield from frames
+
+
+def _feed(method: KalmanFilter, items: Iterator[Item], frames: int) -> None:
+    """Give a filter what comes next: until so many frames were given, all if negative.
 
     Without the frames' samples below `MIN_DN`.
     """
-    for item in items:
+    while frames:
+        item = next(items, None)
+        if item is None:
+            return
         if isinstance(item, ApsFrame):
             bright = item.dn >= MIN_DN
             method.add_frame(item.replace(
                 valid=bright if item.valid is None else bright & item.valid))
+            frames -= 1
         elif isinstance(item, Wave):
             method.add_wave(item)
         else:

@@ -151,7 +151,7 @@ class PixelSample:
             row["known"] = max(
                 each.known_us, int(each.exposure_us[1].max()) + LOOKAHEAD_US)
         self._exposure_ms = (self._frames["end"] - self._frames["begin"]) / 1000
-        self._waves = window.waves
+        self._waves, self._seen_us = window.waves, window.seen_us
         self._read(self._dn, self._usable)
         bright = (np.quantile(self._dn / self._exposure_ms, _BRIGHT_QUANTILE)
                   if self._dn.size else 0.0)
@@ -187,6 +187,46 @@ class PixelSample:
         rate = self.leak_hz[0] * float(self._traits["theta_on"].mean()) / 1e6
         if middle.size:
             other._frames["log"] += rate * (middle - middle.mean())
+        return other
+
+    def with_frames_moved(self, us: int) -> PixelSample:
+        """Return the sample with frames that were exposed so much later."""
+        other = copy(self)
+        other._frames = self._frames.copy()
+        for name in ("begin", "middle", "end", "known"):
+            other._frames[name] += us
+        return other
+
+    def that_may_move(self, us: int) -> PixelSample:
+        """Return the sample without frames that lack events if moved by up to us."""
+        return self._with_usable(self._frames["known"] + us <= self._seen_us)
+
+    def between_like_events(self, delay_us: float) -> PixelSample:
+        """Return the sample's frames between events of one sign, three in a row.
+
+        There interpolation is best: where the light turns, or rests, it may err by a
+        threshold, which looks like a delay.
+
+        Parameters
+        ----------
+        delay_us : float
+            By how much events come later than what frames say.
+        """
+        t, p = self._events["t"], self._events["p"]
+        like = np.zeros(self._frames.shape, np.bool_)
+        middle = self._frames["middle"] + round(delay_us)
+        for i, (start, stop) in enumerate(zip(
+                self._traits["start"], self._traits["stop"], strict=True)):
+            after = start + np.searchsorted(t[start:stop], middle[:, i], "right")
+            inside = (after >= start + 2) & (after < stop)
+            k = after[inside]
+            like[inside, i] = (p[k] == p[k - 1]) & (p[k] == p[k - 2])
+        return self._with_usable(like)
+
+    def _with_usable(self, usable: NDArray[np.bool_]) -> PixelSample:
+        other = copy(self)
+        other._frames = self._frames.copy()
+        other._frames["variance"][~usable] = 0
         return other
 
     def innovations(

@@ -3,8 +3,13 @@ from __future__ import annotations
 
 from pdavis_cv.sensor import THRESHOLD_SIGMA
 
-__all__ = ["LEAK_HZ", "THRESHOLD_SIGMA", "TYPICAL_BANDWIDTH", "USUAL_BANDWIDTH",
-           "USUAL_MISMATCH"]
+__all__ = ["CLOCK_OFFSET_SIGMA_US", "LEAK_HZ", "THRESHOLD_SIGMA",
+           "TYPICAL_BANDWIDTH", "USUAL_BANDWIDTH", "USUAL_MISMATCH"]
+
+CLOCK_OFFSET_SIGMA_US = 5000.0
+"""Prior standard deviation of the offset between the clocks of frames and events, about
+0: events trail frames by 3 to 7 ms on the two cameras that were measured.
+"""
 
 LEAK_HZ = (0.2, 0.08)
 """Leak events of a pixel per second at usual biases, mean and standard deviation.

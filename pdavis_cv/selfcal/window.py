@@ -16,7 +16,7 @@ from pdavis_cv.selfcal.uncertainty import PixelActivity
 
 __all__ = ["USABLE_DN", "Interval", "Item", "PixelWindow", "SensorWindow"]
 
-MAX_PIXELS = 8192
+MAX_PIXELS = 16_384
 """Pixels that are looked at; the busy ones among them are enough to fit a camera."""
 
 MAX_FRAMES, MAX_US, MAX_EVENTS = 100, 10_000_000, 1_000_000

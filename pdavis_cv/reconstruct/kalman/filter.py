@@ -248,29 +248,43 @@ class KalmanFilter(Reconstructor):
         self._innovations[_MISFIT:] *= math.exp(-1 / ADAPT_FRAMES)
 
     def _begin_thresholds(self) -> None:
-        """Set the thresholds of the states, all zero so far, to their prior."""
+        """Set the thresholds of the states to their prior, whatever they were."""
         for part, theta, sigma in zip(
                 ("on", "off"), (self._theta_on, self._theta_off), self._sigma,
                 strict=True):
             for name in (f"theta_{part}", f"prior_{part}"):
                 self._states[name] = theta
             self._states[f"var_{part}"] = sigma**2
+            self._states[f"cov_base_{part}"] = 0
+        self._states["cov_on_off"] = 0
 
     def retune(self, **learned: Any) -> None:
-        """Go on with another bandwidth or noise (see `Reconstructor.retune`).
+        """Go on with another bandwidth, noise or thresholds (see `Reconstructor`).
 
-        Thresholds that were learned made up for what was wrong with the lag: they
-        become less certain by as much.
+        Thresholds and their sigma (`theta_on`, `theta_off`, `threshold_sigma`) are a
+        new prior, with which pixels begin anew; what gives it has seen what they have.
+        With another bandwidth, thresholds that were learned made up for what was wrong
+        with the lag: they become less certain by as much.
         """
-        unknown = learned.keys() - self.needs.learned
+        prior = {"theta_on", "theta_off", "threshold_sigma"}
+        unknown = learned.keys() - self.needs.learned - prior
         if unknown:
             raise TypeError(
-                f"retune takes bandwidth and noise, got {', '.join(sorted(unknown))}")
+                "retune takes bandwidth, noise, theta_on, theta_off and "
+                f"threshold_sigma, got {', '.join(sorted(unknown))}")
         if "bandwidth" in learned:
             before = self._lags()
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
             self._give_up(np.abs(self._lags() - before))
+        if not prior.isdisjoint(learned):
+            for name in ("theta_on", "theta_off"):
+                if name in learned:
+                    setattr(self, f"_{name}", checked_threshold(
+                        name, learned[name], self.shape))
+            if "threshold_sigma" in learned:
+                self._sigma = _checked_sigma(learned["threshold_sigma"], self.shape)
+            self._begin_thresholds()
         if "noise" in learned:
             self._noise = _checked_noise(learned["noise"])
         self._tune()
@@ -492,6 +506,8 @@ class KalmanFilter(Reconstructor):
     def _take(self, other: KalmanFilter) -> None:
         """Take over everything but what is known of saturated pixels."""
         self._noise, self._bandwidth = other._noise, other._bandwidth
+        self._theta_on, self._theta_off = other._theta_on, other._theta_off
+        self._sigma = other._sigma
         np.copyto(self._tuning, other._tuning)
         np.copyto(as_bytes(self._states), as_bytes(other._states))
         np.copyto(self._innovations, other._innovations)
