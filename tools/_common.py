@@ -2,13 +2,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import functools
 import os
 import re
+import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
@@ -28,6 +30,7 @@ __all__ = [
     "calibration_of",
     "command",
     "covered",
+    "ended_by_signals",
     "fuse_options",
     "fusion_given",
     "layout_option",
@@ -223,6 +226,21 @@ def source_of(
     return open_source(
         args.file if file is None else file, layout=args.layout,
         camera=getattr(args, "camera", None))
+
+
+@contextlib.contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end the block in peace: what is live has no other end."""
+    def interrupt(*_: Any) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    except KeyboardInterrupt:
+        pass
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def require_samples(recording: Recording, start_us: int | None) -> None:

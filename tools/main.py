@@ -16,6 +16,7 @@ __all__ = ["COMMANDS", "main"]
 COMMANDS = {
     "info": "say what a recording holds",
     "view": "show a recording or a live source in a browser, and stream it as MJPEG",
+    "stream": "send a recording or a live source to DV and dv-processing",
     "export": "fuse a recording into a video, pictures or arrays",
     "convert": "write a recording in another format",
     "calibrate": "measure a camera into its calibration file",

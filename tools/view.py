@@ -6,17 +6,16 @@ in cv2.VideoCapture, VLC and other players.
 from __future__ import annotations
 
 import argparse
-import signal
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
 
 from ._common import (
     Parser,
     UsageError,
     add_fuse_options,
     command,
+    ended_by_signals,
     fusion_given,
     source_of,
     start_of,
@@ -43,18 +42,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(server.url, flush=True)
             if not args.no_browser:
                 webbrowser.open(server.url)
-            before = signal.signal(signal.SIGTERM, _interrupt)
-            try:
+            with ended_by_signals():
                 server.wait()
-            except KeyboardInterrupt:
-                pass
-            finally:
-                signal.signal(signal.SIGTERM, before)
     return 0
-
-
-def _interrupt(*_: Any) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def _parser() -> argparse.ArgumentParser:

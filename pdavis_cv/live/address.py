@@ -18,6 +18,8 @@ from pdavis_cv.sensor import Layout
 __all__ = ["SCHEMES", "is_address", "open_source"]
 
 _OPENERS = {
+    "dv+tcp": "pdavis_cv.live.dv:open_tcp",
+    "dv+unix": "pdavis_cv.live.dv:open_unix",
     "replay": "pdavis_cv.live.openers:open_replay",
     "simulate": "pdavis_cv.live.openers:open_simulation",
 }
@@ -50,10 +52,13 @@ def open_source(
     ----------
     where : path, address or Source
         A Source is returned as it is, and a path goes to `open_recording`.  Addresses
-        are ``replay:FILE`` (``speed=1``, 0 = as fast as it is read; ``loop=1``) and
+        are ``dv+tcp://HOST:PORT`` (``frames=`` a second port) and ``dv+unix:///PATH``
+        (``frames=`` a second path) of what DV sends, ``replay:FILE`` (``speed=1``, 0 =
+        as fast as it is read; ``loop=1``) and
         ``simulate:SCENE`` (``camera=nominal``, ``size=48x48``, ``rpm=200``, ``seed=0``,
-        and those of replay), followed by ``?name=value&...``.  Both take ``seconds=``,
-        after which they end, and the faults of `LinkFaults`, such as ``unplug=3``.
+        and those of replay), followed by ``?name=value&...``.  The last two take
+        ``seconds=``, after which they end; all take the faults of `LinkFaults`, such as
+        ``unplug=3``.
     layout : Layout or str, optional
     bad_events : {"drop", "raise"}
     camera : str, optional

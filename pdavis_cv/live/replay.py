@@ -13,7 +13,7 @@ from pdavis_cv.live.base import HEARTBEAT_S, LiveSource, endless
 from pdavis_cv.live.clock import moved
 from pdavis_cv.recording.base import Packet, Recording
 
-__all__ = ["ReplaySource"]
+__all__ = ["ReplaySource", "pieces"]
 
 PIECE_US = 2_000
 """Packets are cut into pieces of at most this time, as a camera's USB transfers are, so
@@ -94,7 +94,7 @@ class ReplaySource(LiveSource):
             first: int | None = None
             stop = 0
             for packet in self._recording.packets():
-                for piece in _pieces(packet):
+                for piece in pieces(packet):
                     assert piece.start_us is not None
                     assert piece.stop_us is not None
                     if first is None:
@@ -114,8 +114,18 @@ class ReplaySource(LiveSource):
         self._recording.close()
 
 
-def _pieces(packet: Packet) -> Iterator[Packet]:
-    """Yield a packet in pieces of at most `PIECE_US`."""
+def pieces(packet: Packet) -> Iterator[Packet]:
+    """Yield a packet in pieces of at most `PIECE_US`.
+
+    Parameters
+    ----------
+    packet : Packet
+
+    Yields
+    ------
+    Packet
+        Its arrays are views.
+    """
     start, stop = packet.start_us, packet.stop_us
     if start is None or stop is None:
         return

@@ -19,7 +19,8 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, Table, root_table
 from pdavis_cv.recording.files import FileReader, ProblemLog, clock_text
 
-__all__ = ["MAGIC", "Aedat4File", "Entry", "PayloadError", "Stream"]
+__all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "PayloadError",
+           "Stream", "decompressed", "parsed_header"]
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 COMPRESSIONS = ("none", "LZ4", "LZ4_HIGH", "ZSTD", "ZSTD_HIGH")
@@ -109,22 +110,11 @@ class Aedat4File:
         data = self.reader.read(len(MAGIC), size + 4)
         if len(data) < size + 4:
             raise self._fail(self.reader.size, "the file ends inside the header")
-        try:
-            table = root_table(data, b"IOHE")
-            code = table.scalar(0, "i")
-            self.table_position = table.scalar(1, "q", -1)
-            text = table.text(2)
-        except FlatBufferError as error:
-            raise self._fail(len(MAGIC), f"the header is damaged: {error}") from error
-        if not 0 <= code < len(COMPRESSIONS):
-            raise self._fail(len(MAGIC), f"unknown compression {code}")
-        self.compression = COMPRESSIONS[code]
         self.data_start = len(MAGIC) + 4 + size
         try:
-            self.streams = {s.number: s for s in _streams(text)}
-        except (ElementTree.ParseError, ValueError) as error:
-            raise self._fail(
-                len(MAGIC), f"the header's XML is damaged: {error}") from error
+            self.compression, self.table_position, self.streams = parsed_header(data)
+        except ValueError as error:
+            raise self._fail(len(MAGIC), str(error)) from error
         if not self.streams:
             raise self._fail(len(MAGIC), "the header names no stream")
 
@@ -153,7 +143,7 @@ class Aedat4File:
     def _take_index(self, payload: bytes) -> bool:
         """Take over the index; False if it leaves counts and times out."""
         if payload[8:12] != b"FTAB":  # DV compresses it, jAER does not
-            payload = self._decompress(payload)
+            payload = decompressed(payload, self.compression)
         table = root_table(payload, b"FTAB")
         at, count = table.vector(0, 4)
         data = np.frombuffer(payload, np.uint8)
@@ -235,7 +225,8 @@ class Aedat4File:
         if head[:4] not in (_LZ4_MAGIC, _ZSTD_MAGIC):
             return False
         try:
-            return self._decompress(self.reader.read(at, MAX_PAYLOAD))[8:12] == b"FTAB"
+            return decompressed(self.reader.read(at, MAX_PAYLOAD),
+                                self.compression)[8:12] == b"FTAB"
         except PayloadError:
             return False
 
@@ -271,7 +262,7 @@ class Aedat4File:
             raise PayloadError("the file ends inside it")
         if _PACKET.unpack_from(raw) != (entry.stream, entry.size):
             raise PayloadError("its header is not what the index says")
-        return self._decompress(memoryview(raw)[8:])
+        return decompressed(memoryview(raw)[8:], self.compression)
 
     def table(self, entry: Entry, kind: str) -> tuple[bytes, Table]:
         """Return the FlatBuffer of a packet and its root table.
@@ -294,12 +285,55 @@ class Aedat4File:
             f"{clock_text(entry.start_us, entry.stop_us)} cannot be read ({error})",
             offset=entry.offset - 8, start_us=entry.start_us, stop_us=entry.stop_us)
 
-    def _decompress(self, payload: bytes | memoryview) -> bytes:
-        if self.compression == "none":
-            return bytes(payload)
-        if self.compression.startswith("ZSTD"):
-            return _unpack_zstd(bytes(payload))
-        return _unpack_lz4(payload)
+
+def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
+    """Return compression, place of the index (-1 = none) and streams of a header.
+
+    Parameters
+    ----------
+    data : bytes
+        The size-prefixed FlatBuffer IOHE.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged; the message says how.
+    """
+    try:
+        table = root_table(data, b"IOHE")
+        code = table.scalar(0, "i")
+        position = table.scalar(1, "q", -1)
+        text = table.text(2)
+    except FlatBufferError as error:
+        raise ValueError(f"the header is damaged: {error}") from error
+    if not 0 <= code < len(COMPRESSIONS):
+        raise ValueError(f"unknown compression {code}")
+    try:
+        streams = {s.number: s for s in _streams(text)}
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ValueError(f"the header's XML is damaged: {error}") from error
+    return COMPRESSIONS[code], position, streams
+
+
+def decompressed(payload: bytes | memoryview, compression: str) -> bytes:
+    """Return the FlatBuffer of a packet.
+
+    Parameters
+    ----------
+    payload : bytes or memoryview
+    compression : str
+        One of ``COMPRESSIONS``.
+
+    Raises
+    ------
+    PayloadError
+        If it cannot be decompressed.
+    """
+    if compression == "none":
+        return bytes(payload)
+    if compression.startswith("ZSTD"):
+        return _unpack_zstd(bytes(payload))
+    return _unpack_lz4(payload)
 
 
 def _unpack_lz4(payload: bytes | memoryview) -> bytes:

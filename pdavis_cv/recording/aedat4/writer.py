@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
-from pdavis_cv.recording.base import ApsFrame, Packet, Recording
+from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
 from pdavis_cv.recording.writer import RecordingWriter
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Aedat4Writer", "write_aedat4"]
+__all__ = ["EVENTS", "FRAMES", "IMU", "TRIGGERS", "Aedat4Writer", "StreamEncoder",
+           "write_aedat4"]
 
 EVENTS, FRAMES, IMU, TRIGGERS = range(4)
 _STREAMS = (("EVTS", "events", "Array of events (polarity ON/OFF)."),
@@ -82,15 +83,9 @@ class Aedat4Writer(RecordingWriter):
         super().__init__(path, sensor_size)
         self._bits = frame_bits
         self._index: list[tuple[int, int, int, int, int, int]] = []
-        code = COMPRESSIONS.index(compression.upper() if compression != "none"
-                                  else "none")
-        text = _info_node(
-            self.sensor_size, layout, camera, COMPRESSIONS[code],
-            full_scale_dn).encode()
-        # vtable at 12, table at 28: position at 32, compression at 40, text at 44.
-        body = struct.pack("<I4s5H6xiqiII", 24, b"IOHE", 10, 20, 12, 4, 16,
-                           16, -1, code, 4, len(text)) + text + b"\0"
-        self._file.write(MAGIC + struct.pack("<I", len(body)) + body)
+        self._file.write(MAGIC + _header(
+            range(len(_STREAMS)), self.sensor_size, layout, camera, compression,
+            full_scale_dn))
         self._position_at = len(MAGIC) + 32
 
     def _write(self, packet: Packet) -> None:
@@ -98,7 +93,8 @@ class Aedat4Writer(RecordingWriter):
             self._put(EVENTS, _events(packet.events), len(packet.events),
                       int(packet.events["t"][0]), int(packet.events["t"][-1]))
         for frame in packet.frames:
-            self._put(FRAMES, self._frame(frame), 1, frame.mid_us, frame.mid_us)
+            self._put(FRAMES, _frame(frame, self._frame_bits(frame), self._note), 1,
+                      frame.mid_us, frame.mid_us)
         if len(packet.imu):
             self._put(IMU, _imu(packet.imu), len(packet.imu),
                       int(packet.imu["t"][0]), int(packet.imu["t"][-1]))
@@ -113,37 +109,11 @@ class Aedat4Writer(RecordingWriter):
         self._index.append((self._file.tell(), stream, len(data), count, start, stop))
         self._file.write(data)
 
-    def _frame(self, frame: ApsFrame) -> bytes:
+    def _frame_bits(self, frame: ApsFrame) -> int:
+        """Return how many bits frames have; the first decides."""
         if self._bits is None:
             self._bits = 8 if frame.full_scale_dn == 1020 else 16
-        step, most = (4, 255) if self._bits == 8 else (1, 65_535)
-        values = np.rint(frame.dn / np.float32(step))
-        low = int(np.count_nonzero(values < 0))
-        high = int(np.count_nonzero(values > most))
-        self._note("pixels with negative DN were stored as 0", low)
-        self._note("pixels above the full scale were clipped", high)
-        clipped = np.clip(values, 0, most)
-        if frame.valid is not None:
-            shown = clipped < (255 if self._bits == 8 else frame.full_scale_dn)
-            self._note("invalid pixels are not marked as such in the file",
-                       int(np.count_nonzero(~frame.valid & shown)))
-        starts, ends = (np.asarray(t) for t in (
-            frame.exposure_start_us, frame.exposure_end_us))
-        if starts.ndim or ends.ndim:
-            self._note("frames with exposure times per column keep their mean", 1)
-        half = int((ends - starts).mean() / 2)
-        start, end = frame.mid_us - half, frame.mid_us + half
-        if not starts.ndim and not ends.ndim:
-            start, end = int(starts), int(ends)
-        pixels = clipped.astype("u1" if self._bits == 8 else "<u2").tobytes()
-        height, width = frame.shape
-        body = _FRAME.pack(
-            _FRAME.size - 4 + len(pixels), 40, b"FRME",
-            30, 66, 4, 12, 20, 28, 36, 64, 52, 54, 56, 58, 60, 44, 65,
-            32, frame.mid_us, int(starts.min()), frame.available_us, start, end,
-            end - start, width, height, 0, 0, 8,
-            0 if self._bits == 8 else 2, 1, len(pixels))
-        return bytes(body + pixels)
+        return self._bits
 
     def _note(self, what: str, count: int) -> None:
         if count:
@@ -158,6 +128,53 @@ class Aedat4Writer(RecordingWriter):
         self._file.write(self._compress(_tables(b"FTAB", _INDEX_VTABLE, table)))
         self._file.seek(self._position_at)
         self._file.write(struct.pack("<q", position))
+
+
+class StreamEncoder:
+    """One stream of packets as dv's network protocol has it: a header, then packets.
+
+    Parameters
+    ----------
+    stream : int
+        `EVENTS`, `FRAMES`, ...
+    info : RecordingInfo
+    compression : {"none", "lz4", "zstd"}
+
+    Attributes
+    ----------
+    head : bytes
+        What a connection begins with.
+    """
+
+    def __init__(self, stream: int, info: RecordingInfo, compression: str) -> None:
+        self._compress = _compressor(compression)
+        self._stream = stream
+        self.head = _header(
+            [stream], info.sensor_size, info.layout,
+            info.camera or "DAVIS346_00000000", compression,
+            info.sensor.full_scale_dn if info.sensor else 1023)
+
+    def encoded(self, packet: Packet) -> Iterator[bytes]:
+        """Yield what a packet holds of this stream, each as its bytes on the wire.
+
+        Frames are 16 bit: 10-bit DN.
+        """
+        payloads: list[bytes | NDArray[Any]] = []
+        if self._stream == EVENTS and len(packet.events):
+            payloads.append(_events(packet.events))
+        elif self._stream == FRAMES:
+            payloads += [_frame(frame, 16, _unnoted) for frame in packet.frames]
+        elif self._stream == IMU and len(packet.imu):
+            payloads.append(_imu(packet.imu))
+        elif self._stream == TRIGGERS and len(packet.triggers):
+            payloads.append(_triggers(packet.triggers))
+        for payload in payloads:
+            data = self._compress(payload)
+            yield struct.pack("<ii", self._stream, len(data)) + data
+
+
+def _unnoted(what: str, count: int) -> None:
+    """Leave it at that: a stream has nobody to tell what it cannot hold."""
 
 
 def write_aedat4(
@@ -212,6 +229,40 @@ def _events(events: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
+def _frame(
+    frame: ApsFrame, bits: int, note: Callable[[str, int], None]
+) -> bytes:
+    """Return the FlatBuffer of a frame; note what it cannot hold, and how often."""
+    step, most = (4, 255) if bits == 8 else (1, 65_535)
+    values = np.rint(frame.dn / np.float32(step))
+    low = int(np.count_nonzero(values < 0))
+    high = int(np.count_nonzero(values > most))
+    note("pixels with negative DN were stored as 0", low)
+    note("pixels above the full scale were clipped", high)
+    clipped = np.clip(values, 0, most)
+    if frame.valid is not None:
+        shown = clipped < (255 if bits == 8 else frame.full_scale_dn)
+        note("invalid pixels are not marked as such in the file",
+                   int(np.count_nonzero(~frame.valid & shown)))
+    starts, ends = (np.asarray(t) for t in (
+        frame.exposure_start_us, frame.exposure_end_us))
+    if starts.ndim or ends.ndim:
+        note("frames with exposure times per column keep their mean", 1)
+    half = int((ends - starts).mean() / 2)
+    start, end = frame.mid_us - half, frame.mid_us + half
+    if not starts.ndim and not ends.ndim:
+        start, end = int(starts), int(ends)
+    pixels = clipped.astype("u1" if bits == 8 else "<u2").tobytes()
+    height, width = frame.shape
+    body = _FRAME.pack(
+        _FRAME.size - 4 + len(pixels), 40, b"FRME",
+        30, 66, 4, 12, 20, 28, 36, 64, 52, 54, 56, 58, 60, 44, 65,
+        32, frame.mid_us, int(starts.min()), frame.available_us, start, end,
+        end - start, width, height, 0, 0, 8,
+        0 if bits == 8 else 2, 1, len(pixels))
+    return bytes(body + pixels)
+
+
 def _imu(samples: NDArray[Any]) -> bytes:
     records = np.zeros(len(samples), _IMU)
     records["t"] = samples["t"]
@@ -249,14 +300,32 @@ def _head(out: NDArray[Any], identifier: bytes, count: int) -> None:
     _VECTOR.pack_into(out.data, 0, len(out) - 4, 16, identifier, 6, 8, 4, 6, 4, count)
 
 
-def _info_node(size: tuple[int, int], layout: Layout | None, camera: str,
-               compression: str, full_scale_dn: int) -> str:
+def _header(
+    streams: Iterable[int], size: tuple[int, int], layout: Layout | None, camera: str,
+    compression: str, full_scale_dn: int,
+) -> bytes:
+    """Return the size-prefixed FlatBuffer IOHE of some streams."""
+    code = COMPRESSIONS.index(
+        compression.upper() if compression != "none" else "none")
+    text = _info_node(
+        streams, size, layout, camera, COMPRESSIONS[code], full_scale_dn).encode()
+    # vtable at 12, table at 28: position at 32, compression at 40, text at 44.
+    body = struct.pack("<I4s5H6xiqiII", 24, b"IOHE", 10, 20, 12, 4, 16,
+                       16, -1, code, 4, len(text)) + text + b"\0"
+    return struct.pack("<I", len(body)) + body
+
+
+def _info_node(
+    streams: Iterable[int], size: tuple[int, int], layout: Layout | None, camera: str,
+    compression: str, full_scale_dn: int,
+) -> str:
     def attribute(key: str, value: object, kind: str = "string") -> str:
         return (f'<attr key="{key}" type="{kind}">{escape(str(value))}</attr>')
 
     lines = ['<dv version="2.0">',
              '<node name="outInfo" path="/mainloop/Recorder/outInfo/">']
-    for number, (kind, name, description) in enumerate(_STREAMS):
+    for number in streams:
+        kind, name, description = _STREAMS[number]
         path = f"/mainloop/Recorder/outInfo/{number}/"
         lines += [
             f'<node name="{number}" path="{path}">',

@@ -1,0 +1,318 @@
+"""dv's network protocol, in: what DV and dv-processing send.
+
+A connection carries one stream: the header of an AEDAT-4 file without its magic, then
+int32 stream, int32 size and payload, again and again.  Frames come on a second one.
+"""
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import time
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.errors import DeviceError
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.live.address import taken
+from pdavis_cv.live.base import HEARTBEAT_S, LiveSource
+from pdavis_cv.live.replay import pieces
+from pdavis_cv.recording.aedat4 import samples
+from pdavis_cv.recording.aedat4.container import (
+    MAX_HEADER,
+    MAX_PAYLOAD,
+    PayloadError,
+    Stream,
+    decompressed,
+    parsed_header,
+)
+from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, root_table
+from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.timeline import NEVER
+from pdavis_cv.sensor import Layout, Sensor
+
+__all__ = ["DvSource", "open_tcp", "open_unix"]
+
+CONNECT_S = 5.0
+MARGIN_US = 100_000
+"""By so much a sender may be late when nothing comes: dv sends batches of 10 ms, and a
+network delays them.  Time goes on behind the host's clock by this; us."""
+_CHUNK = 1 << 20
+_PACKET = struct.Struct("<ii")
+
+
+class _Connection:
+    """Bytes of one connection, as packets.
+
+    Parameters
+    ----------
+    link : socket
+    name : str
+        For messages.
+    """
+
+    def __init__(self, link: socket.socket, name: str) -> None:
+        self.link, self.name = link, name
+        self._held = bytearray()
+        self.ended = False
+        size, = struct.unpack("<I", self._exactly(4))
+        if not 16 <= size <= MAX_HEADER:
+            raise DeviceError(f"{name}: this is no dv stream: its header cannot be "
+                              f"{size} bytes long")
+        data = struct.pack("<I", size) + self._exactly(size)
+        try:
+            self.compression, _, streams = parsed_header(data)
+        except ValueError as error:
+            raise DeviceError(f"{name}: this is no dv stream: {error}") from error
+        if not streams:
+            raise DeviceError(f"{name}: the header names no stream")
+        self.streams: dict[int, Stream] = streams
+        link.setblocking(False)
+
+    def _exactly(self, count: int) -> bytes:
+        while len(self._held) < count:
+            part = self.link.recv(_CHUNK)
+            if not part:
+                raise DeviceError(f"{self.name}: the sender closed the connection")
+            self._held += part
+        taken_, self._held = bytes(self._held[:count]), self._held[count:]
+        return taken_
+
+    def receive(self) -> None:
+        """Take what is there."""
+        try:
+            part = self.link.recv(_CHUNK)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            raise DeviceError(f"{self.name}: the connection broke: {error}") from error
+        self.ended = not part
+        self._held += part
+
+    def payloads(self) -> Iterator[tuple[str, bytes]]:
+        """Yield the kind and the FlatBuffer of each packet that is complete."""
+        at, held = 0, self._held
+        while len(held) - at >= _PACKET.size:
+            number, size = _PACKET.unpack_from(held, at)
+            if not 0 <= size <= MAX_PAYLOAD:
+                raise DeviceError(f"{self.name}: a packet cannot hold {size} bytes")
+            if len(held) - at - _PACKET.size < size:
+                break
+            stream = self.streams.get(number)
+            if stream is not None:
+                start = at + _PACKET.size
+                yield stream.kind, decompressed(
+                    bytes(held[start:start + size]), self.compression)
+            at += _PACKET.size + size
+        del held[:at]
+
+
+class DvSource(LiveSource):
+    """What dv sends: events on one connection, frames on a second.
+
+    The connections have no common order: a frame waits until events reach the end of
+    its readout, and one that comes later than that is taken to arrive when it came.
+
+    Parameters
+    ----------
+    name : str
+        The address.
+    connections : list of socket
+        Closed with the source.
+    layout : Layout, optional
+
+    Raises
+    ------
+    DeviceError
+        If one does not send what dv sends.
+    """
+
+    def __init__(
+        self, name: str, connections: list[socket.socket], layout: Layout | None
+    ) -> None:
+        self._connections = [_Connection(link, name) for link in connections]
+        super().__init__(self._facts(name, layout), name)
+        self._state = np.array([0, NEVER, 0, 0, 0, -1], np.int64)
+        self._scale: samples.FrameScale | None = None
+        self._last_us: int | None = None
+        self._held: deque[ApsFrame] = deque()   # until events reach their time
+
+    def _facts(self, name: str, layout: Layout | None) -> RecordingInfo:
+        streams = [stream for one in self._connections
+                   for stream in one.streams.values()]
+        kinds = {stream.kind for stream in streams}
+        first = streams[0]
+        try:
+            size = int(first.attributes["sizeY"]), int(first.attributes["sizeX"])
+        except (KeyError, ValueError):
+            raise DeviceError(f"{name}: the header gives no sensor size") from None
+        text = next((s.attributes["polarizerLayout"] for s in streams
+                     if "polarizerLayout" in s.attributes), None)
+        if layout is None and text is not None:
+            a, b, c, d = (int(angle) for angle in text.split(","))
+            layout = Layout((a, b), (c, d))
+        davis = (first.source.upper().startswith("DAVIS346")
+                 or size == Sensor.PDAVIS.size)
+        return RecordingInfo(
+            format="dv stream", sensor_size=size, layout=layout,
+            camera=first.source or None, sensor=Sensor.PDAVIS if davis else None,
+            event_count=None if "EVTS" in kinds else 0,
+            frame_count=None if "FRME" in kinds else 0)
+
+    def _arrivals(self) -> Iterator[Packet]:
+        open_ = list(self._connections)
+        heard_s = time.monotonic()
+        while open_ and not self._closed.is_set():
+            ready, _, _ = select.select([c.link for c in open_], [], [], HEARTBEAT_S)
+            for one in [c for c in open_ if c.link in ready]:
+                one.receive()
+                for kind, data in one.payloads():
+                    heard_s = time.monotonic()
+                    yield from self._packets(kind, data)
+                if one.ended:
+                    open_.remove(one)
+            if self._last_us is not None and not ready:
+                passed = int(1e6 * (time.monotonic() - heard_s)) - MARGIN_US
+                if passed > 0:
+                    yield from self._released(self._last_us + passed)
+                    yield Packet(until_us=self._last_us + passed)
+        yield from self._released(None)
+
+    def _packets(self, kind: str, data: bytes) -> Iterator[Packet]:
+        try:
+            table = root_table(data, kind.encode())
+            if kind == "EVTS":
+                yield from self._of_events(data, *samples.event_vector(table))
+            elif kind == "FRME":
+                self._held.append(self._frame(data, table))
+                if self.info.event_count == 0:
+                    yield from self._released(None)
+            elif kind == "IMUS":
+                yield from pieces(Packet(imu=samples.imu_samples(data, table)))
+            elif kind == "TRIG":
+                yield from pieces(Packet(triggers=samples.triggers(data, table)))
+        except (PayloadError, FlatBufferError, samples.UnknownFrameError) as error:
+            self._log.add("damage", object(), f"a packet could not be read: {error}")
+
+    def _of_events(self, data: bytes, at: int, count: int) -> Iterator[Packet]:
+        raw, state = np.frombuffer(data, np.uint8), self._state
+        done = 0
+        while done < count:
+            out: NDArray[Any] = np.empty(count - done, EVENT_DTYPE)
+            state[0] = state[3] = state[4] = 0
+            done = _kernels.aedat4_events(
+                raw, at, done, count, *self.info.sensor_size, False, NEVER, -NEVER,
+                state, out)
+            for number, what in ((3, "outside the sensor"), (4, "that came late")):
+                if state[number]:
+                    self._log.add(what, object(), f"events {what} were dropped",
+                                  count=int(state[number]))
+            if state[0]:
+                yield from self._with_frames(out[:int(state[0])])
+            state[1] = NEVER        # a reset clock: the rest is of a new segment
+
+    def _frame(self, data: bytes, table: Any) -> ApsFrame:
+        raw = samples.raw_frame(data, table)
+        if self._scale is None:
+            self._scale = samples.scale_of(raw.pixels)
+        times = samples.exposure_times(raw.times)
+        frame = samples.aps_frame(raw, self._scale, times, self.info.sensor_size)
+        if self._last_us is not None and self._last_us > frame.available_us:
+            return frame.replace(available_us=self._last_us)
+        return frame
+
+    def _with_frames(self, events: NDArray[Any]) -> Iterator[Packet]:
+        """Yield events, and between them the frames that had arrived by then."""
+        while self._held and self._held[0].available_us <= events["t"][-1]:
+            n = bisect_left(events["t"], self._held[0].available_us)
+            yield from pieces(Packet(events[:n]))
+            self._last_us = int(events["t"][n])
+            yield Packet(frames=(self._held.popleft(),))
+            events = events[n:]
+        self._last_us = int(events["t"][-1])
+        yield from pieces(Packet(events))
+
+    def _released(self, until_us: int | None) -> Iterator[Packet]:
+        """Yield the frames that need not wait for events: those up to a time."""
+        while self._held and (
+                until_us is None or self._held[0].available_us <= until_us):
+            yield Packet(frames=(self._held.popleft(),))
+
+    def close(self) -> None:
+        """Stop, and hang up."""
+        super().close()
+        for one in self._connections:
+            one.link.close()
+
+
+def open_tcp(
+    where: str, target: str, values: dict[str, str], open_recording: Callable[..., Any]
+) -> DvSource:
+    """Open ``dv+tcp://HOST:PORT?frames=PORT``.
+
+    Parameters
+    ----------
+    where : str
+        The whole address.
+    target : str
+        What follows the scheme.
+    values : dict of str to str
+        What follows the question mark.
+    open_recording : callable
+        Unused: nothing is a file.
+    """
+    options = taken(values, frames=0)
+    host, _, port = target.removeprefix("//").rstrip("/").rpartition(":")
+    if not host or not port.isdigit():
+        raise ValueError("dv+tcp://HOST:PORT is needed")
+    places = [(host.strip("[]"), int(port))]
+    if options["frames"]:
+        places.append((places[0][0], options["frames"]))
+    return _connected(where, [
+        lambda place=place: socket.create_connection(place, CONNECT_S)
+        for place in places])
+
+
+def open_unix(
+    where: str, target: str, values: dict[str, str], open_recording: Callable[..., Any]
+) -> DvSource:
+    """Open ``dv+unix:///PATH?frames=/PATH``; parameters as in `open_tcp`."""
+    options = taken(values, frames="")
+    path = target.removeprefix("//")
+    if not path:
+        raise ValueError("dv+unix:///PATH is needed")
+
+    def connect(path: str) -> socket.socket:
+        link = socket.socket(socket.AF_UNIX)
+        link.settimeout(CONNECT_S)
+        try:
+            link.connect(path)
+        except OSError:
+            link.close()
+            raise
+        return link
+
+    return _connected(where, [
+        lambda path=path: connect(path) for path in (path, options["frames"]) if path])
+
+
+def _connected(
+    where: str, connects: list[Callable[[], socket.socket]]
+) -> DvSource:
+    links: list[socket.socket] = []
+    try:
+        for connect in connects:
+            links.append(connect())
+        return DvSource(where, links, None)
+    except BaseException as error:
+        for link in links:
+            link.close()
+        if isinstance(error, OSError) and not isinstance(error, DeviceError):
+            raise DeviceError(f"{where}: cannot be reached: {error}") from error
+        raise

@@ -1,0 +1,217 @@
+"""dv's network protocol, out: events and frames for DV and dv-processing."""
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+from collections import deque
+from typing import Self
+
+from pdavis_cv.recording.aedat4.writer import (
+    EVENTS,
+    FRAMES,
+    StreamEncoder,
+)
+from pdavis_cv.recording.base import Packet, RecordingInfo
+
+__all__ = ["DvServer"]
+
+MOST_BYTES = 64 * 2**20
+"""What waits for a slow client; then its oldest packets are dropped."""
+MOST_CLIENTS = 8
+SEND_S = 10.0
+"""A client that takes nothing for this long is hung up on; s."""
+
+
+class _Client:
+    """One connection: what waits to be sent, and the thread that sends it."""
+
+    def __init__(self, link: socket.socket, head: bytes) -> None:
+        self.link = link
+        self.dropped = 0
+        self.gone = False
+        self._waiting: deque[bytes] = deque([head])
+        self._bytes = len(head)
+        self._change = threading.Condition()
+        self._ended = False
+        self._thread = threading.Thread(
+            target=self._send, name="pdavis dv client", daemon=True)
+        self._thread.start()
+
+    def put(self, data: bytes) -> None:
+        with self._change:
+            while self._bytes + len(data) > MOST_BYTES and len(self._waiting) > 1:
+                # The first may be half sent, or the header.
+                self._bytes -= len(self._waiting[1])
+                del self._waiting[1]
+                self.dropped += 1
+            self._waiting.append(data)
+            self._bytes += len(data)
+            self._change.notify()
+
+    def _send(self) -> None:
+        self.link.settimeout(SEND_S)
+        try:
+            while True:
+                with self._change:
+                    while not self._waiting:
+                        if self._ended:
+                            return
+                        self._change.wait()
+                    data = self._waiting[0]
+                self.link.sendall(data)
+                with self._change:
+                    self._waiting.popleft()
+                    self._bytes -= len(data)
+        except OSError:
+            pass
+        finally:
+            self.gone = True
+            self.link.close()
+
+    def end(self) -> None:
+        """Send what waits, then hang up."""
+        with self._change:
+            self._ended = True
+            self._change.notify()
+        self._thread.join()
+
+
+class DvServer:
+    """Sends packets to all clients that connect: events, and frames at a second place.
+
+    Parameters
+    ----------
+    info : RecordingInfo
+        Of what will be sent.
+    events, frames : int, str or None
+        Port on this machine, 0 = any that is free, or the path of a socket that only
+        this user may open; None = none.
+    compression : {"none", "lz4", "zstd"}
+
+    Attributes
+    ----------
+    places : dict of str to (int or str)
+        Where ``"events"`` and ``"frames"`` are.
+    dropped : int
+        Packets that slow clients did not get.
+
+    Raises
+    ------
+    OSError
+        If a port or path is taken.
+    """
+
+    def __init__(
+        self, info: RecordingInfo, events: int | str | None = 0,
+        frames: int | str | None = None, *, compression: str = "none",
+    ) -> None:
+        self.places: dict[str, int | str] = {}
+        self._listeners: list[tuple[socket.socket, StreamEncoder]] = []
+        self._clients: dict[StreamEncoder, list[_Client]] = {}
+        self._lock = threading.Lock()
+        self._change = threading.Condition(self._lock)
+        self._closed = threading.Event()
+        self.dropped = 0
+        try:
+            for name, stream, place in (
+                    ("events", EVENTS, events), ("frames", FRAMES, frames)):
+                if place is not None:
+                    link = _listening(place)
+                    encoder = StreamEncoder(stream, info, compression)
+                    self._listeners.append((link, encoder))
+                    self._clients[encoder] = []
+                    self.places[name] = (
+                        place if isinstance(place, str) else link.getsockname()[1])
+        except BaseException:
+            self._hang_up()
+            raise
+        self._thread = threading.Thread(
+            target=self._accept, name="pdavis dv server", daemon=True)
+        self._thread.start()
+
+    def _accept(self) -> None:
+        links = {link: encoder for link, encoder in self._listeners}
+        while not self._closed.is_set():
+            ready, _, _ = select.select(list(links), [], [], 0.1)
+            for listener in ready:
+                link, _ = listener.accept()
+                encoder = links[listener]
+                with self._change:
+                    known = self._clients[encoder]
+                    known[:] = [client for client in known if not client.gone]
+                    if len(known) >= MOST_CLIENTS:
+                        link.close()
+                        continue
+                    known.append(_Client(link, encoder.head))
+                    self._change.notify_all()
+
+    def wait_for_clients(self, timeout: float | None = None) -> bool:
+        """Wait until each stream has a client; False if that took too long.
+
+        Parameters
+        ----------
+        timeout : float, optional
+            s.
+        """
+        with self._change:
+            return self._change.wait_for(
+                lambda: all(self._clients.values()), timeout)
+
+    def add(self, packet: Packet) -> None:
+        """Send a packet to all who listen.
+
+        Parameters
+        ----------
+        packet : Packet
+        """
+        for _, encoder in self._listeners:
+            with self._lock:
+                clients = list(self._clients[encoder])
+            if not clients:
+                continue
+            for data in encoder.encoded(packet):
+                for client in clients:
+                    client.put(data)
+
+    def close(self) -> None:
+        """Send what waits, and stop."""
+        self._closed.set()
+        self._thread.join()
+        for clients in self._clients.values():
+            for client in clients:
+                client.end()
+                self.dropped += client.dropped
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        for link, _ in self._listeners:
+            link.close()
+        for place in self.places.values():
+            if isinstance(place, str):
+                with contextlib.suppress(OSError):
+                    os.unlink(place)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _listening(place: int | str) -> socket.socket:
+    if isinstance(place, int):
+        return socket.create_server(("127.0.0.1", place))
+    link = socket.socket(socket.AF_UNIX)
+    before = os.umask(0o177)        # from its first moment only this user's
+    try:
+        link.bind(place)
+        link.listen()
+    except BaseException:
+        link.close()
+        raise
+    finally:
+        os.umask(before)
+    return link

@@ -1,0 +1,243 @@
+"""dv's network protocol, in and out, against dv_processing in a process of its own."""
+import contextlib
+import socket
+import stat
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from streams import random_events
+
+from pdavis_cv import ApsFrame, DeviceError, Layout, open_source, recording_from_arrays
+from pdavis_cv.live import DvServer
+from pdavis_cv.live.dv_server import MOST_BYTES, _Client
+from pdavis_cv.tools.main import main
+
+SIZE = (12, 16)
+PATIENCE_S = 60
+SCRIPT = """
+import sys, time
+import dv_processing as dv
+import numpy as np
+"""
+
+
+@pytest.fixture(scope="module")
+def recording():
+    rng = np.random.default_rng(3)
+    events = random_events(20_000, SIZE, seed=2, start_us=5, stop_us=400_000)
+    frames = tuple(ApsFrame(
+        rng.integers(0, 1024, SIZE), t, t + 10_000, available_us=t + 12_000)
+        for t in range(1_000, 380_000, 50_000))
+    return recording_from_arrays(
+        events, frames, sensor_size=SIZE, layout=Layout.PDAVIS)
+
+
+@contextlib.contextmanager
+def sending(recording, server):
+    """Send a recording as soon as there are clients, from another thread."""
+    def send():
+        with server:
+            assert server.wait_for_clients(PATIENCE_S)
+            for packet in recording.packets():
+                server.add(packet)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    yield
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+
+
+def arrived(source):
+    """Return the events and frames of a source, in the order in which they came."""
+    events, frames = [], []
+    with source:
+        for packet in source.packets():
+            events.append(packet.events)
+            frames += packet.frames
+    return np.concatenate(events), frames
+
+
+def assert_frames_equal(frames, others):
+    assert len(frames) == len(others)
+    for one, two in zip(frames, others, strict=True):
+        np.testing.assert_array_equal(one.dn, two.dn)
+        assert one.exposure_start_us == two.exposure_start_us
+        assert one.exposure_end_us == two.exposure_end_us
+        assert one.available_us >= two.available_us
+
+
+def frames_of(recording):
+    return [frame for packet in recording.packets() for frame in packet.frames]
+
+
+def theirs(code, *arguments):
+    pytest.importorskip("dv_processing")
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", SCRIPT + code, *map(str, arguments)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+# ---- ours to ours ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_what_is_sent_arrives_to_the_bit(recording, compression):
+    server = DvServer(recording.info, 0, 0, compression=compression)
+    places = server.places
+    with sending(recording, server):
+        source = open_source(
+            f"dv+tcp://127.0.0.1:{places['events']}?frames={places['frames']}")
+        events, frames = arrived(source)
+    assert source.info.layout == Layout.PDAVIS
+    assert source.info.sensor_size == SIZE
+    np.testing.assert_array_equal(events, recording.events())
+    assert_frames_equal(frames, frames_of(recording))
+    assert not source.problems
+    assert server.dropped == 0
+
+
+def test_a_socket_in_a_folder_is_this_users_only(recording, tmp_path):
+    path = str(tmp_path / "events")
+    with sending(recording, DvServer(recording.info, path)):
+        assert stat.S_IMODE(Path(path).stat().st_mode) == 0o600
+        events, _ = arrived(open_source(f"dv+unix://{path}"))
+    np.testing.assert_array_equal(events, recording.events())
+    assert not Path(path).exists()
+
+
+def test_a_slow_client_loses_packets_and_delays_nobody():
+    ours, other = socket.socketpair()
+    with other:
+        client = _Client(ours, b"head")
+        for _ in range(5):
+            client.put(bytes(MOST_BYTES // 2))
+        assert client.dropped >= 1
+    client.end()
+
+
+@pytest.mark.parametrize(("data", "message"), [
+    (b"HTTP/1.1 400 Bad Request\r\n\r\n", "its header cannot be"),
+    (struct.pack("<I", 64) + bytes(64), "this is no dv stream"),
+    (b"\x10", "the sender closed the connection")])
+def test_what_is_no_dv_stream_is_refused(data, message):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)):
+            first, _ = listener.accept()
+            first.close()
+        def answer():
+            link, _ = listener.accept()
+            with link:
+                link.sendall(data)
+                link.shutdown(socket.SHUT_WR)
+                link.recv(1)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(DeviceError, match=message):
+            open_source(f"dv+tcp://127.0.0.1:{port}")
+        thread.join(PATIENCE_S)
+
+
+def test_nobody_there_is_a_device_error(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    for where in (f"dv+tcp://127.0.0.1:{port}", f"dv+unix://{tmp_path}/none"):
+        with pytest.raises(DeviceError, match="cannot be reached"):
+            open_source(where)
+    with pytest.raises(DeviceError, match="dv\\+tcp://HOST:PORT is needed"):
+        open_source("dv+tcp://host")
+
+
+# ---- with dv_processing ------------------------------------------------------------
+
+READER = """
+reader = dv.io.NetworkReader("127.0.0.1", int(sys.argv[1]))
+frames = dv.io.NetworkReader("127.0.0.1", int(sys.argv[2]))
+events, images = [], []
+while sum(map(len, events)) < int(sys.argv[3]) or len(images) < int(sys.argv[4]):
+    batch = reader.getNextEventBatch()
+    if batch is not None and len(batch):
+        events.append(batch.numpy().copy())
+    frame = frames.getNextFrame()
+    if frame is not None:
+        images.append(frame.image.copy())
+np.savez(sys.argv[5], events=np.concatenate(events), images=np.stack(images))
+import os
+os._exit(0)
+"""
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_dv_processing_reads_what_we_send(recording, tmp_path, compression):
+    frames = frames_of(recording)
+    server = DvServer(recording.info, 0, 0, compression=compression)
+    with sending(recording, server):
+        process = theirs(READER, *server.places.values(), len(recording.events()),
+                         len(frames), tmp_path / "got.npz")
+        assert process.wait(PATIENCE_S) == 0
+        process.stdin.close()
+        process.stdout.close()
+    with np.load(tmp_path / "got.npz") as got:
+        for name, other in (
+                ("t", "timestamp"), ("x", "x"), ("y", "y"), ("p", "polarity")):
+            np.testing.assert_array_equal(
+                recording.events()[name], got["events"][other])
+        assert got["images"].dtype == np.uint16
+        np.testing.assert_array_equal(got["images"], [frame.dn for frame in frames])
+
+
+WRITER = """
+import json, os
+events = np.load(sys.argv[1])
+store = dv.EventStore()
+for t, x, y, p in events.tolist():
+    store.push_back(t, x, y, bool(p))
+writer = dv.io.NetworkWriter(sys.argv[2], dv.io.Stream.EventStream(
+    0, "events", "DAVIS346_00001234", (16, 12)))
+print("ready", flush=True)
+while writer.getClientCount() < 1:
+    time.sleep(0.001)
+writer.writeEvents(store)
+sys.stdin.read()
+os._exit(0)         # destroying the writer after its client has gone hangs
+"""
+
+
+def test_we_read_what_dv_processing_sends(tmp_path):
+    events = random_events(3_000, SIZE, seed=5, start_us=10, stop_us=90_000)
+    np.save(tmp_path / "events.npy", events)
+    process = theirs(WRITER, tmp_path / "events.npy", tmp_path / "socket")
+    assert process.stdout.readline() == "ready\n"
+    got = []
+    with open_source(f"dv+unix://{tmp_path}/socket") as source:
+        assert source.info.camera == "DAVIS346_00001234"
+        for packet in source.packets():
+            got.append(packet.events)
+            if sum(map(len, got)) >= len(events):
+                break
+    process.communicate()
+    np.testing.assert_array_equal(np.concatenate(got), events)
+
+
+def test_the_command_sends_a_recording(recording, tmp_path, capsys, monkeypatch):
+    from pdavis_cv import write_aedat4
+    write_aedat4(tmp_path / "x.aedat4", recording)
+    got = []
+    wait = DvServer.wait_for_clients
+
+    def connect(server, timeout):
+        got.append(open_source(f"dv+tcp://127.0.0.1:{server.places['events']}"))
+        return wait(server, PATIENCE_S)
+
+    monkeypatch.setattr(DvServer, "wait_for_clients", connect)
+    assert main(["stream", str(tmp_path / "x.aedat4"), "--port", "0",
+                 "--no-frames"]) == 0
+    np.testing.assert_array_equal(arrived(got[0])[0], recording.events())
+    assert capsys.readouterr().out.startswith("events: ")

@@ -1,0 +1,55 @@
+"""Send a recording or a live source to DV and dv-processing on this machine.
+
+Events are at --port, frames at --frames-port: dv's reader takes one stream per
+connection.  Begins when each has a client.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from ._common import Parser, add_layout_option, command, ended_by_signals, source_of
+
+__all__ = ["main"]
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis stream``."""
+    args = _parser().parse_args(argv)
+    from pdavis_cv.live import DvServer
+
+    with source_of(args) as source, ended_by_signals():
+        frames: int | str | None = args.frames_port
+        if source.info.frame_count == 0 or args.no_frames:
+            frames = None
+        with DvServer(source.info, args.unix or args.port,
+                      f"{args.unix}.frames" if args.unix and frames is not None
+                      else frames, compression=args.compression) as server:
+            for name, place in server.places.items():
+                print(f"{name}: {place}", flush=True)
+            while not server.wait_for_clients(1):
+                pass
+            for packet in source.packets():
+                server.add(packet)
+        if server.dropped:
+            print(f"slow clients did not get {server.dropped} packets")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser("stream", __doc__ or "",
+                    'pdavis stream "replay:recording.aedat4?speed=1" --port 7777')
+    parser.add_argument("file", help="a recording, or the address of a live source")
+    parser.add_argument("--port", type=int, default=7777,
+                        help="for events, default 7777; 0 = any that is free")
+    parser.add_argument("--frames-port", type=int, default=7778,
+                        help="for frames, default 7778")
+    parser.add_argument("--unix", metavar="PATH",
+                        help="sockets PATH and PATH.frames in place of ports; only "
+                             "this user may open them")
+    parser.add_argument("--no-frames", action="store_true", help="send events only")
+    parser.add_argument("--compression", choices=("none", "lz4", "zstd"),
+                        default="none", help="default none")
+    add_layout_option(parser)
+    return parser
