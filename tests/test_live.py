@@ -4,6 +4,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -260,6 +261,13 @@ def test_events_of_an_image_are_kept_for_a_picture_of_them(recording):
             session.push(packet)
         np.testing.assert_array_equal(
             session.events(900_000, 950_000), recording.events(900_001, 950_001))
+
+
+def test_latency_is_of_real_time_whatever_the_speed(recording):
+    with Session(device(recording, speed=4), **OPTIONS, method="cf") as session:
+        list(session)
+        last_us = recording.events()["t"][-1]
+        assert session.clock.host_s(int(last_us) // 4) <= time.monotonic()
 
 
 # ---- clocks ----------------------------------------------------------------------

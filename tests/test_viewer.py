@@ -3,9 +3,13 @@ import contextlib
 import http.client
 import io
 import json
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
+import types
 
 import cv2
 import numpy as np
@@ -13,6 +17,7 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import Layout, Session, serve
+from pdavis_cv.data import example_recording
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
@@ -336,6 +341,24 @@ def test_a_notebook_shows_the_page(recording):
         assert f'src="{running.url}"' in running._repr_html_()
 
 
+def test_a_signal_ends_the_command_and_finishes_its_recording(tmp_path):
+    path = tmp_path / "run.aedat4"
+    with subprocess.Popen(
+            [sys.executable, "-P", "-m", "pdavis_cv.tools.main", "view",
+             "simulate:polarizer?size=4x4&rpm=600", "--layout", "pdavis", "--port", "0",
+             "--no-browser", "--method", "cf", "--record", path],
+            stdout=subprocess.PIPE, text=True) as process:
+        url = process.stdout.readline().strip()
+        running = types.SimpleNamespace(port=int(url.rstrip("/").rpartition(":")[2]))
+        while frame(running)[0]["status"]["stats"]["recorded_events"] < 100:
+            pass
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE_S) == 0
+    assert [left.name for left in tmp_path.iterdir()] == [path.name]
+    with pdavis_cv.open_recording(path, layout=Layout.PDAVIS) as recording:
+        assert recording.info.event_count >= 100
+
+
 def test_the_command_serves_until_it_is_told_to_end(monkeypatch, capsys):
     def interrupted(self):
         raise KeyboardInterrupt
@@ -348,3 +371,6 @@ def test_the_command_serves_until_it_is_told_to_end(monkeypatch, capsys):
     assert main(["view", where, "--layout", "pdavis", "--start", "1",
                  "--no-browser"]) == 2
     assert "--start and --stop need a recording" in capsys.readouterr().err
+    assert main(["view", str(example_recording()), "--layout", "pdavis", "--record",
+                 "x.aedat4", "--no-browser"]) == 2
+    assert "--record needs a live source" in capsys.readouterr().err

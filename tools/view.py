@@ -6,6 +6,7 @@ in cv2.VideoCapture, VLC and other players.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +29,7 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis view``."""
     args = _parser().parse_args(argv)
-    from pdavis_cv import Recording, serve
+    from pdavis_cv import Recording, Session, serve
 
     with source_of(args) as source:
         options = fusion_given(args)
@@ -37,12 +38,23 @@ def main(argv: Sequence[str] | None = None) -> int:
                 raise UsageError("--start and --stop need a recording: what is live "
                                  "begins now")
             options[name] += start_of(source)
-        with serve(source, host=args.host, port=args.port, record_to=args.record_to,
-                   **options) as server:
-            print(server.url, flush=True)
-            if not args.no_browser:
-                webbrowser.open(server.url)
+        with contextlib.ExitStack() as stack:
+            shown: Recording | Session
+            if isinstance(source, Recording):
+                if args.record is not None:
+                    raise UsageError("--record needs a live source")
+                shown = source
+            else:
+                shown = stack.enter_context(
+                    Session(source, record=args.record, **options))
+                options = {}
+            server = stack.enter_context(serve(
+                shown, host=args.host, port=args.port, record_to=args.record_to,
+                **options))
             with ended_by_signals():
+                print(server.url, flush=True)
+                if not args.no_browser:
+                    webbrowser.open(server.url)
                 server.wait()
     return 0
 
@@ -58,6 +70,9 @@ def _parser() -> argparse.ArgumentParser:
         "--port", type=int, default=8346, help="default 8346; 0 = any that is free")
     parser.add_argument(
         "--no-browser", action="store_true", help="print the address and open nothing")
+    parser.add_argument(
+        "--record", type=Path, metavar="FILE",
+        help="write what a live source sends, from its beginning, as AEDAT-4")
     parser.add_argument(
         "--record-to", type=Path, default=Path(), metavar="FOLDER",
         help="where the page's record button writes, default the current folder")

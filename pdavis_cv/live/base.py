@@ -51,9 +51,12 @@ class LiveSource(Source):
     ----------
     realtime : bool
         False: it waits for who reads it, and nothing is lost when that is slow.
+    speed : float
+        Stream time per real time; 1 of every camera.
     """
 
     realtime = True
+    speed = 1.0
 
     def __init__(self, info: RecordingInfo, name: str) -> None:
         self._info = info

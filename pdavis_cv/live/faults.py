@@ -81,7 +81,7 @@ class FaultySource(LiveSource):
 
     def __init__(self, source: LiveSource, faults: LinkFaults) -> None:
         super().__init__(source.info, source.name)
-        self.realtime = source.realtime
+        self.realtime, self.speed = source.realtime, source.speed
         self._source, self._faults = source, faults
 
     def _arrivals(self) -> Iterator[Packet]:

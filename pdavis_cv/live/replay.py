@@ -51,8 +51,8 @@ class ReplaySource(LiveSource):
         if not seconds > 0:
             raise ValueError(f"seconds must be positive, got {seconds:g}")
         super().__init__(endless(recording.info), name)
-        self.realtime = speed > 0
-        self._recording, self._speed, self._loop = recording, speed, loop
+        self.realtime, self.speed = speed > 0, speed or 1.0
+        self._recording, self._paced, self._loop = recording, speed > 0, loop
         self._seconds = seconds
 
     def _arrivals(self) -> Iterator[Packet]:
@@ -66,7 +66,7 @@ class ReplaySource(LiveSource):
                 first, begun = start, time.monotonic()
             if start - first >= 1e6 * self._seconds:
                 return
-            if self._speed:
+            if self._paced:
                 yield from self._wait(first, begun, start, stop)
             if self._closed.is_set():
                 return
@@ -76,14 +76,14 @@ class ReplaySource(LiveSource):
         self, first_us: int, begun_s: float, start_us: int, stop_us: int
     ) -> Iterator[Packet]:
         """Wait until the time of a packet's last sample; say how time goes on."""
-        due_s = begun_s + (stop_us - first_us) * 1e-6 / self._speed
+        due_s = begun_s + (stop_us - first_us) * 1e-6 / self.speed
         while not self._closed.is_set():
             now_s = time.monotonic()
             if now_s >= due_s:
                 return
             if self._closed.wait(min(due_s - now_s, HEARTBEAT_S)):
                 return
-            passed_us = int((time.monotonic() - begun_s) * 1e6 * self._speed)
+            passed_us = int((time.monotonic() - begun_s) * 1e6 * self.speed)
             if time.monotonic() < due_s:
                 yield Packet(until_us=min(first_us + passed_us, start_us))
 

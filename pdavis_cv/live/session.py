@@ -144,6 +144,7 @@ class Session:
         realtime = bool(getattr(self._source, "realtime", False))
         self._log = ProblemLog(name)
         self._lossy = realtime
+        self._speed = float(getattr(self._source, "speed", 1.0))
         self._inbox = Inbox(realtime, self._log, waits=self._source is not None)
         self._seen: deque[Packet] = deque()
         self._seen_lock = threading.Lock()
@@ -207,7 +208,8 @@ class Session:
             self._first_frame = packet.frames[0]
         if packet.stop_us is not None:
             with self._clock_lock:
-                self.clock.saw(packet.stop_us - 1, time.monotonic())
+                self.clock.saw(
+                    round((packet.stop_us - 1) / self._speed), time.monotonic())
         self._inbox.put(packet)
         with self._change:
             if self._state == "waiting":
@@ -287,7 +289,8 @@ class Session:
 
     def _note_latency(self, image: PolarFrame) -> None:
         with self._clock_lock:
-            shown_s = None if image.t_us is None else self.clock.host_s(image.t_us)
+            shown_s = None if image.t_us is None else self.clock.host_s(
+                round(image.t_us / self._speed))
         if shown_s is not None and self._lossy:
             self._latency.add(1e3 * (time.monotonic() - shown_s))
 
