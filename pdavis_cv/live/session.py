@@ -133,7 +133,7 @@ class Session:
         self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
         record: str | os.PathLike[str] | None = None, **fuse_parameters: Any,
     ) -> None:
-        options = FusionOptions(fps=DEFAULT_FPS).replace(
+        options = FusionOptions().replace(
             **{"fps": DEFAULT_FPS, **fuse_parameters, "causal": True})
         self._source: Source | None = None
         if isinstance(where, RecordingInfo):

@@ -18,16 +18,15 @@ from pdavis_cv.capture.seeking import Cursor
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion, FusionOptions
 from pdavis_cv.live import Session, open_source
+from pdavis_cv.live.session import DEFAULT_FPS, KEPT_EVENTS_US
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Recording, Source
 
 __all__ = ["Show", "show_of"]
 
-_FPS = 60
 _SPEEDS = (1e-4, 1e3)
 _FAILURES = (OSError, PdavisError, ValueError, ImportError)
-_EVENTS_US = 200_000
 
 
 class Show(ABC):
@@ -160,8 +159,8 @@ class LiveShow(Show):
 
     def events(self, until_us: int) -> Iterable[NDArray[Any]]:
         """Return the events since the image before."""
-        period = round(1e6 / float(self.fusion.options.rate or _FPS))
-        return [self._session.events(until_us - min(period, _EVENTS_US), until_us)]
+        period = round(1e6 / float(self.fusion.options.rate or DEFAULT_FPS))
+        return [self._session.events(until_us - min(period, KEPT_EVENTS_US), until_us)]
 
     def change(self, **options: Any) -> None:
         """Go on with other options."""
@@ -212,7 +211,7 @@ class FileShow(Show):
         self, recording: Recording, owned: bool, options: dict[str, Any]
     ) -> None:
         self._recording, self._owned = recording, owned
-        self._options = FusionOptions(fps=_FPS).replace(**{"fps": _FPS, **options})
+        self._options = FusionOptions().replace(**{"fps": DEFAULT_FPS, **options})
         self._cursor = Cursor(Fusion(recording, self._options))
         self._first = first_frame(recording)
         self.white = white_level(self.fusion.needs.frames, self._first)
@@ -320,7 +319,7 @@ class FileShow(Show):
             if not more:
                 self._set_paused()
                 continue
-            due = max(due + 1 / ((self._cursor.fps or _FPS) * self._speed),
+            due = max(due + 1 / ((self._cursor.fps or DEFAULT_FPS) * self._speed),
                       time.monotonic() - 0.1)
             with self._change:
                 self._change.wait_for(
