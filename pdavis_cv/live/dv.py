@@ -5,6 +5,7 @@ int32 stream, int32 size and payload, again and again.  Frames come on a second 
 """
 from __future__ import annotations
 
+import functools
 import select
 import socket
 import struct
@@ -275,7 +276,7 @@ def open_tcp(
     if options["frames"]:
         places.append((places[0][0], options["frames"]))
     return _connected(where, [
-        lambda place=place: socket.create_connection(place, CONNECT_S)
+        functools.partial(socket.create_connection, place, CONNECT_S)
         for place in places])
 
 
@@ -299,7 +300,7 @@ def open_unix(
         return link
 
     return _connected(where, [
-        lambda path=path: connect(path) for path in (path, options["frames"]) if path])
+        functools.partial(connect, one) for one in (path, options["frames"]) if one])
 
 
 def _connected(
