@@ -180,8 +180,16 @@ class PolarFrame:
             nobody else may hold on to its memory.
         layout : Layout
             Polarizer in front of each pixel.
-        valid, t_us, frame_us, extinction_ratio, provenance, quality
+        valid : ndarray of bool, optional
+        t_us, frame_us : int, optional
+        extinction_ratio : float, optional
+        provenance : mapping of str to object, optional
+        quality : ndarray of float32, optional
             As for `adopt`.
+
+        Returns
+        -------
+        PolarFrame
         """
         mosaic.flags.writeable = False
         frame = cls.__new__(cls)

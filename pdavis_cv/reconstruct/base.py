@@ -16,7 +16,19 @@ from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["Estimate", "Factory", "Needs", "Reconstructor", "Snapshot", "nbytes"]
+__all__ = [
+    "WHOLE_SENSOR",
+    "Estimate",
+    "Factory",
+    "Needs",
+    "Reconstructor",
+    "Snapshot",
+    "nbytes",
+]
+
+WHOLE_SENSOR = 1 << 20
+"""`Reconstructor.margin` of a method whose pixels depend on all others: larger than
+any sensor."""
 
 
 class Estimate(NamedTuple):

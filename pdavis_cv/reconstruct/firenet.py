@@ -15,7 +15,12 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, sensor_shape
 from pdavis_cv.errors import WindowWarning
 from pdavis_cv.events import timed_events
-from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
+from pdavis_cv.reconstruct.base import (
+    WHOLE_SENSOR,
+    Estimate,
+    Needs,
+    Reconstructor,
+)
 from pdavis_cv.reconstruct.onnx import model_shapes
 from pdavis_cv.reconstruct.runner import Runner, chosen_backend, make_runner
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
@@ -56,7 +61,7 @@ class _State:
 class _Recurrent(Reconstructor):
     """What the two methods share: windows, states, reading."""
 
-    margin = 1 << 20  # states spread from pixel to pixel: everything depends on all
+    margin = WHOLE_SENSOR  # states spread from pixel to pixel
     _network: str
 
     def __init__(

@@ -186,7 +186,8 @@ def view(where: Any, **fuse_parameters: Any) -> Server:
 
     Parameters
     ----------
-    where, **fuse_parameters
+    where : path, address, Source or Session
+    **fuse_parameters
         As in `serve`.
 
     Returns

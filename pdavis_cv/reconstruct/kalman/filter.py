@@ -13,7 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, sensor_shape, whole_number
 from pdavis_cv.events import FAR, checked_time, timed_events
-from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
+from pdavis_cv.reconstruct.base import (
+    WHOLE_SENSOR,
+    Estimate,
+    Needs,
+    Reconstructor,
+)
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import Smoother
@@ -162,6 +167,7 @@ class KalmanFilter(Reconstructor):
     needs = Needs(lamp=True, learned=frozenset({"bandwidth", "noise"}),
                   prior=frozenset({"threshold_sigma", "offset_dn"}))
     causal_parameters = MappingProxyType({"mode": "causal"})
+    margin = WHOLE_SENSOR  # the noise of motion is learned from all of its innovations
     lookahead_us: int
 
     def __init__(
