@@ -2,7 +2,8 @@
 
 For each candidate (bandwidth and noise) and each pixel a Kalman filter of (base,
 theta_on, theta_off) runs over the pixel's frames: the model and the equations are
-those of kalman_frame, whose sums of e^2 / v and ln v this returns per candidate.
+those of kalman_frame (without its learning of motion, lone events and rest), whose
+sums of e^2 / v and ln v this returns per candidate.
 A pixel's events lie together in memory, so that no store of recent events is needed.
 """
 from libc.stdint cimport int32_t, int64_t

@@ -50,7 +50,7 @@ def scale_errors(truth, watch, noise):
     method = KalmanFilter(
         watch.shape, theta_on=on, theta_off=off, threshold_sigma=THRESHOLD_SIGMA,
         bandwidth=BANDWIDTH, noise=noise)
-    _feed(method, watch._whole.items)
+    _feed(method, iter(watch._whole.items), -1)
     theta, covariance = method.thresholds
     prior = 1 / THRESHOLD_SIGMA**2
     a, b, d = _inverse(covariance[..., 0, 0], covariance[..., 0, 1],

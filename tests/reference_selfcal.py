@@ -1,8 +1,9 @@
 """NumPy twin of the kernel that adds up innovations under candidate cameras."""
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
-from reference_kalman import Pixel
+from reference_kalman import Pixel, steady
 
 
 def innovations(events, readings, theta, sigma, camera):
@@ -11,7 +12,11 @@ def innovations(events, readings, theta, sigma, camera):
     events are (t, p), readings rows of (log, variance, begin, middle, end, known).
     """
     theta = np.multiply(theta, (camera["scale_on"], camera["scale_off"]))
-    pixel = Pixel(*theta, sigma, (camera["hz"], camera["hz_per_intensity"], 0))
+    # Pixels of a sample are busy: none is doubted or fades to rest, which Pixel takes
+    # for granted of a light with any ripple.
+    nothing = SimpleNamespace(doubt=0.0, motion=0.0)
+    pixel = Pixel(*theta, sigma, (camera["hz"], camera["hz_per_intensity"], 0),
+                  lambda t, hz: steady(t, hz), nothing, 0.0)
     pixel.events = events
     chi2 = log_variance = count = 0
     since, reference = 0, None

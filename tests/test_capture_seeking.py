@@ -90,7 +90,8 @@ def test_random_seeks_in_a_real_recording(data_dir, method):
                       fps=60, layout=Layout.PDAVIS, roi=(90, 70, 120, 96)) as cap:
         cap._session.cursor.spacing_us = 200_000  # 2 s would give one snapshot
         check_random_seeks(cap, n)
-        assert len(cap._session.cursor.kept) >= 9
+        # Fewer of those that are large: offline, of the whole sensor.
+        assert len(cap._session.cursor.kept) >= 5
 
 
 @pytest.mark.parametrize("suffix", [".aedat", ".aedat2"])

@@ -134,8 +134,8 @@ def test_slices_are_views():
 @pytest.mark.parametrize(("options", "message"), [
     ({}, "either duration_us or count, got duration_us=None, count=None"),
     ({"count": 1, "duration_us": 1}, "either duration_us or count"),
-    ({"count": 0}, "count must be at least 1, got 0"),
-    ({"duration_us": -5}, "duration_us must be at least 1, got -5"),
+    ({"count": 0}, "count must be a whole number of 1..[0-9]+, got 0"),
+    ({"duration_us": -5}, "duration_us must be a whole number of 1..[0-9]+, got -5"),
 ])
 def test_slices_refuse_an_impossible_bin_at_once(options, message):
     with pytest.raises(ValueError, match=message):
@@ -203,7 +203,7 @@ def test_eight_threads_give_the_same_bits(image, options):
 
 
 @pytest.mark.parametrize(("call", "message"), [
-    (lambda e: voxel_grid(e, (2, 2), 0), "bins must be at least 1, got 0"),
+    (lambda e: voxel_grid(e, (2, 2), 0), "bins must be a whole number of 1..65536, got 0"),
     (lambda e: voxel_grid(e, (2, 2), 2, start_us=5, stop_us=5),
      r"stop_us must lie after start_us, got \[5, 5\)"),
     (lambda e: time_surface(e, (2, 2), tau_us=0), "tau_us must be positive"),

@@ -83,7 +83,7 @@ def test_background_and_flicker_reach_the_recording(tmp_path):
     (["dr", "-o", "x.aedat4", "--light", "3"], "sets its own light"),
     (["polarizer", "-o", "x.aedat4", "--background", "-1"], "must not be negative"),
     (["flat", "-o", "x.aedat", "--camera", "sony"], "AEDAT-2.0 is for event cameras"),
-    (["polarizer", "-o", "x.aedat4", "--seed", "-1"], "seed must be an integer")])
+    (["polarizer", "-o", "x.aedat4", "--seed", "-1"], "--seed: must lie in 0..")])
 def test_mistakes_are_one_line_and_leave_no_file(arguments, said, tmp_path,
                                                  monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -37,11 +37,11 @@ value, ``_sd`` spreads over its pixels (circular for AoP).  NaN = not known."""
 # How many times the variance of a region's mean exceeds that of as many independent
 # pixels.  Bilinear: a pixel has 9/16 of a sample's variance on average, and the mean
 # rests on a quarter as many samples as it has pixels.  Binned: weights (3, 1) / 4 along
-# both axes leave (5 / 8)^2.  Guided: measured, even light of DoLP .3 with white noise;
-# S0 is nearly each pixel's own, S1 and S2 are fitted in a window.
+# both axes leave (5 / 8)^2.  Guided: measured, even light of DoLP .1 and .3 with white
+# noise (2.9 to 3.2, 11.7 to 13.4); S1 and S2 are fitted in a window.
 _PIXELS_PER_SAMPLE = {
     "bilinear": (64 / 9,) * 3, "superpixel": (1.0,) * 3, "binned": (64 / 25,) * 3,
-    "guided": (2.0, 15.0, 15.0)}
+    "guided": (3.0, 12.5, 12.5)}
 
 
 def pixels_per_sample(demosaic: str) -> tuple[float, float, float]:

@@ -214,7 +214,8 @@ class SelfCalibration:
             checked_bandwidth(bandwidth))
         if sample is not None:
             stamped = sample
-            if "clock_offset" in wanted:
+            # A lamp's ripple makes events whose times say nothing of the scene's.
+            if "clock_offset" in wanted and not len(self._window.waves):
                 clock = fit_clock_offset(stamped, known)
                 sample = stamped.with_frames_moved(clock.applied_us)
             first = sample

@@ -234,11 +234,13 @@ def measure(
     messages: list[str] = []
     locked = frames is not None and analysis.phase_locked(
         frames.t_us, _load_hz(args, tones))
-    if locked and _asks_for_bandwidth(args, recording, options):
-        options["bandwidth"] = USUAL_BANDWIDTH
+    stated = _not_learned(args, recording, options) if locked else {}
+    if stated:
+        options |= stated
         fused, busiest = _traces(args, recording, options, regions, busy, background)
         assert fused is not None
         tones = _tones(args, fused)
+    if "bandwidth" in stated:
         messages.append(
             "the frames are locked to the load's phase and say nothing of the lag of "
             f"the pixels' bandwidth: {USUAL_BANDWIDTH[0]:g} Hz is taken, as usual; "
@@ -320,12 +322,18 @@ def _load_hz(args: argparse.Namespace, tones: Sequence[analysis.Tone]) -> float:
     return float(args.load_hz or best.hz)
 
 
-def _asks_for_bandwidth(
+def _not_learned(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any]
-) -> bool:
-    """Return whether fuse() estimates the bandwidth from frames and events."""
-    return ("bandwidth" in Fusion(recording, **options).needs.learned
-            and not args.causal and "bandwidth" not in options)
+) -> dict[str, Any]:
+    """Return options by which fuse() does not learn times from frames and events."""
+    if args.causal or "bandwidth" not in Fusion(recording, **options).needs.learned:
+        return {}
+    stated: dict[str, Any] = {}
+    if "bandwidth" not in options:
+        stated["bandwidth"] = USUAL_BANDWIDTH
+    if options.get("clock_offset_us") == "learned":
+        stated["clock_offset_us"] = None
+    return stated
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
