@@ -232,7 +232,7 @@ cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
             count = eight_digits(data, i, n, &part)
             i += count
             if count:
-                fraction = 10 * fraction + part / powers[count - 1]
+                fraction = 10 * fraction + part // powers[count - 1]
             while count == 8:
                 count = eight_digits(data, i, n, &part)
                 i += count
@@ -250,8 +250,8 @@ cdef inline bint blank(uint8_t c) noexcept nogil:
 
 
 cdef inline int64_t floored(int64_t a, int64_t b) noexcept nogil:
-    """Divide by a positive number, downward as Python does."""
-    return a / b - (a % b < 0)
+    """Divide by a positive number, downward, whatever cdivision says."""
+    return a // b - (a % b < 0)
 
 
 cdef inline int64_t in_us(int64_t whole, int64_t nano, int unit) noexcept nogil:
