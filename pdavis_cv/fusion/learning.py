@@ -516,7 +516,8 @@ def clock_offset_in_situ(
     Returns
     -------
     ClockOffset or None
-        None where frames or events are too few to tell anything.
+        None where frames or events are too few to tell anything, or a lamp flickers:
+        the times of its events say nothing of the scene's.
     """
     return _that_looked_on(
         recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
