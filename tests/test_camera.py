@@ -66,6 +66,7 @@ def test_runs_differ_in_noise_and_specimens_in_maps():
 
 @pytest.mark.parametrize(("part", "name", "value"), [
     ("dvs", "theta_on", 0.0), ("dvs", "mismatch", 0.5), ("dvs", "cutoff_hz", -1),
+    ("dvs", "second_pole_hz", 0.0),
     ("dvs", "burst_chance", 1.5), ("aps", "exposure_us", 60_000),
     ("aps", "adc_bits", 0), ("aps", "shutter", "focal"),
     ("optics", "extinction_ratio", 1.0), ("optics", "gain_sigma", 0.5),

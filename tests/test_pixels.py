@@ -19,6 +19,7 @@ from pdavis_cv.simulation import (
     MalusSweep,
     RotatingPlate,
     RotatingPolarizer,
+    VideoScene,
     noise,
 )
 
@@ -156,6 +157,44 @@ def test_cutoff_is_the_3_db_frequency(hz):
     phasor = 2 * np.mean(seen * np.exp(-2e-6j * np.pi * hz * t)) * 1j / depth
     assert abs(phasor) == pytest.approx(math.sqrt(0.5), rel=0.01)
     assert np.rad2deg(np.angle(phasor)) == pytest.approx(-45, abs=1)
+
+
+@pytest.mark.parametrize("light", ["smooth", "video"])
+def test_two_poles_lose_what_each_loses_alone(light):
+    # Weak modulation at 100 Hz behind 100 and 200 Hz: -45 and -26.6 degrees.
+    hz, depth, theta = 100.0, 0.1, 0.002
+
+    def wave(t, x, y):
+        lamp = 30 * np.exp(depth * np.sin(2e-6 * np.pi * hz * t))
+        return lamp + 0 * x, np.zeros_like(lamp), np.zeros_like(lamp)
+
+    scene = FunctionScene(wave, sampling_us=100.0, uniform=True)
+    if light == "video":
+        quad = wave(np.arange(500) * 200.0, 0, 0)[0][:, None, None, None] / 2
+        scene = VideoScene(np.broadcast_to(quad, (500, 4, 1, 1)), 5000.0)
+    camera = Camera.preset("ideal", size=(1, 1), origin=(0, 0), aps=None, dvs={
+        "theta_on": theta, "theta_off": theta, "cutoff_hz": 100.0,
+        "second_pole_hz": 200.0})
+    events, _ = drain(camera.record(scene, 0.1)[0])
+    t = np.linspace(40_000, 100_000, 6000, endpoint=False)
+    steps = np.concatenate((
+        [0], np.cumsum(np.where(events["p"] == 1, theta, -theta))))
+    seen = steps[np.searchsorted(events["t"], t, "right")]
+    phasor = 2 * np.mean(seen * np.exp(-2e-6j * np.pi * hz * t)) * 1j / depth
+    assert abs(phasor) == pytest.approx(math.sqrt(0.5 * 0.8), rel=0.015)
+    assert np.rad2deg(np.angle(phasor)) == pytest.approx(-71.6, abs=1.2)
+
+
+def test_a_fast_second_pole_and_threads_leave_the_events():
+    scene = RotatingPolarizer(rpm=500.0)
+    without = Camera.preset("nominal", seed=2, size=(4, 4))
+    fast = Camera.preset("nominal", seed=2, size=(4, 4), dvs={"second_pole_hz": 3e4})
+    a, b = (drain(camera.record(scene, 0.1)[0])[0] for camera in (without, fast))
+    assert len(a) == pytest.approx(len(b), rel=0.01)
+    slow = Camera.preset("realistic", seed=2, size=(34, 4), dvs={
+        "second_pole_hz": 200.0, "dark_dn_ms": 0.1})
+    c, d = (drain(slow.record(scene, 0.02, threads=n)[0])[0] for n in (1, 2))
+    np.testing.assert_array_equal(c, d)
 
 
 def test_cutoff_in_proportion_to_light():

@@ -20,6 +20,8 @@ __all__ = ["FILM_ROWS", "DvsPixel", "PixelArray"]
 
 FILM_ROWS = 16  # of a video, done before the next: what they keep fits a cache
 _INTERVALS = 16  # of a video that the kernel takes at once
+_POLE_PHASE = 0.2  # of the second pole per interval: cubics err by 4e-6 of a step
+_LAG_TERMS = 12    # at that phase the last one is below 1e-16
 
 FloatArray = NDArray[np.float64]
 
@@ -48,6 +50,9 @@ class DvsPixel:
     cutoff_hz_per_dn_ms : float
         -3 dB frequency per DN/ms of light on the pixel, added to ``cutoff_hz``: the
         photoreceptor's time constant is that of its photocurrent.
+    second_pole_hz : float, optional
+        -3 dB frequency of the source follower behind the photoreceptor, a second
+        first-order low-pass; None: none, as in v2e.
     dark_dn_ms : float
         Light that the photodiode's dark current is worth, DN per ms.
     refractory_us : float
@@ -82,6 +87,7 @@ class DvsPixel:
     mismatch_ln: float = 0.0
     cutoff_hz: float | None = None
     cutoff_hz_per_dn_ms: float = 0.0
+    second_pole_hz: float | None = None
     dark_dn_ms: float = 0.0
     refractory_us: float = 0.0
     leak_hz: float = 0.0
@@ -97,8 +103,8 @@ class DvsPixel:
 
     def __post_init__(self) -> None:
         positive(theta_on=self.theta_on, theta_off=self.theta_off,
-                 cutoff_hz=self.cutoff_hz, bright_dn_ms=self.bright_dn_ms,
-                 burst_us=self.burst_us)
+                 cutoff_hz=self.cutoff_hz, second_pole_hz=self.second_pole_hz,
+                 bright_dn_ms=self.bright_dn_ms, burst_us=self.burst_us)
         at_least_zero(
             mismatch=self.mismatch, mismatch_ln=self.mismatch_ln,
             cutoff_hz_per_dn_ms=self.cutoff_hz_per_dn_ms, dark_dn_ms=self.dark_dn_ms,
@@ -112,6 +118,13 @@ class DvsPixel:
             which = "mismatch_ln" if self.mismatch_ln else "mismatch"
             require(which, getattr(self, which), sigma < getattr(self, name) / 3,
                     f"keep the spread below a third of {name}")
+
+    @property
+    def step_us(self) -> float:
+        """Longest interval of light over which its second pole is followed well."""
+        if self.second_pole_hz is None:
+            return math.inf
+        return _POLE_PHASE / (2e-6 * math.pi * self.second_pole_hz)
 
     @property
     def filtered(self) -> bool:
@@ -178,6 +191,7 @@ class PixelArray:
         self._state = np.zeros((n, 6))
         self._state[:, 2] = -np.inf
         self._counters = np.zeros(n, np.uint64)
+        self._followed = np.zeros(n)  # log light behind the second pole
         self._settings = np.array([
             1.0, 0.0, not pixel.filtered,
             2e-6 * np.pi * (pixel.cutoff_hz or 0.0),
@@ -201,6 +215,7 @@ class PixelArray:
         self._state[part, 4] = total
         for column in (0, 1, 5):
             self._state[part, column] = np.log(total)
+        self._followed[part] = np.log(total)
 
     def advance(
         self, start_us: float, step_us: float, light: FloatArray, slope: FloatArray,
@@ -232,6 +247,9 @@ class PixelArray:
             In pixel order; time-ordered within each pixel.
         """
         part = self._part(rows)
+        if self.pixel.second_pole_hz is not None:
+            light, slope = self._follow(step_us, light, slope, analyser, part)
+            analyser = None
         settings = self._at(start_us, step_us)
         edges = np.empty(0) if edges is None else edges
         pixels, keys = self._pixels[part], self._keys[part]
@@ -244,6 +262,41 @@ class PixelArray:
                 places, state, counters, start, len(pixels), buffer)
 
         return self._collect(run, 0, len(pixels))
+
+    def _follow(
+        self, step_us: float, light: FloatArray, slope: FloatArray,
+        analyser: FloatArray | None, part: slice,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return light and slopes of each pixel as they are behind the second pole.
+
+        It comes before the photoreceptor's own here, where it is behind it in a pixel:
+        linear filters of log light may change places while the cutoff is constant.
+        Log light is the cubic through its values and slopes at an interval's ends.
+        """
+        if analyser is not None:
+            light, slope = light @ analyser.T, slope @ analyser.T
+        dark = self.pixel.dark_dn_ms
+        total = np.maximum(light + dark, 1e-9)
+        log = np.log(total)
+        rise = np.diff(log, axis=0)
+        if len(slope):
+            ends = slope / total
+            first, last = ends[:-1], ends[1:]
+        else:  # linear light: its own slope at both ends
+            change = np.diff(light, axis=0)
+            first, last = change / total[:-1], change / total[1:]
+        phi = 2e-6 * math.pi * (self.pixel.second_pole_hz or 0.0) * step_us
+        weights = lag_weights(phi)
+        cubic = np.stack((log[:-1], first, 3 * rise - 2 * first - last,
+                          first + last - 2 * rise))
+        followed = np.empty_like(log)
+        followed[0] = self._followed[part]
+        driven = np.tensordot(weights, cubic, axes=1)
+        for k, drive in enumerate(driven):
+            followed[k + 1] = math.exp(-phi) * followed[k] + drive
+        self._followed[part] = followed[-1]
+        seen = np.exp(followed)
+        return np.ascontiguousarray(seen - dark), seen * phi * (log - followed)
 
     def settle_film(self, seen: NDArray[np.float32]) -> None:
         """Let all pixels adapt to the light of a video's first frame.
@@ -351,6 +404,20 @@ class PixelArray:
     def _part(self, rows: slice) -> slice:
         first, last, _ = rows.indices(self.size[0])
         return slice(first * self.size[1], last * self.size[1])
+
+
+def lag_weights(phi: float) -> FloatArray:
+    """Return what 1, x, x^2, x^3 over 0..1 add to the end of a first-order low-pass.
+
+    ``w_n = phi int_0^1 exp(-phi (1 - x)) x^n dx``, for phi = interval over time
+    constant; a series, since the closed form loses digits where phi is small.
+    """
+    n = np.arange(4)[:, None]
+    # Terms phi^(k+1) n! (-1)^k / (n+k+1)!, the ratio of one to the one before:
+    k = np.arange(1, _LAG_TERMS)
+    ratios = -phi / (n + k + 1)
+    terms = np.cumprod(np.concatenate((phi / (n + 1), ratios), axis=1), axis=1)
+    return np.asarray(terms.sum(axis=1))
 
 
 def in_time_order(parts: list[NDArray[Any]], start_us: int, stop_us: int,

@@ -81,6 +81,8 @@ class SimulatedRecording(Recording):
         self.run, self.threads = run, threads
         step = scene.step_us if step_us is None else step_us
         dvs = camera.dvs
+        if dvs is not None:
+            step = min(step, dvs.step_us)
         if dvs is not None and dvs.burst_chance and camera.aps is not None:
             # At most one burst per interval.
             gap = min(camera.aps.exposure_us,
@@ -157,7 +159,8 @@ class SimulatedRecording(Recording):
         film = None
         if isinstance(self.scene, VideoScene) and not (
                 camera.dvs is not None and (
-                    camera.dvs.cutoff_hz_per_dn_ms or camera.dvs.leak_hz_per_dn_ms)):
+                    camera.dvs.cutoff_hz_per_dn_ms or camera.dvs.leak_hz_per_dn_ms
+                    or camera.dvs.second_pole_hz)):
             film = Film(self.scene, camera.maps["analyser"], camera.origin)
         sums: dict[int, FloatArray] = {}
         log: list[tuple[int, float, int]] = []
@@ -274,7 +277,12 @@ class SimulatedRecording(Recording):
         if self.scene.linear:
             kinks = self.scene.times_us(start, start + PIECE_US)
             times = [float(start), *kinks.tolist(), float(start + PIECE_US)]
-            return [(a, b - a, 1) for a, b in itertools.pairwise(times)]
+            dvs = self.camera.dvs
+            longest = math.inf if dvs is None else dvs.step_us
+            cuts = [max(1, math.ceil((b - a) / longest))
+                    for a, b in itertools.pairwise(times)]
+            return [(a, (b - a) / n, n)
+                    for (a, b), n in zip(itertools.pairwise(times), cuts, strict=True)]
         step = PIECE_US / self._intervals
         size = self._intervals if self.scene.uniform else _INTERVALS
         return [(start + first * step, step, min(size, self._intervals - first))
