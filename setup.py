@@ -4,9 +4,12 @@ Everything declarative is in pyproject.toml.  PDAVIS_CV_DEBUG=1 builds with
 bounds checks on; for sanitizers add CFLAGS/LDFLAGS.  Each flavour has its own
 build folder: setuptools compares times, not flags, and would reuse the other's.
 Kernels compile in parallel, and only where a source is newer than its kernel.
+Cython's own code for memory views is a module of its own that they all share:
+compiled into each of them it would take more than half of the time.
 """
 import os
 import re
+import subprocess
 import sys
 import sysconfig
 from pathlib import Path
@@ -70,6 +73,7 @@ SHARED = (
     "_types.pxd",
     "_update.pxd",
 )
+UTILITY = "pdavis_cv._kernels._cyutility"  # Cython's shared code
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")  # no abi3 when free-threaded
 
@@ -102,15 +106,21 @@ def shared_by(source):
 
 
 def kernel(name):
-    return Extension(
+    return extension(
         f"pdavis_cv._kernels.{name}",
         sources=[f"_kernels/{name}.pyx"],
-        depends=[f"_kernels/{file}" for file in sorted(shared_by(f"{name}.pyx"))],
+        depends=[f"_kernels/{file}" for file in sorted(shared_by(f"{name}.pyx"))])
+
+
+def extension(name, **options):
+    return Extension(
+        name,
         include_dirs=["_kernels"],
         extra_compile_args=CFLAGS,
         define_macros=[("PDAVIS_CV_DEBUG", str(int(DEBUG))),
                        *([("Py_LIMITED_API", "0x030B0000")] if ABI3 else [])],
         py_limited_api=ABI3,
+        **options,
     )
 
 
@@ -130,13 +140,25 @@ class BuildKernels(build_ext):
         built = self.get_ext_fullpath(ext.name)
         if not self.force and not newer_group([*ext.sources, *ext.depends], built):
             return
-        from Cython.Build import cythonize
-        with self.translating:  # generated C goes to build/, never beside the .pyx
-            translated, = cythonize(
-                ext, build_dir=self.build_temp, include_path=["_kernels"],
-                compiler_directives=DIRECTIVES, force=self.force, quiet=True)
-        ext.sources = translated.sources
+        # generated C goes to build/, never beside the .pyx
+        if ext.name == UTILITY:
+            ext.sources = [self.shared_code()]
+        else:
+            from Cython.Build import cythonize
+            with self.translating:
+                translated, = cythonize(
+                    ext, build_dir=self.build_temp, include_path=["_kernels"],
+                    compiler_directives=DIRECTIVES, force=self.force, quiet=True,
+                    shared_utility_qualified_name=UTILITY)
+            ext.sources = translated.sources
         super().build_extension(ext)
+
+    def shared_code(self):
+        source = Path(self.build_temp, f"{UTILITY.rpartition('.')[2]}.c")
+        source.parent.mkdir(parents=True, exist_ok=True)
+        subprocess.run([sys.executable, "-m", "cython", f"--generate-shared={source}"],
+                       check=True)
+        return str(source)
 
 
 BUILD = f"build/{'debug' if DEBUG else 'release'}"
@@ -148,5 +170,6 @@ OPTIONS = {
 if ABI3:
     OPTIONS["bdist_wheel"] = {"py_limited_api": "cp311"}
 
-setup(ext_modules=[kernel(name) for name in KERNELS], options=OPTIONS,
+setup(ext_modules=[extension(UTILITY, sources=["setup.py"]),
+                   *(kernel(name) for name in KERNELS)], options=OPTIONS,
       cmdclass={"build_ext": BuildKernels})

@@ -21,15 +21,16 @@ METHODS = [
 NETWORKS = ("firenet", "joint")
 
 
-def cases(marks):
-    """Return the methods as parameters; networks, which take long, with marks."""
+def cases(long=()):
+    """Return the methods as parameters; those that are long are the gate's."""
     return pytest.mark.parametrize("method", [
-        pytest.param(method, marks=marks if method["method"] in NETWORKS else (),
-                     id="-".join(map(str, method.values()))) for method in METHODS])
+        pytest.param(method, id="-".join(map(str, method.values())),
+                     marks=pytest.mark.gate if method["method"] in long else ())
+        for method in METHODS])
 
 
-CASES = cases(marks=())
-CASES_OF_A_FILE = cases(marks=pytest.mark.gate)
+CASES = cases()
+CASES_OF_A_FILE = cases(long=(*NETWORKS, "kalman"))
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +46,10 @@ def everything(cap):
 
 
 def quick(method, n):
-    """Return a network's options and seeks for fewer of its steps."""
-    if method["method"] not in NETWORKS:
-        return method, n
-    return {**method, "window_us": 50_000}, n // 10
+    """Return a method's options, and fewer seeks where its images take long."""
+    if method["method"] in NETWORKS:
+        return {**method, "window_us": 50_000}, n // 10
+    return method, n // 10 if method["method"] == "kalman" else n
 
 
 def read_on(cap):

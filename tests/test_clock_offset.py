@@ -67,6 +67,7 @@ def test_an_offset_is_found_whatever_it_is(name):
         assert found.counts == (true != 0)
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("rpm", [30.4, 202.6, 1013.0])
 def test_offsets_of_cameras_of_another_family_lie_within_their_sigma(rpm):
     """Nothing was chosen on these; thresholds are stated as .2."""

@@ -49,6 +49,7 @@ def test_the_ratio_of_the_thresholds_is_found(nominal, estimate):
     assert estimate.sigma.shape == (2, 8, 8)
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("rpm", [30, 60, 200, 1000])
 def test_one_sigma_covers_two_thirds_of_the_errors_of_thresholds(rpm):
     """Over chips and start angles: a part of the error is the same in a whole chip."""
@@ -72,6 +73,7 @@ def test_one_sigma_covers_two_thirds_of_the_errors_of_thresholds(rpm):
     assert 0.58 < off < 0.82
 
 
+@pytest.mark.gate
 def test_one_sigma_covers_two_thirds_of_the_errors_of_a_bench():
     """A slow recording of 8 s with dark values: thresholds to a half per cent."""
     covered = []
@@ -176,6 +178,7 @@ def test_the_bandwidth_is_found_at_high_speed_too():
     assert abs(np.log(found.hz / 250)) < 1.5 * found.sigma < 0.08
 
 
+@pytest.mark.gate
 def test_leak_does_not_pass_for_a_slow_photoreceptor():
     """Chips at 100 RPM: it made the bandwidth 7 % too low in all of them."""
     errors = []
@@ -207,6 +210,7 @@ def test_a_bandwidth_in_proportion_to_the_light_is_told_apart():
     assert found.hz < 10
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("chip", [101, 102, 201])
 def test_one_pixel_unlike_the_others_does_not_decide_on_the_bandwidth(chip):
     """A chip whose thresholds scatter has some at a quarter of the nominal value."""
@@ -303,6 +307,7 @@ def test_fuse_learns_before_the_first_image(nominal):
     assert errors(truth, lagging) > errors(truth, images) + 0.1
 
 
+@pytest.mark.gate
 def test_causal_images_do_not_know_the_future(nominal):
     _, recording, truth = nominal
     options = dict(method="kalman", nominal_thresholds=NOMINAL, causal=True,
@@ -403,6 +408,7 @@ def test_on_and_off_thresholds_of_a_calibration_err_together(nominal):
     assert used[1]["threshold_sigma"] == pytest.approx(0.001 * np.sqrt(2), rel=1e-5)
 
 
+@pytest.mark.gate
 def test_a_bandwidth_from_a_slow_recording_does_not_mislead_a_fast_one():
     """Errors of AoP at 1000 RPM, by a calibration at 60 RPM and without."""
     camera = Camera.preset("nominal", seed=41, size=(8, 8))

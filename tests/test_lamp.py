@@ -184,6 +184,7 @@ def test_flicker_costs_little_accuracy(lit, options, times):
     assert np.all(error(*lit, **options) < times * steady)
 
 
+@pytest.mark.gate
 def test_in_dim_light_slow_pixels_pass_on_less_of_a_lamp():
     options = {"thresholds": "in-situ"}
     steady = error(*recorded(30.4, preset="realistic"), **options)

@@ -154,6 +154,7 @@ def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
     assert fan.strip() == " / ".join(halves)
 
 
+@pytest.mark.gate
 def test_a_recording_without_truth_is_scored_against_its_own_fit(tmp_path, capsys):
     paths = []
     for rpm in (-60.78, 1013):

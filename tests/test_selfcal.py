@@ -268,6 +268,7 @@ def test_nominal_thresholds_stay_where_they_hold_or_nothing_is_told(rpm, s0):
     assert found.common_scale_sigma == 0
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("preset", ["drawn", "davis346"])
 def test_the_scale_of_cameras_of_other_families_is_found(preset):
     """Nothing was chosen on these; their thresholds are stated as .2."""

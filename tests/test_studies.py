@@ -7,6 +7,7 @@ import pytest
 
 STUDIES = Path(__file__).resolve().parent.parent / "studies"
 NAMES = sorted(path.stem for path in STUDIES.glob("*.py") if path.stem != "common")
+LONG = ("held_cameras", "selfcal_clock_offset", "selfcal_law")
 
 
 @pytest.fixture
@@ -26,7 +27,9 @@ def test_there_are_studies():
         "selfcal_common_scale", "selfcal_thresholds"} <= set(NAMES)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=pytest.mark.gate) if name in LONG else name
+    for name in NAMES])
 def test_quick_study_finds_what_the_code_has(study, name, capsys):
     module = study(name)
     if hasattr(module, "study"):

@@ -200,12 +200,12 @@ def test_info_json_is_json_and_equals_the_scan(capsys):
 def test_export_video_holds_one_picture_per_image(tmp_path, capsys):
     path = tmp_path / "x.mp4"
     assert run("export", SAMPLE, "-o", path, "--fps", 200, "--slow", 8,
-               "--layout", "pdavis", "--stop", 0.12) == 0
+               "--layout", "pdavis", "--stop", 0.12, "--method", "cf") == 0
     frames, rate = frames_of(path)
     with pdavis_cv.open_recording(SAMPLE) as recording:
         start = recording.info.start_us or recording.scan().start_us
         images = list(pdavis_cv.fuse(recording, fps=200, layout=pdavis_cv.Layout.PDAVIS,
-                                     stop_us=start + 120_000))
+                                     method="cf", stop_us=start + 120_000))
     assert len(frames) == len(images) > 10
     assert rate == pytest.approx(25)
     assert all(side % 2 == 0 for side in frames[0].shape[:2])
