@@ -40,6 +40,7 @@ cdef packed struct candidate_t:
     double frame_sigma      # what de-blurring leaves, ln
     double scale_on         # factors on the prior thresholds
     double scale_off
+    int64_t clock_us        # added to the frames' times
 
 cdef packed struct innovations_t:
     double chi2             # sum of e^2 / v, 16 at most each
@@ -205,10 +206,11 @@ cdef inline double limited(double theta, double prior) noexcept nogil:
     return THETA_MOST * prior if theta > THETA_MOST * prior else theta
 
 
-cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t* frame,
-                    Py_ssize_t frames, Py_ssize_t stride, double theta_sigma,
-                    const lamp_t* lamp, const tuning_t* camera,
-                    innovations_t* out) noexcept nogil:
+cdef void run_pixel(const event_t* events, const pixel_t* pixel,
+                    const reading_t* reading, Py_ssize_t frames, Py_ssize_t stride,
+                    double theta_sigma, int64_t clock_us, const lamp_t* lamp,
+                    const tuning_t* camera, innovations_t* out) noexcept nogil:
+    cdef reading_t frame
     cdef state_t s
     cdef walk_t walk
     cdef blur_t total
@@ -217,7 +219,7 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
     cdef int32_t counted = pixel.start, i
     cdef int at_on, at_off
     cdef bint fresh = True
-    cdef Py_ssize_t _
+    cdef Py_ssize_t k
     s.base = 0.0
     s.on = pixel.theta_on
     s.off = pixel.theta_off
@@ -227,10 +229,14 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
     s.p11 = theta_sigma * theta_sigma
     s.p12 = 0.0
     s.p22 = s.p11
-    for _ in range(frames):
+    for k in range(frames):
+        frame = reading[k * stride]
         if not frame.variance > 0.0:
-            frame += stride
             continue
+        frame.begin += clock_us
+        frame.middle += clock_us
+        frame.end += clock_us
+        frame.known += clock_us
         # Events since the reference, and those of the exposure before its middle.
         n_on = 0.0
         n_off = 0.0
@@ -271,7 +277,7 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
                 &h_on, &h_off)
             h_off = -h_off
         else:
-            total = integral(&walk, events, pixel.stop, frame, &s, level, camera, lamp)
+            total = integral(&walk, events, pixel.stop, &frame, &s, level, camera, lamp)
             blur = log_f(<float>(total.whole / <double>(frame.end - frame.begin)))
             h_on = total.on / total.whole
             h_off = -total.off / total.whole
@@ -285,7 +291,6 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel, const reading_t
         s.off = limited(s.off, pixel.theta_off)
         fresh = False
         reference = frame.middle
-        frame += stride
     out.log_theta += log_f(<float>s.on) + log_f(<float>s.off)
 
 
@@ -335,4 +340,4 @@ def sample_innovations(const event_t[::1] events not None,
                 pixel.theta_on *= candidates[c].scale_on
                 pixel.theta_off *= candidates[c].scale_off
                 run_pixel(first, &pixel, &frames[0, i], frames.shape[0], n,
-                          theta_sigma, &lamp, &camera, &out[c])
+                          theta_sigma, candidates[c].clock_us, &lamp, &camera, &out[c])

@@ -20,9 +20,10 @@ def innovations(events, readings, theta, sigma, camera):
     pixel.events = events
     chi2 = log_variance = count = 0
     since, reference = 0, None
-    for log, variance, begin, middle, end, known in readings:
+    for log, variance, *times in readings:
         if not variance > 0:
             continue
+        begin, middle, end, known = (t + camera["clock_us"] for t in times)
         here, fresh = pixel.next(middle), reference is None
         n_on, n_off = pixel.counts(since, here)
         if not fresh:

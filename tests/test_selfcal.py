@@ -60,6 +60,7 @@ def test_the_kernel_is_its_twin(recording):
     candidates["noise_per_s"][2] = 0.1
     candidates["frame_sigma"][2] = 0.01
     candidates["scale_on"][2] = 1.3
+    candidates["clock_us"][1:] = -1500, 7000
     got = sample.innovations(candidates, every=20)
     expected = np.zeros((3, 4))
     for i in range(0, len(sample.pixels), 20):

@@ -190,9 +190,9 @@ def _costs(
     every: int = 1,
 ) -> NDArray[np.float64]:
     """Return -ln L of each offset, by one in `every` pixels."""
-    candidates = candidates_of([law])
-    return np.array([negative_log_likelihood(sample.with_frames_moved(
-        round(each)).innovations(candidates, every))[0] for each in us])
+    candidates = candidates_of([law] * len(us))
+    candidates["clock_us"] = np.rint(us)
+    return negative_log_likelihood(sample.innovations(candidates, every))
 
 
 def _prior(us: NDArray[np.float64]) -> NDArray[np.float64]:
