@@ -41,6 +41,17 @@ def test_files_hold_what_the_camera_records_and_the_truth(tmp_path, capsys):
         "polarizer.aedat4", "polarizer.aedat4.truth.npz"]
 
 
+def test_a_short_recording_of_a_slow_polarizer_is_exported(tmp_path):
+    """A tenth of a turn gives few events, and in some pixels none."""
+    path, out = tmp_path / "b.aedat4", tmp_path / "b.npy"
+    assert main(["simulate", "polarizer", "--rpm", "10", "--start-deg", "45",
+                 "--seconds", "0.6", "-o", str(path)]) == 0
+    assert main(["export", str(path), "-o", str(out), "--fps", "100"]) == 0
+    images = np.load(out)
+    assert len(images) == 59
+    assert np.isfinite(images).all()
+
+
 @pytest.mark.parametrize("scene", sorted(SCENES))
 def test_every_scene_is_simulated_with_its_bus(scene, tmp_path):
     path = tmp_path / f"{scene}.aedat4"
