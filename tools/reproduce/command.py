@@ -32,7 +32,7 @@ from .._common import (
     roi_option,
     within,
 )
-from . import demosaic, denoise, light, network, rotation
+from . import demosaic, denoise, light, network, robustness, rotation
 from .page import (
     beside_stem,
     save_figure,
@@ -41,6 +41,7 @@ from .page import (
     write_rows,
 )
 from .recording import fit_files, fits_page
+from .robustness_page import robustness_figure, robustness_page
 from .run import METHODS, Case, Row, Settings, Takes, run
 
 __all__ = ["EXPERIMENTS", "main"]
@@ -150,6 +151,17 @@ def _demosaicing(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, demosaic.demosaic_page(rows)), []
 
 
+def _robustness(figure: str, stem: Path, settings: Settings) -> Result:
+    """Cameras and light that depart from what is assumed."""
+    count = len(robustness.robustness_cases(settings))
+    rows = [row for each in progress(
+        robustness.robustness_rows(settings), count, "cases") for row in each]
+    write_rows(stem, rows, _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, robustness_figure(rows))
+    return write_page(stem, robustness_page(rows)), rows
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -181,6 +193,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "all": ("all of these, as STEM-fig2 and so on, and a table of them", _all),
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
+    "robustness": ("cameras and light that depart from what is assumed", _robustness),
     "network": ("networks on events alone, on these and on moving textures", _networks),
 }
 """Name -> what it is, and (name, stem, settings) -> the page written, and its rows."""
@@ -216,8 +229,10 @@ def _parser() -> argparse.ArgumentParser:
         "--camera", nargs="+", choices=EVENT_CAMERAS, metavar="PRESET",
         help=f"of {', '.join(EVENT_CAMERAS)}; default what suits the figure")
     parser.add_argument(
-        "--methods", nargs="+", choices=[*METHODS, *network.METHODS], metavar="NAME",
-        help=f"of {_named(METHODS)}; of network {_named(network.METHODS)}; default all")
+        "--methods", nargs="+", metavar="NAME",
+        choices=[*METHODS, *network.METHODS, *robustness.ALL],
+        help=f"of {_named(METHODS)}; of network {_named(network.METHODS)}; of "
+             f"robustness {_named(robustness.ALL)}; default all")
     parser.add_argument(
         "--scenes", nargs="+", default=[], metavar="SCENE",
         help=f"network: of {_named(network.SCENES)}, default all; demosaic: folders of "
@@ -230,8 +245,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rpm", type=positive, nargs="+", help="turns per minute")
     parser.add_argument(
-        "--seeds", type=within(0, LAST_SEED), nargs="+", default=[1],
-        help="which specimens; default 1")
+        "--seeds", type=within(0, LAST_SEED), nargs="+",
+        help="which specimens; default 1, of robustness "
+             f"{' '.join(map(str, robustness.SEEDS))}, with --quick "
+             f"{' '.join(map(str, robustness.QUICK_SEEDS))}")
     parser.add_argument(
         "--starts-deg", type=number, nargs="+", default=[17.0], metavar="DEG",
         help="angles at time 0, each with every specimen; default 17")
@@ -239,8 +256,9 @@ def _parser() -> argparse.ArgumentParser:
         "--seconds", type=positive, help="length of a recording, more than 1.1")
     parser.add_argument(
         "--step-us", type=within(1, 10**9), metavar="US",
-        help="interval of the images scored; default 1013 (5077 with --quick), which "
-             "no frame clock divides")
+        help="interval of the images scored; default 1013 (5077 with --quick), of "
+             "robustness {} ({}), which no frame clock divides".format(
+                 *robustness.STEPS_US))
     parser.add_argument(
         "--quick", action="store_true", help="fewer and shorter cases, a first look")
     group = parser.add_argument_group(
@@ -284,14 +302,18 @@ def _settings(args: argparse.Namespace) -> Settings:
         if unknown:
             raise UsageError(
                 f"--scenes must be of {_named(network.SCENES)}, got {unknown[0]!r}")
-    step = args.step_us or (5077 if args.quick else 1013)
-    if step <= 0:
-        raise UsageError(f"--step-us must be positive, got {step}")
+    seeds: tuple[int, ...] = (1,)
+    steps_us = 1013, 5077
+    if args.figure == "robustness":
+        seeds = robustness.QUICK_SEEDS if args.quick else robustness.SEEDS
+        steps_us = robustness.STEPS_US
+    step = args.step_us or steps_us[args.quick]
     return Settings(
         cameras=None if args.camera is None else tuple(args.camera),
-        seeds=tuple(args.seeds), starts_deg=tuple(args.starts_deg),
+        seeds=tuple(args.seeds or seeds), starts_deg=tuple(args.starts_deg),
         rpms=None if args.rpm is None else tuple(args.rpm),
-        methods=tuple(args.methods or [*METHODS, *network.METHODS]),
+        methods=tuple(args.methods or [
+            *METHODS, *network.METHODS, *robustness.ALL]),
         weights=tuple(args.weights), scenes=tuple(args.scenes),
         seconds=args.seconds, step_us=step, quick=args.quick)
 

@@ -132,6 +132,8 @@ class Case:
         Nominal turns per minute.
     camera : str
         Preset of the event camera.
+    changes : mapping of str to object
+        Of `Camera.preset`, for the event camera.
     seed : int
         Which specimen.
     start_deg : float
@@ -148,6 +150,8 @@ class Case:
         Camera -> {name: mask of super-pixels, or None for all}.
     margin : float
         Of `Scorer`.
+    demosaic : str
+        Of `fuse`.
     existing : Take, optional
         Stands in for what the event camera would record.
     true_rpm : float, optional
@@ -161,6 +165,7 @@ class Case:
     light: Callable[[float], Scene]
     rpm: float
     camera: str = "nominal"
+    changes: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 1
     start_deg: float = 0.0
     seconds: float = 3.0
@@ -172,6 +177,7 @@ class Case:
     regions: Callable[[Camera], Mapping[str, NDArray[np.bool_] | None]] = (
         lambda camera: {"all": None})
     margin: float = 0.0
+    demosaic: str = "superpixel"
     existing: Take | None = None
     true_rpm: float | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -186,7 +192,8 @@ class Case:
         """Return the camera that a method looks through."""
         if method.preset is None:
             return Camera.preset(
-                self.camera, seed=self.seed, size=self.size, origin=self.origin)
+                self.camera, seed=self.seed, size=self.size, origin=self.origin,
+                **self.changes)
         return Camera.preset(
             method.preset, seed=self.seed, size=self.size, origin=self.origin,
             **method.changes)
@@ -293,21 +300,23 @@ class Takes:
 def score(
     take: Take, *, regions: Mapping[str, NDArray[np.bool_] | None] | None = None,
     step_us: int = 1013, own_times: bool = False, margin: float = 0.0,
-    **parameters: Any,
+    demosaic: str = "superpixel", **parameters: Any,
 ) -> dict[str, Score]:
-    """Score a method on super-pixels of a recording, once it has settled.
+    """Score a method on a recording, once it has settled.
 
     Parameters
     ----------
     take : Take
     regions : mapping of str to ndarray of bool, optional
-        Masks of super-pixels, None for all of them.
+        Masks of the images' pixels, None for all of them.
     step_us : int
         Interval of the images.
     own_times : bool
         Score at the frames' mid-exposures instead.
     margin : float
         Of `Scorer`.
+    demosaic : str
+        Of `fuse`; ``"superpixel"`` makes images half as wide and high.
     **parameters
         Of `fuse`.
 
@@ -319,20 +328,24 @@ def score(
         {"start_us": take.settled_us, "stop_us": take.last_us} if own_times else
         {"times_us": np.arange(take.settled_us, take.last_us, step_us)})
     scorers: dict[str, Scorer] = {}
-    for image in fuse(take.recording, demosaic="superpixel", **when, **parameters):
+    for image in fuse(take.recording, demosaic=demosaic, **when, **parameters):
         scorers = scorers or {
-            name: Scorer(take.truth, image.shape, mask=mask, margin=margin)
+            name: Scorer(take.truth, image.shape, mask=mask, margin=margin,
+                         scale=2 if demosaic == "superpixel" else 1)
             for name, mask in (regions or {"all": None}).items()}
         for scorer in scorers.values():
             scorer.add(image)
     return {name: scorer.score for name, scorer in scorers.items()}
 
 
-def run(case: Case, settings: Settings, takes: Takes) -> Iterator[Row]:
+def run(
+    case: Case, settings: Settings, takes: Takes,
+    methods: Mapping[str, Method] = METHODS,
+) -> Iterator[Row]:
     """Make a case's recordings and yield a row per method and region."""
     counted: dict[str, tuple[float, float]] = {}
-    for name in (name for name in METHODS if name in settings.methods):
-        method = METHODS[name]
+    for name in (name for name in methods if name in settings.methods):
+        method = methods[name]
         of_events = method.preset is None
         take = takes(method)
         regions: Mapping[str, NDArray[np.bool_] | None] = {"all": None}
@@ -342,7 +355,7 @@ def run(case: Case, settings: Settings, takes: Takes) -> Iterator[Row]:
             counted = _event_statistics(take, regions)
         found = score(
             take, regions=regions, step_us=settings.step_us,
-            own_times=method.own_times, margin=case.margin,
+            own_times=method.own_times, margin=case.margin, demosaic=case.demosaic,
             **fuse_parameters(method, case))
         for region, s in found.items():
             if not method.gives_dolp:
