@@ -16,17 +16,22 @@ class Unfinished:
     ----------
     path : path
         Final name; a file that is there stays as it is until `finish`.
+    suffix : str, optional
+        Of the name to write to, for a writer that goes by it; default that of `path`.
 
     Attributes
     ----------
     part : Path
-        Name to write to: same folder, same suffix.
+        Name to write to, in the same folder.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], suffix: str | None = None
+    ) -> None:
         self.path = Path(path)
+        suffix = self.path.suffix if suffix is None else suffix
         self.part = self.path.with_name(
-            f".{self.path.stem}.part{os.getpid()}{self.path.suffix}")
+            f".{self.path.stem}.part{os.getpid()}{suffix}")
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
@@ -55,26 +60,30 @@ class Unfinished:
 
 
 @contextlib.contextmanager
-def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
+def write_beside(
+    path: str | os.PathLike[str], suffix: str | None = None
+) -> Iterator[Path]:
     """Write a file beside its final name, and rename it when it is whole.
 
     Parameters
     ----------
     path : path
         Final name; an existing file is replaced at the end.
+    suffix : str, optional
+        Of the name to write to, for a writer that goes by it; default that of `path`.
 
     Yields
     ------
     Path
-        Name to write to: same folder, same suffix.  When the block raises, the
-        file is removed and `path` is as before.
+        Name to write to, in the same folder.  When the block raises, the file is
+        removed and `path` is as before.
 
     Raises
     ------
     OSError
         What the system says in the block, with the final name where it named none.
     """
-    unfinished = Unfinished(path)
+    unfinished = Unfinished(path, suffix)
     try:
         with unfinished.named():
             yield unfinished.part

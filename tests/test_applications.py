@@ -182,7 +182,7 @@ def test_tendon_finds_the_load_and_writes_everything(
         hz, abs=1e-4)
     assert names == {"traces.csv", "traces.csv.json", "traces-jaer.csv", "frames.csv",
                      "frames.csv.json", "cycle.csv", "loop.csv", "lockin.npz",
-                     "tendon.mp4", "report.html"}
+                     "tendon.webm", "report.html"}
 
 
 @pytest.mark.gate

@@ -2,9 +2,11 @@
 import shutil
 import threading
 
+import numpy as np
 import pytest
 
 from pdavis_cv import Layout, Session, serve
+from pdavis_cv.export import VideoFile
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
@@ -144,3 +146,27 @@ def test_without_its_token_the_page_is_refused(browser, recording):
         page.goto(here + "?token=" + running.token)
         drawn(page, 1)
     assert not any(t.name.startswith("pdavis") for t in threading.enumerate())
+
+
+PLAY = """async () => {
+    const video = document.querySelector('video');
+    const until = event => new Promise(done => video.addEventListener(event, done));
+    if (video.readyState < 2) await Promise.race([until('loadeddata'), until('error')]);
+    if (video.error) return video.error.message;
+    const ended = until('seeked');
+    video.currentTime = video.duration * 0.9;
+    await ended;
+    return [video.videoWidth, video.videoHeight, video.duration];
+}"""
+
+
+@pytest.mark.parametrize("suffix", [".webm", ".mp4"])
+def test_videos_play_in_a_browser(browser, tmp_path, suffix):
+    with VideoFile(tmp_path / f"clip{suffix}", 25, {"method": "none"}) as video:
+        for k in range(10):
+            video.add(np.full((48, 64, 3), 20 * k, np.uint8))
+    page = browser.new_page()
+    (tmp_path / "page.html").write_text(f"<video muted src='clip{suffix}'></video>")
+    page.goto(f"file://{tmp_path}/page.html")
+    assert page.evaluate(PLAY) == [64, 48, pytest.approx(0.4, abs=0.041)]
+    page.close()

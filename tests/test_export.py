@@ -30,7 +30,7 @@ def pictures(n, shape):
                      axis=-1).astype(np.uint8) for i in range(n)]
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi", ".m4v"])
+@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".mkv", ".avi", ".m4v"])
 @pytest.mark.parametrize("shape", [(64, 96), (65, 97)])
 def test_video_holds_every_picture_whole(tmp_path, suffix, shape):
     path = tmp_path / f"clip{suffix}"
@@ -148,7 +148,7 @@ def test_a_video_without_pictures_is_no_file(tmp_path):
 
 
 def test_impossible_video_parameters_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"must end in \.mp4.*got '\.gif'"):
+    with pytest.raises(ValueError, match=r"must end in \.webm.*got '\.gif'"):
         export.VideoFile(tmp_path / "x.gif", 25)
     with pytest.raises(ValueError, match=r"must end in \.mkv or \.avi, got '\.mp4'"):
         export.PlaneVideo(tmp_path / "x.mp4", 25, 0, 1)
@@ -187,7 +187,7 @@ def test_videos_written_at_once_give_opencv_its_log_level_back(tmp_path):
 
 
 @pytest.mark.parametrize("limit", [0, 3_000, 20_000, 60_000])
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".mkv", ".avi"])
 def test_a_full_disk_is_noticed(tmp_path, suffix, limit):
     resource = pytest.importorskip("resource")
     import signal

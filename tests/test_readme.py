@@ -9,12 +9,12 @@ def block(root, language, number=0):
 
 
 def test_the_first_block_of_the_readme_runs(root, tmp_path):
-    code = block(root, "python") + "\nassert picture.shape == (260, 346, 3)\n"
+    code = block(root, "python") + "\nassert picture.shape == (56, 56, 3)\n"
     done = subprocess.run(
         [sys.executable, "-P", "-W", "error", "-c", code], cwd=tmp_path,
         capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 35
+    assert len(done.stdout.splitlines()) == 198
 
 
 def test_the_page_of_commands_names_them_all(root):

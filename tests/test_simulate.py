@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 import pdavis_cv
-from pdavis_cv.simulation import SCENES, Camera, RotatingPolarizer
+from pdavis_cv.data import example_recording
+from pdavis_cv.simulation import SCENES, Camera, RotatingPolarizer, example_truth
 from pdavis_cv.tools.main import main
 
 
@@ -103,3 +104,27 @@ def test_mistakes_are_one_line_and_leave_no_file(arguments, said, tmp_path,
     assert said in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["fan", "tendon"])
+def test_a_shipped_recording_is_of_the_scene_of_its_truth(name):
+    truth = example_truth(name)
+    with pdavis_cv.open_recording(example_recording(name)) as recording:
+        assert recording.info.sensor_size == truth.size
+        assert recording.info.layout == pdavis_cv.Layout.PDAVIS
+        images = [image for image in pdavis_cv.fuse(recording, method="cf", fps=20)
+                  if image.t_us > 300_000]
+    difference = []
+    for image in images:
+        s0, s1, s2 = truth.image(image.t_us)
+        there = image.valid & truth.lit() & (s1**2 + s2**2 > 0.01 * s0**2)
+        error = image.aop - np.arctan2(s2, s1) / 2
+        difference.append(np.abs((error + np.pi / 2) % np.pi - np.pi / 2)[there])
+    assert np.rad2deg(np.median(np.concatenate(difference))) < 5
+
+
+def test_recordings_that_do_not_ship_are_refused_by_name():
+    with pytest.raises(ValueError, match="name must be one of davis346, fan, tendon"):
+        example_recording("wheel")
+    with pytest.raises(ValueError, match="name must be one of fan, tendon"):
+        example_truth("davis346")

@@ -57,7 +57,7 @@ def test_jaer_files_have_jaers_header_and_one_region_each(tmp_path, traces):
 FACTS = {"method": "kalman", "note": "Größe", "list": [1, 2.5, None]}
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".mkv", ".avi"])
 def test_facts_travel_inside_videos_that_still_play(tmp_path, suffix):
     cv2 = pytest.importorskip("cv2")
     path = tmp_path / f"a{suffix}"

@@ -71,7 +71,7 @@ def test_version(capsys):
     (["info", "nowhere.aedat4"], "nowhere.aedat4"),
     (["info", __file__], "test_tools.py"),
     (["export", SAMPLE], "required: -o"),
-    (["export", SAMPLE, "-o", "x.gif"], "-o must end in .mp4"),
+    (["export", SAMPLE, "-o", "x.gif"], "-o must end in .webm"),
     (["export", SAMPLE, "-o", "x.mp4", "--fps", "0"], "must be positive, got 0"),
     (["export", SAMPLE, "-o", "x.mp4", "--roi", "1,2,3"], "4 numbers"),
     (["export", SAMPLE, "-o", "x.mp4", "--roi", "340,0,20,20"], "roi"),
@@ -198,7 +198,7 @@ def test_info_json_is_json_and_equals_the_scan(capsys):
 
 
 def test_export_video_holds_one_picture_per_image(tmp_path, capsys):
-    path = tmp_path / "x.mp4"
+    path = tmp_path / "x.webm"
     assert run("export", SAMPLE, "-o", path, "--fps", 200, "--slow", 8,
                "--layout", "pdavis", "--stop", 0.12, "--method", "cf") == 0
     frames, rate = frames_of(path)
@@ -404,22 +404,24 @@ def test_progress_shows_on_a_terminal_only(tmp_path):
     assert b"images" in shown
 
 
-def test_demo_reports_a_small_error_for_cf_and_a_large_one_for_frames(
-        tmp_path, capsys):
+def test_demo_reports_small_errors_and_large_ones_for_frames(
+        tmp_path, capsys, monkeypatch):
+    shorter = [*demo._FAN[:-1], "0.3", "--scale", "1"]
+    monkeypatch.setattr(demo, "_FAN", shorter)
     assert run("demo", "-o", tmp_path) == 0
     text = capsys.readouterr()
     assert text.err == ""
-    for camera in ("ideal", "nominal"):
-        errors = {line.split(", ")[1].split(":")[0]: float(line.split()[-2])
-                  for line in text.out.splitlines() if line.startswith(camera)}
-        assert errors["cf"] < 10
-        assert errors["frames"] > 25
+    aop = {line.split(", ")[1].split(":")[0]: float(line.split()[-2])
+           for line in text.out.splitlines() if line.startswith("polarizer")}
+    assert aop["frames"] > 25
+    assert aop["kalman"] < 1
+    dolp = dict(re.findall(r"(frames|kalman) (\d\.\d+)", text.out))
+    assert float(dolp["kalman"]) < 0.03 < 0.1 < float(dolp["frames"])
     assert only_files(tmp_path) == [
-        "davis346_short.mp4", "davis346_short.png", "polarizer_1000rpm.mp4",
-        "polarizer_1000rpm.png", "polarizer_200rpm.mp4",
-        "polarizer_200rpm.png"]
+        "davis346_short.webm", "fan.aedat4", "fan.png", "fan.webm",
+        "polarizer_1000rpm.png", "tendon.aedat4", "tendon.png"]
     assert str(tmp_path) in text.out.splitlines()[-1]
-    assert len(frames_of(tmp_path / "polarizer_200rpm.mp4")[0]) == 250
+    assert len(frames_of(tmp_path / "fan.webm")[0]) == 5
 
 
 def test_axial_difference_is_symmetric_and_periodic():

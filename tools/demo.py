@@ -1,37 +1,43 @@
-"""Make pictures and videos from the sample recording and from simulated cameras.
+"""Make pictures and a video from the recordings that ship with the library.
 
-The sample is a piece of a real DAVIS346 recording; that camera has no polarizers.
-An ideal camera looks at a polarizer that turns at 200 RPM, a camera with the faults of
-a real one at 1000 RPM, where frames are blurred and stale; the true angle is shown, and
-the error of the reconstructed one is printed.
+FOLDER gets two simulated recordings of a polarization event camera, a wheel of
+polarizers (fan) and a loaded tendon, with pictures of what is made of them; a strip
+that holds the angle of a polarizer at 1000 RPM against the truth; and the intensity of
+a real recording, of a camera without polarizers.
 """
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import PolarFrame, aop, export, fuse, render
+from pdavis_cv import PolarFrame, Recording, aop, export, fuse, render
+from pdavis_cv.analysis import Roi, TraceRecorder
 from pdavis_cv.data import example_recording
-from pdavis_cv.recording.base import Recording
-from pdavis_cv.render.colours import Picture
-from pdavis_cv.simulation import (
-    Camera,
-    RotatingPolarizer,
-    Truth,
-    rotating_polarizer,
-)
+from pdavis_cv.render import ToneCurve
+from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
 
 from . import export as export_tool
-from ._common import Parser, command
+from . import fan as fan_tool
+from ._common import Parser, command, opened
 
 __all__ = ["axial_difference", "main", "mean_aop"]
 
-RPM, FAST_RPM = 200, 1000
-METHODS = ("frames", "cf")
-NO_POLARIZERS = "this camera has no polarizers: AoP and DoLP are noise"
+METHODS = ("frames", "kalman")
+_FAN = ("--fps", "100", "--slow", "5", "--scale", "4", "--start", "0.25",
+        "--stop", "0.75")
+RPM = 1000
+_TURNING = 1.013 * RPM  # lest the turn keeps step with the frames
+_STEP_US = 2000
+_SHOWN_US = 200_000     # of the polarizer, at the end
+_TENDON_HZ = 200
+_WINDOW_US = 20_000     # of the events shown beside it
+_MOMENT = 0.7           # of the tendon that is shown, as a share of its time
+_COLOURS = {"truth": (255, 255, 255), "frames": (150, 150, 150),
+            "kalman": (80, 220, 255)}  # BGR
 
 
 @command
@@ -41,103 +47,114 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "-o", "--out", type=Path, default=Path("demo"), metavar="FOLDER",
         help="where to write; default demo")
-    folder = parser.parse_args(argv).out
+    args = parser.parse_args(argv)
+    folder = args.out
     render.opencv()
     folder.mkdir(parents=True, exist_ok=True)
-    code = _sample(folder)
+    kept = {name: folder / f"{name}.aedat4" for name in ("fan", "tendon")}
+    for name, path in kept.items():
+        shutil.copyfile(example_recording(name), path)
+        _say(f"wrote {path}: a simulated recording")
+    code = fan_tool.main([
+        str(kept["fan"]), "-o", str(folder / "fan.webm"),
+        "--still", str(folder / "fan.png"), *_FAN])
+    if code:
+        return code
+    args.layout = None
+    with opened(args, kept["tendon"]) as recording:
+        _tendon(folder / "tendon.png", recording)
+    _polarizer(folder / f"polarizer_{RPM}rpm.png")
+    code = _real(folder)
     if code == 0:
-        _polarizer(folder, "ideal", RPM, rotating_polarizer(RPM, 1.0),
-                   thresholds=(0.15, 0.15), shown_us=1_000_000)
-        # 1.3 % more, lest the turn keeps step with the frames.
-        scene = RotatingPolarizer(rpm=1.013 * FAST_RPM)
-        camera = Camera.preset("nominal")
-        _polarizer(folder, "nominal", FAST_RPM, camera.record(scene, 1.0),
-                   thresholds=(0.16, 0.18), shown_us=200_000)
-        print(f"The results are in {folder.resolve()}")
+        _say("More of one recording:\n"
+             f"  pdavis export {kept['fan']} -o more.webm --fps 200 --slow 8\n"
+             f"The results are in {folder.resolve()}")
     return code
 
 
-def _sample(folder: Path) -> int:
-    path = example_recording()
-    common = [str(path), "--layout", "pdavis", "--title", NO_POLARIZERS]
-    stem = folder / path.stem
-    return (
-        export_tool.main([*common, "--fps", "200", "--slow", "10",
-                          "-o", f"{stem}.mp4"])
-        or export_tool.main([*common, "--at", "0.15", "-o", f"{stem}.png"]))
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
-def _polarizer(
-    folder: Path, camera: str, rpm: int, recorded: tuple[Recording, Truth], *,
-    thresholds: tuple[float, float], shown_us: int,
-) -> None:
-    """Film a rotating polarizer and hold the results against the truth.
+def _tendon(path: Path, recording: Recording) -> None:
+    """Show one moment of the tendon, and the DoLP of all of it over time."""
+    height, width = recording.info.sensor_size
+    whole = [Roi.from_rectangle(0, 0, width, height, "all")]
+    images, traces = {}, {}
+    for method, rate in zip(METHODS, (None, _TENDON_HZ), strict=True):
+        images[method] = list(fuse(recording, method=method, fps=rate))
+        recorder = TraceRecorder(whole)
+        for image in images[method]:
+            recorder.add(image)
+        traces[method] = recorder.traces()
+    fused = images["kalman"][round(_MOMENT * len(images["kalman"]))]
+    now = fused.t_us or 0
+    held = [image for image in images["frames"] if (image.t_us or 0) <= now][-1]
+    seen = recording.events()
+    seen = seen[(seen["t"] >= now - _WINDOW_US) & (seen["t"] < now)]
+    scale, tone = 3, ToneCurve.of([held.s0], [held.valid])
+    times = traces["kalman"].t_us
+    true = _mean_dolp(example_truth("tendon"), times)
+    lines = [
+        render.Line(times / 1e6, true, _COLOURS["truth"], "truth"),
+        *(render.Line(trace.t_us / 1e6, trace.table["dolp"][0], _COLOURS[name], name,
+                      dots=name == "frames") for name, trace in traces.items())]
+    export.write_png(path, render.tendon_sheet(
+        held, render.events_on((height, width), seen), fused,
+        render.chart(lines, (220, 3 * (scale * width + 8) + 8), span_s=(0.0, 1.0),
+                     limits=(0.25, 0.65), title="mean DoLP; time / s"),
+        grey=tone.seen, top=0.8, scale=scale,
+        title=f"a simulated tendon pulled at 4.3 Hz   t = {now / 1e6:.3f} s"))
+    error = {name: float(np.nanmean(np.abs(
+        trace.table["dolp"][0] - np.interp(trace.t_us, times, true))))
+        for name, trace in traces.items()}
+    _say(f"wrote {path}: mean error of the tendon's DoLP "
+         + ", ".join(f"{name} {value:.3f}" for name, value in error.items()))
 
-    The error is that of one second; its last ``shown_us`` are shown.
+
+def _mean_dolp(truth: Truth, times: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the DoLP of the mean Stokes vector of all pixels at some times."""
+    mean = np.array([[part.mean() for part in truth.image(t)] for t in times])
+    return np.asarray(np.hypot(mean[:, 1], mean[:, 2]) / mean[:, 0])
+
+
+def _polarizer(path: Path) -> None:
+    """Hold a polarizer's angle at 1000 RPM, where frames are stale, against the truth.
+
+    The error is that of one second; its last part is shown.
     """
-    recording, truth = recorded
-    times = np.arange(0, 1_000_000, 1000)
+    recording, truth = Camera.preset("nominal").record(
+        RotatingPolarizer(rpm=_TURNING), 1.0)
+    times = np.arange(0, 1_000_000, _STEP_US)
     strips = {"truth": truth.aop(times)}
-    titles = {"truth": f"truth: {rpm} RPM, {shown_us / 1e6:g} s from left to right"}
-    images: dict[str, list[PolarFrame]] = {}
+    titles = {"truth": f"truth: {RPM} RPM, {_SHOWN_US / 1e6:g} s from left to right"}
     for method in METHODS:
-        images[method] = list(fuse(
-            recording, method=method, times_us=times, thresholds=thresholds))
+        images = list(fuse(recording, method=method, times_us=times))
         # A pixel that has drifted below the floor is not usable; its neighbours are.
-        seen = np.array([2 * frame.valid.mean() > 1 for frame in images[method]])
+        seen = np.array([2 * frame.valid.mean() > 1 for frame in images])
         strips[method] = np.array([
             mean_aop(frame) if usable else np.nan
-            for frame, usable in zip(images[method], seen, strict=True)])
+            for frame, usable in zip(images, seen, strict=True)])
         error = np.rad2deg(np.mean(
             axial_difference(strips[method], strips["truth"])[seen]))
         titles[method] = f"{method}: mean error {error:.1f} degrees"
-        print(f"{camera} polarizer at {rpm} RPM, {method}: "
-              f"AoP error {error:.1f} degrees")
-    shown = slice(len(times) - shown_us // 1000, None)
-    times = times[shown]
-    strips = {name: strip[shown] for name, strip in strips.items()}
-    path = folder / f"polarizer_{rpm}rpm.png"
-    export.write_png(path, _strips(strips, titles))
-    print(f"wrote {path}: AoP over time")
-    path = folder / f"polarizer_{rpm}rpm.mp4"
-    with export.VideoFile(path, 25) as video:
-        step = 4 * shown_us // 1_000_000 or 1  # ms from image to image, at 25 fps
-        title = (f"AoP of a polarizer turning at {rpm} RPM, {camera} camera   "
-                 f"{40 / step:g} x slower than life")
-        for i in range(0, len(times), step):
-            video.add(_dials(i, times, strips, title))
-    print(f"wrote {path}: the same, {40 / step:g} times slower")
-
-
-def _strips(strips: dict[str, NDArray[np.float64]], titles: dict[str, str]
-            ) -> Picture:
+        _say(f"polarizer at {RPM} RPM, {method}: AoP error {error:.1f} degrees")
+    shown = -(_SHOWN_US // _STEP_US)
     rows = [render.panel(
-        render.aop_bgr(np.broadcast_to(strip, (56, len(strip)))), titles[name],
-        legend="aop" if name == METHODS[-1] else None)
+        render.aop_bgr(np.broadcast_to(strip[shown:].repeat(6), (56, -6 * shown))),
+        titles[name], legend="aop" if name == METHODS[-1] else None)
         for name, strip in strips.items()]
-    return render.tile([render.stack(rows, gap=6)], columns=1)
+    export.write_png(path, render.tile([render.stack(rows, gap=6)], columns=1))
+    _say(f"wrote {path}: AoP over time")
 
 
-def _dials(i: int, times: NDArray[np.int64], strips: dict[str, NDArray[np.float64]],
-           title: str) -> Picture:
-    panels = [render.panel(_dial(strip[i]), name, legend="aop")
-              for name, strip in strips.items()]
-    return render.tile(
-        panels, columns=len(panels),
-        title=f"{title}   t = {times[i] / 1e6:.3f} s")
-
-
-def _dial(angle: float, side: int = 240) -> Picture:
-    """Fill a square with an angle's colour and draw the angle as a line."""
-    picture = render.aop_bgr(np.full((side, side), angle))
-    if np.isfinite(angle):
-        middle, reach = side / 2, 0.42 * side
-        dx, dy = reach * np.cos(angle), -reach * np.sin(angle)
-        cv2 = render.opencv()
-        ends = [(round(middle + sign * dx), round(middle + sign * dy))
-                for sign in (-1, 1)]
-        cv2.line(picture, *ends, (0, 0, 0), 3, cv2.LINE_AA)
-    return picture
+def _real(folder: Path) -> int:
+    """Show the intensity of the real recording; it has no polarizers."""
+    path = example_recording()
+    return export_tool.main([
+        str(path), "--layout", "pdavis", "--quantities", "s0", "--fps", "200",
+        "--slow", "10", "--title", "a real DAVIS346",
+        "-o", f"{folder / path.stem}.webm"])
 
 
 def mean_aop(frame: PolarFrame) -> float:

@@ -1,10 +1,10 @@
 """Fuse a recording into a video, pictures or arrays.
 
-The suffix of OUT says what is written: .mp4, .mkv, .avi a colour video; .png
-pictures; .npy float arrays (AoP in radians); .ome.tif, .h5 and .npz stacks with names,
-units, times and provenance inside, which --resume can continue.  With --lossless,
-.mkv or .avi hold one quantity in 16 bits (FFV1).  Times, units and scales of these and
-of .npy stand in a .json beside it.
+The suffix of OUT says what is written: .webm (soonest done; browsers play it, and
+.mp4), .mkv, .avi a colour video; .png pictures; .npy float arrays (AoP in radians);
+.ome.tif, .h5 and .npz stacks with names, units, times and provenance inside, which
+--resume can continue.  With --lossless, .mkv or .avi hold one quantity in 16 bits
+(FFV1).  Times, units and scales of these and of .npy stand in a .json beside it.
 """
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ _UNIFORM = math.pi / math.sqrt(12)  # sigma of an angle of which nothing is know
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
 _AT_ONCE = ("s0", "aop", "dolp")
-_COLOUR, _PLANE = (".mp4", ".m4v", ".mkv", ".avi"), (".mkv", ".avi")
+_COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi")
+_PLANE = (".mkv", ".avi")
 
 
 @command
@@ -115,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "export", __doc__ or "",
-        "pdavis export recording.aedat4 -o fused.mp4 --fps 200 --slow 8")
+        "pdavis export recording.aedat4 -o fused.webm --fps 200 --slow 8")
     parser.add_argument("file", help="a recording")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")

@@ -49,8 +49,8 @@ __all__ = ["main", "make_fan"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis fan``."""
     args = _parser().parse_args(argv)
-    if args.out.suffix.lower() not in (".mp4", ".mkv", ".avi"):
-        raise UsageError(f"-o must end in .mp4, .mkv or .avi, got {args.out}")
+    if args.out.suffix.lower() not in (".webm", ".mp4", ".mkv", ".avi"):
+        raise UsageError(f"-o must end in .webm, .mp4, .mkv or .avi, got {args.out}")
     if (args.centre is None) != (args.radius is None):
         raise UsageError("--centre and --radius belong together")
     if not args.slow > 0:
@@ -70,12 +70,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "fan", __doc__ or "",
-        "pdavis fan wheel.aedat4 -o fan.mp4 --fps 1000 --slow 40 "
+        "pdavis fan wheel.aedat4 -o fan.webm --fps 1000 --slow 40 "
         "--centre 172,129 --radius 120 --hub 25 --rpm 200")
     parser.add_argument("file", help="a recording with frames and events")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT",
-        help="video to write: .mp4, .mkv or .avi")
+        help="video to write: .webm, .mp4, .mkv or .avi")
     parser.add_argument(
         "--beside", metavar="FILE", help="a second recording, shown in a row below")
     parser.add_argument(

@@ -28,7 +28,7 @@ COMMANDS = {
     "reproduce": "the paper's figures, every method against the truth",
     "train": "train a network for the methods joint and firenet on simulated events",
     "weights": "convert a published network's checkpoint, or show a file of weights",
-    "demo": "make pictures from the sample recording and an ideal camera",
+    "demo": "make pictures of the recordings that ship with the library",
 }
 
 
@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         epilog="\n".join([
             "commands:", *(f"  {name:<{width}}  {what}"
                            for name, what in COMMANDS.items()),
-            "", "example:", "  pdavis export recording.aedat4 -o fused.mp4 --fps 200",
+            "", "example:", "  pdavis export recording.aedat4 -o fused.webm --fps 200",
             "", "pdavis COMMAND --help tells more."]))
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="see below")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)

@@ -92,8 +92,8 @@ def embed(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
     Parameters
     ----------
     path : path
-        ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; changed in place, players ignore
-        the addition.
+        ``.webm``, ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; changed in place, players
+        ignore the addition.
     facts : mapping of str to object
         What to write, as JSON.
 

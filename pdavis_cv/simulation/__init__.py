@@ -3,6 +3,7 @@ from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
 from pdavis_cv.simulation.camera import PRESETS, Camera
 from pdavis_cv.simulation.dvs import DvsPixel
+from pdavis_cv.simulation.examples import example_truth
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.simulation.named import SCENES, named_scene
@@ -55,6 +56,7 @@ __all__ = [
     "Texture",
     "Truth",
     "VideoScene",
+    "example_truth",
     "named_scene",
     "rotating_polarizer",
 ]

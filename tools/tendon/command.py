@@ -2,7 +2,7 @@
 
 The frames alone and the fused images are measured side by side.  The folder OUT gets
 traces.csv and frames.csv (one row per region and time, jAER's dialect beside),
-lockin.npz, cycle.csv, loop.csv with a load file, tendon.mp4 and report.html, which
+lockin.npz, cycle.csv, loop.csv with a load file, tendon.webm and report.html, which
 holds all figures and needs nothing else.
 """
 from __future__ import annotations
@@ -493,7 +493,7 @@ def _maps_and_video(
             fuse(recording, **(held if found.frames is not None else options)),
             iter(times.tolist()))
         with export.VideoFile(
-                args.out / "tendon.mp4", 1e6 / step / args.slow, found.facts) as video:
+                args.out / "tendon.webm", 1e6 / step / args.slow, found.facts) as video:
             for image, frame in progress(
                     zip(fuse(recording, **options), frames, strict=True), len(times),
                     "pictures"):
@@ -544,7 +544,7 @@ def _write(args: argparse.Namespace, found: Findings) -> list[str]:
                 **facts, "hz": maps.hz, "reference_us": maps.reference_us,
                 "smoothed_over": args.smooth})
     if not args.no_video:
-        written.append(out / "tendon.mp4")
+        written.append(out / "tendon.webm")
     lines = [f"wrote {path}" for path in written]
     for roi, tone in zip(found.fused.rois, found.tones, strict=True):
         lines.append(
