@@ -45,6 +45,9 @@ cdef extern from *:
     """
     /* A line through N periods is wrong by up to 3 / (2 N)^2 (see rebalance). */
     #define LINE_ERROR 3.0
+    /* Beyond so many of these errors a pixel is far from the prior: two sigma.  In its
+       first period light that moves fast and slowly at once makes errors of 1.4 rms. */
+    #define FAR_ERRORS 2.0
     #define PART_LEAST 0.05         /* of a pixel's events are ON, or OFF, at least */
     #define GAIN_LEAST 0.02         /* of the unit vector of gains: not positive else */
     #define ROUNDED 1e-14           /* an off-diagonal element that is 0 */
@@ -53,6 +56,7 @@ cdef extern from *:
     #define RATIO_LEAST 1e-6        /* the smallest eigenvalue that rounding leaves */
     """
     const double LINE_ERROR
+    const double FAR_ERRORS
     const double PART_LEAST
     const double GAIN_LEAST
     const double ROUNDED
@@ -86,7 +90,7 @@ cdef inline void rebalance(const balance_t* m, double sigma, state_t* s) noexcep
     """Set thresholds (sum as in the prior) so that the sum of events has no trend.
 
     sigma is that of ln(on / off) before.  A pixel that is far from the prior is taken
-    for what it is as soon as its events show it.
+    for what it is as soon as its events show it, by more than the line may be wrong.
     """
     cdef double total = s.prior_on + s.prior_off, travel = 0.25 * total * m.weight
     cdef double before, part, swing, error, ratio, believed
@@ -107,7 +111,8 @@ cdef inline void rebalance(const balance_t* m, double sigma, state_t* s) noexcep
     part = part if part < 1.0 - PART_LEAST else 1.0 - PART_LEAST
     before = log_f(<float>(s.prior_on / s.prior_off))
     ratio = log_f(<float>((1.0 - part) / part)) - before
-    believed = ratio * ratio - error * error
+    believed = FAR_ERRORS * error
+    believed = ratio * ratio - believed * believed
     believed = believed if believed > sigma * sigma else sigma * sigma
     ratio = exp_f(<float>(before + ratio * believed / (believed + error * error)))
     s.theta_on = total * ratio / (1.0 + ratio)

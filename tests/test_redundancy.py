@@ -264,10 +264,13 @@ def test_light_that_saturates_every_frame_is_measured_by_its_events():
     assert np.ptp(frames, axis=0).max() < 30        # nothing of the scene is in them
     y, x = np.mgrid[:8:2, :12:2] + 0.5
     errors = []
-    for image in fuse(recording, times_us=np.arange(1_000_000, 1_540_000, 7_000),
+    # Of the first period, of .3 s, thresholds take no trend: all goes on being valid.
+    for image in fuse(recording, times_us=np.arange(153_000, 1_540_000, 7_000),
                       method="kalman", demosaic="superpixel", bandwidth=(250, 0),
                       nominal_thresholds=(0.16, 0.18)):
-        assert image.valid.mean() > 0.8
+        assert image.valid.mean() > 0.9
+        if image.t_us < 1_000_000:
+            continue
         turn = image.aop - truth.aop(image.t_us, x, y) + np.pi / 2
         errors.append(np.median(np.abs(turn % np.pi - np.pi / 2)))
     assert np.degrees(np.mean(errors)) < 3
