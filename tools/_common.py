@@ -37,6 +37,7 @@ __all__ = [
     "number",
     "numbers",
     "opened",
+    "option_value",
     "positive",
     "progress",
     "require_samples",
@@ -338,6 +339,41 @@ def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
             value = None
         options[name] = value
     return {**options, **dict(args.settings)}
+
+
+def option_value(name: str, text: str) -> tuple[str, Any]:
+    """Return name and value of an option of fuse(), or of a parameter of its method.
+
+    Parameters
+    ----------
+    name : str
+        As the command line spells it.
+    text : str
+        Numbers that belong together may have slashes between them.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be read, or only holds for one recording, as a time does.
+    """
+    if re.fullmatch(r"[-+.\deE]+(/[-+.\deE]+)+", text):
+        text = text.replace("/", ",")
+    found = dict(_offered()).get(name)
+    if found is None:
+        if name in ("start", "stop", "times_us"):
+            raise UsageError(f"{name} is a time in one recording, not an option of all")
+        return _setting(f"{name}={text}")
+    if found.word == "flag":
+        return _setting(f"{name}={text}")
+    read = _WORDS[found.word][0]
+    try:
+        value = read(text)
+    except (argparse.ArgumentTypeError, ValueError) as error:
+        raise UsageError(f"{name}: {error}") from None
+    if found.word == "calibration":
+        return name, calibration_of(value)
+    none = found.word in ("ratio", "offset") and value == "none"
+    return name, None if none else value
 
 
 def _threads_for(size: tuple[int, int]) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import Calibration, Layout, Recording, fuse
 from pdavis_cv.aps import clip_level
+from pdavis_cv.batch.works import measured_parts
 from pdavis_cv.calibration.align import alignment
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
@@ -281,25 +282,17 @@ def _thresholds(
              f"error of all {100 * found.common_scale_sigma:.2f} %, in the above")
     page.say("leak taken out", "{:g} +- {:g} events per second".format(*args.leak_hz))
     page.histogram("ON/OFF ratio", found.theta_on / found.theta_off)
-    values: dict[str, Any] = {
-        "theta_on": found.theta_on, "theta_off": found.theta_off,
-        "theta_on_sigma": sigma[0], "theta_off_sigma": sigma[1]}
     if found.bandwidth is not None:
         hz, per_dn = found.bandwidth.law
         page.say("bandwidth", f"{hz:.1f} Hz + {per_dn:.3g} Hz per DN/ms, known to "
                  f"{100 * found.bandwidth.sigma:.0f} % at "
                  f"{found.bandwidth.at_intensity:.1f} DN/ms")
-        values["bandwidth_hz"] = hz if hz > 0 else None
-        values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
-        values["bandwidth_sigma"] = found.bandwidth.sigma
     clock = found.clock_offset
     if clock is not None:
         page.say("frames' stamps", f"off by {clock.us / 1000:+.2f} +- "
                  f"{clock.sigma_us / 1000:.2f} ms"
                  + ("" if clock.counts else ": not told from 0"))
-        if clock.counts:
-            values["clock_offset_us"] = clock.us
-    return values, page
+    return measured_parts(found), page
 
 
 def _background(

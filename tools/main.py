@@ -18,6 +18,7 @@ COMMANDS = {
     "view": "show a recording or a live source in a browser, and stream it as MJPEG",
     "stream": "send a recording or a live source to DV and dv-processing",
     "export": "fuse a recording into a video, pictures or arrays",
+    "batch": "do the same with many recordings, on all cores or a cluster",
     "convert": "write a recording in another format",
     "calibrate": "measure a camera into its calibration file",
     "score": "which method suits a recording, by frames that are left out",

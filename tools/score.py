@@ -12,17 +12,17 @@ import argparse
 import dataclasses
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv import Calibration, Recording, __version__, fuse
-from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, observed
+from pdavis_cv import Calibration, __version__
+from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore
+from pdavis_cv.batch import predicted
 from pdavis_cv.export import write_beside, write_csv
-from pdavis_cv.fusion import Fusion
 from pdavis_cv.reconstruct.base import Estimate
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
@@ -182,22 +182,6 @@ def _simple(
             row = Row(name, said, used, left_out.score(guesses))
             rows.setdefault(row.name, row)
     return sorted(rows.values(), key=lambda row: "events" in row.method)
-
-
-def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
-    """Yield what a method makes of each left-out frame; options are those of fuse.
-
-    Images are on the clock of the events.  Where frames' stamps are found to be off,
-    the left-out ones' are moved as those of the others: of a causal method too, whose
-    past may not have told it yet.
-    """
-    seen: list[Estimate] = []
-    options = {**options, "method": observed(options["method"], seen),
-               "demosaic": "superpixel"}
-    recording: Recording = left_out.kept
-    clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
-    for _ in fuse(recording, times_us=left_out.times_us + clock_us, **options):
-        yield seen[0]
 
 
 def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:

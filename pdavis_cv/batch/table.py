@@ -1,0 +1,189 @@
+"""The rows of many jobs: as a table to read, to plot and to look at."""
+from __future__ import annotations
+
+import html
+import importlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+import pdavis_cv
+from pdavis_cv.batch.results import DONE, Results
+from pdavis_cv.batch.worker import Row
+from pdavis_cv.export.tables import write_csv
+
+__all__ = ["Table"]
+
+_LAST = ("problems", "warnings", "attempt", "wall_s", "cpu_s", "peak_mib", "started",
+         "host", "version", "name")
+_FIRST = ("recording", "state")
+_NOT_SHOWN = ("name", "version", "host", "started")
+_PICTURE = ".png"
+
+
+class Table(Sequence[Row]):
+    """A row per job, read from its marker when it is asked for.
+
+    So it takes no more memory than the names of the jobs.
+
+    Parameters
+    ----------
+    results : Results
+    names : sequence of str
+        Of the jobs, in their order.
+    unwritten : mapping of str to Row, optional
+        Rows of jobs whose marker could not be written.
+    """
+
+    def __init__(
+        self, results: Results, names: Sequence[str],
+        unwritten: Mapping[str, Row] | None = None,
+    ) -> None:
+        self._results, self._names = results, list(names)
+        self._unwritten = dict(unwritten or {})
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return a row, or a list of rows."""
+        if isinstance(index, slice):
+            return [self._row(name) for name in self._names[index]]
+        return self._row(self._names[index])
+
+    def __iter__(self) -> Iterator[Row]:
+        return map(self._row, self._names)
+
+    def _row(self, name: str) -> Row:
+        if name in self._unwritten:
+            return self._unwritten[name]
+        found = self._results.marker(name)
+        if found is None:
+            raise KeyError(f"{name}: its marker has been removed")
+        row: Row = found["row"]
+        return row
+
+    @property
+    def failed(self) -> list[Row]:
+        """Rows of jobs that are not done."""
+        return [row for row in self if row["state"] != DONE]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns: recording, state, error, options, figures, the rest."""
+        return self._columns(self)
+
+    def _columns(self, rows: Iterable[Row]) -> tuple[str, ...]:
+        options: dict[str, None] = {}
+        figures: dict[str, None] = {}
+        error = False
+        for row in rows:
+            options |= dict.fromkeys(row["options"])
+            figures |= dict.fromkeys(row["figures"])
+            error |= bool(row["error"])
+        fixed = (*_FIRST, *_LAST, "error")
+        middle = dict.fromkeys((*options, *figures))
+        return (*_FIRST, *(("error",) if error else ()),
+                *(name for name in middle if name not in fixed), *_LAST)
+
+    @staticmethod
+    def cells(row: Row, columns: Sequence[str]) -> list[Any]:
+        """Return the values of a row; what its work found goes before its options."""
+        values = {**row["options"], **row["figures"],
+                  **{name: row[name] for name in (*_FIRST, *_LAST, "error")}}
+        return [_cell(values.get(name)) for name in columns]
+
+    def write(self) -> None:
+        """Write ``summary.csv`` and ``index.html`` beside the results."""
+        with self._results.written("summary.csv") as path:
+            self.write_csv(path)
+        with self._results.written("index.html") as path:
+            self.write_page(path)
+
+    def write_csv(self, path: Any) -> None:
+        """Write all rows as CSV.
+
+        Parameters
+        ----------
+        path : path
+        """
+        columns = self.columns
+        write_csv(path, columns, (self.cells(row, columns) for row in self))
+
+    def write_parquet(self, path: Any) -> None:
+        """Write all rows as Parquet; columns of numbers are numbers.
+
+        Parameters
+        ----------
+        path : path
+
+        Raises
+        ------
+        ImportError
+            If pyarrow, of the extra ``[parquet]``, is missing.
+        """
+        try:
+            pyarrow: Any = importlib.import_module("pyarrow")
+            parquet: Any = importlib.import_module("pyarrow.parquet")
+        except ImportError as error:
+            raise ImportError(
+                "Parquet needs pyarrow: pip install 'pdavis-cv[parquet]'") from error
+        columns = self.columns
+        values = list(zip(*(self.cells(row, columns) for row in self), strict=True))
+        made = {name: _of_one_type(column) for name, column in zip(
+            columns, values or [()] * len(columns), strict=True)}
+        with pdavis_cv.export.write_beside(path) as part:
+            parquet.write_table(pyarrow.table(made), part)
+
+    def write_page(self, path: Any) -> None:
+        """Write all rows as a page: columns sort at a click, pictures beside them.
+
+        Parameters
+        ----------
+        path : path
+            In the folder of the results, which the pictures are shown from.
+        """
+        template = Template(
+            files("pdavis_cv.batch").joinpath("page.html").read_text("utf-8"))
+        shown = [name for name in self.columns if name not in _NOT_SHOWN]
+        before, after = template.safe_substitute(
+            columns="".join(f"<th>{html.escape(name)}</th>" for name in shown),
+            count=len(self), version=pdavis_cv.__version__).split("$rows")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(before)
+            for row in self:
+                file.write(_line(row, self.cells(row, shown)))
+            file.write(after)
+
+
+def _cell(value: Any) -> Any:
+    """Return what a cell of a table can hold."""
+    if isinstance(value, list | dict):
+        return "; ".join(map(str, value)) if isinstance(value, list) and all(
+            isinstance(part, str) for part in value) else json.dumps(value)
+    return value
+
+
+def _of_one_type(column: Sequence[Any]) -> list[Any]:
+    kinds = {type(value) for value in column if value is not None}
+    if kinds <= {int, float} or len(kinds) == 1:
+        return list(column)
+    return [None if value is None else str(value) for value in column]
+
+
+def _line(row: Row, cells: Sequence[Any]) -> str:
+    name = row["name"]
+    picture = next((file for file in row["files"] if file.endswith(_PICTURE)), None)
+    shown = "" if picture is None else (
+        f'<a href="{html.escape(name)}/{html.escape(picture)}"><img loading="lazy" '
+        f'alt="" src="{html.escape(name)}/{html.escape(picture)}"></a>')
+    rest = "".join(f"<td>{html.escape(_words(value))}</td>" for value in cells)
+    return f'<tr class="{row["state"]}"><td>{shown}</td>{rest}</tr>\n'
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "" if value is None else str(value)

@@ -1,0 +1,221 @@
+"""One job, done in whatever process or thread an executor calls."""
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import platform
+import signal
+import socket
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pdavis_cv
+from pdavis_cv.batch.jobs import Job, described, given
+from pdavis_cv.batch.results import DONE, FAILED, results_at
+from pdavis_cv.errors import PdavisError, PdavisWarning
+from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.open import open_recording
+
+__all__ = ["Row", "failed_row", "perform"]
+
+Row = dict[str, Any]
+
+_LASTING = (PdavisError, TypeError, ValueError, ImportError, NotImplementedError)
+"""Errors that the same input will meet again."""
+
+
+class _OutOfTimeError(BaseException):
+    """Raised in the middle of a work; not an Exception, which works may catch."""
+
+
+def perform(
+    job: Job, out: str, *, timeout_s: float | None = None, attempt: int = 1
+) -> tuple[Row, bool]:
+    """Do a job, and put result and marker where they belong.
+
+    Parameters
+    ----------
+    job : Job
+    out : str
+        Where results lie.
+    timeout_s : float, optional
+        After which the work is interrupted.
+    attempt : int
+        Which one it is, from 1.
+
+    Returns
+    -------
+    row : dict of str to object
+        Of the table; ``state`` says whether it went well.
+    again : bool
+        Whether another attempt may end otherwise.
+    """
+    results = results_at(out)
+    row = _row(job, attempt)
+    start, cpu, again = time.perf_counter(), time.process_time(), False
+    _forget_peak()
+    with _told() as told:
+        try:
+            with results.part(job.name) as folder:
+                with _deadline(timeout_s):
+                    row |= _worked(job, folder)
+                row["files"] = sorted(
+                    path.relative_to(folder).as_posix()
+                    for path in folder.rglob("*") if path.is_file())
+                results.publish(job.name, folder)
+            row["state"] = DONE
+        except _OutOfTimeError:
+            row["error"] = f"not done after {timeout_s:g} s"
+        except Exception as error:
+            row["error"] = _words(error)
+            again = not isinstance(error, _LASTING)
+    row |= {"warnings": told, "wall_s": round(time.perf_counter() - start, 3),
+            "cpu_s": round(time.process_time() - cpu, 3), "peak_mib": _peak_mib()}
+    try:
+        results.mark(job.name, {"row": row, "provenance": _provenance(job)})
+    except OSError as error:
+        row |= {"state": FAILED, "error": row["error"] or _words(error)}
+        again = True
+    return row, again
+
+
+def failed_row(job: Job, attempt: int, error: str) -> Row:
+    """Return the row of a job of which nobody came back to tell."""
+    return {**_row(job, attempt), "error": error}
+
+
+def _row(job: Job, attempt: int) -> Row:
+    return {
+        "name": job.name, "recording": job.source, "state": FAILED, "error": "",
+        "options": given(job.options), "figures": {}, "problems": 0, "warnings": [],
+        "files": [], "attempt": attempt, "wall_s": None, "cpu_s": None,
+        "peak_mib": None, "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "host": socket.gethostname(), "version": pdavis_cv.__version__}
+
+
+def _provenance(job: Job) -> dict[str, Any]:
+    return {"recording": job.source, "content": job.identity,
+            "options": given(job.options), "work": described(job.work),
+            "pdavis_cv": pdavis_cv.__version__, "numpy": np.__version__,
+            "python": platform.python_version(), "machine": platform.platform()}
+
+
+def _worked(job: Job, folder: Path) -> Row:
+    """Call the work; return its figures and what was wrong with the recording."""
+    if not getattr(job.work, "opens", True):
+        return {"figures": _plain(job.work(job.source, job.options, folder))}
+    source: Recording = open_recording(job.source, layout=job.options.layout)
+    with source as recording:
+        figures = job.work(recording, job.options, folder)
+        return {"figures": _plain(figures),
+                "problems": sum(one.count for one in recording.problems)}
+
+
+def _plain(figures: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return figures as JSON holds them; what is not finite becomes None."""
+    if figures is not None and not isinstance(figures, Mapping):
+        raise TypeError(
+            "a work must return a mapping of figures or None, got "
+            f"{type(figures).__name__}")
+    found: dict[str, Any] = {}
+    for name, value in (figures or {}).items():
+        if isinstance(value, np.generic):
+            value = value.item()
+        if isinstance(value, float) and not np.isfinite(value):
+            value = None
+        if not isinstance(value, bool | int | float | str | None):
+            value = json.dumps(described(value))
+        found[str(name)] = value
+    return found
+
+
+def _words(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    if isinstance(error, PdavisError | OSError | ValueError | TypeError) and text:
+        return text
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    place = f" at {Path(last[0].filename).name}:{last[0].lineno}" if last else ""
+    return f"{type(error).__name__}{place}: {text}".rstrip(": ")
+
+
+@contextlib.contextmanager
+def _told() -> Iterator[list[str]]:
+    """Collect our warnings; only in a main thread, since filters are the process's."""
+    told: list[str] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield told
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", PdavisWarning)
+        yield told
+    ours = [one for one in caught if issubclass(one.category, PdavisWarning)]
+    told += [" ".join(str(one.message).split()) for one in ours]
+    for one in caught:
+        if one not in ours:
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+
+
+# ---- time and memory -------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _deadline(seconds: float | None) -> Iterator[None]:
+    """Interrupt the block after so many seconds.
+
+    In a main thread by a signal, which also ends waits; in others, as those of a Dask
+    worker, at the next step of Python.
+    """
+    if seconds is None:
+        yield
+    elif (hasattr(signal, "setitimer")
+            and threading.current_thread() is threading.main_thread()):
+        def ring(*_: Any) -> None:
+            raise _OutOfTimeError
+
+        before = signal.signal(signal.SIGALRM, ring)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+    else:
+        thread = ctypes.c_ulong(threading.get_ident())
+        timer = threading.Timer(
+            seconds, ctypes.pythonapi.PyThreadState_SetAsyncExc,
+            (thread, ctypes.py_object(_OutOfTimeError)))
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+
+
+_STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+
+
+def _forget_peak() -> None:
+    """Let the peak of memory begin anew, where the system can."""
+    with contextlib.suppress(OSError):
+        _CLEAR.write_text("5")
+
+
+def _peak_mib() -> float | None:
+    """Return the most memory that the process had, MiB; None where nobody knows."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        text = _STATUS.read_text().partition("VmHWM:")[2]
+        return round(int(text.split()[0]) / 1024, 1)
+    with contextlib.suppress(ImportError):
+        import resource
+        return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
+    return None

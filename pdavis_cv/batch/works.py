@@ -1,0 +1,300 @@
+"""What is done with a recording: images, scores, traces, calibration."""
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv import export
+from pdavis_cv.analysis import (
+    LeftOutFrames,
+    Roi,
+    TraceRecorder,
+    Traces,
+    observed,
+    parse_roi,
+)
+from pdavis_cv.batch.jobs import Work
+from pdavis_cv.calibration.model import Calibration
+from pdavis_cv.export.stacks import StackFile, names_of
+from pdavis_cv.fusion import Fusion, FusionOptions, fuse, thresholds_in_situ
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.base import Estimate
+from pdavis_cv.recording.base import Recording
+from pdavis_cv.selfcal import CameraEstimate
+
+__all__ = ["WORKS", "Calibrate", "Export", "Score", "Trace", "measured_parts",
+           "predicted", "work_of"]
+
+_STACKS: dict[str, type[StackFile]] = {
+    ".npz": export.NpzFile, ".h5": export.Hdf5File, ".ome.tif": export.OmeTiffFile}
+_PICTURE = "preview.png"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """The part of a recording that is looked at.
+
+    Parameters
+    ----------
+    start_s, stop_s : float, optional
+        Seconds after the recording's first sample, half-open; default all.
+    """
+
+    start_s: float | None = None
+    stop_s: float | None = None
+
+    def _of(self, recording: Recording, options: FusionOptions) -> FusionOptions:
+        changes = {}
+        for name, value in (("start_us", self.start_s), ("stop_us", self.stop_s)):
+            if value is not None:
+                changes[name] = start_of(recording) + round(value * 1e6)
+        return options.replace(**changes)
+
+
+def start_of(recording: Recording) -> int:
+    """Return the time of a recording's first sample, 0 if it is empty."""
+    start = recording.info.start_us
+    if start is None:
+        start = next((packet.start_us for packet in recording.packets()), None)
+    return 0 if start is None else start
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(_Part):
+    """Images as a stack of float arrays, with a small picture.
+
+    Parameters
+    ----------
+    suffix : {".npz", ".h5", ".ome.tif"}
+        What is written.
+    quantities : tuple of str
+        Of ``export.QUANTITIES``.
+    start_s, stop_s : float, optional
+        Seconds after the recording's first sample, half-open; default all.
+
+    Raises
+    ------
+    ValueError
+        If a word is none of these.
+    """
+
+    suffix: str = ".npz"
+    quantities: tuple[str, ...] = ("s0", "aop", "dolp")
+
+    def __post_init__(self) -> None:
+        if self.suffix not in _STACKS:
+            raise ValueError(
+                f"suffix must be one of {', '.join(_STACKS)}, got {self.suffix!r}")
+        names_of(self.quantities)
+
+    def __call__(
+        self, recording: Recording, options: FusionOptions, folder: Path
+    ) -> Mapping[str, Any]:
+        """Write ``images`` with the suffix, and ``preview.png`` where OpenCV is."""
+        images = fuse(recording, self._of(recording, options))
+        first = _first(images)
+        facts = export.provenance(first.provenance, recording.path)
+        path = folder / f"images{self.suffix}"
+        with _STACKS[self.suffix](path, self.quantities, facts) as file:
+            file.add(first)
+            for image in images:
+                file.add(image)
+        _draw(first, folder)
+        return {"method": first.provenance["method"], "images": file.count,
+                "height": first.shape[0], "width": first.shape[1],
+                "valid": float(first.valid.mean())}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace(_Part):
+    """Intensity, DoLP and AoP of regions over time, as a table.
+
+    Parameters
+    ----------
+    regions : tuple of str
+        As `analysis.parse_roi` takes them; default: the whole image.
+    start_s, stop_s : float, optional
+        Seconds after the recording's first sample, half-open; default all.
+    """
+
+    regions: tuple[str, ...] = ()
+
+    def __call__(
+        self, recording: Recording, options: FusionOptions, folder: Path
+    ) -> Mapping[str, Any]:
+        """Write ``traces.csv``; figures are means over time."""
+        images = fuse(recording, self._of(recording, options))
+        first = _first(images)
+        rois = [roi for text in self.regions for roi in parse_roi(text)]
+        recorder = TraceRecorder(rois or [_whole(recording, options)])
+        recorder.add(first)
+        for image in images:
+            recorder.add(image)
+        traces = recorder.traces(recording)
+        export.write_traces(folder / "traces.csv", traces,
+                            origin_us=start_of(recording))
+        _draw(first, folder)
+        return {"method": first.provenance["method"], "images": recorder.count,
+                **_means(traces)}
+
+
+def _whole(recording: Recording, options: FusionOptions) -> Roi:
+    height, width = recording.info.sensor_size
+    return Roi.from_rectangle(*(options.roi or (0, 0, width, height)), name="all")
+
+
+def _means(traces: Traces) -> dict[str, float]:
+    """Return means over time: AoP and DoLP of the mean Stokes vector."""
+    found: dict[str, float] = {}
+    for roi, table in zip(traces.rois, traces.table, strict=True):
+        known = table[np.isfinite(table["s0"])]
+        s0, s1, s2 = (float(known[name].mean()) if len(known) else np.nan
+                      for name in ("s0", "s1", "s2"))
+        found |= {f"{roi.name} s0_dn_per_ms": s0,
+                  f"{roi.name} dolp": float(np.hypot(s1, s2) / s0),
+                  f"{roi.name} aop_deg": float(np.rad2deg(
+                      np.mod(np.arctan2(s2, s1) / 2, np.pi))),
+                  f"{roi.name} event_rate_hz": float(np.nanmean(table["event_rate"]))
+                  if np.isfinite(table["event_rate"]).any() else np.nan}
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How well frames that are left out are predicted: needs no truth.
+
+    Parameters
+    ----------
+    seconds : float
+        How much of the recording is scored.
+    """
+
+    seconds: float = 10.0
+
+    def __call__(
+        self, recording: Recording, options: FusionOptions, folder: Path
+    ) -> Mapping[str, Any]:
+        """Return what ``pdavis score`` tells of one method, and write nothing."""
+        left_out = LeftOutFrames(
+            recording, stop_us=start_of(recording) + round(self.seconds * 1e6))
+        asked = {one.name: getattr(options, one.name)
+                 for one in dataclasses.fields(options)
+                 if one.name not in ("fps", "times_us", "start_us", "stop_us",
+                                     "parameters", "demosaic")}
+        asked |= dict(options.parameters)
+        asked["method"] = Fusion(left_out.kept, options).method if (
+            options.method is None) else options.method
+        scores = left_out.score(predicted(left_out, **asked))
+        return {"frames": len(left_out.times_us), **{
+            f"{score.kind} {name}": getattr(score, name) for score in scores
+            for name in ("rmse", "bias", "coverage", "pixels")}}
+
+
+def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
+    """Yield what a method makes of each left-out frame.
+
+    Images are on the clock of the events.  Where frames' stamps are found to be off,
+    the left-out ones' are moved as those of the others: of a causal method too, whose
+    past may not have told it yet.
+
+    Parameters
+    ----------
+    left_out : LeftOutFrames
+    **options
+        Those of `fuse`.
+
+    Yields
+    ------
+    Estimate
+        In the order of ``left_out.times_us``.
+    """
+    seen: list[Estimate] = []
+    options = {**options, "method": observed(options["method"], seen),
+               "demosaic": "superpixel"}
+    recording: Recording = left_out.kept
+    clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
+    for _ in fuse(recording, times_us=left_out.times_us + clock_us, **options):
+        yield seen[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate:
+    """What a recording tells of its own camera, as a calibration file.
+
+    Parameters
+    ----------
+    nominal : (float, float)
+        Contrast thresholds ON and OFF to start from, natural-log units.
+    """
+
+    nominal: tuple[float, float] = (0.2, 0.2)
+
+    def __call__(
+        self, recording: Recording, options: FusionOptions, folder: Path
+    ) -> Mapping[str, Any]:
+        """Write ``camera.npz``; `options` give what is known, by ``calibration``."""
+        info, known = recording.info, options.calibration
+        found = thresholds_in_situ(
+            recording, nominal=self.nominal, calibration=known)
+        values = {name: value for name, value in measured_parts(found).items()
+                  if value is not None}
+        base = known or Calibration(sensor_size=info.sensor_size, serial=info.serial)
+        base.merge(Calibration(sensor_size=info.sensor_size, **values)).save(
+            folder / "camera.npz")
+        return {
+            "theta_on": float(np.median(found.theta_on)),
+            "theta_off": float(np.median(found.theta_off)),
+            "common_scale_sigma": found.common_scale_sigma,
+            **{name: value for name, value in values.items() if np.ndim(value) == 0}}
+
+
+def measured_parts(found: CameraEstimate) -> dict[str, Any]:
+    """Return the parts of a Calibration that an estimate gives; None = not told."""
+    sigma = found.sigma
+    values: dict[str, Any] = {
+        "theta_on": found.theta_on, "theta_off": found.theta_off,
+        "theta_on_sigma": sigma[0], "theta_off_sigma": sigma[1]}
+    if found.bandwidth is not None:
+        hz, per_dn = found.bandwidth.law
+        values["bandwidth_hz"] = hz if hz > 0 else None
+        values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
+        values["bandwidth_sigma"] = found.bandwidth.sigma
+    if found.clock_offset is not None and found.clock_offset.counts:
+        values["clock_offset_us"] = found.clock_offset.us
+    return values
+
+
+def _first(images: Iterable[PolarFrame]) -> PolarFrame:
+    image = next(iter(images), None)
+    if image is None:
+        raise ValueError("the recording holds no image in the interval asked for")
+    return image
+
+
+def _draw(image: PolarFrame, folder: Path) -> None:
+    """Write a small picture, where OpenCV is there to draw it."""
+    from pdavis_cv import render
+
+    with contextlib.suppress(ImportError):
+        export.write_png(folder / _PICTURE, render.summary(image))
+
+
+WORKS: dict[str, Work] = {"export": Export(), "traces": Trace(), "score": Score(),
+                          "calibrate": Calibrate()}
+"""Works by name, with their defaults."""
+
+
+def work_of(work: str | Work) -> Work:
+    """Return a work by name, or what is one already."""
+    if callable(work):
+        return work
+    if work not in WORKS:
+        raise ValueError(
+            f"work must be one of {', '.join(WORKS)} or a function, got {work!r}")
+    return WORKS[work]

@@ -1,0 +1,190 @@
+"""Do the same with many recordings: every recording, every setting.
+
+What was done before is not done again; an interrupted run goes on when it is called
+again.  OUT gets a folder and a .json for each job, summary.csv, and index.html to look
+at.  A recording that fails is a row with its error.  "pdavis batch status OUT" says
+how far it is.
+"""
+from __future__ import annotations
+
+import argparse
+import importlib
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv import FusionOptions, batch
+from pdavis_cv.batch.pools import EXECUTORS
+
+from ._common import (
+    Parser,
+    UsageError,
+    command,
+    option_value,
+    positive,
+    within,
+)
+
+__all__ = ["main"]
+
+_MOST_WORKERS = 100_000
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``pdavis batch``; return 1 if a job failed."""
+    args = _parser().parse_args(argv)
+    if args.files[0] == "status" and len(args.files) == 2 and args.out is None:
+        return _status(args.files[1])
+    if args.out is None:
+        raise UsageError("the following arguments are required: -o/--out")
+    work = _work(args.work, args.work_settings)
+    options = _options(args.settings)
+    if args.dry_run:
+        return _dry_run(args, work, options)
+    table = batch.run(
+        args.files, options, args.out, work=work, executor=args.executor,
+        workers=args.jobs, retries=args.retries, timeout_s=args.timeout)
+    if args.parquet:
+        table.write_parquet(f"{args.out}/summary.parquet")
+    failed = table.failed
+    for row in failed[:20]:
+        print(f"{row['recording']}: {row['error']}")
+    if len(failed) > 20:
+        print(f"... and {len(failed) - 20} more")
+    print(f"wrote {args.out}/summary.csv and index.html: {len(table)} jobs, "
+          f"{len(failed)} failed")
+    return 1 if failed else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "batch", __doc__ or "",
+        "pdavis batch *.aedat4 -o out --set method=cf,kalman --set fps=100 "
+        "--work traces --jobs 4")
+    parser.add_argument(
+        "files", nargs="+", metavar="FILE",
+        help="recordings; or: status OUT")
+    parser.add_argument("-o", "--out", metavar="OUT", help="folder of the results")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE,...",
+        dest="settings", type=_setting,
+        help="an option of fuse or a parameter of the method; of several values each "
+             "is tried with each of the others; numbers that belong together have "
+             "slashes: bandwidth=250/0")
+    parser.add_argument(
+        "--work", default="export", metavar="WORK",
+        help=f"{', '.join(batch.WORKS)}, or MODULE:FUNCTION of your own; "
+             "default export")
+    parser.add_argument(
+        "--with", action="append", default=[], metavar="NAME=VALUE",
+        dest="work_settings", type=_setting,
+        help="of the work: export has suffix (.npz, .h5, .ome.tif), quantities, "
+             "start_s, stop_s; traces regions, start_s, stop_s; score seconds; "
+             "calibrate nominal")
+    parser.add_argument(
+        "--jobs", type=within(1, _MOST_WORKERS), metavar="N",
+        help="how many at a time; default one per core")
+    parser.add_argument(
+        "--executor", default="process", metavar="WHERE",
+        help=f"{EXECUTORS}, which makes a concurrent.futures.Executor; default process")
+    parser.add_argument(
+        "--retries", type=within(0, 100), default=1, metavar="N",
+        help="how often what failed is tried again; default 1")
+    parser.add_argument(
+        "--timeout", type=positive, metavar="S", help="seconds for each job")
+    parser.add_argument(
+        "--parquet", action="store_true", help="write summary.parquet too")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="say what would be done")
+    parser.add_argument(
+        "--resume", action="store_true", help="goes without saying")
+    return parser
+
+
+def _setting(text: str) -> tuple[str, list[str]]:
+    name, equals, values = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise argparse.ArgumentTypeError(f"NAME=VALUE is needed, got {text!r}")
+    return name, values.split(",")
+
+
+def _options(settings: Sequence[tuple[str, list[str]]]) -> list[FusionOptions]:
+    """Return the product of all values of all settings."""
+    each = [[option_value(name, value) for value in values]
+            for name, values in settings]
+    return [FusionOptions().replace(**dict(chosen))
+            for chosen in itertools.product(*each)]
+
+
+def _work(name: str, settings: Sequence[tuple[str, list[str]]]) -> batch.Work:
+    module, colon, function = name.partition(":")
+    if colon:
+        try:
+            work: Any = getattr(importlib.import_module(module), function)
+        except (ImportError, AttributeError) as error:
+            raise UsageError(f"--work {name}: {error}") from None
+    elif name in batch.WORKS:
+        work = batch.WORKS[name]
+    else:
+        raise UsageError(
+            f"--work must be one of {', '.join(batch.WORKS)} or MODULE:FUNCTION, got "
+            f"{name!r}")
+    changes = dict(_work_values(settings))
+    if not changes:
+        return work  # type: ignore[no-any-return]
+    known = list(getattr(work, "__dataclass_fields__", ()))
+    for one in changes:
+        if one not in known:
+            raise UsageError(
+                f"--with {one}: {name} has {', '.join(known) or 'nothing to set'}")
+    changed: batch.Work = replace(work, **changes)
+    return changed
+
+
+def _work_values(
+    settings: Sequence[tuple[str, list[str]]]
+) -> Iterator[tuple[str, Any]]:
+    for name, values in settings:
+        if name in ("quantities", "regions"):
+            yield name, tuple(value.replace("/", ",") for value in values)
+        elif name == "nominal":
+            yield name, tuple(map(positive, values))
+        elif len(values) > 1:
+            raise UsageError(f"--with {name} takes one value, got {','.join(values)}")
+        else:
+            yield option_value(name, values[0])
+
+
+def _dry_run(
+    args: argparse.Namespace, work: batch.Work, options: Sequence[FusionOptions]
+) -> int:
+    done = count = 0
+    for job, is_done in batch.plan(args.files, options, args.out, work=work):
+        print(f"{'done ' if is_done else 'to do'}  {job.name}  {job.source}")
+        done, count = done + is_done, count + 1
+    print(f"{count} jobs, {done} of them done")
+    return 0
+
+
+def _status(out: str) -> int:
+    found = batch.status(out)
+    of = "" if found.total is None else f" of {found.total}"
+    print(f"{Path(out)}: {found.done} done{of}, {found.failed} failed, "
+          f"{found.running} running in {found.runs} runs"
+          + ("" if found.left_s is None else f", {_clock(found.left_s)} left"))
+    for error, count in found.errors.items():
+        print(f"{count} x {error}")
+    return 0
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
