@@ -197,6 +197,10 @@ cdef inline int eight_digits(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
     return count
 
 
+cdef inline bint digit(uint8_t c) noexcept nogil:
+    return c >= c'0' and c <= c'9'
+
+
 cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
                               int64_t* whole, int64_t* nano) noexcept nogil:
     """Read a decimal number before a line's end; return the place after it, or -1.
@@ -207,6 +211,9 @@ cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
     cdef int64_t value, fraction = 0, part
     cdef Py_ssize_t begin, places
     cdef int count
+    if digit(data[i]) and data[i + 1] != c'.' and not digit(data[i + 1]):
+        whole[0], nano[0] = data[i] - c'0', 0   # most often a polarity
+        return i + 1
     if negative or data[i] == c'+':
         i += 1
     begin = i

@@ -96,23 +96,42 @@ def test_vidgear_reads_the_whole_recording(path, expected):
     check(images, expected)
 
 
-def test_a_loader_in_the_style_of_ultralytics_reads_the_whole_recording(path, expected):
-    """The calls of ultralytics' LoadImagesAndVideos, in their order."""
+def test_the_calls_of_ultralytics_loader_of_streams_read_every_image(path, expected):
+    """The calls of LoadStreams, in their order: the first image, then a thread."""
     with patched_cv2(**OPTIONS):
         cap = cv2.VideoCapture(path)
     assert cap.isOpened()
-    fps = int(cap.get(cv2.CAP_PROP_FPS))
-    frames = int(cap.get(cv2.CAP_PROP_FRAME_COUNT))
-    assert (fps, frames) == (500, len(expected))
-    images = []
-    while len(images) < frames:
-        for _ in range(1):
-            if not cap.grab():
-                break
-        ok, image = cap.retrieve()
-        assert ok
-        images.append(image)
+    assert (int(cap.get(cv2.CAP_PROP_FRAME_WIDTH)),
+            int(cap.get(cv2.CAP_PROP_FRAME_HEIGHT))) == (346, 260)
+    assert cap.get(cv2.CAP_PROP_FPS) == 500
+    frames = max(int(cap.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+    assert frames == len(expected)
+    ok, image = cap.read()
+    assert ok
+    images = [image]
+
+    def update():
+        n = 0
+        while cap.isOpened() and n < frames - 1:
+            n += 1
+            cap.grab()
+            ok, image = cap.retrieve()
+            assert ok
+            images.append(image)
+
+    thread = threading.Thread(target=update, daemon=True)
+    thread.start()
+    thread.join()
     cap.release()
+    check(images, expected)
+
+
+def test_ultralytics_reads_a_list_of_streams_whole(path, expected, tmp_path):
+    build = pytest.importorskip("ultralytics.data.build")
+    (tmp_path / "run.streams").write_text(path)
+    with patched_cv2(**OPTIONS):
+        loader = build.load_inference_source(str(tmp_path / "run.streams"), buffer=True)
+        images = [image for _, batch, _ in loader for image in batch]
     check(images, expected)
 
 

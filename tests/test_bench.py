@@ -7,9 +7,10 @@ import pytest
 import reference
 from streams import random_events
 
-from pdavis_cv import _kernels
+from pdavis_cv import _kernels, open_recording
 from pdavis_cv.tools import bench
-from pdavis_cv.tools.bench.cases import CASES, Case, Comparison
+from pdavis_cv.tools.bench import event_files
+from pdavis_cv.tools.bench.cases import CASES, Case, Comparison, event_input
 
 
 @pytest.mark.parametrize("n", [0, 1, 1000])
@@ -141,3 +142,16 @@ def test_a_mistake_prints_one_line_and_returns_2(arguments, message, capsys):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", event_files.FORMATS)
+def test_files_of_events_that_are_timed_hold_the_events(name, tmp_path):
+    write, options = event_files.FORMATS[name]
+    if name.startswith("ROS"):
+        pytest.importorskip("rosbags")
+    if "HDF5" in name:
+        pytest.importorskip("h5py")
+    events = event_input("uniform")[:50_000:17]
+    write(tmp_path / "x", events)
+    with open_recording(tmp_path / "x", **options) as recording:
+        np.testing.assert_array_equal(recording.events(), events)

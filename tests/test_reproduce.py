@@ -180,6 +180,23 @@ def test_a_recording_without_truth_is_scored_against_its_own_fit(tmp_path, capsy
         0.020 * 60.78 * 6, rel=0.1)  # half a frame of 20 ms, and half an exposure
 
 
+def test_a_recording_of_which_no_pixel_is_valid_is_told_with_the_reason(
+        tmp_path, capsys):
+    path = tmp_path / "in.aedat4"
+    pdavis_cv.write_aedat4(path, Camera.preset("nominal", seed=9, size=(12, 12)).record(
+        RotatingPolarizer(rpm=61.0), 1.7)[0])
+    # Of a camera that clips at 1 DN every sample is a lower bound.
+    clips = str(tmp_path / "clips.npz")
+    pdavis_cv.Calibration(sensor_size=(12, 12), clip_dn=1.0).save(clips)
+    assert reproduce.main([
+        "fig2", "-o", str(tmp_path / "x"), "--recording", str(path), "--step-us",
+        "50000", "--layout", "pdavis", "--methods", "frames", "cf", "--calibration",
+        clips]) == 0
+    # `frames` is compared as it comes, without a calibration.
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("pdavis: warning: no image has a valid pixel: 100% of")
+
+
 @pytest.mark.gate
 def test_denoising_is_measured_and_leaves_little_noise_and_most_of_the_light(
         tmp_path, capsys):

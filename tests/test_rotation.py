@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from streams import random_events
 
 import pdavis_cv
 from pdavis_cv import fuse
@@ -69,7 +70,12 @@ def test_the_fit_is_light_whose_polarization_is_known():
     (lambda: simulated(60, seconds=0.2)[0], "6 frames or more"),
     (lambda: simulated(1500)[0], "less or more than 20 ms"),
     (lambda: Camera.preset("nominal").record(FlatLight(dolp=0.5), 2.0)[0], "turns"),
-    (lambda: simulated(60, s0=1e4)[0], "usable in the region, got 0")])
+    (lambda: pdavis_cv.recording_from_arrays(
+        random_events(3000, (8, 8)), [pdavis_cv.ApsFrame(
+            np.full((8, 8), 300, np.float32), t, t + 9000)
+            for t in range(0, 900_000, 50_000)], sensor_size=(8, 8),
+        layout=pdavis_cv.Layout.PDAVIS), "not polarized|no speed stands"),
+    (lambda: simulated(60, s0=1e4)[0], "usable in the region, got 0 of .*saturated")])
 def test_what_cannot_be_fitted_is_said(make, message):
     with pytest.raises(ValueError, match=message):
         fit_rotation(make())

@@ -117,43 +117,6 @@ def as_hdf5(tmp_path):
     return path
 
 
-@pytest.mark.parametrize(("missing", "arguments", "package"), [
-    (["h5py"], ["info", "{h5}"], "h5py"),
-    (["h5py"], ["info", "{h5}", "--scan", "--json"], "h5py"),
-    (["h5py"], ["export", "{h5}", "-o", "{out}.npy"], "h5py"),
-    (["h5py"], ["export", SAMPLE, "-o", "{out}.h5", "--layout", "pdavis"],
-     "h5py"),
-    (["h5py"], ["convert", SAMPLE, "{out}.h5"], "h5py"),
-    (["h5py"], ["score", "{h5}"], "h5py"),
-    (["h5py"], ["calibrate", "check", "{h5}"], "h5py"),
-    (["h5py"], ["fan", "{h5}", "-o", "{out}.mp4"], "h5py"),
-    (["h5py"], ["tendon", "{h5}", "-o", "{out}"], "h5py"),
-    (["cv2"], ["info", "{png}", "--layout", "sony"], "opencv"),
-    (["cv2"], ["export", "{png}", "-o", "{out}.npy", "--layout", "sony"], "opencv"),
-    (["cv2"], ["export", SAMPLE, "-o", "{out}.mp4"], "opencv"),
-    (["cv2"], ["fan", SAMPLE, "-o", "{out}.mp4"], "opencv"),
-    (["matplotlib", "matplotlib.figure"], ["tendon", SAMPLE, "-o", "{out}"],
-     "matplotlib"),
-    (["rosbags"], ["info", "{bag}"], "rosbags"),
-    (["onnxruntime", "cv2"], [
-        "export", SAMPLE, "-o", "{out}.npy", "--method", "firenet", "--layout",
-        "pdavis"], "onnxruntime"),
-])
-def test_a_missing_package_is_one_line_with_its_command(
-        missing, arguments, package, as_hdf5, tmp_path, capsys, monkeypatch):
-    cv2.imwrite(str(tmp_path / "shot.png"), np.full((8, 8), 90, np.uint8))
-    capsys.readouterr()
-    for name in missing:
-        monkeypatch.setitem(sys.modules, name, None)
-    (tmp_path / "x.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
-    names = {"bag": tmp_path / "x.bag", "h5": as_hdf5, "png": tmp_path / "shot.png",
-             "out": tmp_path / "out"}
-    assert run(*(one.format(**names) for one in arguments)) == 2
-    text = capsys.readouterr().err
-    assert "pip install " + package in text
-    assert text.count("\n") == 1
-
-
 @pytest.mark.parametrize("backend", [0, pdavis_cv.CAP_PDAVIS])
 def test_a_capture_says_which_package_is_missing(as_hdf5, backend, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv.export import write_beside
 
+from ._common import can_draw
+
 __all__ = ["Page", "write_report"]
 
 
@@ -52,12 +54,11 @@ class Page:
 
 
 def write_report(path: Path, page: Page) -> bool:
-    """Draw the page as PNG; False if matplotlib is not installed."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
+    """Draw the page as PNG; False if matplotlib is not installed, which is said."""
+    if not can_draw():
         return False
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
     figure = Figure(figsize=(8.3, 11.7), layout="constrained")
     FigureCanvasAgg(figure)
     parts: Any = figure.subfigures(

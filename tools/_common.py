@@ -28,6 +28,7 @@ __all__ = [
     "add_fuse_options",
     "add_layout_option",
     "calibration_of",
+    "can_draw",
     "command",
     "covered",
     "ended_by_signals",
@@ -406,6 +407,16 @@ def start_of(recording: Recording) -> int:
     if start is None:
         start = next((packet.start_us for packet in recording.packets()), None)
     return 0 if start is None else start
+
+
+def can_draw() -> bool:
+    """Return whether matplotlib is there; where it is not, say how to get it."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        print("no picture: matplotlib is missing (pip install matplotlib)")
+        return False
+    return True
 
 
 def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterable[Any]:

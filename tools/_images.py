@@ -33,6 +33,7 @@ __all__ = [
     "of_frames",
     "told_if_nothing",
     "tone_of",
+    "warn_of_nothing",
 ]
 
 
@@ -143,10 +144,16 @@ def told_if_nothing(
             yield from images
             return
     if method is not None:
-        warnings.warn(
-            "no image has a valid pixel: "
-            f"{_why_nothing(recording, method, calibration)}",
-            PdavisWarning, stacklevel=2)
+        warn_of_nothing(recording, method, calibration)
+
+
+def warn_of_nothing(
+    recording: Recording, method: str, calibration: Calibration | None
+) -> None:
+    """Warn that a method made no valid pixel of a recording, with the likely reason."""
+    warnings.warn(
+        f"no image has a valid pixel: {_why_nothing(recording, method, calibration)}",
+        PdavisWarning, stacklevel=3)
 
 
 def _why_nothing(

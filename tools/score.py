@@ -31,6 +31,7 @@ from ._common import (
     UsageError,
     add_layout_option,
     calibration_of,
+    can_draw,
     command,
     numbers,
     opened,
@@ -302,10 +303,7 @@ def _write(
     with write_beside(stem.with_name(stem.name + ".json")) as part:
         part.write_text(json.dumps(_summary(args, left_out, rows, advice), indent=2)
                         + "\n", encoding="utf-8")
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        print("no picture: matplotlib is missing (pip install matplotlib)")
+    if not can_draw():
         return
     with write_beside(stem.with_name(stem.name + ".png")) as part:
         _picture(left_out, rows, best).savefig(part, format="png", dpi=110)

@@ -115,10 +115,12 @@ def fit_rotation(
     rows, columns = slice(y, y + h), slice(x, x + w)
     angles = np.asarray(layout.angles_deg)[np.arange(height)[:, None] % 2,
                                            np.arange(width) % 2]
-    t, z, exposure_us = _frames(recording, rows, columns, angles[rows, columns])
+    t, z, exposure_us, count = _frames(recording, rows, columns, angles[rows, columns])
     if len(t) < _LEAST_FRAMES:
-        raise ValueError(f"recording must have {_LEAST_FRAMES} frames or more that are "
-                         f"usable in the region, got {len(t)}")
+        raise ValueError(
+            f"recording must have {_LEAST_FRAMES} frames or more that are usable in "
+            f"the region, got {len(t)} of {count}"
+            + "; the others are saturated or dark" * (count > len(t)))
     origin = round(float(t.mean()))
     t -= origin
     z *= stokes_gain(extinction_ratio)
@@ -133,6 +135,9 @@ def fit_rotation(
     hz = _refined(t, z, near, others)
     model = _basis(t, hz, others)
     weights = np.linalg.lstsq(model, z, rcond=None)[0]
+    if not abs(weights[0]) > 0:
+        raise ValueError("recording must show a polarizer that turns; what its frames "
+                         "show is not polarized")
     contrast = float(np.sinc(hz * exposure_us / 1e6))
     # An exposure of more than a cycle turns the wave over: the sign counts.
     wave = weights[0] / contrast
@@ -157,11 +162,12 @@ def fit_rotation(
 
 def _frames(
     recording: Recording, rows: slice, columns: slice, angles: NDArray[np.int64]
-) -> tuple[FloatArray, Complex, float]:
-    """Return times, polarization and exposure of the usable frames."""
-    t, z, exposures = [], [], []
+) -> tuple[FloatArray, Complex, float, int]:
+    """Return times, polarization, exposure of the usable frames; the number of all."""
+    t, z, exposures, count = [], [], [], 0
     for packet in recording.packets():
         for frame in packet.frames:
+            count += 1
             means = _channels(frame.cropped(rows, columns), angles)
             if means is None:
                 continue
@@ -171,7 +177,7 @@ def _frames(
                 t.append(float(np.mean(frame.column_mid_us[columns])))
                 z.append((i0 - i90 + 1j * (i45 - i135)) / s0)
                 exposures.append(frame.exposure_ms * 1000)
-    return np.array(t), np.array(z), float(np.mean(exposures)) if t else 0.0
+    return np.array(t), np.array(z), float(np.mean(exposures)) if t else 0.0, count
 
 
 def _channels(frame: ApsFrame, angles: NDArray[np.int64]) -> list[float] | None:

@@ -18,6 +18,7 @@ from typing import Any
 from .._common import Parser, UsageError, command, within
 from . import (  # noqa: F401  # they register their cases
     demosaic,
+    event_files,
     events,
     files,
     images,

@@ -23,6 +23,7 @@ from .._common import (
     Parser,
     UsageError,
     calibration_of,
+    can_draw,
     command,
     layout_option,
     number,
@@ -324,10 +325,7 @@ def _facts(figure: str, settings: Settings) -> dict[str, Any]:
 
 
 def _plots() -> Any:
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        print("no picture: matplotlib is missing (pip install matplotlib)")
+    if not can_draw():
         return None
     from . import plots
     return plots

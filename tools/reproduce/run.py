@@ -16,6 +16,8 @@ from pdavis_cv.fusion import fuse
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import FULL, PRESETS, Camera, Scene
 
+from .._images import warn_of_nothing
+
 __all__ = [
     "METHODS",
     "OFF_LOCK",
@@ -356,7 +358,9 @@ def run(
         found = score(
             take, regions=regions, step_us=settings.step_us,
             own_times=method.own_times, margin=case.margin, demosaic=case.demosaic,
-            **fuse_parameters(method, case))
+            **(parameters := fuse_parameters(method, case)))
+        if of_events and case.existing is not None and not found["all"].valid:
+            warn_of_nothing(take.recording, name, parameters.get("calibration"))
         for region, s in found.items():
             if not method.gives_dolp:
                 s = dataclasses.replace(
