@@ -1,5 +1,6 @@
 # make demo: pictures and videos into demo/.
 # make test: the tests, on all cores; make test ALL=1: with those that take long.
+# make docs: the site into build/docs/, warnings are errors.
 # make asan: the tests under the address and undefined-behaviour sanitizers.
 # make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
 # Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
@@ -12,13 +13,17 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
 	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
 
-.PHONY: demo test asan bits fuzz clean
+.PHONY: demo test docs asan bits fuzz clean
 
 demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo
 
 test: $(VENV)/.with-test
 	$(VENV)/bin/pytest -q -n auto --dist worksteal $(if $(ALL),-m '')
+
+docs: $(VENV)/.with-docs
+	$(VENV)/bin/python -P -m sphinx -W --keep-going -q -j auto docs build/docs
+	@echo "build/docs/index.html"
 
 # make fuzz SECONDS=3600: read damaged recordings for that long
 SECONDS := 60

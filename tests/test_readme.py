@@ -1,6 +1,11 @@
+import inspect
 import re
 import subprocess
 import sys
+
+import pytest
+
+import pdavis_cv
 
 
 def block(root, language, number=0):
@@ -14,7 +19,7 @@ def test_the_first_block_of_the_readme_runs(root, tmp_path):
         [sys.executable, "-P", "-W", "error", "-c", code], cwd=tmp_path,
         capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 198
+    assert len(done.stdout.splitlines()) == 99
 
 
 def test_the_page_of_commands_names_them_all(root):
@@ -48,3 +53,26 @@ def test_every_page_can_be_reached_from_the_readme(root):
                     re.findall(r"\]\(([^)#\s]+\.md)[^)]*\)", page.read_text())]
     missing = set((root / "docs").rglob("*.md")) - seen
     assert not missing
+
+
+def test_the_pages_that_the_site_lists_exist(root):
+    text = (root / "docs" / "conf.py").read_text()
+    listed = re.findall(r'"([a-z/]+)"', text[text.index("PARTS = {"):text.index("\n}")])
+    assert len(listed) > 15
+    for page in listed:
+        assert page.startswith("reference/") or (root / "docs" / f"{page}.md").exists()
+
+
+def test_the_reference_has_every_public_name_with_a_docstring(root, monkeypatch):
+    monkeypatch.syspath_prepend(str(root / "docs"))
+    api_pages = pytest.importorskip("api_pages", reason="needs docutils")
+    text = "".join(api_pages._room(room) for room in api_pages.ROOMS)
+    named = set(re.findall(r"\.\. auto(?:class|function):: (\w+)", text))
+    for name in pdavis_cv.__all__:
+        value = getattr(pdavis_cv, name)
+        assert name in named or not (inspect.isclass(value) or inspect.isroutine(value))
+    options = api_pages._options()
+    assert all(f"``{name}``" in options for name in pdavis_cv.METHODS)
+    properties = api_pages._opencv()
+    assert all(f"``{name}``" in properties for name in pdavis_cv.__all__
+               if re.match("CAP_(PROP_)?PDAVIS_", name))

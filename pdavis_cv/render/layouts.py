@@ -30,6 +30,7 @@ __all__ = [
     "tendon_sheet",
 ]
 
+_LEAST_WIDTH = 240  # of a panel, so that small images are seen and captions fit
 Grey = Callable[[ArrayLike, NDArray[np.bool_] | None], Picture]
 
 
@@ -114,11 +115,13 @@ def summary(image: PolarFrame) -> Picture:
             else ToneCurve(1.0))
     colour = aop_bgr(image.aop, image.valid)
     faint = faded(colour, np.where(image.valid, image.dolp, 1))
+    scale = max(1, -(-_LEAST_WIDTH // image.shape[1]))
     return tile([
         panel(grey.bgr(image.s0, image.valid), "S0", legend="grey",
-              end=f"{grey.white:.4g}"),
-        panel(faint, "AoP, black where DoLP is 0", legend="aop"),
-        panel(dolp_bgr(image.dolp, image.valid), "DoLP", legend="dolp")], columns=3)
+              end=f"{grey.white:.4g}", scale=scale),
+        panel(faint, "AoP, black where DoLP is 0", legend="aop", scale=scale),
+        panel(dolp_bgr(image.dolp, image.valid), "DoLP", legend="dolp", scale=scale)],
+        columns=3)
 
 
 def png_of(picture: NDArray[Any]) -> bytes:

@@ -145,7 +145,7 @@ class Tendon(Scene):
     """Circularly polarized light through a fibre sheet that is pulled in cycles.
 
     A birefringent fibre of retardance d whose axis stands at angle f turns circular
-    light into s1 = -sin d sin 2f, s2 = sin d cos 2f: DoLP is |sin d|, AoP f + 45
+    light into s1 = -sin d sin 2f, s2 = sin d cos 2f: DoLP is abs(sin d), AoP f + 45
     degrees.  Pulling stretches the sheet, straightens the crimp of the fibres and
     raises their retardance.
 

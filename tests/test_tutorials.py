@@ -1,0 +1,57 @@
+"""Every block of docs/start runs in order, and makes the pictures it shows."""
+import contextlib
+import io
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from pdavis_cv.data import example_recording
+from pdavis_cv.tools.main import main
+
+START = Path(__file__).resolve().parents[1] / "docs" / "start"
+PAGES = sorted(START.glob("*.md"))
+FAR = 4.0
+"""Mean difference of grey levels at which a picture shows something else."""
+
+
+def run(page, folder):
+    """Run the blocks of a page in a folder; return what they print."""
+    printed = io.StringIO()
+    names = {"__name__": "tutorial"}
+    with contextlib.redirect_stdout(printed):
+        for language, block in re.findall(
+                r"^```(\w+)\n(.*?)^```", page.read_text(), re.M | re.S):
+            if language == "python":
+                exec(compile(block, page.name, "exec"), names)
+            else:
+                for line in block.strip().splitlines():
+                    program, *arguments = shlex.split(line)
+                    assert program == "pdavis", line
+                    assert main(arguments) == 0, line
+    return printed.getvalue()
+
+
+def test_there_is_a_tutorial_for_each_kind_of_user():
+    assert {page.stem for page in PAGES} == {
+        "opencv", "notebook", "microscopy", "robotics"}
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_tutorial_runs_and_makes_its_pictures(page, tmp_path, monkeypatch):
+    for module in ("matplotlib", "pandas", "tifffile", "xarray"):
+        pytest.importorskip(module)
+    (tmp_path / "demo").mkdir()
+    for name in ("fan", "tendon"):
+        shutil.copy(example_recording(name), tmp_path / "demo" / f"{name}.aedat4")
+    monkeypatch.chdir(tmp_path)
+    assert run(page, tmp_path)
+    for name in re.findall(r"!\[.*?\]\((.*?)\)", page.read_text()):
+        made, shown = cv2.imread(str(tmp_path / name)), cv2.imread(str(START / name))
+        assert made.shape == shown.shape, name
+        assert np.abs(made.astype(int) - shown).mean() < FAR, name
