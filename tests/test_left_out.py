@@ -135,6 +135,35 @@ def test_an_honest_sigma_covers_two_thirds_and_the_frames_own_noise_is_allowed_f
     assert coverage(0.2, 0.05) > 0.95
 
 
+def test_in_a_cell_only_the_ratios_of_its_channels_count():
+    left_out = LeftOutFrames(recording_from_arrays(
+        swing_events(8 * FRAME_US), frames(9, swing), sensor_size=SHAPE,
+        layout=Layout.PDAVIS))
+    truth = [left_out.images(i)[0] for i in range(len(left_out.times_us))]
+    levels = np.random.default_rng(1).normal(size=(10, 12)).repeat(2, 0).repeat(2, 1)
+    found = by_class(left_out.score([log + levels for log in truth]))
+    assert found["moving, in cell"].rmse < 1e-12
+    assert found["moving, in cell"].pixels > 100
+    assert found["moving"].rmse > 0.5
+    # One pixel of four that is off by .4: .3 and three times .1 from the mean.
+    off = np.zeros(SHAPE)
+    off[::2, ::2] = 0.4
+    found = by_class(left_out.score([log + off for log in truth], relative=True))
+    assert found["moving, in cell"].rmse == pytest.approx(np.sqrt(0.03))
+    assert all(np.isnan(score.rmse) for kind, score in found.items()
+               if kind != "moving, in cell")
+
+
+def test_light_that_is_known_takes_the_place_of_the_frames():
+    left_out = LeftOutFrames(recording_from_arrays(
+        swing_events(8 * FRAME_US), frames(9, swing, 0.05), sensor_size=SHAPE,
+        layout=Layout.PDAVIS))
+    light = [swing(t) for t in left_out.times_us]
+    assert by_class(left_out.score(light))["moving"].rmse == pytest.approx(
+        0.05, rel=0.1)
+    assert by_class(left_out.score(light, truth=light))["moving"].rmse == 0
+
+
 def test_what_is_observed_changes_no_image():
     recording = recording_from_arrays(
         swing_events(8 * FRAME_US), frames(9, swing), sensor_size=SHAPE,
@@ -249,9 +278,37 @@ def test_json_is_all_that_is_printed(file, capsys):
     assert any("suits it best" in line for line in found["advice"])
 
 
-def row(method, moving, static, pixels=1000):
+def test_frames_and_redundancy_are_scored_where_they_mean_something(file, capsys):
+    assert score.main([str(file), "--json", "--layout", "pdavis", "--thresholds",
+                       "nominal", "default", "--methods", "frames", "cf",
+                       "events, redundancy"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    rows = {(row["method"], row["thresholds_from"]): row["scores"]
+            for row in found["rows"]}
+    for kind in CLASSES:  # once, as it has no thresholds
+        assert rows["frames", ""][kind]["rmse"] == pytest.approx(
+            rows["held", ""][kind]["rmse"], rel=1e-5)
+    told = rows["events, redundancy", "nominal"]
+    assert told["moving"]["rmse"] is None
+    assert told["moving, in cell"]["rmse"] > 0
+    assert any("recorded, for polarization" in line for line in found["advice"])
+
+
+def test_redundancy_without_polarizers_is_refused_or_left_out(tmp_path, capsys):
+    plain = recording_from_arrays(
+        swing_events(8 * FRAME_US), frames(9, swing), sensor_size=SHAPE)
+    path = tmp_path / "plain.aedat4"
+    pdavis_cv.write_aedat4(path, plain)
+    assert score.main([str(path), "--methods", "events, redundancy"]) == 2
+    assert "'events, redundancy' needs polarizers" in capsys.readouterr().err
+    assert score._possible(None, plain) == [
+        name for name in score.METHODS if not name.startswith("events")]
+
+
+def row(method, moving, static, pixels=1000, cell=0.5):
     def each(kind):
-        rmse = moving if kind.startswith("moving") else static
+        rmse = cell if kind == "moving, in cell" else (
+            moving if kind.startswith("moving") else static)
         return pdavis_cv.analysis.PredictionScore(
             kind, pixels if kind.startswith("moving") else 10_000, rmse, 0.0, 0.5)
     return score.Row(method, "nominal", (0.2, 0.2), tuple(map(each, CLASSES)))
@@ -264,6 +321,18 @@ def test_the_method_that_suits_is_good_where_pixels_move_and_not_bad_at_rest():
     assert score.suited(rows, causal=True).method == "kalman causal"
     assert score.suited([row("linear", 0.5, 0.03, 5), row("kalman", 0.3, 0.033, 5)]
                         ).method == "linear"
+
+
+def test_for_polarization_the_ratios_of_a_cell_decide():
+    rows = [row("kalman", 0.3, 0.03, cell=0.2), row("cf", 0.2, 0.06, cell=0.3),
+            row("events, redundancy causal", np.nan, np.nan, cell=0.1)]
+    assert score.suited(rows).method == "kalman"
+    assert score.suited_for_polarization(rows).method == "events, redundancy causal"
+    advice = score._advice(rows, "a.aedat4", polarized=True)
+    assert "  pdavis export a.aedat4 -o fused.mp4 --method events " \
+        "--set offsets=redundancy --causal --thresholds nominal" in advice
+    assert not any("polarization" in line
+                   for line in score._advice(rows, "a.aedat4", polarized=False))
 
 
 @pytest.mark.parametrize(("arguments", "said"), [

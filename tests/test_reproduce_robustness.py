@@ -169,3 +169,22 @@ def test_one_process_gives_what_several_give(monkeypatch):
     assert repr(alone) == repr(several)
     assert set(CAUSAL) & set(RECORDED) == set()
     assert len(cells(one for each in alone for one in each)) == len(alone) + 1
+
+
+@pytest.mark.gate
+def test_frames_left_out_and_the_truth_put_methods_in_the_same_order(tmp_path, capsys):
+    stem = tmp_path / "both"
+    assert reproduce.main(["score", "-o", str(stem), "--camera", "nominal", "--rpm",
+                           "60", "--seconds", "1.5"]) == 0
+    with open(f"{stem}.csv") as file:
+        rows = [line for line in csv.DictReader(file) if "polarizer" in line["scene"]]
+    frame, light, aop = ([float(line[name]) for line in rows] for name in (
+        "frame_in_cell", "light_in_cell", "aop_error_deg"))
+    np.testing.assert_allclose(frame, light, atol=0.02)  # blur and noise of frames
+    least = rows[int(np.argmin(frame))]
+    assert least["method"] == "kalman offline"
+    assert float(least["aop_error_deg"]) <= 1.1 * min(aop)
+    assert rows[1]["frame_moving"] == ""   # redundancy knows no level
+    said = capsys.readouterr().out
+    correlation = float(said.rsplit("over the methods is ")[1].split()[0])
+    assert correlation > 0.8

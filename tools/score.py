@@ -4,7 +4,8 @@ Every second frame is taken away; each method predicts the log intensity at its
 mid-exposure from the rest, and the frame says how far off that is: root mean squared
 error in natural-log units (0.1 is 10 %), for pixels that move (at least 3 events
 within 40 ms) and others, and the part of the errors within one sigma (0.68 for an
-honest method).  Needs no truth but the recording.
+honest method).  Where cells of 2x2 pixels move, the error of their ratios, which
+polarization is made of, is told as well.  Needs no truth but the recording.
 """
 from __future__ import annotations
 
@@ -19,11 +20,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv import Calibration, __version__
+from pdavis_cv import Calibration, Recording, __version__
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore
 from pdavis_cv.batch import predicted
 from pdavis_cv.export import write_beside, write_csv
 from pdavis_cv.reconstruct.base import Estimate
+from pdavis_cv.reconstruct.redundancy import EventRedundancy
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
 from ._common import (
@@ -43,9 +45,13 @@ from ._common import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["METHODS", "Row", "main", "predicted", "suited"]
+__all__ = ["METHODS", "Row", "main", "predicted", "suited",
+           "suited_for_polarization"]
 
 METHODS: dict[str, dict[str, Any]] = {
+    "frames": {"method": "frames"},
+    "events, redundancy": {"method": EventRedundancy},
+    "events, redundancy causal": {"method": EventRedundancy, "causal": True},
     "cf": {"method": "cf"},
     "cf causal": {"method": "cf", "causal": True},
     "kalman": {"method": "kalman"},
@@ -53,6 +59,11 @@ METHODS: dict[str, dict[str, Any]] = {
     "kalman offline": {"method": "kalman", "mode": "offline"},
 }
 """Name -> options of fuse."""
+
+_RELATIVE = frozenset(name for name in METHODS if name.startswith("events"))
+"""What gives the ratios of a cell's channels only, and needs polarizers for that."""
+_WORDS = {EventRedundancy: "events --set offsets=redundancy"}
+_CELLS = CLASSES[-1]
 
 SOURCES = ("default", "nominal", "in-situ", "fitted")
 _LEAST_MOVING = 100   # pixels: with fewer, what is static decides
@@ -90,15 +101,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         tries = _tries(args.thresholds, calibration, left_out)
         rows = _simple(left_out, tries)
         best: tuple[float, list[Estimate]] = math.inf, []
-        for name, source, options in progress(
-                [(name, *each) for name in args.methods for each in tries],
-                len(args.methods) * len(tries), "methods"):
+        asked = [
+            (name, *each) for name in _possible(args.methods, recording)
+            for each in (tries if name != "frames" else [("", {"thresholds": None})])]
+        for name, source, options in progress(asked, len(asked), "methods"):
             guesses = list(predicted(left_out, **METHODS[name], **options))
-            rows.append(Row(name, source, _pair(options), left_out.score(guesses)))
+            rows.append(Row(name, source, _pair(options), left_out.score(
+                guesses, relative=name in _RELATIVE)))
             moving = rows[-1].by_class["moving"].rmse
             if moving < best[0]:
                 best = moving, guesses
-    advice = _advice(rows, args.file)
+        polarized = recording.info.layout is not None
+    advice = _advice(rows, args.file, polarized=polarized)
     if args.json:
         print(json.dumps(_summary(args, left_out, rows, advice), indent=2))
     else:
@@ -115,8 +129,9 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--out", type=Path, metavar="STEM",
         help="writes STEM.csv, STEM.json and, with matplotlib, STEM.png")
     parser.add_argument(
-        "--methods", nargs="+", choices=METHODS, default=list(METHODS), metavar="NAME",
-        help=f"of {', '.join(map(repr, METHODS))}; default all")
+        "--methods", nargs="+", choices=METHODS, metavar="NAME",
+        help=f"of {', '.join(map(repr, METHODS))}; default all that the recording "
+             "has what they need for")
     parser.add_argument(
         "--thresholds", nargs="+", type=_source, default=list(SOURCES), metavar="T",
         help=f"of {', '.join(SOURCES)} (by regression on the frames), or ON,OFF in "
@@ -131,6 +146,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--json", action="store_true", help="print JSON instead of the table")
     return parser
+
+
+def _possible(
+    methods: Sequence[str] | None, recording: Recording,
+) -> list[str]:
+    """Return the methods asked for, or those that the recording allows."""
+    if recording.info.layout is not None:
+        return list(methods or METHODS)
+    for name in methods or ():
+        if name in _RELATIVE:
+            raise UsageError(f"{name!r} needs polarizers: say --layout")
+    return [name for name in methods or METHODS if name not in _RELATIVE]
 
 
 def _source(text: str) -> str | tuple[float, float]:
@@ -201,8 +228,8 @@ def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
     -------
     Row
     """
-    able = [row for row in rows if not causal or row.method.endswith("causal")
-            or row.method.startswith("held")]
+    able = [row for row in rows if row.method not in _RELATIVE
+            and (not causal or _is_causal(row.method))]
 
     def static(row: Row) -> float:
         each = row.by_class
@@ -217,11 +244,30 @@ def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
     return min(steady, key=lambda row: row.by_class["moving"].rmse)
 
 
-def _advice(rows: Sequence[Row], file: str) -> list[str]:
+def _is_causal(method: str) -> bool:
+    return method == "frames" or method.endswith("causal") or method.startswith("held")
+
+
+def suited_for_polarization(rows: Sequence[Row], *, causal: bool = False) -> Row:
+    """Return the row whose ratios of a cell's channels are least off where it moves.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    causal : bool
+        Only methods that use nothing but the past.
+    """
+    return min((row for row in rows if not causal or _is_causal(row.method)),
+               key=lambda row: row.by_class[_CELLS].rmse)
+
+
+def _advice(rows: Sequence[Row], file: str, *, polarized: bool) -> list[str]:
     lines = []
+    enough = rows[0].by_class[_CELLS].pixels >= _LEAST_MOVING
     for title, causal in (("recorded", False), ("live", True)):
-        able = [row for row in rows if row.method in METHODS]
-        if causal and not any(row.method.endswith("causal") for row in able):
+        able = [row for row in rows
+                if row.method in METHODS and row.method not in _RELATIVE]
+        if not able or (causal and not any(_is_causal(row.method) for row in able)):
             continue
         row = suited(rows, causal=causal)
         score = row.by_class["moving"]
@@ -233,14 +279,20 @@ def _advice(rows: Sequence[Row], file: str) -> list[str]:
             lines.append(
                 f"  its sigmas are too {'small' if score.coverage < 0.68 else 'large'}:"
                 f" {score.coverage:.0%} of errors where pixels move lie within one")
+        if polarized and enough:
+            row = suited_for_polarization(rows, causal=causal)
+            lines.append(f"{title}, for polarization: {row.name} is least off in the "
+                         f"ratios of a cell ({row.by_class[_CELLS].rmse:.3f})")
+            if row.method in METHODS:
+                lines.append(f"  pdavis export {file} -o fused.mp4 {_options(row)}")
     return lines
 
 
 def _options(row: Row) -> str:
     words = []
     for name, value in METHODS[row.method].items():
-        words.append(f"--method {value}" if name == "method" else "--causal"
-                     if name == "causal" else f"--set {name}={value}")
+        words.append(f"--method {_WORDS.get(value, value)}" if name == "method"
+                     else "--causal" if name == "causal" else f"--set {name}={value}")
     if row.source == "calibration":
         words.append("--calibration FILE --thresholds calibration")
     elif row.source in ("nominal", "in-situ"):
@@ -259,7 +311,7 @@ def _table(left_out: LeftOutFrames, rows: Sequence[Row]) -> list[str]:
              f"{'error, part within one sigma':<{width}}  "
              + "".join(f"{kind:>16}" for kind in CLASSES)]
     for row in rows:
-        cells = [f"{score.rmse:.3f}" + (
+        cells = [("-    " if math.isnan(score.rmse) else f"{score.rmse:.3f}") + (
             f"{score.coverage:6.2f}" if math.isfinite(score.coverage) else " " * 6)
             for score in row.scores]
         lines.append(f"{row.name:<{width}}  " + "".join(f"{cell:>16}"

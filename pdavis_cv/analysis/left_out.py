@@ -6,7 +6,7 @@ intensity at its mid-exposure, and the frame itself says how far off the answer 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,14 @@ __all__ = ["CLASSES", "LeftOutFrames", "PredictionScore", "observed"]
 
 FloatArray = NDArray[np.float64]
 
-CLASSES = ("moving", "moving, bright", "moving, dark", "static, bright", "static, dark")
-"""What pixels are sorted into; the first holds those of the next two."""
+CLASSES = ("moving", "moving, bright", "moving, dark", "static, bright", "static, dark",
+           "moving, in cell")
+"""What pixels are sorted into; the first holds those of the next two.
+
+The last holds all four pixels of each 2x2 cell in which one moves, and its error is
+what is left once the cell's mean error is taken out: the ratios of the four channels,
+which polarization is made of.
+"""
 
 NEAR_US = 40_000   # us: the paper's cameras take a frame in 40 to 50 ms
 MOVING = 3         # events within NEAR_US of the frame: less may be noise
@@ -54,11 +60,12 @@ class PredictionScore:
         Root of the mean squared error of natural-log intensity; a prediction that is
         not finite counts as 1.  NaN without pixels.
     bias : float
-        Mean error, same unit.
+        Mean error, same unit; 0 in cells, as the mean is taken out.
     coverage : float
         Part of the errors within one sigma: 0.68 for an honest method.  Sigma is that
         of the prediction and that of the frame's own noise, which is measured where
-        nothing moves.  NaN where the method states none.
+        nothing moves.  NaN where the method states none, and in cells, as the mean
+        that is taken out has a sigma of its own.
     """
 
     kind: str
@@ -195,7 +202,8 @@ class LeftOutFrames:
         return out
 
     def score(
-        self, predictions: Iterable[FloatArray | Estimate],
+        self, predictions: Iterable[FloatArray | Estimate], *, relative: bool = False,
+        truth: Sequence[FloatArray] | None = None,
     ) -> tuple[PredictionScore, ...]:
         """Score a prediction per left-out frame, in order.
 
@@ -203,6 +211,12 @@ class LeftOutFrames:
         ----------
         predictions : iterable of ndarray, shape (H, W), or Estimate
             Natural log of DN per ms of exposure at ``times_us``.
+        relative : bool
+            Predictions are up to an offset of each 2x2 cell, as those of
+            `EventRedundancy` are: only the last class has a score, others are NaN.
+        truth : sequence of ndarray of float64, shape (H, W), optional
+            What takes the place of each frame, natural log of DN per ms, where the
+            light is known: errors then hold neither the frame's noise nor its blur.
 
         Returns
         -------
@@ -210,19 +224,25 @@ class LeftOutFrames:
             One per class.
         """
         sums = {kind: np.zeros(5) for kind in CLASSES}
-        for place, classes, given in zip(
-                self._places, self._classes, predictions, strict=True):
+        frames = [_log(place.frame) for place in self._places]
+        for place, classes, given, right in zip(
+                self._places, self._classes, predictions,
+                frames if truth is None else truth, strict=True):
             log, variance = (
                 (given.log_intensity, given.variance) if isinstance(given, Estimate)
                 else (given, None))
-            off = log.astype(np.float64) - _log(place.frame)
+            off = log.astype(np.float64) - right
             off[~np.isfinite(off)] = 1
-            sigma = None if variance is None else np.sqrt(
-                variance + self._noise_of(place.frame))
+            sigma = None if variance is None else np.sqrt(variance + (
+                self._noise_of(place.frame) if truth is None else 0))
+            within = _without_cell_mean(off)
             for kind, where in classes.items():
-                mine = off[where]
+                in_cell = kind == CLASSES[-1]
+                if relative and not in_cell:
+                    continue
+                mine = (within if in_cell else off)[where]
                 sums[kind][:3] += len(mine), np.sum(mine**2), np.sum(mine)
-                if sigma is not None:
+                if sigma is not None and not in_cell:
                     sums[kind][3:] += (
                         float(np.sum(np.abs(mine) <= sigma[where])), len(mine))
         with np.errstate(invalid="ignore"):
@@ -336,7 +356,30 @@ def _classes(place: _Place) -> dict[str, NDArray[np.bool_]]:
     moving, bright = place.near >= MOVING, place.frame.dn >= BRIGHT_DN
     return dict(zip(CLASSES, (
         usable & moving, usable & moving & bright, usable & moving & ~bright,
-        usable & ~moving & bright, usable & ~moving & ~bright), strict=True))
+        usable & ~moving & bright, usable & ~moving & ~bright,
+        _per_cell(usable, np.all) & _per_cell(moving, np.any)), strict=True))
+
+
+def _cells(image: NDArray[Any]) -> NDArray[Any]:
+    """Return a view of the whole 2x2 cells, shape (rows, 2, columns, 2)."""
+    rows, columns = (side // 2 for side in image.shape)
+    return image[:2 * rows, :2 * columns].reshape(rows, 2, columns, 2)
+
+
+def _per_cell(
+    image: NDArray[np.bool_], join: Callable[..., NDArray[np.bool_]],
+) -> NDArray[np.bool_]:
+    """Return what all or any of a cell's pixels are, for each of them, shape (H, W)."""
+    out = np.zeros(image.shape, np.bool_)
+    _cells(out)[:] = join(_cells(image), axis=(1, 3), keepdims=True)
+    return out
+
+
+def _without_cell_mean(error: FloatArray) -> FloatArray:
+    """Return errors less the mean of their 2x2 cell; of whole cells only."""
+    out = error.copy()
+    _cells(out)[:] -= _cells(error).mean(axis=(1, 3), keepdims=True)
+    return out
 
 
 def _log(frame: ApsFrame) -> FloatArray:

@@ -29,7 +29,7 @@ from pdavis_cv.recording.base import Recording
 from pdavis_cv.selfcal import CameraEstimate
 
 __all__ = ["WORKS", "Calibrate", "Export", "Score", "Trace", "measured_parts",
-           "predicted", "work_of"]
+           "predicted", "predicted_images", "work_of"]
 
 _STACKS: dict[str, type[StackFile]] = {
     ".npz": export.NpzFile, ".h5": export.Hdf5File, ".ome.tif": export.OmeTiffFile}
@@ -214,13 +214,20 @@ def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
     Estimate
         In the order of ``left_out.times_us``.
     """
+    return (estimate for _, estimate in predicted_images(left_out, **options))
+
+
+def predicted_images(
+    left_out: LeftOutFrames, **options: Any,
+) -> Iterator[tuple[PolarFrame, Estimate]]:
+    """Yield each image of super-pixels beside what `predicted` yields for it."""
     seen: list[Estimate] = []
     options = {**options, "method": observed(options["method"], seen),
                "demosaic": "superpixel"}
     recording: Recording = left_out.kept
     clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
-    for _ in fuse(recording, times_us=left_out.times_us + clock_us, **options):
-        yield seen[0]
+    for image in fuse(recording, times_us=left_out.times_us + clock_us, **options):
+        yield image, seen[0]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ from .._common import (
     roi_option,
     within,
 )
-from . import demosaic, denoise, light, network, robustness, rotation
+from . import both_scores, demosaic, denoise, light, network, robustness, rotation
 from .page import (
     beside_stem,
     save_figure,
@@ -163,6 +163,14 @@ def _robustness(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, robustness_page(rows)), rows
 
 
+def _both_scores(figure: str, stem: Path, settings: Settings) -> Result:
+    """Score by frames left out beside the score by the truth."""
+    rows = list(both_scores.both_scores(settings))
+    write_csv(beside_stem(stem, ".csv"), both_scores.columns(),
+              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
+    return write_page(stem, both_scores.both_scores_page(rows)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -195,6 +203,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
     "robustness": ("cameras and light that depart from what is assumed", _robustness),
+    "score": ("the score of pdavis score beside the score by the truth", _both_scores),
     "network": ("networks on events alone, on these and on moving textures", _networks),
 }
 """Name -> what it is, and (name, stem, settings) -> the page written, and its rows."""

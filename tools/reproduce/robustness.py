@@ -27,7 +27,7 @@ from .light import EVENT_DN, LOW_UW_CM2, fan_cases
 from .run import METHODS, OFF_LOCK, Case, Method, Row, Settings, Takes, run
 
 __all__ = ["ALL", "CAUSAL", "DEPARTURES", "QUICK_SEEDS", "RECORDED", "SEEDS",
-           "STEPS_US", "robustness_cases", "robustness_rows"]
+           "STEPS_US", "edges", "robustness_cases", "robustness_rows"]
 
 CAUSAL: dict[str, Method] = {
     "frames": METHODS["frames"],
@@ -137,8 +137,8 @@ def _scenes(settings: Settings, own: dict[str, Any]) -> list[Case]:
         return lambda s0: Texture(
             velocity=(speed * 0.96, speed * 0.28), s0=s0, seed=seed)
 
-    def edges(speed: float) -> Light:
-        return lambda s0: _edges(speed, s0)
+    def stripes(speed: float) -> Light:
+        return lambda s0: edges(speed, s0)
 
     structured = {"rpm": 0.0, "demosaic": "bilinear", **own}
     still = {"rpm": 0.0, **own}
@@ -154,7 +154,7 @@ def _scenes(settings: Settings, own: dict[str, Any]) -> list[Case]:
              **{**still, "seconds": 1.5}),
         *(Case(scene=f"texture, {speed:g} pixels/s", light=texture(speed), **structured)
           for speed in _SPEEDS_PX_S),
-        *(Case(scene=f"edges, {speed:g} pixels/s", light=edges(speed), **structured)
+        *(Case(scene=f"edges, {speed:g} pixels/s", light=stripes(speed), **structured)
           for speed in _SPEEDS_PX_S),
         Case(scene="rotating plate, 40 nW/cm2", light=plate, event_dn_per_ms=dim,
              **slow),
@@ -163,7 +163,7 @@ def _scenes(settings: Settings, own: dict[str, Any]) -> list[Case]:
         *fans]
 
 
-def _edges(speed: float, s0: float) -> Scene:
+def edges(speed: float, s0: float = FULL) -> Scene:
     """Stripes, 4 to 1 in intensity, of their own angle and degree, that pass."""
     period, steepness, direction = 24.0, 4.0, math.radians(20)
 
