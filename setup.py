@@ -28,6 +28,7 @@ KERNELS = (
     "_aps",
     "_build",
     "_bus",
+    "_davis_usb",
     "_demosaic",
     "_denoise",
     "_elementwise",

@@ -11,6 +11,7 @@ from ._aop_events import aop_event_stokes
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
+from ._davis_usb import davis_words
 from ._demosaic import (
     bilinear,
     bilinear_variance,
@@ -76,6 +77,7 @@ __all__ = [
     "check_times",
     "correct",
     "count",
+    "davis_words",
     "denoise_events",
     "denoise_rates",
     "dolp",

@@ -100,6 +100,11 @@ def aedat4_events(
     data: _U8, at: int, begin: int, n: int, height: int, width: int, flip: bool,
     first: int, last: int, state: _I64, out: NDArray[Any],
 ) -> int: ...
+def davis_words(
+    words: NDArray[np.uint16], begin: int, turned: bool, origin: int, right: int,
+    down: int, state: _I64, reads: NDArray[np.uint16], times: _I64, out: NDArray[Any],
+    imu: _I64, triggers: _I64,
+) -> tuple[int, int]: ...
 def evt2_words(
     words: NDArray[np.uint32], begin: int, height: int, width: int, stream: _I64,
     state: _I64, out: NDArray[Any],

@@ -50,6 +50,14 @@ def test_the_guided_case_runs_for_both_sensors(capsys):
     assert all(r["ratio"] > 0 and r["goal"] == 8 for r in report["results"])
 
 
+def test_the_usb_case_runs_with_and_without_frames(capsys):
+    assert bench.main(["usb", "--pairs", "2", "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    assert [r["input"] for r in report["results"]] == [
+        "1 Mev/s", "1 Mev/s, 25 frames/s", "10 Mev/s", "10 Mev/s, 25 frames/s"]
+    assert all(r["ratio"] > 0 and r["goal"] == 0.25 for r in report["results"])
+
+
 @pytest.mark.parametrize(("name", "inputs", "goal"), [
     ("aedat2", ["uniform", "clustered"], 3),
     ("aedat4", ["uniform", "clustered", "calm, with frames"], 1.2),

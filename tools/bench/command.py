@@ -25,6 +25,7 @@ from . import (  # noqa: F401  # they register their cases
     kalman,
     network,
     simulate,
+    usb,
 )
 from .cases import CASES, Case, Comparison
 
