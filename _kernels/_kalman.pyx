@@ -21,6 +21,14 @@ from _kernels._tracks cimport at_rest, drift, part_t, start, step, walk_t
 from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST)
 
+cdef extern from *:
+    """
+    #define LINEAR_VARIANCE 0.04    /* ln^2: noise of 20 % is as wide below as above */
+    #define REST_MOST 3.0           /* ln: 20 times; light has changed, not noise */
+    """
+    const double LINEAR_VARIANCE
+    const double REST_MOST
+
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
                   Py_ssize_t, float*, unsigned char*)
@@ -28,7 +36,8 @@ cdef extern from "_rest.h" nogil:
 cdef enum:
     # Places in innovations: sums over samples of e^2 / v, of ln v, their number; of the
     # parts of doubted events that frames deny, their number; regression of e^2 on what
-    # motion adds to v, relative to v without it: product, square.
+    # motion adds to v, relative to v without it: product, square; normal
+    # equations of e^2 by read and shot noise, where no event tells of motion.
     RATIO
     LOG
     SAMPLES
@@ -36,6 +45,11 @@ cdef enum:
     DOUBTED
     MOTION
     SQUARE
+    READ
+    SHOT
+    READ_READ
+    READ_SHOT
+    SHOT_SHOT
     SUMS
 
 cdef struct taken_t:
@@ -127,6 +141,39 @@ cdef inline void propagate(state_t* s, double n_on, double n_off) noexcept nogil
     s.cov_base_off += n_on * s.cov_on_off - n_off * s.var_off
 
 
+cdef inline double noise_at(double per_dn, const tuning_t* tuning) noexcept nogil:
+    """Variance of a sample (ln^2) in light of 1 / per_dn DN."""
+    return (tuning.shot_share * per_dn * (
+        tuning.read_variance * per_dn + tuning.shot_variance)
+        + tuning.frame_sigma * tuning.frame_sigma)
+
+
+cdef inline double linear(const state_t* s, double h_on, double h_off, double motion,
+                          const tuning_t* tuning, double* innovation,
+                          double* per_dn) noexcept nogil:
+    """Linearize where state and sample together see the light; return R there.
+
+    Noise is added to DN, not to their logarithm: by the sample alone, one that noise
+    has made brighter would count for more, and a darker one would be too far off.  So
+    innovation and per_dn become those of an iterated Kalman filter, but at a jump.
+    """
+    cdef double spread = s.var_base + (
+        2.0 * (h_on * s.cov_base_on + h_off * s.cov_base_off + h_on * h_off
+               * s.cov_on_off) + h_on * h_on * s.var_on + h_off * h_off * s.var_off)
+    cdef double noise = motion + noise_at(per_dn[0], tuning), there, rest, factor, e
+    rest = innovation[0] * noise / (spread + noise)
+    if rest < -REST_MOST or rest > REST_MOST:
+        return noise
+    factor = exp_f(<float>rest)
+    there = motion + noise_at(per_dn[0] * factor, tuning)
+    e = innovation[0] - rest + factor - 1.0
+    if e * e > JUMP_SIGMAS * JUMP_SIGMAS * (spread + there):
+        return noise
+    innovation[0] = e
+    per_dn[0] *= factor
+    return there
+
+
 cdef inline taken_t update(state_t* s, double h_on, double h_off, double noise,
                            double innovation, bint learn,
                            double per_dn) noexcept nogil:
@@ -190,6 +237,22 @@ cdef inline void note(double* innovations, const taken_t* taken, double unit,
         denied = denied if denied > 0.0 else 0.0
         innovations[DENIED] += doubt * (denied if denied < 1.0 else 1.0)
         innovations[DOUBTED] += doubt
+
+
+cdef inline void note_still(double* innovations, const taken_t* taken, double per_dn,
+                            const tuning_t* tuning) noexcept nogil:
+    """Add an innovation to the sums that tell the noise of frames in light 1 / per_dn.
+
+    Read and shot noise add `read` and `shot`, times their variances, relatively.
+    """
+    cdef double shot = tuning.shot_share * per_dn / taken.v, read = shot * per_dn
+    cdef double excess = (taken.ratio - 1.0 + read * tuning.read_variance
+                          + shot * tuning.shot_variance)
+    innovations[READ] += read * excess
+    innovations[SHOT] += shot * excess
+    innovations[READ_READ] += read * read
+    innovations[READ_SHOT] += read * shot
+    innovations[SHOT_SHOT] += shot * shot
 
 
 cdef inline double limited(double theta, double prior) noexcept nogil:
@@ -257,8 +320,7 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     cdef int at_on = 0, at_off = 0, all_on, all_off
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
     cdef double n_on, n_off, h_on, h_off, blur, level, added = 0.0
-    cdef double noise = (tuning.shot_share * sample.variance
-                         + tuning.frame_sigma * tuning.frame_sigma)
+    cdef double noise = 0.0, per_dn
     cdef bint fresh = s.samples == 0, learn = False
     # Counts from the start of exposure to the middle and to the last committed.
     start(&walk, old)
@@ -328,15 +390,19 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
         h_off = -total.off / total.whole
     if fresh:
         s.base = sample.log - blur
+    e = sample.log - s.base - blur
+    per_dn = sample.per_dn
+    noise = linear(s, h_on, h_off, noise, tuning, &e, &per_dn)
     node.level = <float>(sample.log - blur + h_on * s.theta_on + h_off * s.theta_off)
     node.h_on = <float>h_on
     node.h_off = <float>h_off
     node.noise = <float>noise
-    e = sample.log - s.base - blur
     offset = tuning.offset_dn * (sample.per_dn - s.pull)
     taken = update(s, h_on, h_off, noise, e, learn, sample.per_dn)
     note(innovations, &taken, unit, unit * tuning.motion_variance, offset * offset,
          doubt, doubt - e / worth)
+    if not fresh and unit == 0.0 and noise <= LINEAR_VARIANCE:
+        note_still(innovations, &taken, per_dn, tuning)
     added += taken.jump
     # The smoother counts the event in full: the square of what it may be off by.
     node.drift = <float>(added + theta2 * doubt * doubt)

@@ -45,6 +45,8 @@ cdef packed struct tuning_t:
     double bandwidth_sigma
     double frame_sigma
     double shot_share
+    double read_variance    # DN^2
+    double shot_variance    # DN^2 per DN
     double offset_dn
     double valid_variance
     double motion_variance

@@ -3,7 +3,7 @@ import functools
 import importlib
 import itertools
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ def silence(gap):
 
 @dataclass
 class Noise:
-    """What innovations say of doubted events and of motion."""
+    """What innovations say of doubted events, of motion and of the noise of frames."""
 
     doubt: float = 0.5
     motion: float = 0.002
@@ -32,16 +32,34 @@ class Noise:
     doubted: float = 0.0
     total: float = 0.0
     frames: float = 0.0
+    of_frames: np.ndarray = field(default_factory=lambda: np.array([4.0, 0.1]))
+    known: np.ndarray = 0.0     # of both, normal equations: matrix and right-hand side
+    told: np.ndarray = 0.0
+
+    def at(self, per_dn):
+        """Variance of a sample in light of 1 / per_dn DN."""
+        return self.of_frames @ (per_dn**2, per_dn) + FRAME_SIGMA**2
 
     def adapt(self, sums):
-        denied, doubted, product, square = np.sum(sums, axis=0) if sums else np.zeros(4)
+        for *_, w, excess in sums:
+            self.known = self.known + np.outer(w, w)
+            self.told = self.told + w * (excess + w @ self.of_frames)
+        prior = np.diag([2 / 4.0**2, 2 / 0.1**2])
+        known, told = self.known + prior, self.told + prior @ (4.0, 0.1)
+        x = np.array([4.0, 0.1])
+        for k in (0, 1) * 20:
+            x[k] = np.clip((told[k] - known[k, 1 - k] * x[1 - k]) / known[k, k],
+                           (1, 0.005)[k], (400, 1)[k])
+        self.of_frames = x
+        denied, doubted, product, square = np.sum(
+            [each[:4] for each in sums], axis=0) if sums else np.zeros(4)
         self.denied += denied
         self.doubted += doubted
         self.total += product / (square + 2 / 0.05**2)
         self.frames += square / (square + 2 / 0.05**2)
         self.doubt = (25 + self.denied) / (50 + self.doubted)
         self.motion = np.clip((0.002 + self.total) / (1 + self.frames), 0, 1)
-        for name in ("denied", "doubted", "total", "frames"):
+        for name in ("denied", "doubted", "total", "frames", "known", "told"):
             setattr(self, name, getattr(self, name) * np.exp(-1 / 20))
 
 
@@ -292,11 +310,11 @@ class Pixel:
         return u, theta2 * spread[0], lead_variance(
             u, theta2 * spread[1], off * spread[2], np.exp(log), hz, per_level, sigma)
 
-    def frame(self, sample, noise, begin, mid, end, known, per_dn):
+    def frame(self, sample, begin, mid, end, known, per_dn):
         fresh = self.reference is None
         at = self.next(mid)
         learn = not fresh and at - self.since >= 3
-        added = doubt = unit = 0.0
+        added = doubt = unit = motion = 0.0
         worth, theta2 = 1.0, self.x[1:].mean() ** 2
         if not fresh:
             n = self.counts(self.since, at)
@@ -307,7 +325,7 @@ class Pixel:
                 drift += self.learned.motion
             comes = at < len(self.events) and self.events[at][0] <= known
             unit = theta2 * (2 if n.sum() else 1 if comes else 0)
-            noise += motion if unit else 0
+            motion = motion if unit else 0
             if at:
                 last = 0 if self.events[at - 1][1] else 1
                 n[last] -= doubt
@@ -338,11 +356,22 @@ class Pixel:
         if fresh:
             self.x[0] = sample - blur
         error = sample - self.x[0] - blur
+        v, per_dn_seen = H @ self.P @ H + motion + self.learned.at(per_dn), per_dn
+        rest = error * (1 - H @ self.P @ H / v)
+        noise = motion + self.learned.at(per_dn)
+        if abs(rest) <= 3:
+            there = motion + self.learned.at(per_dn * np.exp(rest))
+            linear = error + np.expm1(rest) - rest
+            if linear**2 <= 16 * (H @ self.P @ H + there):
+                error, noise, per_dn_seen = linear, there, per_dn * np.exp(rest)
         v = H @ self.P @ H + noise
         still = v - unit * self.learned.motion + (
             self.offset_dn * (per_dn - self.pull)) ** 2
         sums = (doubt * np.clip(doubt - error / worth, 0, 1), doubt,
-                unit / still * (min(error**2, 16 * v) / still - 1), (unit / still) ** 2)
+                unit / still * (min(error**2, 16 * v) / still - 1), (unit / still) ** 2,
+                (0 if fresh or unit or noise > 0.04 else 1)
+                * np.array([per_dn_seen**2, per_dn_seen]) / v,
+                min(error**2 / v, 16) - 1)
         if error**2 > 16 * v:
             self.P[0, 0] += error**2
             added += error**2
@@ -502,8 +531,7 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
             dn = float(frame.dn[at])
             if dn >= 1 and (frame.valid is None or frame.valid[at]):
                 sums.append(pixel.frame(
-                    np.log(dn) - log, (4 + dn / 10) / dn**2 + FRAME_SIGMA**2,
-                    frame.exposure_start_us, mid,
+                    np.log(dn) - log, frame.exposure_start_us, mid,
                     max(end, frame.exposure_start_us + 1), known, 1 / dn))
             if offline:
                 pixel.fold(known - lookahead_us)

@@ -528,6 +528,23 @@ def test_light_at_rest_is_as_good_as_frames():
     assert np.all(error(method="kalman", causal=True) < 1.2 * frames)
 
 
+@pytest.mark.parametrize("read_dn", [3.0, 6.0])
+def test_the_noise_of_frames_is_learned_and_biases_nothing(read_dn):
+    rng = np.random.default_rng(1)
+    light = rng.uniform(30, 300, (24, 24))
+    method = make(light.shape, 0.2, 0.2, mode="causal")
+    for k in range(60):
+        dn = light + read_dn * rng.normal(size=light.shape)
+        method.add_frame(ApsFrame(dn.astype(np.float32), 50_000 * k, 50_000 * k + 500))
+    method.settle(3_000_000)
+    log = method.read(3_000_000).log_intensity
+    off = (log - np.log(light / 0.5))[light < 100]
+    learned = method._tuning["read_variance"][0] ** 0.5
+    assert read_dn / 1.3 < learned < 1.3 * read_dn
+    assert abs(off.mean()) < 0.1 * off.std()    # weighed by their own DN: .12, .15
+    assert off.std() < 0.4 * np.mean(read_dn / light[light < 100])  # else .7 at 6 DN
+
+
 def test_a_pixel_that_stopped_is_shown_at_rest():
     """Silence says so: what is extrapolated goes back to nothing."""
     method = make((1, 1), 0.2, 0.2, mode="causal")

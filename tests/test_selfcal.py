@@ -97,10 +97,11 @@ def test_the_innovations_are_those_of_the_kalman_filter(recording):
                        else frame.valid[rows, columns][None])))
     method.add_events(events[fed:])
     got = sample.innovations(candidates_of([law], noise))[0]
-    # The filter also fades to rest, and learns of motion and lone events.
-    np.testing.assert_allclose([*got][:3], method.misfit, rtol=2e-3)
+    # The filter also fades to rest, learns of motion, lone events and frames' noise,
+    # and linearizes that where it sees the light.
+    np.testing.assert_allclose([*got][:3], method.misfit, rtol=5e-3)
     assert got["log_theta"] == pytest.approx(
-        np.log(method.thresholds[0]).sum(), rel=1e-4)
+        np.log(method.thresholds[0]).sum(), rel=5e-4)
 
 
 def arguments(n=2, frames=3):

@@ -35,17 +35,18 @@ thresholds started from; ``pull`` is d(base) / d(offset of all frames), ln per D
 TUNING_DTYPE = np.dtype([
     ("leak_per_s", "<f8"), ("noise_per_event", "<f8"), ("bandwidth_hz", "<f8"),
     ("bandwidth_hz_per_intensity", "<f8"), ("bandwidth_sigma", "<f8"),
-    ("frame_sigma", "<f8"), ("shot_share", "<f8"), ("offset_dn", "<f8"),
-    ("valid_variance", "<f8"), ("motion_variance", "<f8"), ("doubt", "<f8"),
-    ("still_us", "<f8")])
+    ("frame_sigma", "<f8"), ("shot_share", "<f8"), ("read_variance", "<f8"),
+    ("shot_variance", "<f8"), ("offset_dn", "<f8"), ("valid_variance", "<f8"),
+    ("motion_variance", "<f8"), ("doubt", "<f8"), ("still_us", "<f8")])
 """Process noise: variance of the sum of events, in thresholds^2, per second and per
 event.  Photoreceptor: corner frequency in Hz, what an intensity of 1 DN/ms adds to it,
 relative error of both.  Measurement noise: sigma of ln intensity that de-blurring
-leaves, factor of the read and shot noise's variance, sigma in DN of an offset of all
-frames.  Variance (ln^2) up to which an estimate is valid.  Where events come: variance
-in thresholds^2 of what interpolation between them leaves; the probability that an event
-of a pixel at rest is noise; gap between two events of which half say rest, us, 0: all
-of them are interpolated."""
+leaves, factor of the read and shot noise's variance, that of read noise in DN^2 and of
+shot noise in DN^2 per DN, sigma in DN of an offset of all frames.  Variance (ln^2) up
+to which an estimate is valid.  Where events come: variance in thresholds^2 of what
+interpolation between them leaves; the probability that an event of a pixel at rest is
+noise; gap between two events of which half say rest, us, 0: all of them are
+interpolated."""
 
 SAMPLE_DTYPE = np.dtype([("log", "<f4"), ("variance", "<f4"), ("per_dn", "<f4")])
 """A frame's ln intensity, variance of its read and shot noise (ln^2; 0: no usable

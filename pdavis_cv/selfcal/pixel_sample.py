@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.reconstruct.kalman import LOOKAHEAD_US
-from pdavis_cv.reconstruct.kalman.filter import DN_PER_SHOT, READ_NOISE_DN
+from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
 from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA
 from pdavis_cv.selfcal.uncertainty import (
     FrameSystematics,

@@ -20,6 +20,11 @@ from pdavis_cv.reconstruct.base import (
     Reconstructor,
 )
 from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv.reconstruct.kalman.frame_noise import (
+    DN_PER_SHOT,
+    READ_NOISE_DN,
+    frame_noise,
+)
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import Smoother
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
@@ -63,8 +68,6 @@ CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.33)
 """The same where a calibration takes the pixels' differences out: much less is left in
 frames, and a third of what is assumed of read and shot noise."""
 
-# Of a frame: read noise in DN, and DN per unit of shot noise variance.
-READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
 DOUBT = (0.5, 50.0)
 """Prior probability that an event of a pixel at rest is noise, and how many such events
 it counts for beside those that frames confirm or deny.  Engineering choice: even."""
@@ -90,7 +93,7 @@ square of the lag is that at .12 of the brightest."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 # Sums over innovations that kalman_frame collects, the first three being `misfit`;
 # beside them, sums over frames of what they say of motion, and of their weights.
-_SUMS, _MISFIT = 7, 3
+_SUMS, _MISFIT = 12, 3
 _KEPT = _SUMS + 2
 # Rows that a frame is used by at a time.
 _BAND = 32
@@ -205,6 +208,8 @@ class KalmanFilter(Reconstructor):
         self._tuning = np.zeros(1, TUNING_DTYPE)
         self._tuning["offset_dn"] = self._offset_dn
         self._tuning["valid_variance"] = VALID_VARIANCE
+        self._tuning["read_variance"] = READ_NOISE_DN**2
+        self._tuning["shot_variance"] = 1 / DN_PER_SHOT
         self._tuning["doubt"], self._tuning["motion_variance"] = DOUBT[0], MOTION[0]
         self._tuning["still_us"] = STILL_US
         self._tune()
@@ -238,8 +243,9 @@ class KalmanFilter(Reconstructor):
             self._tuning[name] = value
 
     def _adapt(self) -> None:
-        """Take the noise of events and of motion for what innovations say it is."""
-        denied, doubted, product, square, total, frames = self._innovations[_MISFIT:]
+        """Take the noise of events, motion and reads for what innovations say it is."""
+        kept = self._innovations[_MISFIT:]
+        denied, doubted, product, square, *normal, total, frames = kept
         share, weight = DOUBT
         self._tuning["doubt"] = (share * weight + denied) / (weight + doubted)
         motion, sigma, most = MOTION
@@ -250,8 +256,10 @@ class KalmanFilter(Reconstructor):
         frames += square / (square + least)
         self._tuning["motion_variance"] = np.clip(
             (motion + total) / (1 + frames), 0, most)
-        self._innovations[_MISFIT:] = denied, doubted, 0, 0, total, frames
-        self._innovations[_MISFIT:] *= math.exp(-1 / ADAPT_FRAMES)
+        kept[2:4], kept[-2:] = 0, (total, frames)
+        kept *= math.exp(-1 / ADAPT_FRAMES)
+        self._tuning["read_variance"], self._tuning["shot_variance"] = frame_noise(
+            normal)
 
     def _begin_thresholds(self) -> None:
         """Set the thresholds of the states to their prior, whatever they were."""
