@@ -17,6 +17,7 @@ COMMANDS = {
     "info": "say what a recording holds",
     "view": "show a recording or a live source in a browser, and stream it as MJPEG",
     "stream": "send a recording or a live source to DV and dv-processing",
+    "devices": "list cameras that are plugged in, or record what one sends as it is",
     "export": "fuse a recording into a video, pictures or arrays",
     "batch": "do the same with many recordings, on all cores or a cluster",
     "convert": "write a recording in another format",

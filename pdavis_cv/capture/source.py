@@ -8,6 +8,7 @@ from typing import Any
 from pdavis_cv.capture import constants as c
 from pdavis_cv.fusion import FusionOptions
 from pdavis_cv.live import is_address, open_source
+from pdavis_cv.live.camera import address_of
 from pdavis_cv.reconstruct.methods import METHODS, method_parameters
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.registry import is_recording
@@ -58,6 +59,8 @@ def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
     """
     if isinstance(source, Source):
         return source
+    if isinstance(source, int) and not isinstance(source, bool):
+        source = address_of(source)
     if not isinstance(source, (str, os.PathLike)):
         raise OSError(f"a recording is opened by its path, got {source!r}")
     if "\0" in os.fspath(source):

@@ -59,7 +59,8 @@ class VideoCapture:
         positions and ``FRAME_COUNT`` -1; `grab` waits for the next image, at most
         ``CAP_PROP_READ_TIMEOUT_MSEC``.
     apiPreference : int
-        ``CAP_PDAVIS`` to have it opened here, another of ``cv2.CAP_*`` to have it
+        ``CAP_PDAVIS`` to have it opened here, a number as the camera of this number
+        (`pdavis devices`), another of ``cv2.CAP_*`` to have it
         opened by cv2.
     params : sequence of number
         Property, value, property, value ... to open with.

@@ -22,6 +22,7 @@ _OPENERS = {
     "dv+unix": "pdavis_cv.live.dv:open_unix",
     "replay": "pdavis_cv.live.openers:open_replay",
     "simulate": "pdavis_cv.live.openers:open_simulation",
+    "usb": "pdavis_cv.live.usb:open_usb",
 }
 SCHEMES = tuple(_OPENERS)
 """What an address begins with, before its colon."""
@@ -52,7 +53,10 @@ def open_source(
     ----------
     where : path, address or Source
         A Source is returned as it is, and a path goes to `open_recording`.  Addresses
-        are ``dv+tcp://HOST:PORT`` (``frames=`` a second port) and ``dv+unix:///PATH``
+        are ``usb:`` or ``usb:SERIAL`` of a DAVIS346-based camera (``exposure_us=``,
+        ``frame_interval_us=`` and its biases), ``usb:simulated`` of none (``replay=`` a
+        file, or ``scene=`` and what ``simulate:`` takes), ``dv+tcp://HOST:PORT``
+        (``frames=`` a second port) and ``dv+unix:///PATH``
         (``frames=`` a second path) of what DV sends, ``replay:FILE`` (``speed=1``, 0 =
         as fast as it is read; ``loop=1``) and
         ``simulate:SCENE`` (``camera=nominal``, ``size=48x48``, ``rpm=200``, ``seed=0``,

@@ -10,7 +10,7 @@ from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import Camera, named_scene
 
-__all__ = ["open_replay", "open_simulation"]
+__all__ = ["open_replay", "open_simulation", "simulated"]
 
 
 def open_replay(
@@ -57,13 +57,13 @@ def open_simulation(
     """
     options = taken(values, camera="nominal", size="48x48", rpm=200.0, hz=1.0, seed=0,
                     speed=1.0, loop=True, seconds=math.inf)
-    recording = _simulated(target, *(
+    recording = simulated(target, *(
         options.pop(name) for name in ("camera", "size", "rpm", "hz", "seed")))
     return ReplaySource(recording, where, **options)
 
 
 @functools.lru_cache(maxsize=1)
-def _simulated(
+def simulated(
     scene: str, camera: str, size: str, rpm: float, hz: float, seed: int
 ) -> Recording:
     """Simulate one period of a scene into memory; kept for the next to ask for it."""

@@ -60,6 +60,10 @@ BUILT_IN = (
         magic=(b"\x89HDF\r\n\x1a\n",), holds=frozenset(("events", "frames")),
         extra="hdf5", reader=f"{_ROOM}.hdf5.reader:Hdf5Recording"),
     Format(
+        name="davis-usb", title="words of a DAVIS346 over USB", holds=_ALL,
+        suffixes=(".usb",), magic=(b"#!PDAVIS-USB1\n",),
+        reader=f"{_ROOM}.davis_trace:TraceRecording"),
+    Format(
         name="prophesee", title="Prophesee RAW (EVT2, EVT3) and DAT", holds=_EVENTS,
         suffixes=(".raw", ".dat"), sniff=f"{_ROOM}.prophesee:is_prophesee",
         reader=f"{_ROOM}.prophesee:PropheseeRecording"),

@@ -1,0 +1,191 @@
+"""A DAVIS346 through neuromorphic-drivers, which hands out its words as they are.
+
+The driver sets registers and moves bytes; what the words mean is decoded here, because
+drivers clamp dark pixels at 0 and hide the two reads of a frame.  Never run on a
+camera: written by the driver's types and sources.
+"""
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from pdavis_cv.errors import DeviceError
+from pdavis_cv.live.base import HEARTBEAT_S
+from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.davis import DAVIS346_SIZE, Orientation
+from pdavis_cv.recording.davis_trace import Transfer
+
+__all__ = ["SETTINGS", "Davis346", "address_of", "listed"]
+
+BIASES = (
+    "localbufbn", "padfollbn", "diffbn", "onbn", "offbn", "pixinvbn", "prbp", "prsfbp",
+    "refrbp", "readoutbufbp", "apsrosfbn", "adccompbp", "colsellowbn", "dacbufbp",
+    "lcoltimeoutbn", "aepdbn", "aepuxbp", "aepuybp", "ifrefrbn", "ifthrbn",
+    "biasbuffer")
+SETTINGS = ("exposure_us", "frame_interval_us", *BIASES)
+"""What can be set: times of frames in us, and biases as the driver numbers their
+currents, 0 to 2040, about a factor of 8 every 255."""
+MOST_BIAS = 2040
+LONGEST_US = 1_000_000
+_NAME = "INIVATION_DAVIS346"
+
+
+def _driver() -> Any:
+    try:
+        import neuromorphic_drivers
+    except ImportError:
+        raise ImportError("a camera needs a package: pip install "
+                          "neuromorphic-drivers") from None
+    return neuromorphic_drivers
+
+
+def listed() -> list[dict[str, str | None]]:
+    """Return the DAVIS346 cameras that are plugged in.
+
+    Returns
+    -------
+    list of dict
+        ``name``, ``serial``, ``connection``, and ``error``: why one cannot be opened.
+
+    Raises
+    ------
+    ImportError
+        If the driver is not installed.
+    DeviceError
+        If the system's USB cannot be asked.
+    """
+    driver = _driver()
+    try:
+        found = driver.list_devices()
+    except RuntimeError as error:
+        raise DeviceError(f"usb: cannot be asked: {error}") from error
+    return [{"name": one.name.value, "serial": one.serial,
+             "connection": one.connection.value, "error": one.error}
+            for one in found if one.name.name == _NAME]
+
+
+def address_of(index: int) -> str:
+    """Return the address of a camera by its number, as cv2 counts them.
+
+    Raises
+    ------
+    DeviceError
+        If there are not so many.
+    """
+    found = listed()
+    if not 0 <= index < len(found):
+        raise DeviceError(
+            f"there is no camera {index}: {len(found)} cameras are plugged in")
+    return f"usb:{found[index]['serial'] or ''}"
+
+
+class Davis346:
+    """A camera; a `Device` of `pdavis_cv.live.usb`.
+
+    The filter of background activity, which the driver would switch on, is off: it
+    judges a pixel by neighbours, which stand behind other polarizers.
+
+    Parameters
+    ----------
+    serial : str, optional
+        Default: the first that is found.
+    settings : mapping of str to int
+        Of `SETTINGS`; others are the driver's.
+
+    Raises
+    ------
+    ImportError
+        If the driver is not installed.
+    DeviceError
+        If there is no such camera, or it cannot be opened.
+    ValueError
+        If a setting does not fit.
+    """
+
+    realtime = True
+    speed = 1.0
+
+    def __init__(self, serial: str | None, settings: Mapping[str, int]) -> None:
+        driver = _driver()
+        self._configuration = driver.inivation_davis346.Configuration()
+        self._configuration.activity_filter.mask_isolated_enable = False
+        self._apply(settings)
+        try:
+            self._device = driver.open(
+                configuration=self._configuration, iterator_timeout=HEARTBEAT_S,
+                raw=True, serial=serial)
+        except RuntimeError as error:
+            which = "camera" if serial is None else f"camera {serial}"
+            raise DeviceError(
+                f"usb: no {which} could be opened: {error}; see pdavis devices, and "
+                "docs/live.md for rights and drivers") from error
+        mounted = self._device.orientation()
+        self.orientation = Orientation(
+            events_turned=mounted.dvs_invert_xy, frames_flipped_x=mounted.aps_flip_x,
+            frames_flipped_y=mounted.aps_flip_y, frames_turned=mounted.aps_invert_xy,
+            imu_flipped=(mounted.imu_flip_x, mounted.imu_flip_y, mounted.imu_flip_z),
+            imu_type=self._device.imu_type())
+        found = self._device.serial()
+        self.info = RecordingInfo(
+            format="DAVIS346 over USB", sensor_size=DAVIS346_SIZE,
+            camera=f"DAVIS346 {found}", serial=found,
+            exposure_us=self.settings["exposure_us"],
+            header={"settings": dict(self.settings),
+                    "background_activity_filter": False})
+
+    def _apply(self, settings: Mapping[str, int]) -> None:
+        for name, value in settings.items():
+            if name not in SETTINGS:
+                raise ValueError(
+                    f"there is no setting {name!r}; there are {', '.join(SETTINGS)}")
+            most = LONGEST_US if name.endswith("_us") else MOST_BIAS
+            if not 0 <= value <= most:
+                raise ValueError(f"{name} must lie in 0..{most}, got {value}")
+        for name, value in settings.items():
+            owner = (self._configuration if name.endswith("_us")
+                     else self._configuration.biases)
+            setattr(owner, name, value)
+
+    @property
+    def settings(self) -> Mapping[str, int]:
+        """What the driver was told to set; the camera cannot be asked."""
+        configuration = self._configuration
+        return {"exposure_us": configuration.exposure_us,
+                "frame_interval_us": configuration.frame_interval_us,
+                **{name: getattr(configuration.biases, name) for name in BIASES}}
+
+    def set(self, **settings: int) -> None:
+        """Change settings; of a running camera, within some frames."""
+        self._apply(settings)
+        try:
+            self._device.update_configuration(self._configuration)
+        except RuntimeError as error:
+            raise self._gone(error) from error
+
+    def read(self, timeout_s: float) -> list[Transfer] | None:
+        """Return what has arrived; waits for `HEARTBEAT_S`, whatever `timeout_s`."""
+        try:
+            status, data = next(self._device)
+        except StopIteration:
+            return None
+        except RuntimeError as error:
+            raise self._gone(error) from error
+        if status.ring is None or not data:
+            return []
+        # The driver tells Unix time; the host's other clock never jumps.
+        host_s = time.monotonic() - (status.system_time - status.ring.system_time)
+        gaps = [at for at in status.ring.overflow_indices or () if at < len(data)]
+        edges = [0, *(at for at in gaps if at > 0), len(data)]
+        return [Transfer(data[low:high], host_s, low in gaps)
+                for low, high in itertools.pairwise(edges)]
+
+    def _gone(self, error: Exception) -> DeviceError:
+        return DeviceError(
+            f"{self.info.camera}: the device is gone: plug it in and open it again "
+            f"({error})")
+
+    def close(self) -> None:
+        """Stop the camera."""
+        self._device.close()

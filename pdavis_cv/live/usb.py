@@ -1,0 +1,225 @@
+"""``usb:``: a DAVIS346-based camera, or one that is simulated to its last word."""
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Protocol
+
+from pdavis_cv.errors import DeviceError
+from pdavis_cv.live.address import number, taken
+from pdavis_cv.live.base import HEARTBEAT_S, LiveSource
+from pdavis_cv.live.camera import SETTINGS, Davis346
+from pdavis_cv.live.clock import moved
+from pdavis_cv.live.davis_words import DavisEncoder
+from pdavis_cv.live.openers import simulated
+from pdavis_cv.live.replay import ReplaySource, pieces
+from pdavis_cv.recording.base import Packet, Recording, RecordingInfo
+from pdavis_cv.recording.davis import DavisDecoder, Orientation
+from pdavis_cv.recording.davis_trace import Transfer
+
+__all__ = ["Device", "SimulatedDavis346", "UsbSource", "open_usb"]
+
+SILENCE_S = 3.0
+"""A camera says how far its time is every 33 ms; after so long it hangs, s."""
+_COUNTER_US = 1 << 32
+"""A recording that begins later has another clock than a camera: Unix time."""
+
+
+class Device(Protocol):
+    """What sends the words of a DAVIS346: a camera, or something in its place.
+
+    Attributes
+    ----------
+    info : RecordingInfo
+        What it is; of the format "DAVIS346 over USB".
+    orientation : Orientation
+        How its chips are mounted.
+    realtime : bool
+        False: it waits for who reads it.
+    speed : float
+        Stream time per real time.
+    """
+
+    info: RecordingInfo
+    orientation: Orientation
+    realtime: bool
+    speed: float
+
+    def read(self, timeout_s: float) -> list[Transfer] | None:
+        """Wait for what it sends next; none after `timeout_s`, None at the end.
+
+        Raises
+        ------
+        DeviceError
+            If it is gone.
+        """
+
+    @property
+    def settings(self) -> Mapping[str, int]:
+        """Exposure, interval of frames and biases that it works with."""
+
+    def set(self, **settings: int) -> None:
+        """Change settings.
+
+        Raises
+        ------
+        ValueError
+            If there is no such setting, or not this value.
+        """
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class UsbSource(LiveSource):
+    """What a camera sends, decoded as it arrives.
+
+    Parameters
+    ----------
+    device : Device
+        Closed with the source.
+    name : str
+        For messages.
+
+    Attributes
+    ----------
+    device : Device
+        To change its `settings` while it runs.
+    """
+
+    def __init__(self, device: Device, name: str) -> None:
+        super().__init__(device.info, name)
+        self.device, self.realtime, self.speed = device, device.realtime, device.speed
+
+    def _arrivals(self) -> Iterator[Packet]:
+        decoder = DavisDecoder(
+            self.info.sensor_size, self.device.orientation, self._log)
+        heard = time.monotonic()
+        while not self._closed.is_set():
+            transfers = self.device.read(HEARTBEAT_S)
+            if transfers is None:
+                return
+            if transfers:
+                heard = time.monotonic()
+            elif time.monotonic() - heard > SILENCE_S / self.speed:
+                raise DeviceError(
+                    f"{self.name}: the camera has sent nothing for {SILENCE_S:g} s: "
+                    "unplug it, plug it in and open it again")
+            for one in transfers:
+                for packet in decoder.feed(one.data, one.host_s, lost=one.lost):
+                    yield from pieces(packet)
+                yield Packet(until_us=decoder.time_us)
+
+    def close(self) -> None:
+        """Stop, and let go of the camera."""
+        super().close()
+        self.device.close()
+
+
+class SimulatedDavis346:
+    """Sends a recording as a DAVIS346 would: the same words, at its own pace.
+
+    Its clock is that of the recording, or begins at 0 where that is Unix time.
+
+    Parameters
+    ----------
+    recording : Recording
+        Closed with the device.
+    speed : float
+        Stream time per real time; 0 = as fast as it is read.
+    loop : bool
+        Begin again at the end.
+    seconds : float
+        End after this stream time.
+    """
+
+    def __init__(
+        self, recording: Recording, *, speed: float = 1.0, loop: bool = False,
+        seconds: float = math.inf,
+    ) -> None:
+        if not 0 <= speed < math.inf:
+            raise ValueError(f"speed must not be negative, got {speed:g}")
+        self._replay = ReplaySource(
+            recording, "simulated", speed=0, loop=loop, seconds=seconds)
+        start = recording.info.start_us or 0
+        origin = 0 if 0 <= start < _COUNTER_US else start
+        self.info, self.orientation = self._replay.info, Orientation()
+        self.realtime, self.speed = speed > 0, speed or 1.0
+        self._chunks = DavisEncoder().chunks(
+            moved(packet, -origin) for packet in self._replay.packets())
+        self._next: tuple[int, bytes] | None = None
+        self._first: tuple[int, float] | None = None
+        self._closed = False
+
+    def read(self, timeout_s: float) -> list[Transfer] | None:
+        """Return what is due within this time, s."""
+        if self._closed:
+            return None
+        if self._next is None:
+            found = next(self._chunks, None)
+            if found is None:
+                return None
+            self._next = found[0], found[1].tobytes()
+        time_us, data = self._next
+        if self.realtime:
+            now = time.monotonic()
+            if self._first is None:
+                self._first = time_us, now
+            wait = (time_us - self._first[0]) * 1e-6 / self.speed - (
+                now - self._first[1])
+            if wait > timeout_s:
+                time.sleep(timeout_s)
+                return []
+            time.sleep(max(wait, 0.0))
+        self._next = None
+        return [Transfer(data, time_us * 1e-6)]
+
+    @property
+    def settings(self) -> Mapping[str, int]:
+        """None: a recording is as it was made."""
+        return {}
+
+    def set(self, **settings: int) -> None:
+        """Refuse all settings."""
+        raise ValueError(
+            f"a simulated camera has no settings, got {', '.join(settings)}")
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._closed = True
+        self._replay.close()
+
+
+def open_usb(
+    where: str, target: str, values: dict[str, str],
+    open_recording: Callable[[str], Recording],
+) -> UsbSource:
+    """Open ``usb:SERIAL?exposure_us=8000&...``, or a simulated camera.
+
+    Parameters
+    ----------
+    where : str
+        The whole address.
+    target : str
+        Serial number of a camera, ``""`` for the first, ``"simulated"``.
+    values : dict of str to str
+        What follows the question mark: settings of a camera; of a simulated one
+        ``replay``, a file, or ``scene`` and what ``simulate:`` takes.
+    open_recording : callable
+        Opens a file.
+    """
+    if target != "simulated":
+        settings = {name: number(name, values.pop(name), int)
+                    for name in SETTINGS if name in values}
+        if values:
+            raise ValueError(f"there is no {next(iter(values))!r}; a camera takes "
+                             f"{', '.join(SETTINGS)}")
+        return UsbSource(Davis346(target or None, settings), where)
+    options = taken(values, replay="", scene="fan", camera="nominal", size="48x48",
+                    rpm=200.0, hz=1.0, seed=0, speed=1.0, loop=True, seconds=math.inf)
+    made = [options.pop(name)
+            for name in ("scene", "camera", "size", "rpm", "hz", "seed")]
+    file = options.pop("replay")
+    recording = open_recording(file) if file else simulated(*made)
+    return UsbSource(SimulatedDavis346(recording, **options), where)

@@ -1,0 +1,162 @@
+"""Words of a DAVIS346 as they came over USB, in a file: for whoever has to see them.
+
+A line of magic, a line of JSON about the camera, then transfers: time of arrival in s
+(float64), 1 if something is missing before it (uint32), bytes that follow (uint32), all
+little-endian.
+"""
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.davis import DavisDecoder, Orientation
+from pdavis_cv.recording.files import FileRecording, ProblemLog
+from pdavis_cv.recording.packetise import Batch, packetise
+from pdavis_cv.sensor import Layout
+
+__all__ = ["MAGIC", "TraceRecording", "TraceWriter", "Transfer"]
+
+MAGIC = b"#!PDAVIS-USB1\n"
+_LONGEST_LINE = 1 << 16
+_LARGEST = 1 << 26
+_LARGEST_SIDE = 4096
+_RECORD = struct.Struct("<dII")
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Bytes that arrived together.
+
+    Parameters
+    ----------
+    data : bytes
+    host_s : float
+        When the last of them arrived, s on any clock.
+    lost : bool
+        Something is missing before them.
+    """
+
+    data: bytes
+    host_s: float
+    lost: bool = False
+
+
+class TraceWriter:
+    """Writes transfers to a file; use as a context manager, or call `close`.
+
+    Parameters
+    ----------
+    path : path
+    info : RecordingInfo
+        What the camera is.
+    orientation : Orientation
+        How its chips are mounted.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], info: RecordingInfo,
+        orientation: Orientation,
+    ) -> None:
+        head = {"camera": info.camera, "serial": info.serial,
+                "sensor_size": info.sensor_size, "header": dict(info.header),
+                "orientation": dataclasses.asdict(orientation)}
+        self._file = open(path, "wb")
+        self._file.write(MAGIC + json.dumps(head).encode() + b"\n")
+
+    def add(self, transfer: Transfer) -> None:
+        """Write one more."""
+        self._file.write(_RECORD.pack(
+            transfer.host_s, transfer.lost, len(transfer.data)) + transfer.data)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class TraceRecording(FileRecording):
+    """A file of `TraceWriter`; it is read from its beginning for every interval."""
+
+    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+        self._reader = self._bytes()
+        start = self._reader.read(0, _LONGEST_LINE)
+        end = start.find(b"\n", len(MAGIC))
+        try:
+            head = json.loads(start[len(MAGIC):end])
+            height, width = map(int, head["sensor_size"])
+            orientation = dict(head["orientation"])
+            orientation["imu_flipped"] = tuple(orientation["imu_flipped"])
+            self._orientation = Orientation(**orientation)
+            header = dict(head["header"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise RecordingError(
+                f"{self._path}: the line about the camera is damaged: {error}"
+            ) from error
+        if not (0 < height <= _LARGEST_SIDE and 0 < width <= _LARGEST_SIDE):
+            raise RecordingError(f"{self._path}: no sensor has {width}x{height} pixels")
+        name = head.get("camera")
+        if camera is not None and camera.lower() not in str(name).lower():
+            raise RecordingError(
+                f"{self._path}: no camera named {camera!r}: it is {name}")
+        self._begin = end + 1
+        return RecordingInfo(
+            format="DAVIS346 over USB", sensor_size=(height, width), layout=layout,
+            camera=name, serial=head.get("serial"), header=header)
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        return packetise(self._batches(stop_us), start_us, stop_us)
+
+    def _batches(self, stop_us: int | None) -> Iterator[Batch]:
+        # What is wrong is found again at each reading, and told once.
+        log = ProblemLog(str(self._path))
+        decoder = DavisDecoder(self._info.sensor_size, self._orientation, log)
+        for transfer in self._transfers():
+            found = decoder.feed(transfer.data, transfer.host_s, lost=transfer.lost)
+            for packet in found:
+                yield _batch(packet, decoder.time_us)
+            if stop_us is not None and decoder.time_us >= stop_us:
+                return
+        for problem in log.problems:
+            self._count(0, problem.kind, problem.count, problem.message)
+
+    def _transfers(self) -> Iterator[Transfer]:
+        at = self._begin
+        while at < self._reader.size:
+            head = self._reader.read(at, _RECORD.size)
+            if len(head) == _RECORD.size:
+                host_s, lost, size = _RECORD.unpack(head)
+                data = self._reader.read(at + _RECORD.size, min(size, _LARGEST))
+                if size <= _LARGEST and len(data) == size:
+                    yield Transfer(data, host_s, bool(lost))
+                    at += _RECORD.size + size
+                    continue
+            self._log.damage(at, f"byte {at}: a transfer is cut short", offset=at)
+            return
+
+
+def _batch(packet: Packet, time_us: int) -> Batch:
+    samples: dict[str, Any] = {
+        name: part for name in ("events", "imu", "triggers")
+        if len(part := getattr(packet, name))}
+    # A frame, or the packet's last sample, may be as late as time is now.
+    return Batch(frames=list(packet.frames),
+                 complete_us=(packet.stop_us or time_us + 1) - 1, **samples)
