@@ -172,11 +172,13 @@ def test_tendon_finds_the_load_and_writes_everything(
         table["birefringence"], delta * 0.530 / (2 * np.pi * 300), rtol=1e-9)
     assert table["force_n"].between(19, 31).sum() > 100
     with np.load(out / "lockin.npz") as maps:
-        assert maps["amplitude"].shape == (24, 32)
+        assert maps["amplitude"].shape == maps["mean_dolp"].shape == (24, 32)
+        assert 0.2 < maps["mean_dolp"].mean() < 0.8
         assert json.loads(str(maps["provenance"]))["hz"] == pytest.approx(hz, abs=1e-4)
     report = (out / "report.html").read_text()
     assert not re.search(r"(src|href)=\"?(http|/|\.)", report)  # holds all it shows
-    assert report.count("data:image/png;base64,") == 5
+    assert report.count("data:image/png;base64,") == 6
+    assert f"{table['birefringence'].mean():.3e}" in report
     names = {path.name for path in out.iterdir()}
     assert json.loads((out / "traces.csv.json").read_text())["hz"] == pytest.approx(
         hz, abs=1e-4)

@@ -100,7 +100,7 @@ def test_mistakes_are_one_line(tmp_path, capsys):
     write_aedat4(path, small())
     for arguments, message in (
             ([path, tmp_path / "x.xyz"], "no format ends in '.xyz'"),
-            ([path, path], "--force replaces it"),
+            ([path, path], "is the recording that is read"),
             ([tmp_path / "none", tmp_path / "y.aedat4"], "No such file"),
             ([path, tmp_path / "y.aedat2"], "that of a DAVIS")):
         assert main([str(a) for a in arguments]) == 2

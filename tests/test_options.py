@@ -117,8 +117,8 @@ def test_a_calibration_reaches_export(calibrated, tmp_path):
     path, camera = calibrated
     out = tmp_path / "a.npy"
     assert export.main([str(path), "-o", str(out), "--calibration", str(camera),
-                        "--thresholds", "calibration", "--method", "cf",
-                        "--extinction-ratio", "none", "--stop", ".3"]) == 0
+                        "--thresholds", "calibration", "--method", "cf", "--fps",
+                        "100", "--extinction-ratio", "none", "--stop", ".3"]) == 0
     with pdavis_cv.open_recording(path) as recording:
         images = list(fuse(recording, method="cf", fps=100, thresholds=(0.17, 0.17),
                            layout=Layout.PDAVIS, extinction_ratio=None,

@@ -81,7 +81,7 @@ def test_aedat2_holds_the_events(tmp_path):
 def test_background_and_flicker_reach_the_recording(tmp_path):
     counts = []
     for extra in ([], ["--background", "30"], ["--flicker", "50"]):
-        path = tmp_path / "scene.aedat4"
+        path = tmp_path / f"{len(counts)}.aedat4"
         assert main(["simulate", "polarizer", "--camera", "ideal", "--rpm", "100",
                      "--seconds", "0.2", "-o", str(path), *extra]) == 0
         with pdavis_cv.open_recording(path) as recording:

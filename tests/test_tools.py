@@ -387,6 +387,40 @@ def test_demo_reports_small_errors_and_large_ones_for_frames(
     assert len(frames_of(tmp_path / "fan.webm")[0]) == 5
 
 
+def test_without_fps_every_way_gives_one_image_for_each_frame(tmp_path, capsys):
+    path = pdavis_cv.data.example_recording("tendon")
+    with pdavis_cv.open_recording(path) as recording:
+        times = [image.t_us for image in pdavis_cv.fuse(recording, method="cf")]
+    assert len(times) == 20
+    with pdavis_cv.VideoCapture(path, method="cf") as capture:
+        assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 20
+    assert run("export", path, "-o", tmp_path / "x.npz", "--method", "cf",
+               "--quantities", "s0") == 0
+    assert "one image for each frame; --fps" in capsys.readouterr().out
+    with np.load(tmp_path / "x.npz") as arrays:
+        assert arrays["t_us"].tolist() == times
+
+
+def test_a_recording_is_replaced_by_force_only_and_never_by_its_own_images(
+        tmp_path, capsys):
+    flat = ["simulate", "flat", "--seconds", "0.1", "--size", "4x4"]
+    path = tmp_path / "a.aedat4"
+    assert run(*flat, "-o", path) == 0
+    old = path.read_bytes()
+    for command in (flat, ["convert", SAMPLE]):
+        out = ["-o", path] if command is flat else [path]
+        assert run(*command, *out) == 2
+        assert "--force replaces it" in capsys.readouterr().err
+    assert path.read_bytes() == old
+    assert run(*flat, "--seed", 1, "--force", "-o", path) == 0
+    e2p = tmp_path / "a.h5"
+    assert run("convert", path, e2p) == 0
+    old = e2p.read_bytes()
+    assert run("export", e2p, "-o", e2p) == 2
+    assert "is the recording that is read" in capsys.readouterr().err
+    assert e2p.read_bytes() == old
+
+
 def test_axial_difference_is_symmetric_and_periodic():
     rng = np.random.default_rng(0)
     a, b = rng.uniform(0, np.pi, (2, 100))

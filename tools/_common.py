@@ -29,6 +29,7 @@ __all__ = [
     "add_layout_option",
     "calibration_of",
     "can_draw",
+    "checked_out",
     "command",
     "covered",
     "ended_by_signals",
@@ -45,6 +46,7 @@ __all__ = [
     "roi_option",
     "seconds",
     "source_of",
+    "stage",
     "start_of",
     "whole",
     "within",
@@ -245,6 +247,39 @@ def ended_by_signals() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+def checked_out(
+    path: Path, source: str | os.PathLike[str] | None = None, *,
+    recording: bool = False, force: bool = False,
+) -> None:
+    """Raise UsageError if a command must not write a file.
+
+    Commands replace what an earlier run wrote, but never the recording that they read,
+    and another recording only with ``--force``: a measurement may not come again.
+
+    Parameters
+    ----------
+    path : Path
+        To be written.
+    source : path, optional
+        What is read.
+    recording : bool
+        Whether it will be a recording.
+    force : bool
+        Whether ``--force`` was given.
+
+    Raises
+    ------
+    UsageError
+        With the reason.
+    """
+    if not path.exists():
+        return
+    if source is not None and os.path.exists(source) and path.samefile(source):
+        raise UsageError(f"{path} is the recording that is read; write another file")
+    if recording and not force:
+        raise UsageError(f"{path} exists; --force replaces it")
+
+
 def require_samples(recording: Recording, start_us: int | None) -> None:
     """Raise UsageError if a recording holds nothing at start_us or later.
 
@@ -301,8 +336,6 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
     """Return the keyword arguments of fuse() that the options stand for.
 
-    Without ``--fps`` there are 100 images per second if there are events.
-
     Raises
     ------
     UsageError
@@ -317,8 +350,6 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
         if options[name] is not None:
             options[name] += start_of(recording)
     require_samples(recording, options["start_us"])
-    if options["fps"] is None and recording.info.event_count != 0:
-        options["fps"] = 100.0
     return options
 
 
@@ -425,6 +456,12 @@ def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterable[Any
     shown: Iterable[Any] = tqdm(
         items, total=total, unit=f" {unit}", leave=False, disable=None)
     return shown
+
+
+def stage(what: str) -> None:
+    """Say on a terminal what takes a while before there is progress to show."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(f"pdavis: {what} ...", file=sys.stderr, flush=True)
 
 
 def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:

@@ -12,6 +12,7 @@ from ._common import (
     Parser,
     UsageError,
     add_layout_option,
+    checked_out,
     command,
     opened,
     progress,
@@ -28,8 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = {"compression": args.compression} if args.compression else {}
     for name in options.keys() - set(kind.write_options):
         raise UsageError(f"--{name} is no option of {kind.title}")
-    if out.exists() and not args.force:
-        raise UsageError(f"{out} exists; --force replaces it")
+    checked_out(out, args.input, recording=True, force=args.force)
     with opened(args, args.input) as recording:
         lost = write(out, passing(
             recording, lambda packets: progress(packets, None, "packets")), **options)
@@ -53,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
                         help="of AEDAT-4; default lz4")
     add_layout_option(parser)
     parser.add_argument("--camera", help="which camera, if the file holds several")
-    parser.add_argument("--force", action="store_true", help="replace an old file")
+    parser.add_argument("--force", action="store_true", help="replace a recording")
     return parser
 
 

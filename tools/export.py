@@ -24,6 +24,7 @@ from ._common import (
     Parser,
     UsageError,
     add_fuse_options,
+    checked_out,
     command,
     covered,
     fuse_options,
@@ -33,6 +34,7 @@ from ._common import (
     progress,
     require_samples,
     seconds,
+    stage,
     start_of,
     within,
 )
@@ -75,6 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(
             "--range is the scale of --lossless; pictures have --white and --dolp-top, "
             "and the other files hold the numbers themselves")
+    checked_out(args.out, args.file)
     if suffix not in (".npy", *_STACKS):
         render.opencv()  # say what is missing before the work, not after
     with opened(args) as recording:
@@ -90,6 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             options |= {"fps": None, "times_us": [at]}
         images = told_if_nothing(
             fuse(recording, **options), recording, options["calibration"])
+        stage("learning what the recording tells of its camera")
         first = list(itertools.islice(images, 2))
         if not first:
             raise UsageError(
@@ -109,6 +113,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             lines = _write_video(
                 args, frames, rate, Sheet(args, recording, first[0]))
+        if options["fps"] is None and args.at is None and (
+                recording.info.event_count != 0 and recording.info.frame_count != 0):
+            lines.append(
+                "one image for each frame; --fps 200 makes 200 a second, by the events")
     print("\n".join(lines))
     return 0
 

@@ -29,6 +29,7 @@ from ._common import (
     opened,
     progress,
     seconds,
+    stage,
     start_of,
     within,
 )
@@ -138,6 +139,7 @@ def make_fan(
     times = grid_times(recording, args.fps, options["start_us"], options["stop_us"])
     options |= {"fps": None, "start_us": None, "stop_us": None, "times_us": times}
     held_options = of_frames(options, args.settings)
+    stage("brightness; learning what the recording tells of its camera")
     tones = [tone_of(recording, each, "I0") for each in (held_options, options)]
     facts = facts_of(recording, options, slow=args.slow, images_per_second=args.fps)
     wheel = None if args.centre is None else Wheel(

@@ -21,6 +21,7 @@ from ._common import (
     LAST_SEED,
     Parser,
     UsageError,
+    checked_out,
     command,
     number,
     numbers,
@@ -59,6 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     camera = Camera.preset(args.camera, seed=args.seed, size=size)
     if camera.dvs is None and args.out.suffix == ".aedat":
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
+    checked_out(args.out, recording=True, force=args.force)
     stream = camera.stream(scene, args.seconds, run=args.run, threads=args.threads)
     _write(args.out, stream)
     truth = Path(f"{os.fspath(args.out)}.truth.npz")
@@ -97,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--threads", type=within(1, 256), default=1,
         help="default 1; the result is the same")
+    parser.add_argument("--force", action="store_true", help="replace a recording")
     group = parser.add_argument_group("scene")
     group.add_argument(
         "--rpm", type=number, default=200.0,

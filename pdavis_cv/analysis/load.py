@@ -99,7 +99,7 @@ def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadT
     Parameters
     ----------
     path : str or Path
-        Separated by comma, semicolon (then decimal commas are understood) or tab;
+        Separated by comma, semicolon or tab (then decimal commas are understood);
         lines that start with ``#`` are comments.
     units : dict of str to str, optional
         Units that the header does not name: keys time, force, displacement.
@@ -124,7 +124,7 @@ def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadT
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
              if line.strip() and not line.lstrip().startswith("#")]
     delimiter = _delimiter([line for _, line in lines[:5]])
-    decimal_comma = delimiter == ";"
+    decimal_comma = delimiter != ","
     rows = [(number, next(csv.reader([line], delimiter=delimiter)))
             for number, line in lines]
     first = next((i for i, (_, row) in enumerate(rows)

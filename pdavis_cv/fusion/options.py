@@ -104,8 +104,10 @@ class FusionOptions:
     fps: float | None = _option(
         None, "float, optional",
         "Images per second of recording time, at most 1,000,000: "
-        "t_k = start + round(k * 1e6 / fps) while t_k < stop.",
-        "number", "images per second of the recording")
+        "t_k = start + round(k * 1e6 / fps) while t_k < stop.  Default: one image for "
+        "each frame, at its mid-exposure; 100 per second without frames.",
+        "number", "images per second of the recording; default: one for each frame, "
+        "100 per second without frames")
     times_us: ArrayLike | None = _option(
         None, "array_like of int, optional",
         "Times of the images in us, increasing; excludes `fps`, `start_us`, `stop_us`.",

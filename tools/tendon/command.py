@@ -24,6 +24,8 @@ from pdavis_cv import (
     Recording,
     accumulate,
     analysis,
+    aop,
+    dolp,
     export,
     fuse,
     render,
@@ -41,6 +43,7 @@ from .._common import (
     opened,
     progress,
     seconds,
+    stage,
     start_of,
     within,
 )
@@ -49,6 +52,25 @@ from . import report
 from .video import TendonSheet
 
 __all__ = ["Findings", "main", "measure"]
+
+
+class MeanStokes:
+    """Mean Stokes planes over images; a pixel counts where it is valid."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._sum, self._count = np.zeros((3, *shape)), np.zeros(shape, np.int64)
+
+    def add(self, image: PolarFrame) -> None:
+        """Take in one image."""
+        for total, plane in zip(
+                self._sum, (image.s0, image.s1, image.s2), strict=True):
+            np.add(total, plane, out=total, where=image.valid)
+        self._count += image.valid
+
+    def maps(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
+        """Return AoP (radians) and DoLP of the means, and where there are any."""
+        s0, s1, s2 = self._sum.astype(np.float32)
+        return aop(s1, s2), dolp(s0, s1, s2), self._count > 0
 
 
 @dataclass(eq=False)
@@ -80,6 +102,7 @@ class Findings:
     drifts: list[analysis.Drift] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     maps: analysis.LockInMaps | None = None
+    mean: MeanStokes | None = None
     clock: analysis.Clock | None = None
     load: analysis.LoadTrace | None = None
     loops: list[analysis.Loop] = field(default_factory=list)
@@ -225,6 +248,7 @@ def measure(
     counts = None if load is None else _counts(recording)
     busy = [] if counts is None or not counts.any() else [
         _Busiest(roi.name, roi.rings, roi.rectangle, counts) for roi in regions]
+    stage("traces of the fused images; learning what the recording tells of its camera")
     fused, busiest = _traces(args, recording, options, regions, busy, background)
     assert fused is not None  # there is a time on the grid
     frames = None
@@ -478,13 +502,17 @@ def _maps_and_video(
     held: dict[str, Any], found: Findings,
 ) -> None:
     """Go through the images a second time, now that the frequency is known."""
+    stage("maps" if args.no_video else "maps and video")
     times = options["times_us"]
     lock: analysis.LockIn | None = None
+    mean: MeanStokes | None = None
     video: export.VideoFile | None = None
     if args.no_video:
         for image in progress(fuse(recording, **options), len(times), "maps"):
             lock = lock or analysis.LockIn(image.shape, found.load_hz, int(times[0]))
             lock.add(int(image.t_us or 0), image.dolp, image.valid)
+            mean = mean or MeanStokes(image.shape)
+            mean.add(image)
     else:
         sheet = TendonSheet(args, recording, found, {**options, "times_us": times})
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1e4
@@ -500,12 +528,14 @@ def _maps_and_video(
                 lock = lock or analysis.LockIn(
                     image.shape, found.load_hz, int(times[0]))
                 lock.add(int(image.t_us or 0), image.dolp, image.valid)
+                mean = mean or MeanStokes(image.shape)
+                mean.add(image)
                 picture = sheet.picture(frame, image)
                 if video.count == len(times) // 2:
                     found.still = picture
                 video.add(picture)
     assert lock is not None
-    found.maps = lock.maps().smoothed(args.smooth)
+    found.maps, found.mean = lock.maps().smoothed(args.smooth), mean
 
 
 def _write(args: argparse.Namespace, found: Findings) -> list[str]:
@@ -535,10 +565,12 @@ def _write(args: argparse.Namespace, found: Findings) -> list[str]:
             ((roi.name, x, y) for roi, loop in zip(
                 found.fused.rois, found.loops, strict=True)
              for x, y in zip(loop.x, loop.y, strict=True)))
-    if found.maps is not None:
+    if found.maps is not None and found.mean is not None:
         written.append(out / "lockin.npz")
         maps = found.maps
+        mean_aop, mean_dolp, _ = found.mean.maps()
         export.write_npz(written[-1], {
+            "mean_aop_rad": mean_aop, "mean_dolp": mean_dolp,
             "amplitude": maps.amplitude, "amplitude_se": maps.amplitude_se,
             "phase_rad": maps.phase, "mean": maps.mean, "count": maps.count}, {
                 **facts, "hz": maps.hz, "reference_us": maps.reference_us,

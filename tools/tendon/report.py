@@ -5,20 +5,24 @@ import base64
 import html
 import io
 import json
+import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv import render
+from pdavis_cv import analysis, render
 from pdavis_cv.export import write_beside
 
 if TYPE_CHECKING:
-    from .command import Findings
+    from .command import Findings, MeanStokes
 
 __all__ = ["matplotlib", "write_report"]
 
+_TOGETHER_DEG = 60.0        # from their mean: phases then get a map of their own range
+_LEAST_REACH_DEG = 5.0      # of that map: it is not stretched over noise
+_LEAST_WIDTH = 360          # pixels of a map in the report
 _COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:pink")
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;max-width:62em;margin:2em auto;padding:0 1em;
@@ -59,6 +63,9 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
     ]
     if found.still is not None:
         parts += ["<h2>One moment</h2>", _picture(found.still)]
+    if found.mean is not None:
+        parts += ["<h2>Mean maps</h2>", "<p>Of the mean Stokes vector of all images."
+                  "</p>", _picture(_mean_maps(found.mean))]
     parts += [
         "<h2>Traces</h2>", "<p>Lines: fused images, with one standard error. Dots: "
         "frames alone.</p>", _figure(_traces, found, 3.0 * 3),
@@ -70,7 +77,9 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
     if found.maps is not None:
         parts += ["<h2>Lock-in maps of DoLP</h2>",
                   f"<p>At {found.maps.hz:.4f} Hz; phase where the amplitude exceeds "
-                  "three standard errors.</p>", _figure(_maps, found, 3.4)]
+                  "three standard errors: in "
+                  f"{np.mean(found.maps.significant):.0%} of the pixels.</p>",
+                  _figure(_maps, found, 3.4)]
     facts = json.dumps(found.facts, indent=1, default=str)
     parts += ["<h2>Origin</h2>", f"<pre>{html.escape(facts)}</pre></html>"]
     with write_beside(path) as part:
@@ -92,15 +101,21 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 def _load_table(found: Findings) -> str:
     header = ["region", "frequency / Hz", "mean DoLP", "amplitude", "distortion",
               "chance", "mean AoP / deg"]
+    optics = [(title, found.extra[name], digits) for name, title, digits in (
+        ("retardance_deg", "mean retardance / deg", ".2f"),
+        ("birefringence", "mean birefringence", ".3e")) if name in found.extra]
+    header += [title for title, _, _ in optics]
     rows = []
-    for roi, tone, table in zip(
-            found.fused.rois, found.tones, found.fused.table, strict=True):
+    for i, (roi, tone, table) in enumerate(zip(
+            found.fused.rois, found.tones, found.fused.table, strict=True)):
         s1, s2 = np.nanmean(table["s1"]), np.nanmean(table["s2"])
         aop = np.rad2deg(np.mod(np.arctan2(s2, s1) / 2, np.pi))
         rows.append((
             roi.name, f"{tone.hz:.4f} \u00b1 {tone.hz_se:.4f}", f"{tone.offset:.4f}",
             f"{tone.amplitude[0]:.4f} \u00b1 {tone.amplitude_se[0]:.4f}",
-            f"{100 * tone.distortion:.1f} %", f"{tone.false_alarm:.1g}", f"{aop:.1f}"))
+            f"{100 * tone.distortion:.1f} %", f"{tone.false_alarm:.1g}", f"{aop:.1f}",
+            *(format(float(np.nanmean(values[i])), digits)
+              for _, values, digits in optics)))
     text = _table(header, rows)
     if found.clock is not None:
         clock = found.clock
@@ -207,9 +222,48 @@ def _maps(figure: Any, found: Findings) -> None:
     top = float(np.nanquantile(maps.amplitude, 0.99)) or 1.0
     shown = left.imshow(maps.amplitude, vmin=0, vmax=top, cmap="viridis")
     figure.colorbar(shown, ax=left, label="amplitude of DoLP", shrink=0.8)
-    phase = np.where(maps.significant, np.rad2deg(maps.phase), np.nan)
-    shown = right.imshow(phase, vmin=-180, vmax=180, cmap="twilight")
-    figure.colorbar(shown, ax=right, label="phase / deg", shrink=0.8)
+    phase, low, high, colours = _phase(maps)
+    if maps.significant.any():
+        shown = right.imshow(phase, vmin=low, vmax=high, cmap=colours)
+        figure.colorbar(shown, ax=right, label="phase / deg", shrink=0.8)
+    else:
+        right.set_box_aspect(phase.shape[0] / phase.shape[1])
+        right.text(0.5, 0.5, "no pixel's amplitude exceeds\nthree standard errors",
+                   ha="center", va="center", transform=right.transAxes)
     for axes in (left, right):
         axes.set_xticks([])
         axes.set_yticks([])
+
+
+def _phase(maps: analysis.LockInMaps) -> tuple[Any, float, float, str]:
+    """Return phases in degrees, the ends of their colours, and a colour map.
+
+    Phases that lie together get an even map of the range that they span, which may
+    pass 180; others a cyclic one of the whole turn.
+    """
+    significant = maps.significant
+    middle = np.angle(np.mean(np.exp(1j * maps.phase[significant]))
+                      ) if significant.any() else 0.0
+    off = np.rad2deg(np.angle(np.exp(1j * (maps.phase - middle))))
+    reach = float(np.quantile(np.abs(off[significant]), 0.99)
+                  ) if significant.any() else 180.0
+    if reach > _TOGETHER_DEG:
+        return (np.where(significant, np.rad2deg(maps.phase), np.nan), -180.0, 180.0,
+                "twilight")
+    reach = max(reach, _LEAST_REACH_DEG)
+    centre = float(np.rad2deg(middle))
+    return (np.where(significant, off + centre, np.nan), centre - reach,
+            centre + reach, "viridis")
+
+
+def _mean_maps(mean: MeanStokes) -> render.Picture:
+    """Draw the maps of AoP and DoLP of the mean Stokes vector."""
+    angle, degree, valid = mean.maps()
+    top = max(math.ceil(20 * float(np.quantile(degree[valid], 0.99))) / 20, 0.05
+              ) if valid.any() else 1.0
+    scale = max(1, -(-_LEAST_WIDTH // angle.shape[1]))
+    return render.tile([
+        render.panel(render.aop_bgr(angle, valid), "mean AoP", legend="aop",
+                     scale=scale),
+        render.panel(render.dolp_bgr(degree, valid, top=top), "mean DoLP",
+                     legend="dolp", end=f"{top:g}", scale=scale)], columns=2)

@@ -1,0 +1,72 @@
+"""The reader for napari, through its plugin engine and without a window."""
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv import adapters
+from pdavis_cv.adapters import napari_plugin
+from pdavis_cv.data import example_recording
+from pdavis_cv.export import OmeTiffFile
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+pytest.importorskip("tifffile")
+
+
+@pytest.fixture(scope="module")
+def recording():
+    camera = Camera.preset("ideal", size=(8, 10))
+    return camera.record(RotatingPolarizer(rpm=30), 0.3)[0]
+
+
+@pytest.fixture(scope="module")
+def stack(recording, tmp_path_factory):
+    path = tmp_path_factory.mktemp("napari") / "a.ome.tif"
+    with OmeTiffFile(path, ("S0", "AoP", "DoLP"), pixel_um=0.5,
+                     facts={"method": "frames"}) as file:
+        for image in pdavis_cv.fuse(recording, fps=50, method="frames"):
+            file.add(image)
+    return path
+
+
+def read(path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")     # its own, of pydantic
+        npe2 = pytest.importorskip("npe2")
+    manifest = npe2.PluginManifest.from_file(
+        str(next(iter(adapters.__path__))) + "/napari.yaml")
+    engine = npe2.PluginManager.instance()
+    if manifest.name not in engine:
+        engine.register(manifest)
+    return npe2.read([str(path)], plugin_name=manifest.name, stack=False)
+
+
+def test_an_exported_stack_is_three_named_scaled_layers(stack):
+    layers = read(stack)
+    assert [kind for _, _, kind in layers] == ["image"] * 3
+    assert [facts["name"] for _, facts, _ in layers] == ["S0", "AoP", "DoLP"]
+    for data, facts, _ in layers:
+        assert data.shape[1:] == (8, 10)
+        assert facts["scale"] == (0.02, 0.5, 0.5)
+    limits = [facts["contrast_limits"] for _, facts, _ in layers]
+    assert limits[1:] == [(0.0, math.pi), (0.0, 1.0)]
+    assert 0 == limits[0][0] < 25 < limits[0][1] < 40
+    assert layers[1][1]["metadata"]["method"] == "frames"
+
+
+def test_a_recording_is_fused_into_three_layers(tmp_path, recording):
+    path = tmp_path / "a.aedat4"
+    pdavis_cv.write_aedat4(path, recording)
+    layers = read(path)
+    assert [facts["name"] for _, facts, _ in layers] == ["S0", "AoP", "DoLP"]
+    assert {data.dtype for data, _, _ in layers} == {np.dtype(np.float32)}
+    assert layers[0][1]["scale"][0] == pytest.approx(0.05, abs=1e-3)
+
+
+def test_a_foreign_tiff_is_left_to_others(tmp_path):
+    import tifffile
+    tifffile.imwrite(tmp_path / "b.ome.tif", np.zeros((4, 4), np.uint8))
+    assert napari_plugin.get_reader(str(tmp_path / "b.ome.tif")) is None
+    assert napari_plugin.get_reader(str(example_recording("fan"))) is not None
