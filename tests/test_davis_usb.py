@@ -272,7 +272,8 @@ def test_random_bytes_do_no_harm(seed):
     last = -1
     for _ in range(30):
         data = rng.bytes(int(rng.integers(0, 5000)))
-        for packet in decode.feed(data, rng.uniform(0, 1e3), lost=rng.random() < 0.2):
+        host_s = rng.choice([np.nan, 1e300, rng.uniform(0, 1e3)])
+        for packet in decode.feed(data, host_s, lost=rng.random() < 0.2):
             if packet.start_us is not None:
                 assert packet.start_us >= last
                 last = packet.stop_us - 1

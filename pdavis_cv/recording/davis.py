@@ -43,6 +43,9 @@ _FRAME, _RESET = 1, 2
 _MISSING = 65535
 _ROOM = 256     # IMU samples and triggers of one call; many in a second
 
+_LONGEST_LOSS_S = 86_400.0
+"""Of a longer one the host's clock tells nothing: nobody waits a day for a camera."""
+
 _FULL_SCALE = 32768
 _ACCEL_G, _GYRO_DPS = 2, 250
 """Smallest ranges of the IMU, which double with its scale (data sheet of MPU-6050)."""
@@ -156,7 +159,9 @@ class DavisDecoder:
             self._forget()
         expected = None
         if host_s is not None and self._host_s is not None:
-            expected = self.time_us + round(1e6 * (host_s - self._host_s))
+            passed_s = host_s - self._host_s
+            if 0 <= passed_s < _LONGEST_LOSS_S:     # nor NaN, of a damaged file
+                expected = self.time_us + round(1e6 * passed_s)
         self._host_s = host_s
         data = self._odd + data if self._odd else data
         even = len(data) & ~1

@@ -143,7 +143,19 @@ def _ros2():
     return [ros2_bytes(recording((12, 16), 0).events(), (12, 16))]
 
 
+def _usb():
+    from pdavis_cv.live.usb import SimulatedDavis346
+    from pdavis_cv.recording.davis_trace import TraceWriter
+
+    def write(path, device):
+        with TraceWriter(path, device.info, device.orientation) as trace:
+            while (transfers := device.read(1)) is not None:
+                for one in transfers:
+                    trace.add(one)
+    return [_written(write, SimulatedDavis346(recording((12, 16), 3), speed=0))]
+
+
 TARGETS = {"aedat4": _aedat4, "aedat2": _aedat2, "aedat31": _aedat31, "hdf5": _hdf5,
            "prophesee": _prophesee, "lists": _lists, "rpg": _rpg, "ros1": _ros1,
-           "ros2": _ros2}
+           "ros2": _ros2, "usb": _usb}
 """Name of a parser -> its corpus; each is read by `fuzz_one`."""
