@@ -39,7 +39,8 @@ PARTS = {
     "Reference": ["reference/options", "reference/opencv", *(
         f"reference/{room}" for room in api_pages.ROOMS)],
     "Theory": ["theory/index"],
-    "Validation": ["reproduced", "networks", "demosaicing", "speed", "promises"],
+    "Validation": ["robustness", "reproduced", "networks", "demosaicing", "speed",
+                   "promises"],
     "Development": ["architecture"],
 }
 """Pages of each part, in order; `index` stays readable without Sphinx."""

@@ -49,7 +49,7 @@ def case_of(scene, **settings):
     ("second pole, 250 Hz", "dvs", "second_pole_hz", 250)])
 def test_a_camera_departs_as_its_name_says_and_in_nothing_else(
         scene, part, parameter, value):
-    usual, case = case_of("as assumed"), case_of(scene)
+    usual, case = case_of("unchanged"), case_of(scene)
     camera, other = (each.specimen(ALL["cf"]) for each in (case, usual))
     assert getattr(getattr(camera, part), parameter) == value
     assert getattr(getattr(other, part), parameter) != value
@@ -67,7 +67,7 @@ def test_bandwidth_in_proportion_to_light_is_80_hz_in_the_mean_light():
 
 def test_every_specimen_has_a_camera_and_an_angle_of_its_own():
     made = [case for case in robustness_cases(Settings(seeds=(1, 2, 3)))
-            if case.scene == "as assumed" and case.camera == "davis346"]
+            if case.scene == "unchanged" and case.camera == "davis346"]
     assert len(made) == 9
     assert len({case.start_deg for case in made}) == 3
     assert len({case.specimen(ALL["cf"]).dvs.theta_on for case in made}) == 3

@@ -33,7 +33,16 @@ from .._common import (
     roi_option,
     within,
 )
-from . import both_scores, demosaic, denoise, light, network, robustness, rotation
+from . import (
+    both_scores,
+    demosaic,
+    denoise,
+    light,
+    network,
+    robustness,
+    rotation,
+    transfer,
+)
 from .page import (
     beside_stem,
     save_figure,
@@ -171,6 +180,16 @@ def _both_scores(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, both_scores.both_scores_page(rows)), []
 
 
+def _transfer(figure: str, stem: Path, settings: Settings) -> Result:
+    """Gain and phase of the methods."""
+    rows = list(transfer.transfer_rows(settings))
+    write_csv(beside_stem(stem, ".csv"), transfer.columns(),
+              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, transfer.transfer_figure(rows))
+    return write_page(stem, transfer.transfer_page(rows)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -204,6 +223,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "denoise": ("noise left and true events kept by denoising", _denoising),
     "robustness": ("cameras and light that depart from what is assumed", _robustness),
     "score": ("the score of pdavis score beside the score by the truth", _both_scores),
+    "transfer": ("transfer functions, measured beside theory", _transfer),
     "network": ("networks on events alone, on these and on moving textures", _networks),
 }
 """Name -> what it is, and (name, stem, settings) -> the page written, and its rows."""

@@ -56,7 +56,7 @@ _MS = 1000
 _MEAN_LIGHT = FULL / 2
 
 DEPARTURES: Mapping[str, Mapping[str, Any]] = {
-    "as assumed": {},
+    "unchanged": {},
     **{f"frame stamps {ms:+d} ms": {"faults": {"frame_offset_us": ms * _MS}}
        for ms in (-10, -5, -3, 3, 5, 10)},
     "refractory period 1 ms": {"dvs": {"refractory_us": 1.0 * _MS}},
@@ -100,7 +100,7 @@ def robustness_cases(settings: Settings) -> list[Case]:
                 cases += _departures(settings, DEPARTURES, own)
                 cases += _scenes(settings, own)
             else:
-                cases += _departures(settings, {"as assumed": {}}, own)
+                cases += _departures(settings, {"unchanged": {}}, own)
     return cases
 
 
