@@ -2,11 +2,13 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["Unfinished", "write_beside"]
+__all__ = ["Unfinished", "clear", "write_beside"]
 
 
 class Unfinished:
@@ -59,11 +61,56 @@ class Unfinished:
             self.part.unlink()
 
 
+def clear(path: str | os.PathLike[str]) -> None:
+    """Remove what processes that were killed left of a file that is to be made again.
+
+    Of a live recording it stays: that is all there is of it.
+
+    Parameters
+    ----------
+    path : path
+        Final name; its suffix does not count.
+    """
+    path = Path(path)
+    for name in _left_behind(os.path.abspath(path.parent)).get(path.stem, ()):
+        with contextlib.suppress(OSError):
+            path.with_name(name).unlink()
+
+
+@functools.cache   # a series of pictures would list its folder for each of them
+def _left_behind(folder: str) -> dict[str, list[str]]:
+    """Return what processes that are gone left unfinished in a folder, by stem.
+
+    Where a process cannot be asked whether it lives (Windows), nothing is.
+    """
+    found: dict[str, list[str]] = {}
+    if os.name != "posix":
+        return found
+    with contextlib.suppress(OSError):
+        for name in os.listdir(folder):
+            part = re.fullmatch(r"\.(.+)\.part(\d{1,9})(\..*)?", name)
+            if part is not None and not _lives(int(part[2])):
+                found.setdefault(part[1], []).append(name)
+    return found
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass    # another user's
+    return True
+
+
 @contextlib.contextmanager
 def write_beside(
     path: str | os.PathLike[str], suffix: str | None = None
 ) -> Iterator[Path]:
     """Write a file beside its final name, and rename it when it is whole.
+
+    What a process that was killed left of the same file is removed.
 
     Parameters
     ----------
@@ -83,6 +130,7 @@ def write_beside(
     OSError
         What the system says in the block, with the final name where it named none.
     """
+    clear(path)
     unfinished = Unfinished(path, suffix)
     try:
         with unfinished.named():

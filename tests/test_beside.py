@@ -1,4 +1,8 @@
 """Files that appear under their name only when they are whole."""
+import os
+import subprocess
+import sys
+
 import pytest
 
 from pdavis_cv._beside import Unfinished, write_beside
@@ -50,3 +54,16 @@ def test_errors_of_other_files_keep_their_names(tmp_path):
 def test_what_was_never_written_can_be_given_up(tmp_path):
     Unfinished(tmp_path / "x").discard()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="asks which processes live")
+def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_stays(
+        tmp_path):
+    gone = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"],
+                          capture_output=True, text=True, check=True).stdout.strip()
+    stay = [f".x.part{os.getppid()}.npy", f".y.part{gone}.npy", f"x.part{gone}.npy"]
+    for name in [*stay, f".x.part{gone}.npy", f".x.part{gone}.mkv"]:
+        (tmp_path / name).write_text("")
+    with write_beside(tmp_path / "x.npy") as part:
+        part.write_text("whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*stay, "x.npy"])

@@ -11,7 +11,9 @@ from pdavis_cv import (
     open_recording,
     recording_from_arrays,
 )
+from pdavis_cv.recording.hdf5.probe import proved
 from pdavis_cv.recording.hdf5.writer import write_hdf5
+from pdavis_cv.tools.main import main
 
 h5py = pytest.importorskip("h5py")
 
@@ -132,3 +134,20 @@ def test_samples_with_other_fields_are_not_read(tmp_path):
         recording = open_recording(tmp_path / "x.h5")
     with recording:
         assert not len(joined(recording.packets())[2])
+
+
+@pytest.mark.parametrize("program", [
+    "from resource import *\nsetrlimit(RLIMIT_CPU, (1, 2))\nwhile True: pass",
+    "import os; os.abort()"])
+def test_a_file_on_which_hdf5_hangs_or_dies_is_refused_by_commands(
+        program, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("resource")
+    path = tmp_path / "x.h5"
+    write_hdf5(path, small())
+    proved(path)
+    proved(tmp_path / "none.h5")
+    with pytest.raises(RecordingError, match="hangs or dies on it"):
+        proved(path, program)
+    monkeypatch.setattr(proved, "__defaults__", (program,))
+    assert main(["info", str(path)]) == 2
+    assert capsys.readouterr().err.count("hangs or dies on it") == 1

@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -122,7 +123,8 @@ def command(main: Main) -> Main:
             warnings.simplefilter("always", PdavisWarning)
             warnings.showwarning = _show_warning
             try:
-                code = _flushed(main, argv)
+                with _terminated():
+                    code = _flushed(main, argv)
             except SystemExit as leave:  # argparse after --help
                 return leave.code if isinstance(leave.code, int) else 0
             except BrokenPipeError:  # the reader of our output has gone
@@ -147,6 +149,23 @@ def command(main: Main) -> Main:
             return code
 
     return run
+
+
+@contextlib.contextmanager
+def _terminated() -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C does, so that nothing unfinished is left."""
+    def interrupt(*_: Any) -> NoReturn:
+        raise KeyboardInterrupt
+
+    if (threading.current_thread() is not threading.main_thread()
+            or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL):
+        yield   # signals come to another thread, or mean something else here
+        return
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _flushed(main: Main, argv: Sequence[str] | None) -> int:
@@ -227,8 +246,11 @@ def source_of(
         If it cannot be opened.
     """
     from pdavis_cv import open_source
+    from pdavis_cv.recording.hdf5.probe import proved
+    where = args.file if file is None else file
+    proved(where)
     return open_source(
-        args.file if file is None else file, layout=args.layout,
+        where, layout=args.layout,
         camera=getattr(args, "camera", None))
 
 

@@ -246,7 +246,15 @@ class StackFile(ABC):
             raise ValueError(f"{self.path}: no image to write")
         with self._named():
             self._data.flush()
-            self._finish().replace(self.path)
+            whole = self._finish()
+            try:
+                os.replace(whole, self.path)
+            except BaseException as error:
+                if whole != self.unfinished:    # which --resume continues
+                    whole.unlink(missing_ok=True)
+                if isinstance(error, OSError):
+                    error.filename = str(self.path)
+                raise
         self.discard()
 
     def discard(self) -> None:

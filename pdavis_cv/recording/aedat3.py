@@ -135,8 +135,13 @@ class Aedat3Recording(FileRecording):
                 at = after
                 continue
             kind, size, overflow, count = found
-            yield at, kind, size, overflow, self._reader.read(
-                at + _HEAD.size, size * count)
+            data = self._reader.read(at + _HEAD.size, size * count)
+            if len(data) < size * count:
+                if not quiet:
+                    self._log.damage(
+                        at, f"byte {at}: the file was cut while it is read", offset=at)
+                return
+            yield at, kind, size, overflow, data
             at += _HEAD.size + size * count
 
     def _plausible(self, head: bytes, at: int) -> tuple[int, int, int, int] | None:

@@ -90,7 +90,8 @@ class RecordingWriter(ABC):
                 raise ValueError(
                     f"frame is {frame.shape[1]}x{frame.shape[0]}, the sensor "
                     f"{width}x{height}")
-        self._write(packet)
+        with self._unfinished.named():
+            self._write(packet)
         self._last_us = stop - 1
 
     @abstractmethod
@@ -106,8 +107,9 @@ class RecordingWriter(ABC):
         if self.closed:
             return
         try:
-            self._finish()
-            self._file.close()
+            with self._unfinished.named():
+                self._finish()
+                self._file.close()
             self._unfinished.finish()
         except BaseException:
             self.discard()
@@ -129,7 +131,8 @@ class RecordingWriter(ABC):
 
     def discard(self) -> None:
         """Give the file up and leave nothing."""
-        self._file.close()
+        with contextlib.suppress(OSError):   # what it still holds may not fit
+            self._file.close()
         self._unfinished.discard()
 
     def __enter__(self) -> Self:

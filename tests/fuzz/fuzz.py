@@ -15,7 +15,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
 from targets import TARGETS, fuzz_one  # noqa: E402
 
-LONGEST_S = 10.0
+LONGEST_S = 10.0    # of CPU time
 MOST_MB = 500
 
 
@@ -48,6 +48,8 @@ def main(argv=None):
     parser.add_argument("--target", choices=TARGETS, default=None)
     parser.add_argument("--keep", type=Path, default=Path("."),
                         help="folder for files that broke something")
+    parser.add_argument("--most-mb", type=float, default=MOST_MB,
+                        help="memory; sanitizers keep what is freed")
     args = parser.parse_args(argv)
     seed = int.from_bytes(os.urandom(4)) if args.seed is None else args.seed
     names = [args.target] if args.target else list(TARGETS)
@@ -64,7 +66,7 @@ def main(argv=None):
         data = corpora[name][int(rng.integers(len(corpora[name])))]
         for _ in range(int(rng.integers(1, 4))):
             data = mutate(data, rng) or b"\0"
-        begun = time.monotonic()
+        begun = time.process_time()     # others may use this machine
         try:
             fuzz_one(data)
         except BaseException as error:
@@ -72,13 +74,13 @@ def main(argv=None):
             path.write_bytes(data)
             print(f"{name}: seed {seed}, run {number}: {error!r}; kept as {path}")
             raise
-        slowest = max(slowest, time.monotonic() - begun)
+        slowest = max(slowest, time.process_time() - begun)
         runs[name] += 1
         assert slowest < LONGEST_S, f"{name}: seed {seed}, run {number}: {slowest} s"
     peak = peak_mb()
     print(f"seed {seed}: " + ", ".join(f"{n} {c}" for n, c in runs.items())
-          + f" runs, slowest {slowest:.2f} s, peak {peak:.0f} MB")
-    assert peak < MOST_MB
+          + f" runs, slowest {slowest:.2f} CPU s, peak {peak:.0f} MB")
+    assert peak < args.most_mb
     return 0
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat2.header import CHIP_SIZES
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording
 from pdavis_cv.recording.writer import RecordingWriter
@@ -247,6 +248,7 @@ def write_aedat2(
     mapping of str to int
         What the format could not hold, and how often.
     """
+    clear(path)
     with aedat2_writer(path, recording) as writer:
         for packet in recording.packets():
             writer.add(packet)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
 from pdavis_cv.recording.writer import RecordingWriter
@@ -198,6 +199,7 @@ def write_aedat4(
         What the format could not hold, and how often.
     """
     info = recording.info
+    clear(path)
     with Aedat4Writer(
             path, sensor_size=info.sensor_size, layout=info.layout,
             camera=info.camera or "DAVIS346_00000000", compression=compression,

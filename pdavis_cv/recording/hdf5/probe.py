@@ -1,0 +1,76 @@
+"""HDF5 of unknown origin is opened by a helper process first.
+
+The HDF5 library can hang for ever, or die, on a damaged file while a single attribute
+is read, and no signal reaches Python meanwhile.  The helper does what opening does, as
+far as the first packet, within limits that the system keeps.
+"""
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from pdavis_cv.errors import RecordingError
+
+__all__ = ["MAGIC", "proved"]
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+LONGEST_S = 10
+"""CPU seconds: opening takes far less than one."""
+MOST_BYTES = 4 << 30
+_WAIT = 12
+"""A busy machine gives a process that fraction of its time, at least."""
+_OPEN = """
+import sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_CPU, ({seconds}, {seconds} + 1))
+    resource.setrlimit(resource.RLIMIT_AS, ({bytes}, {bytes}))
+except (ImportError, ValueError):
+    pass        # Windows: the clock alone; or a narrower limit holds already
+from pdavis_cv.recording.hdf5.reader import Hdf5Recording
+with Hdf5Recording(sys.argv[1]) as recording:
+    next(recording.packets(), None)
+"""
+
+
+def proved(
+    path: str | os.PathLike[str], program: str = _OPEN, *, seconds: int = LONGEST_S
+) -> None:
+    """Return if a file is no HDF5, or one that can be opened in bounded time.
+
+    Whatever else is wrong with it, opening will say.
+
+    Parameters
+    ----------
+    path : path
+    program : str
+        What the helper runs, given the path.
+    seconds : int
+        CPU time that it may take.
+
+    Raises
+    ------
+    RecordingError
+        If the helper takes too long, or dies.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return
+    except OSError:
+        return
+    code = program.format(seconds=seconds, bytes=MOST_BYTES)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-W", "ignore", "-c", code, str(path)],
+            capture_output=True, timeout=_WAIT * seconds, check=False)
+    except subprocess.TimeoutExpired:
+        died = True
+    else:
+        died = done.returncode < 0
+    if died:
+        raise RecordingError(
+            f"{path}: the HDF5 library hangs or dies on it (a helper process was given "
+            f"{seconds} s and {MOST_BYTES >> 30} GiB): the file is damaged")
