@@ -61,7 +61,7 @@ def test_fan_measures_what_the_images_say_and_writes_the_video(
         tmp_path, wheel, monkeypatch, capsys, rpm, method):
     recording, (x, y) = wheel if rpm == 200 else wheel_at(rpm)
     opens_by(monkeypatch, opener({"a": recording}))
-    out = tmp_path / "fan.mp4"
+    out = tmp_path / "fan.webm"
     assert fan.main(["a", "-o", str(out), "--fps", "100", "--slow", "5", "--centre",
                      f"{x},{y}", "--radius", "24", "--hub", "12", "--rpm", str(rpm),
                      "--method", method, "--still", str(tmp_path / "s.png")]) == 0
@@ -107,7 +107,7 @@ def test_fan_takes_a_second_camera(tmp_path, wheel, monkeypatch, capsys):
     opens_by(monkeypatch, opener({"a": recording, "b": recording}))
     heights = []
     for extra in ([], ["--beside", "b"]):
-        out = tmp_path / f"{len(extra)}.mp4"
+        out = tmp_path / f"{len(extra)}.webm"
         assert fan.main(["a", "-o", str(out), "--fps", "40", *extra]) == 0
         reader = cv2.VideoCapture(str(out))
         heights.append(reader.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -123,7 +123,7 @@ def test_fan_shows_a_real_sony_mosaic_beside(
         monkeypatch, lambda path, **options: wheel[0] if str(path) == "a"
         else real(path, **options))
     still = tmp_path / "s.png"
-    assert fan.main(["a", "-o", str(tmp_path / "f.mp4"), "--fps", "10", "--method",
+    assert fan.main(["a", "-o", str(tmp_path / "f.webm"), "--fps", "10", "--method",
                      "cf", "--beside", str(data_dir / name), "--beside-layout", "sony",
                      "--still", str(still)]) == 0
     picture = cv2.imread(str(still))
@@ -317,7 +317,7 @@ def test_an_unwritable_folder_gives_one_line(tmp_path, pulled, monkeypatch, caps
     assert len(capsys.readouterr().err.splitlines()) == 1
     opens_by(monkeypatch, opener({"a": pulled[0]}))
     for folder in ("none", "file"):
-        out = tmp_path / folder / "fan.mp4"
+        out = tmp_path / folder / "fan.webm"
         assert fan.main(["a", "-o", str(out)]) in (1, 2)
         said = capsys.readouterr().err.splitlines()
         assert len(said) == 1
@@ -330,7 +330,7 @@ def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
 
     opens_by(monkeypatch, opener({"a": wheel[0]}))
     monkeypatch.setattr(PolarFrame, "dolp", property(stop))
-    assert fan.main(["a", "-o", str(tmp_path / "fan.mp4"), "--fps", "40"]) == 1
+    assert fan.main(["a", "-o", str(tmp_path / "fan.webm"), "--fps", "40"]) == 1
     assert list(tmp_path.iterdir()) == []
     assert "interrupted" in capsys.readouterr().err
 
@@ -449,7 +449,7 @@ def test_what_saturates_every_frame_is_white(tmp_path, monkeypatch, method, colu
         assert picture.shape == (20, 40, 3)
         assert (picture[:, :columns] == 255).all()
         assert (picture[:, columns + 1:] < 255).all()
-    assert fan.main(["a", "-o", str(tmp_path / "a.mp4"), "--fps", "20", "--method",
+    assert fan.main(["a", "-o", str(tmp_path / "a.webm"), "--fps", "20", "--method",
                      method, "--still", str(out)]) == 0
     white = (cv2.imread(str(out)) == 255).all(-1)
     runs = np.lib.stride_tricks.sliding_window_view(white, (20, columns)).all((2, 3))
@@ -478,7 +478,7 @@ def test_export_writes_stacks(tmp_path, name, capsys):
 
 
 def test_export_refuses_to_resume_a_video(tmp_path, capsys):
-    assert export.main([str(example_recording()), "-o", str(tmp_path / "a.mp4"),
+    assert export.main([str(example_recording()), "-o", str(tmp_path / "a.webm"),
                         "--resume"]) == 2
     assert "--resume continues .tif, .h5, .npz" in capsys.readouterr().err
 
