@@ -19,7 +19,6 @@ from pdavis_cv.reconstruct.base import (
     Needs,
     Reconstructor,
 )
-from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.kalman.frame_noise import (
     DN_PER_SHOT,
     READ_NOISE_DN,
@@ -27,11 +26,10 @@ from pdavis_cv.reconstruct.kalman.frame_noise import (
 )
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import Smoother
+from pdavis_cv.reconstruct.kalman.waiting import WaitingFrame
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.model import (
-    EXPOSURE_DTYPE,
     NODE_DTYPE,
-    SAMPLE_DTYPE,
     STATE_DTYPE,
     TUNING_DTYPE,
 )
@@ -230,7 +228,7 @@ class KalmanFilter(Reconstructor):
         self._interval_us = 0   # between the last two frames used, 0 before
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
-        self._frames: tuple[_Frame, ...] = ()
+        self._frames: tuple[WaitingFrame, ...] = ()
         self._unsampled: NDArray[np.intp] | None = None
         self._innovations = np.zeros(_KEPT)
         self._fed = 0           # how often anything was
@@ -386,7 +384,7 @@ class KalmanFilter(Reconstructor):
         """Take a frame; it acts when the events that it needs are there."""
         self._clock.check_frame(frame)
         self._fed += 1
-        waiting = _Frame(frame, self._wait_us)
+        waiting = WaitingFrame(frame, self._wait_us)
         self._frames = (*self._frames, waiting)
         self._saturated.add_frame(
             frame, waiting.samples["log"], waiting.samples["variance"])
@@ -490,7 +488,7 @@ class KalmanFilter(Reconstructor):
                     frame.known_us - self.lookahead_us, self._states)
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
-    def _use(self, frame: _Frame, nodes: NDArray[Any]) -> None:
+    def _use(self, frame: WaitingFrame, nodes: NDArray[Any]) -> None:
         """Update the states by a frame, whose events are chained."""
         recent = self._tracks
         # Sums are formed by bands that do not depend on the number of threads.
@@ -558,28 +556,6 @@ class KalmanFilter(Reconstructor):
         if self._smoother is not None:
             self._smoother.restore(state["smoother"])
         self._changed()
-
-
-class _Frame:
-    """A frame that waits for the events of its exposure; never changed."""
-
-    __slots__ = ("exposures", "known_us", "samples")
-
-    def __init__(self, frame: ApsFrame, lookahead_us: int) -> None:
-        log, valid = log_samples(frame)
-        dn = np.maximum(frame.dn, 1)
-        self.samples = np.empty(frame.shape, SAMPLE_DTYPE)
-        self.samples["log"], self.samples["per_dn"] = log, 1 / dn
-        self.samples["variance"] = np.where(
-            valid, (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2, 0)
-        self.exposures = np.empty(frame.shape[1], EXPOSURE_DTYPE)
-        self.exposures["begin"] = frame.exposure_start_us
-        self.exposures["end"] = frame.exposure_end_us
-        self.exposures["middle"] = frame.column_mid_us
-        # What is known when the frame acts must not depend on the packets.
-        waited = int(self.exposures["middle"].max()) + lookahead_us
-        self.known_us = max(int(self.exposures["end"].max()), waited if lookahead_us
-                            else frame.available_us)
 
 
 def _checked_sigma(

@@ -1,0 +1,33 @@
+"""A frame before the events around its exposure are there."""
+from __future__ import annotations
+
+import numpy as np
+
+from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
+from pdavis_cv.reconstruct.model import EXPOSURE_DTYPE, SAMPLE_DTYPE
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["WaitingFrame"]
+
+
+class WaitingFrame:
+    """A frame that waits for the events of its exposure; never changed."""
+
+    __slots__ = ("exposures", "known_us", "samples")
+
+    def __init__(self, frame: ApsFrame, lookahead_us: int) -> None:
+        log, valid = log_samples(frame)
+        dn = np.maximum(frame.dn, 1)
+        self.samples = np.empty(frame.shape, SAMPLE_DTYPE)
+        self.samples["log"], self.samples["per_dn"] = log, 1 / dn
+        self.samples["variance"] = np.where(
+            valid, (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2, 0)
+        self.exposures = np.empty(frame.shape[1], EXPOSURE_DTYPE)
+        self.exposures["begin"] = frame.exposure_start_us
+        self.exposures["end"] = frame.exposure_end_us
+        self.exposures["middle"] = frame.column_mid_us
+        # What is known when the frame acts must not depend on the packets.
+        waited = int(self.exposures["middle"].max()) + lookahead_us
+        self.known_us = max(int(self.exposures["end"].max()), waited if lookahead_us
+                            else frame.available_us)
