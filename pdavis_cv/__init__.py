@@ -129,7 +129,7 @@ _HOME = {
     "CAP_PROP_PDAVIS_START_US": "capture.constants",
     "CAP_PROP_PDAVIS_WHITE": "capture.constants",
 }
-_ROOMS = ("analysis", "calibration", "export", "render", "simulation")
+_ROOMS = ("analysis", "batch", "calibration", "export", "render", "simulation")
 
 # Written out, because type checkers read it and do not run it.
 __all__ = [
@@ -227,6 +227,7 @@ __all__ = [
     "aop",
     "as_events",
     "bandwidth_in_situ",
+    "batch",
     "calibration",
     "cds",
     "clock_offset_in_situ",
@@ -259,7 +260,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from pdavis_cv import analysis, calibration, export, render, simulation
+    from pdavis_cv import analysis, batch, calibration, export, render, simulation
     from pdavis_cv.adapters.patching import patched_cv2
     from pdavis_cv.analyser import Analyser
     from pdavis_cv.aps import cds

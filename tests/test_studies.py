@@ -7,7 +7,7 @@ import pytest
 
 STUDIES = Path(__file__).resolve().parent.parent / "studies"
 NAMES = sorted(path.stem for path in STUDIES.glob("*.py") if path.stem != "common")
-LONG = ("held_cameras", "selfcal_clock_offset", "selfcal_law")
+LONG = ("batch", "held_cameras", "selfcal_clock_offset", "selfcal_law")
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ The suffix of OUT says what is written: .webm (soonest done; browsers play it, a
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
+from pdavis_cv.batch.pools import ProcessPool
 from pdavis_cv.render.colours import Picture
 
 from ._common import (
@@ -80,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     checked_out(args.out, args.file)
     if suffix not in (".npy", *_STACKS):
         render.opencv()  # say what is missing before the work, not after
-    with opened(args) as recording:
+    with contextlib.ExitStack() as pools, opened(args) as recording:
         options = fuse_options(args, recording)
         if args.at is not None:
             if (args.start_us, args.stop_us, args.fps) != (None, None, None):
@@ -91,8 +93,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             at = start_of(recording) + round(args.at * 1e6)
             require_samples(recording, at)
             options |= {"fps": None, "times_us": [at]}
+        executor = None if args.jobs == 1 else pools.enter_context(
+            ProcessPool(args.jobs))
         images = told_if_nothing(
-            fuse(recording, **options), recording, options["calibration"])
+            fuse(recording, executor=executor, tiles=args.jobs, **options), recording,
+            options["calibration"])
         stage("learning what the recording tells of its camera")
         first = list(itertools.islice(images, 2))
         if not first:
@@ -145,6 +150,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--resume", action="store_true",
         help="keep what an interruption leaves of a stack, and continue it")
+    parser.add_argument(
+        "--jobs", type=within(1, 1024), default=1, metavar="N",
+        help="processes that share the rows of the sensor, for methods whose pixels "
+             "depend on a neighbourhood, such as cf; default 1")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",

@@ -64,6 +64,9 @@ class ProcessPool(ProcessPoolExecutor):
         super().__init__(workers, mp_context=context, initializer=_begin,
                          initargs=(self._theirs,))
 
+    def __exit__(self, kind: object, *rest: object) -> None:
+        self.close(at_once=kind is not None)
+
     def close(self, at_once: bool) -> None:
         """End the processes.
 

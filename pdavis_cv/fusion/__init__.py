@@ -5,13 +5,15 @@ of the polarizers; `feed` puts the samples of a source in order, `learning` find
 what the method must know, `states` take it in, of the part of the sensor that `window`
 says; `images` are made of what they tell; `engine` leads from one to the next.
 """
-from pdavis_cv.fusion.engine import Fusion, FusionSnapshot, fuse
+from pdavis_cv.fusion.engine import Fusion, fuse
 from pdavis_cv.fusion.learning import (
     bandwidth_in_situ,
     clock_offset_in_situ,
     thresholds_in_situ,
 )
 from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.fusion.snapshot import FusionSnapshot
+from pdavis_cv.fusion.stripes import tiles
 
 __all__ = ["Fusion", "FusionOptions", "FusionSnapshot", "bandwidth_in_situ",
-           "clock_offset_in_situ", "fuse", "thresholds_in_situ"]
+           "clock_offset_in_situ", "fuse", "thresholds_in_situ", "tiles"]

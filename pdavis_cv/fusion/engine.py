@@ -4,7 +4,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from concurrent.futures import Executor
 from fractions import Fraction
 from types import MappingProxyType
 from typing import Any
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdavis_cv
-from pdavis_cv._workers import Workers
-from pdavis_cv.calibration.corrected import Clipping, FrameCorrection
+from pdavis_cv._workers import Workers, usable_cores
+from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
     check_layout_fits,
@@ -23,13 +23,14 @@ from pdavis_cv.fusion.camera import (
     response_of,
 )
 from pdavis_cv.fusion.feed import Feed
-from pdavis_cv.fusion.images import ImageMaker
+from pdavis_cv.fusion.images import ImageMaker, Samples, samples_of
 from pdavis_cv.fusion.learning import Learning, OnlineLearning, Tuning
 from pdavis_cv.fusion.options import FusionOptions, takes_options
+from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
 from pdavis_cv.fusion.states import AsItArrives, InOrder
 from pdavis_cv.fusion.window import checked_roi, window_of
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Needs, Reconstructor, Snapshot, nbytes
+from pdavis_cv.reconstruct.base import Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import LampTracker
 from pdavis_cv.reconstruct.methods import (
     default_method,
@@ -38,14 +39,15 @@ from pdavis_cv.reconstruct.methods import (
 )
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 
-__all__ = ["Fusion", "FusionSnapshot", "fuse"]
+__all__ = ["Fusion", "fuse"]
 
-_BEFORE, _AFTER = -(2**62), 2**62
+_AFTER = 2**62
 
 
 @takes_options
 def fuse(
-    recording: Source, options: FusionOptions | None = None, **changes: Any
+    recording: Source, options: FusionOptions | None = None, *,
+    executor: Executor | None = None, tiles: int | None = None, **changes: Any,
 ) -> Iterator[PolarFrame]:
     """Fuse a recording's frames and events into polarization images.
 
@@ -65,6 +67,11 @@ def fuse(
         what the method must know of the camera.
     options : FusionOptions, optional
         What to begin with; the keywords below change it.
+    executor : concurrent.futures.Executor, optional
+        Works on stripes of the sensor; the images are the same bits.  For a Recording,
+        and methods whose pixels depend on a neighbourhood only, such as ``cf``.
+    tiles : int, optional
+        How many stripes; default one per core.
     {options}
     **method_parameters
         Passed to the method, e.g. ``cutoff_hz`` for ``cf``.
@@ -92,52 +99,11 @@ def fuse(
     >>> image.dolp.shape
     (30, 40)
     """
-    return Fusion(recording, options, **changes)
-
-
-@dataclass(frozen=True, eq=False)
-class FusionSnapshot:
-    """State of a `Fusion` between two images; picklable.
-
-    Parameters
-    ----------
-    index : int
-        Number of the next image.
-    start_us : int or None
-        Time of the first image.
-    fed_us : int or None
-        Time up to which, inclusive, the state has been fed; None = not at all.
-    t_us : int or None
-        Time of the last image; None before the first, where nothing else is set.
-    state : Snapshot or None
-        Of the Reconstructor; with ``causal`` as of the last frame's mid-exposure.
-    frames : tuple of (int, int)
-        Mid-exposure and arrival of the latest frames fed.
-    reached_us : int
-        Time of the last sample read, which may lie before `fed_us`.
-    lamp : mapping of str to object, or None
-        State of the `LampTracker`, which has seen all events up to the last image.
-    learning : mapping of str to object, or None
-        State of an `OnlineLearning`, which has seen what `state` has.
-    clipping : Clipping, optional
-        What the frames fed tell of the DN at which pixels are full.
-    """
-
-    index: int = 0
-    start_us: int | None = None
-    fed_us: int | None = None
-    t_us: int | None = None
-    state: Snapshot | None = None
-    frames: tuple[tuple[int, int], ...] = ()
-    reached_us: int = _BEFORE
-    lamp: Mapping[str, Any] | None = None
-    learning: Mapping[str, Any] | None = None
-    clipping: Clipping | None = None
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all arrays in it."""
-        return nbytes(self)
+    if executor is None:
+        return Fusion(recording, options, **changes)
+    from pdavis_cv.fusion.stripes import fuse_tiles
+    return fuse_tiles(recording, (options or FusionOptions()).replace(**changes),
+                      executor, tiles or usable_cores())
 
 
 class Fusion:
@@ -154,6 +120,12 @@ class Fusion:
         What the method has to be given.
     layout : Layout
         Layout of the whole sensor.
+    roi : (int, int, int, int)
+        (x, y, width, height) of the images on the sensor.
+    window : Window
+        What is computed for them.
+    margin : int
+        Of the method: how many pixels around a pixel its result depends on.
     shape : (int, int)
         (height, width) of the images.
     provenance : mapping of str to object
@@ -188,12 +160,13 @@ class Fusion:
         self._learning = Learning(recording, options, parameters, self.needs)
         self._workers = Workers(options.threads)
         self._clock_us = self._learning.prior.clock_us
-        self._window = window_of(roi, info.sensor_size, options.demosaic, asked.margin)
+        self.roi, self.margin = roi, asked.margin
+        self.window = window_of(roi, info.sensor_size, options.demosaic, asked.margin)
         self._response = response_of(
-            self._window.layout(self.layout), options.calibration,
-            self._window.rows, self._window.columns)
+            self.window.layout(self.layout), options.calibration,
+            self.window.rows, self.window.columns)
         self._images = ImageMaker(
-            self._window, roi, self.layout, options.demosaic, ratio,
+            self.window, roi, self.layout, options.demosaic, ratio,
             options.calibration, info.sensor, self._workers)
         self.shape = self._images.shape
         self._fps, self._times = options.rate, options.times
@@ -289,6 +262,24 @@ class Fusion:
         method = self._states.method
         return self._images.image(
             method, self._t, self._frame_us(method, self._t), self.provenance)
+
+    def samples(self) -> tuple[object | None, Samples]:
+        """Return what `Reconstructor.shows` tells, and the region's samples."""
+        assert self._t is not None
+        assert self._states is not None
+        method = self._states.method
+        return method.shows(self._t), samples_of(method, self._t).part(
+            *self.window.part(self.roi))
+
+    def made(self, samples: Samples, t_us: int, frame_us: int | None) -> PolarFrame:
+        """Return the image of samples of the whole `window`."""
+        return self._images.made(samples, t_us, frame_us, self.provenance)
+
+    def frame_us(self) -> int | None:
+        """Return the mid-exposure of the last frame that `image` uses."""
+        assert self._t is not None
+        assert self._states is not None
+        return self._frame_us(self._states.method, self._t)
 
     # ---- repositioning -------------------------------------------------------
 
@@ -419,7 +410,7 @@ class Fusion:
             after = self._t
         else:
             start = self.options.start_us
-            after = _BEFORE if start is None else start - 1
+            after = BEFORE if start is None else start - 1
         # Frames that the look-ahead has already fed come first.
         fed: int | None = next((mid for mid, _ in self._frames if mid > after), None)
         while fed is None and (fed := feed.frame_mid(after)) is None:
@@ -468,6 +459,18 @@ class Fusion:
     def _learns_first(self) -> bool:
         return bool(self._learning.wanted) and not self.options.causal
 
+    def learned(self, by_another: Tuning | None = None) -> Tuning:
+        """Return what is known before the first image.
+
+        Parameters
+        ----------
+        by_another : Tuning, optional
+            What another Fusion, equal but for its region, has learned.
+        """
+        if by_another is not None:
+            self._tuning = by_another
+        return self._learned()
+
     def _learned(self) -> Tuning:
         """Return what is known before the first image: not causal, by a beginning."""
         if self._tuning is None:
@@ -487,7 +490,7 @@ class Fusion:
         tuning = self._learned()
         if self._learning.wanted and self.options.causal:
             self._online = OnlineLearning(self._learning)
-        behind = InOrder(self._made(), self._window,
+        behind = InOrder(self._made(), self.window,
                          None if self._online is None else self._online.camera)
         arrives = self.options.causal and self.needs.frames
         self._states = AsItArrives(behind, self._made()) if arrives else behind
@@ -501,9 +504,9 @@ class Fusion:
 
     def _made(self) -> Reconstructor:
         assert self._tuning is not None
-        plane = self._window.plane
+        plane = self.window.plane
         made = make_reconstructor(
-            self._factory, self._window.shape, plane(self._tuning.theta_on),
+            self._factory, self.window.shape, plane(self._tuning.theta_on),
             plane(self._tuning.theta_off),
             {name: plane(value) for name, value in self._tuning.parameters.items()},
             self._response, self._denoise)
@@ -584,7 +587,7 @@ class Fusion:
             return
         if changed:
             self._states.retune(t_us, {
-                name: self._window.plane(value) for name, value in changed.items()})
+                name: self.window.plane(value) for name, value in changed.items()})
         if self._lamp is not None and "bandwidth" in changed:
             self._lamp.retune(changed["bandwidth"])
         self._say(self._states.method.parameters)

@@ -1,8 +1,8 @@
 """From an estimate of log intensity to an image of polarization."""
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,48 @@ from pdavis_cv.mosaic import (
 )
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.base import Reconstructor
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["ImageMaker"]
+__all__ = ["ImageMaker", "Samples", "samples_of"]
+
+
+class Samples(NamedTuple):
+    """What a method tells of the pixels of a window, or of a part of it.
+
+    Parameters
+    ----------
+    intensity : ndarray of float32, shape (H, W)
+        Linear.
+    variance : ndarray of float32, shape (H, W), or None
+        Of its natural log.
+    valid : ndarray of bool, shape (H, W)
+    quality : ndarray of float32, shape (H, W), or None
+    """
+
+    intensity: NDArray[np.float32]
+    variance: NDArray[np.float32] | None
+    valid: NDArray[np.bool_]
+    quality: NDArray[np.float32] | None
+
+    def part(self, rows: slice, columns: slice) -> Samples:
+        """Return those of a part, in memory of their own."""
+        return Samples._make(
+            None if plane is None else np.ascontiguousarray(plane[rows, columns])
+            for plane in self)
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Samples]) -> Samples:
+        """Return those of stripes, from top to bottom, as those of one region."""
+        return cls._make(None if planes[0] is None else np.concatenate(planes)
+                         for planes in zip(*parts, strict=True))
+
+
+def samples_of(method: Reconstructor, t_us: int) -> Samples:
+    """Return what a method, fed as far as it needs, tells at a time."""
+    estimate = method.read(t_us)
+    return Samples(method.intensity(estimate.log_intensity), estimate.variance,
+                   estimate.valid, method.quality)
 
 
 class ImageMaker:
@@ -94,12 +132,27 @@ class ImageMaker:
         shown = method.shows(t_us)
         if shown is not None and self._last is not None and self._last[0] is shown:
             return self._last[1].retimed(t_us, frame_us, provenance)
-        estimate = method.read(t_us)
-        intensity = method.intensity(estimate.log_intensity)
+        image = self.made(samples_of(method, t_us), t_us, frame_us, provenance)
+        self._last = None if shown is None else (shown, image)
+        return image
+
+    def made(
+        self, samples: Samples, t_us: int, frame_us: int | None,
+        provenance: Mapping[str, Any],
+    ) -> PolarFrame:
+        """Return the image of samples of the window.
+
+        Parameters
+        ----------
+        samples : Samples
+            Taken over: their arrays belong to the image from here on.
+        t_us, frame_us, provenance
+            As for `image`.
+        """
+        intensity, variance, usable, quality = samples
         if self._gain is not None:
             intensity /= self._gain
-        valid = self._valid(estimate.valid)
-        quality = method.quality
+        valid = self._valid(usable)
         if quality is not None:
             if self._demosaic in HALF_SIZE:
                 quality = quality[::2, ::2].copy()
@@ -109,15 +162,12 @@ class ImageMaker:
             "valid": valid, "t_us": t_us, "frame_us": frame_us,
             "extinction_ratio": self._ratio, "provenance": provenance,
             "quality": quality}
-        if estimate.variance is None and self._whole and self._analyser is None:
-            image = PolarFrame.adopt_mosaic(intensity, self._layout, **about)
-        else:
-            quad, variance = self._channels(intensity, estimate)
-            image = PolarFrame.adopt(
-                quad, analyser=self._analyser, variance=variance,
-                reconciled=variance is not None, **about)
-        self._last = None if shown is None else (shown, image)
-        return image
+        if variance is None and self._whole and self._analyser is None:
+            return PolarFrame.adopt_mosaic(intensity, self._layout, **about)
+        quad, variance = self._channels(intensity, variance, usable)
+        return PolarFrame.adopt(
+            quad, analyser=self._analyser, variance=variance,
+            reconciled=variance is not None, **about)
 
     def _valid(self, samples: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where an image is made of usable samples, which seldom changes."""
@@ -127,13 +177,13 @@ class ImageMaker:
         return self._usable[1]
 
     def _channels(
-        self, intensity: NDArray[np.float32], estimate: Estimate
+        self, intensity: NDArray[np.float32], samples: NDArray[np.float32] | None,
+        usable: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Return the four intensities of each pixel and, if known, their variances."""
-        samples = estimate.variance
         if samples is None:
             return self._cropped(demosaic_mosaic(
-                intensity, self._layout, self._demosaic, valid=estimate.valid)), None
+                intensity, self._layout, self._demosaic, valid=usable)), None
         if self._whole:
             quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
 
@@ -146,10 +196,10 @@ class ImageMaker:
             self._workers.rows(len(intensity), work)
             return quad, variance
         quad = self._cropped(demosaic_mosaic(
-            intensity, self._layout, self._demosaic, valid=estimate.valid,
+            intensity, self._layout, self._demosaic, valid=usable,
             variance=samples))
         variance = self._cropped(demosaic_variance(
-            samples, self._layout, self._demosaic, valid=estimate.valid))
+            samples, self._layout, self._demosaic, valid=usable))
         if self._spread.size:
             gain, angle, contrast = self._spread.tolist()
             _kernels.mismatch(quad, gain, angle, contrast, variance)

@@ -63,16 +63,20 @@ class Window:
             return np.ascontiguousarray(value[..., self.rows, self.columns])
         return value
 
-    def crop_of(self, roi: Roi, demosaic: str) -> tuple[slice, slice] | None:
-        """Return the part of the window's image that a region is; None = all of it."""
+    def part(self, roi: Roi) -> tuple[slice, slice]:
+        """Return the rows and columns of the window that a region is."""
         x, y, width, height = roi
         top, left = y - self.rows.start, x - self.columns.start
-        if (top, left, height, width) == (0, 0, *self.shape):
+        return slice(top, top + height), slice(left, left + width)
+
+    def crop_of(self, roi: Roi, demosaic: str) -> tuple[slice, slice] | None:
+        """Return the part of the window's image that a region is; None = all of it."""
+        rows, columns = self.part(roi)
+        if (rows, columns) == (slice(0, self.shape[0]), slice(0, self.shape[1])):
             return None
         scale = 2 if demosaic in HALF_SIZE else 1
-        top, left, height, width = (
-            side // scale for side in (top, left, height, width))
-        return slice(top, top + height), slice(left, left + width)
+        return (slice(rows.start // scale, rows.stop // scale),
+                slice(columns.start // scale, columns.stop // scale))
 
 
 def checked_roi(roi: Roi | None, size: tuple[int, int], demosaic: str) -> Roi:

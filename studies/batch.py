@@ -1,0 +1,174 @@
+"""What `docs/batch.md` says of speed: workers, done jobs, memory, recordings per hour.
+
+python studies/batch.py workers    two workers against one, 16 recordings, kalman
+python studies/batch.py done       a second run of 200 done jobs
+python studies/batch.py memory     the parent's memory with 10,000 jobs
+python studies/batch.py tiles FILE CPU time of two stripes of a recording against none
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import pickle
+import resource
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv import (
+    FusionOptions,
+    PolarFrame,
+    batch,
+    fuse,
+    open_recording,
+    write_aedat4,
+)
+from pdavis_cv.data import example_recording
+from pdavis_cv.simulation import Camera, named_scene
+
+SIZE, SECONDS, RPM = (32, 32), 1.0, 300.0   # of each simulated recording
+KALMAN = FusionOptions(method="kalman", fps=100, layout="pdavis")
+
+
+def recordings(folder: Path, count: int) -> list[Path]:
+    """Simulate a turning polarizer by so many specimens of a camera."""
+    paths = []
+    for seed in range(count):
+        camera = Camera.preset("nominal", seed=seed, size=SIZE)
+        scene = named_scene("polarizer", seconds=SECONDS, rpm=RPM, hz=1.0, seed=seed,
+                            camera="nominal")
+        recording, _ = camera.record(scene, SECONDS)
+        paths.append(folder / f"run{seed:03}.aedat4")
+        write_aedat4(paths[-1], recording)
+    return paths
+
+
+def workers(folder: Path) -> None:
+    """Print wall and CPU time of one worker and of two, interleaved."""
+    paths = recordings(folder, 16)
+    for turn in range(2):
+        for count in (1, 2):
+            start = time.perf_counter()
+            table = batch.run(paths, KALMAN, folder / f"{turn}-{count}", workers=count,
+                              work="traces", progress=False)
+            wall = time.perf_counter() - start
+            cpu = sum(row["cpu_s"] for row in table)
+            peak = max(row["peak_mib"] for row in table)
+            busy = sum(row["wall_s"] for row in table)
+            print(f"{count} workers: {wall:.1f} s, {cpu:.1f} s of CPU in jobs, workers "
+                  f"busy {busy / wall / count:.0%}, peak {peak:.0f} MiB, "
+                  f"load {os.getloadavg()[0]:.1f}")
+
+
+def done(folder: Path) -> None:
+    """Print the time of a second run of 200 jobs."""
+    paths = recordings(folder, 2)
+    options = [KALMAN.replace(method="cf", cutoff_hz=1 + k / 100) for k in range(100)]
+    for _ in range(2):
+        start, cpu = time.perf_counter(), time.process_time()
+        table = batch.run(paths, options, folder / "out", progress=False,
+                          work=batch.Trace(stop_s=0.1))
+        print(f"{len(table)} jobs: {time.perf_counter() - start:.2f} s, "
+              f"{time.process_time() - cpu:.2f} s of CPU in the parent")
+
+
+class Nothing:
+    """A work that opens nothing and does nothing."""
+
+    opens = False
+
+    def __call__(self, source: Any, options: FusionOptions, folder: Path) -> None:
+        """Do nothing."""
+
+
+class Inline(Executor):
+    """Does everything at once, so that all memory and CPU time is the parent's.
+
+    Parameters
+    ----------
+    pickles : bool
+        Send everything there and back as to a process.
+    """
+
+    def __init__(self, pickles: bool = False) -> None:
+        self._pickles = pickles
+
+    def submit(  # type: ignore[override]
+        self, function: Callable[..., Any], /, *args: Any, **kwargs: Any
+    ) -> Future[Any]:
+        """Do it."""
+        future: Future[Any] = Future()
+        if not self._pickles:
+            future.set_result(function(*args, **kwargs))
+            return future
+        args, kwargs = pickle.loads(pickle.dumps((args, kwargs)))
+        future.set_result(pickle.loads(pickle.dumps(function(*args, **kwargs))))
+        return future
+
+
+def memory(folder: Path) -> None:
+    """Print the peak of the parent's memory after 200 and after 10,000 jobs."""
+    for count in (200, 10_000):
+        batch.run((f"part{i}" for i in range(count)), FusionOptions(), folder / "out",
+                  work=Nothing(), executor=Inline(), progress=False)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"{count} jobs: peak {peak:.0f} MiB")
+
+
+def tiles(path: Path) -> None:
+    """Print the CPU time of a recording as a whole and as two stripes."""
+    with open_recording(path) as recording:
+        for method in ("cf", "events", "frames"):
+            options = FusionOptions(method=method, fps=100, layout="pdavis")
+            spent: dict[str, list[float]] = {"whole": [], "stripes": []}
+            differing = 0
+            for _ in range(3):
+                start = time.process_time()
+                whole = _measured(fuse(recording, options))
+                spent["whole"].append(time.process_time() - start)
+                start = time.process_time()
+                striped = _measured(fuse(
+                    recording, options, executor=Inline(pickles=True), tiles=2))
+                spent["stripes"].append(time.process_time() - start)
+                differing += sum(
+                    a.quad.tobytes() != b.quad.tobytes()
+                    or a.valid.tobytes() != b.valid.tobytes()
+                    for a, b in zip(whole, striped, strict=True))
+            first, second = (statistics.median(times) for times in spent.values())
+            print(f"{method}: {first:.2f} s as a whole, {second:.2f} s as stripes "
+                  f"({second / first - 1:+.0%}), {len(whole)} images, {differing} "
+                  "of them differ")
+
+
+def _measured(images: Iterable[PolarFrame]) -> list[PolarFrame]:
+    """Return images whose AoP, DoLP and S0 have been computed, as for an export."""
+    found = list(images)
+    for image in found:
+        image.aop, image.dolp, image.s0  # noqa: B018
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run what is asked for; return 0."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=(*_STUDIES, "tiles"), nargs="?",
+                        default="memory")
+    parser.add_argument("file", nargs="?", default=example_recording(), type=Path)
+    parser.add_argument("--quick", action="store_true", help="a first look")
+    args = parser.parse_args(argv)
+    if args.quick or args.what == "tiles":
+        tiles(args.file)
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        _STUDIES[args.what](Path(folder))
+    return 0
+
+
+_STUDIES = {"workers": workers, "done": done, "memory": memory}
+
+if __name__ == "__main__":
+    raise SystemExit(main())
