@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._remote import RemotePath, is_remote
 from pdavis_cv.export.files import write_json
 
 try:
@@ -173,6 +174,11 @@ class Results:
         Kept with size and time of the file, so that it is read once.  What cannot be
         read has none: its path stands for it, and its job will say why.
         """
+        if is_remote(source):
+            try:
+                return RemotePath(source).content()
+            except (OSError, ImportError):
+                return f"unread {source}"
         try:
             path = Path(source)
             files = sorted(p for p in path.rglob("*") if p.is_file()) if (

@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 import pdavis_cv
+from pdavis_cv._remote import as_path
 from pdavis_cv.export.files import plain
 
 __all__ = ["embed", "embed_png", "provenance", "read_embedded", "to_json"]
@@ -55,7 +56,7 @@ def provenance(
     """
     found: dict[str, Any] = {"pdavis_cv": pdavis_cv.__version__, **images, **facts}
     if source is not None:
-        path = Path(source)
+        path = as_path(source)
         digest = hashlib.sha256()
         with path.open("rb") as file:
             while block := file.read(1 << 20):

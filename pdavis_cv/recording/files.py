@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
@@ -120,6 +121,39 @@ class FileReader:
         self._close()
 
 
+class RemoteReader(FileReader):
+    """An object of a store that several threads may read at any place, by ranges.
+
+    Parameters
+    ----------
+    path : RemotePath
+
+    Raises
+    ------
+    RecordingError
+        If it is not there.
+    """
+
+    def __init__(self, path: RemotePath) -> None:
+        self.path: Any = path
+        try:
+            self.size = path.stat().st_size
+            self._block = path.ranges()
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be opened: {error}") from error
+        self._close: Any = weakref.finalize(self, self._block.cache_clear)
+
+    def read_into(self, offset: int, buffer: memoryview) -> int:
+        """Fill a buffer of bytes from offset on; return how many there were."""
+        data = self.read(offset, len(buffer))
+        buffer[:len(data)] = data
+        return len(data)
+
+    def _pread(self, size: int, offset: int) -> bytes:
+        found: bytes = self.path.read(self._block, offset, size)
+        return found
+
+
 class ProblemLog:
     """Problems of one recording, each finding counted once however often it is read.
 
@@ -206,7 +240,7 @@ class FileRecording(Recording):
                  **options: Any) -> None:
         self._arguments = {"layout": layout, "bad_events": bad_events,
                            "camera": camera, **options}
-        self._path = Path(path)
+        self._path = as_path(path)
         self._strict = bad_events == "raise"
         self._log = ProblemLog(str(path))
         self._closing = ExitStack()
@@ -228,7 +262,8 @@ class FileRecording(Recording):
 
     def _bytes(self) -> FileReader:
         """Return the file's bytes, which `close` releases."""
-        reader = FileReader(self._path)
+        reader = RemoteReader(self._path) if isinstance(
+            self._path, RemotePath) else FileReader(self._path)
         self._closing.callback(reader.close)
         return reader
 

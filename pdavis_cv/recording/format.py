@@ -51,6 +51,9 @@ class Format:
         because the same format holds other things, such as any video.
     read_options, write_options : tuple of str
         Keyword arguments that the reader and the writer have beyond the common ones.
+    by_ranges : bool
+        Whether the reader asks for bytes by `FileRecording._bytes` alone, so that it
+        reads objects of a store as well.
     extra : str, optional
         Extra of pdavis-cv that the format needs.
 
@@ -72,6 +75,7 @@ class Format:
     needs_layout: bool = False
     read_options: tuple[str, ...] = ()
     write_options: tuple[str, ...] = ()
+    by_ranges: bool = False
     extra: str | None = None
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.registry import (
@@ -37,9 +38,10 @@ def open_recording(
     Parameters
     ----------
     source : path or Recording
-        A file; a Recording is returned as it is.  With a layout also a grey video,
-        image, TIFF stack or pattern of image names (``shot_%04d.png``, ``shot_*.png``)
-        of a polarization camera.
+        A file, or an object of a store such as ``s3://bucket/run.aedat4`` (extra
+        ``[remote]``), read by ranges; a Recording is returned as it is.  With a layout
+        also a grey video, image, TIFF stack or pattern of image names
+        (``shot_%04d.png``, ``shot_*.png``) of a polarization camera.
     layout : Layout or str, optional
         Polarizer layout of the camera, or its name; see `Layout.of`.
     fps : float, optional
@@ -78,7 +80,7 @@ def open_recording(
     if bad_events not in _BAD_EVENTS:
         raise ValueError(
             f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")
-    path = Path(source)
+    path = as_path(source)
     # What has no such name may be a pattern of image names.
     start = first_bytes(path) if layout is None or path.exists() else b""
     found = format_of(path, start)
@@ -86,6 +88,9 @@ def open_recording(
         found = next(one for one in formats() if one.needs_layout)
     if found is None:
         raise _not_a_recording(path, start)
+    if is_remote(path) and not found.by_ranges:
+        raise RecordingError(
+            f"{path}: {found.title} cannot be read by ranges: copy it to a disk")
     if "fps" in found.read_options:
         options = {"fps": fps, **options}
     return read_with(

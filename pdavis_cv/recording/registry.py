@@ -32,17 +32,17 @@ _ROOM = "pdavis_cv.recording"
 BUILT_IN = (
     Format(
         name="aedat4", title="AEDAT-4", suffixes=(".aedat4",),
-        magic=(b"#!AER-DAT4",), holds=_ALL,
+        by_ranges=True, magic=(b"#!AER-DAT4",), holds=_ALL,
         reader=f"{_ROOM}.aedat4.reader:Aedat4Recording",
         writer=f"{_ROOM}.aedat4.writer:write_aedat4",
         write_options=("compression",)),
     Format(
         name="aedat3", title="AEDAT-3.1", suffixes=(".aedat",),
-        magic=(b"#!AER-DAT3.1",), holds=_ALL,
+        by_ranges=True, magic=(b"#!AER-DAT3.1",), holds=_ALL,
         reader=f"{_ROOM}.aedat3:Aedat3Recording"),
     Format(
         name="aedat2", title="AEDAT-2.0", suffixes=(".aedat", ".aedat2"),
-        magic=(b"#!AER-DAT2",), holds=_ALL,
+        by_ranges=True, magic=(b"#!AER-DAT2",), holds=_ALL,
         reader=f"{_ROOM}.aedat2.reader:Aedat2Recording",
         writer=f"{_ROOM}.aedat2.writer:write_aedat2"),
     Format(
@@ -65,7 +65,8 @@ BUILT_IN = (
         reader=f"{_ROOM}.davis_trace:TraceRecording"),
     Format(
         name="prophesee", title="Prophesee RAW (EVT2, EVT3) and DAT", holds=_EVENTS,
-        suffixes=(".raw", ".dat"), sniff=f"{_ROOM}.prophesee:is_prophesee",
+        suffixes=(".raw", ".dat"), by_ranges=True,
+        sniff=f"{_ROOM}.prophesee:is_prophesee",
         reader=f"{_ROOM}.prophesee:PropheseeRecording"),
     Format(
         name="rosbag", title="ROS 1 and ROS 2 bags", suffixes=(".bag",), extra="ros",
@@ -176,7 +177,8 @@ def first_bytes(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(_HEAD)
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be opened: {error.strerror}") from error
+        raise RecordingError(
+            f"{path}: cannot be opened: {error.strerror or error}") from error
 
 
 def read_with(
