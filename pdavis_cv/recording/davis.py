@@ -236,9 +236,10 @@ class DavisDecoder:
 
     def _frame(self) -> ApsFrame:
         state = self._state
-        reset, signal = self._reads.copy()
-        missing = (reset == _MISSING) | (signal == _MISSING)
-        reset[missing] = signal[missing] = 0
+        reads = self._reads.copy()
+        reset, signal = reads
+        if reads.max() == _MISSING:
+            reads[:, (reads == _MISSING).any(axis=0)] = 0
         dn, valid = cds(reset, signal)
         start: Any
         end: Any
