@@ -103,10 +103,11 @@ LEAVE = ("killed",)
 
 def in_a_child(work):
     """Fork, call work there; return (exit code or -signal, what it said)."""
-    with tempfile.TemporaryFile() as said:
+    read, write = os.pipe()         # holds more than any command says
+    with open(read, "rb") as said:
         pid = os.fork()
         if pid == 0:
-            os.dup2(said.fileno(), 2)
+            os.dup2(write, 2)
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             signal.alarm(SLOWEST_S)
             code = 99
@@ -114,8 +115,8 @@ def in_a_child(work):
                 code = work()
                 sys.stdout.flush()
             os._exit(code)
+        os.close(write)
         _, status = os.waitpid(pid, 0)
-        said.seek(0)
         return os.waitstatus_to_exitcode(status), said.read().decode()
 
 

@@ -26,6 +26,9 @@ def test_no_fault_leaves_half_an_output():
     assert len(found) == 14 * len(CODES)
     for case in found:
         fault, said, left = case["fault"], case["said"], case["left"]
+        if fault == "stdout" and case["code"] == 0:     # it had nothing to say
+            assert (said, left) == ("", [case["output"]]), case
+            continue
         assert case["code"] == CODES[fault], case
         assert case["again"] == 0, case
         if fault == "killed":       # at the last moment: nothing has its name yet
@@ -34,8 +37,10 @@ def test_no_fault_leaves_half_an_output():
             assert case["after"], case
             assert not any(name.startswith(".") for name in case["after"]), case
             continue
-        assert said.startswith("pdavis: "), case
-        assert said.count("\n") == 1, case
+        # h5py prints what it cannot write once more, when it is collected.
+        lines = [line for line in said.splitlines() if line.startswith("pdavis: ")
+                 and not line.startswith("pdavis: warning: ")]
+        assert len(lines) == 1, case
         if fault == "stdout":       # what was computed is kept
             assert not any(name.startswith(".") for name in left), case
         else:
