@@ -111,10 +111,14 @@ def test_frames_move_with_their_arrival_where_they_must():
 
 
 def aop_error(recording, truth, **options):
+    return scored(recording, truth, 1_000_000, stop_us=1_900_000, **options)
+
+
+def scored(recording, truth, start_us, **options):
+    """Return the AoP error from start_us on, and the offset that was applied last."""
     scorer = Scorer(truth, (5, 5))
     images = fuse(recording, method="kalman", fps=200, demosaic="superpixel",
-                  start_us=1_000_000, stop_us=1_900_000, nominal_thresholds=NOMINAL,
-                  **options)
+                  start_us=start_us, nominal_thresholds=NOMINAL, **options)
     for image in images:
         scorer.add(image)
         last = image
@@ -130,6 +134,16 @@ def test_stamps_that_are_off_no_longer_turn_the_angle(early, causal):
     assert (as_stated, none) == (5000, 0)
     assert found < 1.3 * stated + 0.2
     assert without > 1.5 * found
+
+
+@pytest.mark.parametrize(("rpm", "us"), [(202.6, -10_000), (1013.0, 5_000)])
+def test_a_stream_recovers_from_what_wrong_stamps_taught(rpm, us):
+    """Before the first look, at .5 s, thresholds were learned from frames elsewhere."""
+    made = recorded(RotatingPolarizer(rpm=rpm, start_angle=0.4), seconds=1.2,
+                    faults={"frame_offset_us": us})
+    found, stated = (scored(*made, 700_000, causal=True, clock_offset_us=one)[0]
+                     for one in ("learned", -us))
+    assert found < stated + 0.9     # two sigmas of the offset: 6 degrees per ms
 
 
 def test_right_stamps_stay(early):

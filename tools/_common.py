@@ -17,12 +17,24 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv.errors import PdavisError, PdavisWarning
 
+from ._values import (
+    layout_option,
+    offset,
+    pair,
+    positive,
+    ratio,
+    roi_option,
+    seconds,
+    setting,
+    thresholds,
+    within,
+)
+
 if TYPE_CHECKING:  # an interrupt while NumPy loads must find `command` at work
-    from pdavis_cv import Calibration, Layout, Recording, Source
+    from pdavis_cv import Calibration, Recording, Source
     from pdavis_cv.fusion.options import OptionFacts
 
 __all__ = [
-    "LAST_SEED",
     "OneLineParser",
     "Parser",
     "UsageError",
@@ -36,31 +48,17 @@ __all__ = [
     "ended_by_signals",
     "fuse_options",
     "fusion_given",
-    "layout_option",
-    "number",
-    "numbers",
     "opened",
     "option_value",
-    "positive",
     "progress",
     "require_samples",
-    "roi_option",
-    "seconds",
     "source_of",
     "stage",
     "start_of",
-    "whole",
-    "within",
 ]
 
 
 TRACEBACK = "PDAVIS_CV_TRACEBACK"
-MOST = 1e18
-"""Numbers of options lie within this of 0: what is larger is a slip, and whole ones
-still fit 64 bits."""
-LAST_SEED = 2**63 - 1
-MOST_S = 1e12
-"""Seconds: as microseconds within the 2**61 that recordings hold."""
 
 
 class Main(Protocol):
@@ -350,7 +348,7 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
                 add["choices"], add["metavar"] = facts.choices, None
         group.add_argument(_flag(name), dest=name, **add)
     group.add_argument(
-        "--set", action="append", default=[], type=_setting, metavar="NAME=VALUE",
+        "--set", action="append", default=[], type=setting, metavar="NAME=VALUE",
         dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6, "
                               "bandwidth=250,0 or mode=offline")
 
@@ -416,9 +414,9 @@ def option_value(name: str, text: str) -> tuple[str, Any]:
     if found is None:
         if name in ("start", "stop", "times_us"):
             raise UsageError(f"{name} is a time in one recording, not an option of all")
-        return _setting(f"{name}={text}")
+        return setting(f"{name}={text}")
     if found.word == "flag":
-        return _setting(f"{name}={text}")
+        return setting(f"{name}={text}")
     read = _WORDS[found.word][0]
     try:
         value = read(text)
@@ -486,131 +484,17 @@ def stage(what: str) -> None:
         print(f"pdavis: {what} ...", file=sys.stderr, flush=True)
 
 
-def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:
-    """Parse so many finite numbers with commas between them."""
-    parts = text.split(",")
-    if len(parts) != count:
-        raise argparse.ArgumentTypeError(
-            f"{count} numbers with commas between them are needed, got {text!r}")
-    try:
-        values = [kind(part) for part in parts]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"not {count} numbers: {text!r}") from None
-    if not all(abs(value) < MOST for value in values):
-        raise argparse.ArgumentTypeError(
-            f"numbers must lie within {MOST:g} of 0, got {text}")
-    return values
-
-
-def number(text: str) -> float:
-    """Parse a finite number."""
-    return float(numbers(text, 1)[0])
-
-
-def whole(text: str) -> int:
-    """Parse a whole number."""
-    return int(numbers(text, 1, int)[0])
-
-
-def positive(text: str) -> float:
-    """Parse a positive number."""
-    value = number(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
-    return value
-
-
-def within(low: int, high: int) -> Callable[[str], int]:
-    """Return a function that parses a whole number of low to high."""
-    def parse(text: str) -> int:
-        value = whole(text)
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"must lie in {low}..{high}, got {text}")
-        return value
-
-    return parse
-
-
-def seconds(text: str) -> float:
-    """Parse a time in seconds that fits the clock of recordings."""
-    value = number(text)
-    if not abs(value) < MOST_S:
-        raise argparse.ArgumentTypeError(
-            f"times must lie within {MOST_S:g} s of 0, got {text}")
-    return value
-
-
-def roi_option(text: str) -> tuple[int, int, int, int]:
-    """Parse X,Y,W,H."""
-    x, y, width, height = numbers(text, 4, int)
-    return x, y, width, height
-
-
-def layout_option(text: str) -> Layout:
-    """Parse pdavis, sony or four angles by row."""
-    from pdavis_cv.sensor import Layout
-    try:
-        return Layout.of(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-def _thresholds(text: str) -> str | tuple[float, float]:
-    if "," not in text:
-        return text
-    on, off = numbers(text, 2)
-    return on, off
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    if not equals or not name.isidentifier():
-        raise argparse.ArgumentTypeError(f"NAME=VALUE is needed, got {text!r}")
-    words = {"true": True, "false": False, "none": None}
-    if value.lower() in words:
-        return name, words[value.lower()]
-    for kind in (int, float, _several):
-        try:
-            return name, kind(value)
-        except ValueError:
-            continue
-    return name, value
-
-
-def _several(text: str) -> tuple[float, ...]:
-    """Parse numbers with commas between them, such as bandwidth=250,0."""
-    return tuple(float(part) for part in text.split(","))
-
-
-def _ratio(text: str) -> float | str:
-    if text in ("nominal", "none"):
-        return text
-    return float(numbers(text, 1)[0])
-
-
-def _offset(text: str) -> float | str:
-    if text in ("learned", "none"):
-        return text
-    return float(numbers(text, 1)[0])
-
-
-def _pair(text: str) -> tuple[float, float]:
-    on, off = numbers(text, 2)
-    return on, off
-
-
 _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
     "text": (str, "NAME"),
     "number": (positive, "RATE"),
     "count": (within(1, 1024), "N"),
     "seconds": (seconds, "S"),
-    "offset": (_offset, "US"),
+    "offset": (offset, "US"),
     "region": (roi_option, "X,Y,W,H"),
     "layout": (layout_option, "LAYOUT"),
     "calibration": (Path, "NPZ"),
-    "ratio": (_ratio, "RATIO"),
-    "thresholds": (_thresholds, "T"),
-    "pair": (_pair, "ON,OFF"),
+    "ratio": (ratio, "RATIO"),
+    "thresholds": (thresholds, "T"),
+    "pair": (pair, "ON,OFF"),
 }
 """How a command line reads an option of fuse(), and what stands for its value."""

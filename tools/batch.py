@@ -18,14 +18,8 @@ from typing import Any
 from pdavis_cv import FusionOptions, batch
 from pdavis_cv.batch.pools import EXECUTORS
 
-from ._common import (
-    Parser,
-    UsageError,
-    command,
-    option_value,
-    positive,
-    within,
-)
+from ._common import Parser, UsageError, command, option_value
+from ._values import positive, within
 
 __all__ = ["main"]
 

@@ -23,20 +23,8 @@ from pdavis_cv.selfcal import LEAK_HZ
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 
 from ._calibration_report import Page, write_report
-from ._common import (
-    Parser,
-    UsageError,
-    add_layout_option,
-    command,
-    layout_option,
-    number,
-    numbers,
-    opened,
-    positive,
-    roi_option,
-    start_of,
-    within,
-)
+from ._common import Parser, UsageError, add_layout_option, command, opened, start_of
+from ._values import layout_option, number, numbers, positive, roi_option, within
 
 __all__ = ["main"]
 

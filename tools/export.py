@@ -30,17 +30,14 @@ from ._common import (
     command,
     covered,
     fuse_options,
-    numbers,
     opened,
-    positive,
     progress,
     require_samples,
-    seconds,
     stage,
     start_of,
-    within,
 )
 from ._images import full_scale, told_if_nothing
+from ._values import numbers, positive, seconds, within
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
 

@@ -23,15 +23,10 @@ from ._common import (
     add_fuse_options,
     command,
     fuse_options,
-    layout_option,
-    number,
-    numbers,
     opened,
     progress,
-    seconds,
     stage,
     start_of,
-    within,
 )
 from ._images import (
     facts_of,
@@ -42,6 +37,7 @@ from ._images import (
     told_if_nothing,
     tone_of,
 )
+from ._values import layout_option, number, numbers, seconds, within
 
 __all__ = ["main", "make_fan"]
 

@@ -35,12 +35,11 @@ from ._common import (
     calibration_of,
     can_draw,
     command,
-    numbers,
     opened,
-    positive,
     progress,
     start_of,
 )
+from ._values import numbers, positive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,17 +17,8 @@ from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import PRESETS, SCENES, Camera, named_scene
 
-from ._common import (
-    LAST_SEED,
-    Parser,
-    UsageError,
-    checked_out,
-    command,
-    number,
-    numbers,
-    positive,
-    within,
-)
+from ._common import Parser, UsageError, checked_out, command
+from ._values import LAST_SEED, number, numbers, positive, within
 
 __all__ = ["main"]
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from pdavis_cv.export import write_beside
 
-from ._common import LAST_SEED, Parser, UsageError, command, positive, within
+from ._common import Parser, UsageError, command
+from ._values import LAST_SEED, positive, within
 
 __all__ = ["main"]
 

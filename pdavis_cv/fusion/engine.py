@@ -581,10 +581,11 @@ class Fusion:
         """Go on with other parameters; the state goes on, the past stays as it was."""
         assert self._states is not None
         assert self._online is not None
-        if self._online.tuning.clock_us != self._clock_us:
+        moved_us = self._online.tuning.clock_us - self._clock_us
+        if moved_us:
             self._set_clock(self._online.tuning.clock_us)
-        elif not changed:
-            return
+            if self.needs.frames:
+                changed = {**changed, "frames_moved_us": moved_us}
         if changed:
             self._states.retune(t_us, {
                 name: self.window.plane(value) for name, value in changed.items()})

@@ -218,7 +218,9 @@ class Reconstructor(ABC):
         Parameters
         ----------
         **learned
-            By name, as the constructor takes them.
+            By name, as the constructor takes them; and to a method that needs frames
+            ``frames_moved_us``, where the stamps of those fed before turn out to be
+            off: by how much later the ones to come are taken.
         """
         raise TypeError(
             f"method {self.method!r} has no parameters that can be learned, got "

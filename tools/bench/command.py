@@ -15,7 +15,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from .._common import Parser, UsageError, command, within
+from .._common import Parser, UsageError, command
+from .._values import within
 from . import (  # noqa: F401  # they register their cases
     demosaic,
     event_files,

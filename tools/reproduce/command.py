@@ -18,18 +18,13 @@ from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
 
-from .._common import (
+from .._common import Parser, UsageError, calibration_of, can_draw, command, progress
+from .._values import (
     LAST_SEED,
-    Parser,
-    UsageError,
-    calibration_of,
-    can_draw,
-    command,
     layout_option,
     number,
     numbers,
     positive,
-    progress,
     roi_option,
     within,
 )

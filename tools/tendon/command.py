@@ -39,15 +39,13 @@ from .._common import (
     add_fuse_options,
     command,
     fuse_options,
-    number,
     opened,
     progress,
-    seconds,
     stage,
     start_of,
-    within,
 )
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
+from .._values import number, seconds, within
 from . import report
 from .video import TendonSheet
 

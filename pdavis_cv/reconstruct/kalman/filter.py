@@ -36,7 +36,9 @@ from pdavis_cv.reconstruct.model import (
 from pdavis_cv.reconstruct.stream_clock import (
     StreamClock,
     checked_bandwidth,
+    checked_noise,
     checked_threshold,
+    checked_threshold_sigma,
 )
 from pdavis_cv.reconstruct.tracks import (
     LONG_AGO,
@@ -196,9 +198,9 @@ class KalmanFilter(Reconstructor):
                          else self.lookahead_us)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
-        self._sigma = _checked_sigma(threshold_sigma, self.shape)
+        self._sigma = checked_threshold_sigma(threshold_sigma, self.shape)
         self._bandwidth = checked_bandwidth(bandwidth)
-        self._noise = _checked_noise(noise)
+        self._noise = checked_noise(noise)
         if not (np.isfinite(offset_dn) and offset_dn >= 0):
             raise ValueError(
                 f"offset_dn must be finite and not negative, got {offset_dn}")
@@ -275,30 +277,39 @@ class KalmanFilter(Reconstructor):
 
         Thresholds and their sigma (`theta_on`, `theta_off`, `threshold_sigma`) are a
         new prior, with which pixels begin anew; what gives it has seen what they have.
-        With another bandwidth, thresholds that were learned made up for what was wrong
-        with the lag: they become less certain by as much.
+        With another bandwidth, or frames that are moved from now on, thresholds that
+        were learned made up for what was wrong with the delay of events behind frames:
+        they become less certain by as much.  What innovations said of noise was said
+        of a wrong delay too if frames are moved, and is forgotten.
         """
         prior = {"theta_on", "theta_off", "threshold_sigma"}
-        unknown = learned.keys() - self.needs.learned - prior
+        unknown = learned.keys() - self.needs.learned - prior - {"frames_moved_us"}
         if unknown:
             raise TypeError(
-                "retune takes bandwidth, noise, theta_on, theta_off and "
-                f"threshold_sigma, got {', '.join(sorted(unknown))}")
+                "retune takes bandwidth, noise, theta_on, theta_off, threshold_sigma "
+                f"and frames_moved_us, got {', '.join(sorted(unknown))}")
+        before, moved_us = self._lags(), learned.get("frames_moved_us", 0)
         if "bandwidth" in learned:
-            before = self._lags()
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
-            self._give_up(np.abs(self._lags() - before))
+        if moved_us or "bandwidth" in learned:
+            self._give_up(np.abs(self._lags() - before + 1e-6 * moved_us))
+        if moved_us:
+            self._doubt_bases(1e-6 * moved_us)
+            self._innovations[_MISFIT:] = 0
+            self._adapt()
+            self._frames = ()   # what waits has the stamps of before
         if not prior.isdisjoint(learned):
             for name in ("theta_on", "theta_off"):
                 if name in learned:
                     setattr(self, f"_{name}", checked_threshold(
                         name, learned[name], self.shape))
             if "threshold_sigma" in learned:
-                self._sigma = _checked_sigma(learned["threshold_sigma"], self.shape)
+                self._sigma = checked_threshold_sigma(
+                    learned["threshold_sigma"], self.shape)
             self._begin_thresholds()
         if "noise" in learned:
-            self._noise = _checked_noise(learned["noise"])
+            self._noise = checked_noise(learned["noise"])
         self._tune()
         self._changed()
 
@@ -332,6 +343,19 @@ class KalmanFilter(Reconstructor):
                 (1 - part) * states[f"var_{name}"] + part * sigma**2)
             states[f"cov_base_{name}"] *= kept
             states["cov_on_off"] *= kept
+
+    def _doubt_bases(self, error_s: float) -> None:
+        """Add to the variance of the bases what frames that far off did to them.
+
+        The slope of log intensity is that of the events between frames so far.
+        """
+        states = self._states
+        theta = 0.5 * (states["theta_on"] + states["theta_off"])
+        events = (states["seen_on"] + states["seen_off"]) / np.maximum(
+            states["samples"], 1)
+        if self._interval_us:
+            states["var_base"] += (
+                1e6 * error_s / self._interval_us * events * theta)**2
 
     def _changed(self) -> None:
         """Note that what was computed ahead holds no more, and states may differ."""
@@ -556,26 +580,3 @@ class KalmanFilter(Reconstructor):
         if self._smoother is not None:
             self._smoother.restore(state["smoother"])
         self._changed()
-
-
-def _checked_sigma(
-    value: ArrayLike, shape: tuple[int, int]
-) -> NDArray[np.float64]:
-    sigma = np.array(value, np.float64)
-    if sigma.shape not in ((), (2,), (2, *shape)):
-        raise ValueError(
-            f"threshold_sigma must be a scalar or have shape (2,) or {(2, *shape)}, "
-            f"got {sigma.shape}")
-    if not np.all(np.isfinite(sigma) & (sigma >= 0)):
-        raise ValueError("threshold_sigma must be finite and not negative")
-    return sigma if sigma.ndim else np.array([sigma, sigma])
-
-
-def _checked_noise(value: Sequence[float]) -> tuple[float, float, float, float]:
-    parts = [float(part) for part in value]
-    if len(parts) not in (3, 4) or not all(np.isfinite(x) and x >= 0 for x in parts):
-        raise ValueError(
-            "noise must be three or four finite numbers that are not negative, got "
-            f"{value!r}")
-    sigma, per_s, per_event, share = (*parts, 1.0)[:4]
-    return sigma, per_s, per_event, share

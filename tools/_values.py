@@ -1,0 +1,147 @@
+"""What a command line reads as numbers, regions, layouts and options."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pdavis_cv import Layout
+
+__all__ = [
+    "LAST_SEED",
+    "layout_option",
+    "number",
+    "numbers",
+    "offset",
+    "pair",
+    "positive",
+    "ratio",
+    "roi_option",
+    "seconds",
+    "setting",
+    "thresholds",
+    "whole",
+    "within",
+]
+
+MOST = 1e18
+"""Numbers of options lie within this of 0: what is larger is a slip, and whole ones
+still fit 64 bits."""
+LAST_SEED = 2**63 - 1
+MOST_S = 1e12
+"""Seconds: as microseconds within the 2**61 that recordings hold."""
+
+
+def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:
+    """Parse so many finite numbers with commas between them."""
+    parts = text.split(",")
+    if len(parts) != count:
+        raise argparse.ArgumentTypeError(
+            f"{count} numbers with commas between them are needed, got {text!r}")
+    try:
+        values = [kind(part) for part in parts]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"not {count} numbers: {text!r}") from None
+    if not all(abs(value) < MOST for value in values):
+        raise argparse.ArgumentTypeError(
+            f"numbers must lie within {MOST:g} of 0, got {text}")
+    return values
+
+
+def number(text: str) -> float:
+    """Parse a finite number."""
+    return float(numbers(text, 1)[0])
+
+
+def whole(text: str) -> int:
+    """Parse a whole number."""
+    return int(numbers(text, 1, int)[0])
+
+
+def positive(text: str) -> float:
+    """Parse a positive number."""
+    value = number(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
+    return value
+
+
+def within(low: int, high: int) -> Callable[[str], int]:
+    """Return a function that parses a whole number of low to high."""
+    def parse(text: str) -> int:
+        value = whole(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"must lie in {low}..{high}, got {text}")
+        return value
+
+    return parse
+
+
+def seconds(text: str) -> float:
+    """Parse a time in seconds that fits the clock of recordings."""
+    value = number(text)
+    if not abs(value) < MOST_S:
+        raise argparse.ArgumentTypeError(
+            f"times must lie within {MOST_S:g} s of 0, got {text}")
+    return value
+
+
+def roi_option(text: str) -> tuple[int, int, int, int]:
+    """Parse X,Y,W,H."""
+    x, y, width, height = numbers(text, 4, int)
+    return x, y, width, height
+
+
+def layout_option(text: str) -> Layout:
+    """Parse pdavis, sony or four angles by row."""
+    from pdavis_cv.sensor import Layout
+    try:
+        return Layout.of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def thresholds(text: str) -> str | tuple[float, float]:
+    if "," not in text:
+        return text
+    on, off = numbers(text, 2)
+    return on, off
+
+
+def setting(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise argparse.ArgumentTypeError(f"NAME=VALUE is needed, got {text!r}")
+    words = {"true": True, "false": False, "none": None}
+    if value.lower() in words:
+        return name, words[value.lower()]
+    for kind in (int, float, _several):
+        try:
+            return name, kind(value)
+        except ValueError:
+            continue
+    return name, value
+
+
+def _several(text: str) -> tuple[float, ...]:
+    """Parse numbers with commas between them, such as bandwidth=250,0."""
+    return tuple(float(part) for part in text.split(","))
+
+
+def ratio(text: str) -> float | str:
+    if text in ("nominal", "none"):
+        return text
+    return float(numbers(text, 1)[0])
+
+
+def offset(text: str) -> float | str:
+    if text in ("learned", "none"):
+        return text
+    return float(numbers(text, 1)[0])
+
+
+def pair(text: str) -> tuple[float, float]:
+    on, off = numbers(text, 2)
+    return on, off
