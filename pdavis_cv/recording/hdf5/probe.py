@@ -1,8 +1,8 @@
 """HDF5 of unknown origin is opened by a helper process first.
 
 The HDF5 library can hang for ever, or die, on a damaged file while a single attribute
-is read, and no signal reaches Python meanwhile.  The helper does what opening does, as
-far as the first packet, within limits that the system keeps.
+is read, and no signal reaches Python meanwhile.  The helper reads the file, a large one
+as far as its first packet, within limits that the system keeps.
 """
 from __future__ import annotations
 
@@ -17,11 +17,15 @@ __all__ = ["MAGIC", "proved"]
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 LONGEST_S = 10
-"""CPU seconds: opening takes far less than one."""
+"""CPU seconds: opening takes far less than one, reading `WHOLE_BYTES` about two."""
+WHOLE_BYTES = 32 << 20
+"""A file of so many bytes is read to its end, a larger one not: it would cost as much
+as what is to be done with it."""
 MOST_BYTES = 4 << 30
 _WAIT = 12
 """A busy machine gives a process that fraction of its time, at least."""
 _OPEN = """
+import os
 import sys
 try:
     import resource
@@ -31,7 +35,9 @@ except (ImportError, ValueError):
     pass        # Windows: the clock alone; or a narrower limit holds already
 from pdavis_cv.recording.hdf5.reader import Hdf5Recording
 with Hdf5Recording(sys.argv[1]) as recording:
-    next(recording.packets(), None)
+    for _ in recording.packets():
+        if os.path.getsize(sys.argv[1]) > {whole}:
+            break
 """
 
 
@@ -61,7 +67,7 @@ def proved(
                 return
     except OSError:
         return
-    code = program.format(seconds=seconds, bytes=MOST_BYTES)
+    code = program.format(seconds=seconds, bytes=MOST_BYTES, whole=WHOLE_BYTES)
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-W", "ignore", "-c", code, str(path)],
