@@ -21,6 +21,9 @@ __all__ = ["Against", "Cell", "against", "cells", "robustness_figure",
 _ALLOWED = 1.1
 """Times the best other method's error: kalman beyond it has lost the cell."""
 
+_MOST = 1000
+"""The largest error that is written out."""
+
 _GROUPS = {"without what comes later": CAUSAL, "on a recording": RECORDED}
 _COLUMNS = {"aop_error_deg": "AoP error (degrees)", "dolp_error": "DoLP error"}
 
@@ -145,7 +148,8 @@ def robustness_page(rows: Sequence[Row]) -> list[str]:
 
 
 def _text(column: str, value: float) -> str:
-    return FORMATS[column].format(value)
+    # DoLP has no bound where S0 vanishes: what is beyond says no more than that.
+    return f"> {_MOST}" if value > _MOST else FORMATS[column].format(value)
 
 
 def _table(
