@@ -3,12 +3,16 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 __all__ = ["Unfinished", "clear", "write_beside"]
+
+_COUNT = itertools.count()
+"""Two threads may write one file at once: each to a part of its own."""
 
 
 class Unfinished:
@@ -33,7 +37,7 @@ class Unfinished:
         self.path = Path(path)
         suffix = self.path.suffix if suffix is None else suffix
         self.part = self.path.with_name(
-            f".{self.path.stem}.part{os.getpid()}{suffix}")
+            f".{self.path.stem}.part{os.getpid()}-{next(_COUNT)}{suffix}")
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
@@ -88,7 +92,7 @@ def _left_behind(folder: str) -> dict[str, list[str]]:
         return found
     with contextlib.suppress(OSError):
         for name in os.listdir(folder):
-            part = re.fullmatch(r"\.(.+)\.part(\d{1,9})(\..*)?", name)
+            part = re.fullmatch(r"\.(.+)\.part(\d{1,9})(?:-\d+)?(\..*)?", name)
             if part is not None and not _lives(int(part[2])):
                 found.setdefault(part[1], []).append(name)
     return found

@@ -144,6 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if (args.thickness_um is None) != (args.wavelength_nm is None):
         raise UsageError("--thickness-um and --wavelength-nm belong together")
     report.matplotlib()  # say what is missing before the work, not after
+    render.opencv()
     load = None if args.load is None else analysis.read_load(args.load)
     args.out.mkdir(parents=True, exist_ok=True)
     with opened(args) as recording:
