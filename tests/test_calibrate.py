@@ -67,6 +67,7 @@ def test_all_parts_go_into_one_file_with_a_report_each(files, tmp_path, capsys):
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.gate
 def test_a_leak_that_is_known_can_be_said(files, tmp_path):
     ratios = []
     for leak in ("0.0,0.01", "0.4,0.01"):

@@ -21,16 +21,19 @@ METHODS = [
 NETWORKS = ("firenet", "joint")
 
 
-def cases(long=()):
+LEARNS = {"method": "kalman", "causal": True}
+
+
+def cases(long):
     """Return the methods as parameters; those that are long are the gate's."""
     return pytest.mark.parametrize("method", [
         pytest.param(method, id="-".join(map(str, method.values())),
-                     marks=pytest.mark.gate if method["method"] in long else ())
+                     marks=pytest.mark.gate if long(method) else ())
         for method in METHODS])
 
 
-CASES = cases()
-CASES_OF_A_FILE = cases(long=(*NETWORKS, "kalman"))
+CASES = cases(lambda method: method == LEARNS)
+CASES_OF_A_FILE = cases(lambda method: method["method"] in (*NETWORKS, "kalman"))
 
 
 @pytest.fixture(scope="module")

@@ -377,6 +377,7 @@ def test_a_calibration_s_bandwidth_without_an_uncertainty_is_taken_as_it_is(nomi
     assert in_force(nominal[1], calibration=known)["bandwidth"] == (240.0, 0.0, usual)
 
 
+@pytest.mark.gate
 def test_a_calibration_s_bandwidth_with_an_uncertainty_is_learned_onwards(
         nominal, estimate):
     def used(recording=nominal[1], **options):
@@ -431,6 +432,7 @@ def test_a_bandwidth_from_a_slow_recording_does_not_mislead_a_fast_one():
     assert min(covered) > 0.6
 
 
+@pytest.mark.gate
 def test_a_contradicted_scale_is_corrected_unless_thresholds_are_stated():
     camera = Camera.preset("realistic", seed=4, size=(8, 8))
     recording, _ = camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.8)

@@ -168,6 +168,7 @@ def recorded():
             for name in ("nominal", "realistic")}
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(("camera", "options"), [
     ("nominal", {"causal": True}),
     ("nominal", {"thresholds": "in-situ"}),

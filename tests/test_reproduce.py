@@ -16,6 +16,7 @@ def rows_of(stem):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.gate
 def test_every_method_is_scored_and_written(tmp_path, capsys):
     stem = tmp_path / "fig.2"
     assert reproduce.main(["fig2", "-o", str(stem), "--rpm", "200", "--seconds", "1.6",

@@ -21,6 +21,7 @@ def study():
     return module
 
 
+@pytest.mark.gate
 def test_the_stated_sigma_of_a_bandwidth_is_as_large_as_its_error(study):
     _, error, curvature, stated = np.moveaxis(study.measure(4, (60, 100, 200)), 2, 0)
     assert 0.5 < study.rms((error / stated).ravel()) < 1.5
