@@ -15,11 +15,14 @@ export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data 
 
 .PHONY: demo test docs asan bits fuzz clean
 
+# One more than there are cores: some tests wait for time to pass.
+WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
+
 demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo
 
 test: $(VENV)/.with-test
-	$(VENV)/bin/pytest -q -n auto --dist worksteal $(if $(ALL),-m '')
+	$(VENV)/bin/pytest -q -n $(WORKERS) --dist worksteal $(if $(ALL),-m '')
 
 docs: $(VENV)/.with-docs
 	$(VENV)/bin/python -P -m sphinx -W --keep-going -q -j auto docs build/docs

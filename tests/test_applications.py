@@ -335,6 +335,7 @@ def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
     assert "interrupted" in capsys.readouterr().err
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("command", [
     ["export", "-o", "x.mp4"], ["export", "-o", "x.avi"], ["export", "-o", "x.png"],
     ["export", "-o", "x.npy"], ["export", "-o", "x.npz"], ["export", "-o", "x.h5"],

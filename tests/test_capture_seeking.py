@@ -98,7 +98,8 @@ def test_random_seeks_in_a_real_recording(data_dir, method):
         assert len(cap._session.cursor.kept) >= 5
 
 
-@pytest.mark.parametrize("suffix", [".aedat", ".aedat2"])
+@pytest.mark.parametrize("suffix", [
+    ".aedat", pytest.param(".aedat2", marks=pytest.mark.gate)])
 def test_random_seeks_in_an_aedat2_file(tmp_path, suffix):
     path = tmp_path / f"run{suffix}"
     with p.open_recording(example_recording()) as recording:

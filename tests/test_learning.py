@@ -146,6 +146,7 @@ def test_the_state_goes_on_with_what_is_learned(realistic):
         pytest.approx(learned["bandwidth"][1], rel=0.15))
 
 
+@pytest.mark.gate
 def test_seeks_and_snapshots_across_a_look_give_the_same_images(realistic):
     recording, _ = realistic
     times = np.arange(200_000, 1_700_000, 61_003)

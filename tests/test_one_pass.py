@@ -155,7 +155,8 @@ def test_no_image_waits_for_more_than_it_needs(options, wait_us):
 @pytest.mark.parametrize("options", [
     {"method": "cf", "causal": True},
     pytest.param({"method": "kalman", "causal": True}, marks=pytest.mark.gate),
-    {"method": "kalman", "bandwidth": None, "noise": (0.02, 0.1, 0.0003)},
+    pytest.param({"method": "kalman", "bandwidth": None, "noise": (0.02, 0.1, 0.0003)},
+                 marks=pytest.mark.gate),
     {"method": "cf"}], ids=str)
 def test_what_is_held_does_not_grow_with_the_stream(options):
     source, _ = endless()

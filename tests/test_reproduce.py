@@ -84,6 +84,7 @@ def test_a_table_has_a_line_per_method_and_a_mean():
         "| frames | 2.00 | 5.00 | 3.00 |", ""]
 
 
+@pytest.mark.gate
 def test_the_bright_half_of_the_fan_saturates_frames_only(tmp_path):
     stem = tmp_path / "fan"
     assert reproduce.main([

@@ -12,6 +12,7 @@ from pdavis_cv.tools.reproduce.demosaic_scenes import MADE, four_angle_folder, m
 cv2 = pytest.importorskip("cv2")
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("name", MADE)
 @pytest.mark.parametrize("seed", [301, 302])
 def test_guided_is_nowhere_worse_than_bilinear(name, seed):
