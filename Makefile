@@ -19,7 +19,7 @@ export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data 
 WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
 
 demo: $(VENV)/.with-cv2
-	$(VENV)/bin/pdavis demo -o demo
+	$(VENV)/bin/pdavis demo -o demo --progress
 
 test: $(VENV)/.with-test
 	$(VENV)/bin/pytest -q -n $(WORKERS) --dist worksteal $(if $(ALL),-m '')

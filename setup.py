@@ -59,7 +59,6 @@ SHARED = (
     "_extrapolation.h",
     "_film.h",
     "_guided.h",
-    "_hot.pxd",
     "_lag.pxd",
     "_lamp.pxd",
     "_math.h",
@@ -137,6 +136,9 @@ class BuildKernels(build_ext):
             self.build_lib = f"{BUILD}/lib.{version}"
             self.build_temp = f"{BUILD}/temp.{version}"
         super().finalize_options()
+        # not among OPTIONS: an editable install initialises its commands once more
+        self.parallel = self.parallel or CORES
+        self.force = self.force or DEBUG
 
     def build_extension(self, ext):
         built = self.get_ext_fullpath(ext.name)
@@ -164,14 +166,16 @@ class BuildKernels(build_ext):
 
 
 BUILD = f"build/{'debug' if DEBUG else 'release'}"
-OPTIONS = {
-    "build": {"build_base": BUILD},
-    "build_ext": {"force": DEBUG, "parallel": len(os.sched_getaffinity(0))
-                  if hasattr(os, "sched_getaffinity") else os.cpu_count()},
-}
+CORES = (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity")
+         else os.cpu_count())
+OPTIONS = {"build": {"build_base": BUILD}}
 if ABI3:
     OPTIONS["bdist_wheel"] = {"py_limited_api": "cp311"}
 
+# Those that take longest first, so that no core waits for a last one.
+LONGEST_FIRST = sorted(
+    KERNELS, key=lambda name: -Path("_kernels", f"{name}.pyx").stat().st_size)
+
 setup(ext_modules=[extension(UTILITY, sources=["setup.py"]),
-                   *(kernel(name) for name in KERNELS)], options=OPTIONS,
+                   *(kernel(name) for name in LONGEST_FIRST)], options=OPTIONS,
       cmdclass={"build_ext": BuildKernels})

@@ -43,7 +43,7 @@ from ._leaky import (
 )
 from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
-from ._picture import hue_bgr, polar_bgr, ramp_bgr, tone_bgr
+from ._picture import fade_bgr, hue_bgr, polar_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._redundancy import (
     redundancy_sample,
@@ -84,6 +84,7 @@ __all__ = [
     "evt2_words",
     "evt3_words",
     "exp",
+    "fade_bgr",
     "floor_sum",
     "guided",
     "hue_bgr",

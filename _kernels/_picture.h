@@ -76,4 +76,30 @@ PDAVIS_PAINT(ramp_row_f64, double, PDAVIS_RAMP)
 PDAVIS_PAINT(tone_row_f32, float, PDAVIS_TONE)
 PDAVIS_PAINT(tone_row_f64, double, PDAVIS_TONE)
 
+/* Fade the colours of a row towards a grey: weight * scale, clamped to 0..1, in 256
+   steps is the colour's share; NaN is 0.  valid may be NULL; what is not valid stays. */
+PDAVIS_CLONES PDAVIS_UNUSED static void fade_row(
+    const float *restrict weight, const uint8_t *restrict valid, ptrdiff_t n,
+    float scale, int32_t ground, uint8_t *restrict out)
+{
+    int32_t share[PDAVIS_PIXELS];
+    for (; n > 0; weight += PDAVIS_PIXELS, n -= PDAVIS_PIXELS) {
+        ptrdiff_t i, m = n < PDAVIS_PIXELS ? n : PDAVIS_PIXELS;
+        for (i = 0; i < m; i++) {
+            float part = weight[i] * scale;
+            part = part > 0 ? part < 1 ? part : 1 : 0;
+            share[i] = (int32_t)(part * 256 + 0.5f);
+        }
+        if (valid) {
+            for (i = 0; i < m; i++)
+                share[i] = valid[i] ? share[i] : 256;
+            valid += PDAVIS_PIXELS;
+        }
+        for (i = 0; i < 3 * m; i++)
+            out[i] = (uint8_t)(
+                ground + ((((int32_t)out[i] - ground) * share[i / 3] + 128) >> 8));
+        out += 3 * m;
+    }
+}
+
 #endif

@@ -26,6 +26,7 @@ cdef extern from "_picture.h" nogil:
                       const uint8_t*, int32_t, uint8_t*)
     void tone_row_f64(const double*, const uint8_t*, Py_ssize_t, double, double,
                       const uint8_t*, int32_t, uint8_t*)
+    void fade_row(const float*, const uint8_t*, Py_ssize_t, float, int32_t, uint8_t*)
 
 
 cdef int check(Py_ssize_t h, Py_ssize_t w, const uint8_t[:, ::1] valid,
@@ -90,6 +91,26 @@ def tone_bgr(const plane_t[:, ::1] plane not None,
              const uint8_t[:, ::1] table not None, uint8_t[:, :, :] out not None):
     """As ramp_bgr, but of sqrt(plane * scale): fine steps where the light is dim."""
     draw(plane, valid, scale, least, table, out, tone_row_f32, tone_row_f64)
+
+
+def fade_bgr(const float[:, ::1] weight not None, const uint8_t[:, ::1] valid not None,
+             float scale, uint8_t ground, uint8_t[:, :, :] out not None):
+    """Fade out (h, w, 3) towards a grey: weight * scale in 0..1 is the colour's share.
+
+    In 256 steps; NaN is 0.  Where valid (if not empty) is 0, out stays.
+    """
+    cdef Py_ssize_t h = weight.shape[0], w = weight.shape[1], y
+    if valid.shape[0] * valid.shape[1] != 0 and (
+            valid.shape[0] != h or valid.shape[1] != w):
+        raise ValueError("fade_bgr: valid must be empty or have the size of weight")
+    if (out.shape[0] != h or out.shape[1] != w or out.shape[2] != 3
+            or out.strides[2] != 1 or w > 1 and out.strides[1] != 3):
+        raise ValueError("fade_bgr: out must be (h, w, 3), its rows contiguous")
+    if w == 0:
+        return
+    with nogil:
+        for y in range(h):
+            fade_row(&weight[y, 0], row_of(valid, y), w, scale, ground, &out[y, 0, 0])
 
 
 cdef int check_canvas(Py_ssize_t h, Py_ssize_t w, const uint8_t[:, ::1] table,

@@ -36,6 +36,7 @@ __all__ = [
     "denoise_rates",
     "dolp",
     "exp",
+    "fade_bgr",
     "floor_sum",
     "guided",
     "hue_bgr",
@@ -171,6 +172,9 @@ def exp(x: _F32, out: _F32) -> None: ...
 def count(
     events: NDArray[Any], start: int, stop: int, out: NDArray[np.int32]
 ) -> int: ...
+def fade_bgr(
+    weight: _F32, valid: _U8, scale: float, ground: int, out: _U8
+) -> None: ...
 def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def guided(
     mosaic: NDArray[_Pixel], clean: _U8, variance: _F32, places: NDArray[np.intp],

@@ -102,6 +102,13 @@ def tone_bgr(plane, valid, scale, least, table):
     return coloured(plane, valid, least, table, index, ~np.isnan(plane))
 
 
+def fade_bgr(weight, valid, scale, ground, picture):
+    share = np.nan_to_num(np.clip(weight * np.float32(scale), 0, 1))
+    share = np.where(valid, (share * 256 + np.float32(0.5)).astype(int), 256)
+    off = picture.astype(int) - ground
+    return (ground + (off * share[..., None] + 128 >> 8)).astype(np.uint8)
+
+
 def coloured(plane, valid, least, table, index, has_colour):
     index = np.where(has_colour, index, len(table) - 2)
     index = np.where(~valid & (plane >= least), len(table) - 1, index)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from pdavis_cv import Layout, Session, serve
-from pdavis_cv.export import VideoFile
+from pdavis_cv.data import example_recording
+from pdavis_cv.export import AnimationFile, VideoFile
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.tools.main import main
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or (
@@ -170,3 +172,49 @@ def test_videos_play_in_a_browser(browser, tmp_path, suffix):
     page.goto(f"file://{tmp_path}/page.html")
     assert page.evaluate(PLAY) == [64, 48, pytest.approx(0.4, abs=0.041)]
     page.close()
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_animations_are_shown_in_a_browser(browser, tmp_path, suffix):
+    with AnimationFile(tmp_path / f"clip{suffix}", 25, {"method": "none"}) as file:
+        for k in range(5):
+            file.add(np.full((48, 64, 3), 50 * k, np.uint8))
+    (tmp_path / "page.html").write_text(f"<img src='clip{suffix}'>")
+    with browser.new_page() as page:
+        page.goto(f"file://{tmp_path}/page.html")
+        size = page.evaluate("""async () => {
+            const image = document.querySelector('img');
+            await image.decode();
+            return [image.naturalWidth, image.naturalHeight];
+        }""")
+    assert size == [64, 48]
+
+
+@pytest.mark.gate
+def test_pointing_at_the_tendon_s_traces_tells_their_values(browser, tmp_path):
+    pytest.importorskip("matplotlib")
+    assert main([
+        "tendon", str(example_recording("tendon")), "-o", str(tmp_path), "--no-video",
+        "--fps", "50", "--method", "cf", "--load-hz", "4.3"]) == 0
+    trace = np.genfromtxt(tmp_path / "traces.csv", delimiter=",", names=True,
+                          dtype=None, encoding="utf-8")
+    errors = []
+    with browser.new_page(viewport={"width": 1000, "height": 1200}) as page:
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(f"file://{tmp_path}/report.html")
+        box, pane = page.locator("#traces").bounding_box(), page.evaluate("PANES[0]")
+        middle = len(trace) // 2
+        share = (trace["t_s"][middle] - pane["span"][0]) / (
+            pane["span"][1] - pane["span"][0])
+        page.mouse.move(
+            box["x"] + box["width"] * (
+                pane["left"] + share * (pane["right"] - pane["left"])),
+            box["y"] + box["height"] * (pane["top"] + pane["bottom"]) / 2)
+        told = page.locator(".traces pre").inner_text()
+        page.mouse.move(box["x"] + 1, box["y"] + 1)
+        assert not page.locator(".traces pre").is_visible()
+    assert errors == []
+    assert told.splitlines()[0].endswith("DoLP")
+    value = float(f"{trace['dolp'][middle]:.5g}")
+    assert f"all: {value}" in told
+    assert "frames, all: " in told

@@ -140,6 +140,49 @@ def test_what_is_interrupted_leaves_nothing_and_keeps_what_was_there(tmp_path, m
     assert old.read_text() == "before"
 
 
+@pytest.mark.parametrize(("suffix", "far"), [(".gif", 9), (".webp", 3)])
+def test_an_animation_repeats_every_picture_in_its_time(tmp_path, suffix, far):
+    path, wanted = tmp_path / f"clip{suffix}", pictures(7, (65, 97))
+    facts = {"method": "none", "label": "größe !" * 60}
+    with export.moving_file(path, 30, facts) as file:
+        assert isinstance(file, export.AnimationFile)
+        same = np.empty_like(wanted[0])
+        for picture in wanted:
+            same[:] = picture
+            file.add(same, copy=False)
+    read, animation = cv2.imreadanimation(str(path))
+    assert read
+    assert animation.loop_count == 0
+    assert len(animation.frames) == 7
+    # 30 per second in units of 10 and of 1 ms: it does not run away
+    assert abs(sum(animation.durations) - 7 * 1000 / 30) <= 5
+    for got, picture in zip(animation.frames, wanted, strict=True):
+        # near by near: GIF has 256 colours and mixes others of them
+        a, b = (cv2.blur(one[..., :3], (15, 15)).astype(int) for one in (got, picture))
+        assert np.abs(a - b).mean() < far
+    assert export.read_embedded(path) == facts
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    image = pytest.importorskip("PIL.Image")
+    with image.open(path) as other:
+        assert (other.n_frames, other.size, other.info["loop"]) == (7, (97, 65), 0)
+
+
+def test_impossible_animations_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match=r"\.01\.\.50 for \.gif, got 60; play it slow"):
+        export.AnimationFile(tmp_path / "x.gif", 60)
+    with pytest.raises(ValueError, match=r"must end in \.gif, \.webp, got '\.png'"):
+        export.AnimationFile(tmp_path / "x.png", 25)
+    with pytest.raises(ValueError, match="no picture"), \
+            export.AnimationFile(tmp_path / "x.gif", 25):
+        pass
+    monkeypatch.setattr("pdavis_cv.export.animation._MOST_BYTES", 3000)
+    with pytest.raises(ValueError, match="up to 2 GiB or 1 pictures"):  # noqa: PT012
+        with export.AnimationFile(tmp_path / "x.gif", 25) as file:
+            for _ in range(2):
+                file.add(np.zeros((20, 30, 3), np.uint8))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_video_without_pictures_is_no_file(tmp_path):
     with pytest.raises(ValueError, match="no picture"), \
             export.VideoFile(tmp_path / "x.mp4", 25):

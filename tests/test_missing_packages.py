@@ -31,6 +31,8 @@ COMMANDS = {
     "export png": (("export", "{in}", "-o", "{out}.png", *LAYOUT), ("cv2",)),
     "export mp4": (("export", "{in}", "-o", "{out}.mp4", *LAYOUT), ("cv2",)),
     "export h5": (("export", "{in}", "-o", "{out}.h5", *LAYOUT), ("h5py",)),
+    "export ome.tif": (
+        ("export", "{in}", "-o", "{out}.ome.tif", *LAYOUT), ("tifffile",)),
     "export of an image": (
         ("export", "{png}", "-o", "{out}.npy", "--layout", "sony"), ("cv2",)),
     "export by a network": (

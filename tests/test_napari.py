@@ -65,6 +65,25 @@ def test_a_recording_is_fused_into_three_layers(tmp_path, recording):
     assert layers[0][1]["scale"][0] == pytest.approx(0.05, abs=1e-3)
 
 
+def test_the_widget_fuses_a_part_of_a_recording(tmp_path, recording):
+    path = tmp_path / "a.aedat4"
+    pdavis_cv.write_aedat4(path, recording)
+    read(path)      # registers the plugin
+    npe2 = pytest.importorskip("npe2")
+    manager = npe2.PluginManager.instance()
+    [widget] = manager.get_manifest("pdavis-cv").contributions.widgets
+    assert widget.autogenerate
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fused = manager.commands.execute(widget.command, (
+            path, "cf", 100.0, 0.05, 0.2))
+    assert [facts["name"] for _, facts, _ in fused] == ["S0", "AoP", "DoLP"]
+    assert fused[1][0].shape == (20, 8, 10)
+    assert fused[0][1]["metadata"]["method"] == "cf"
+    with pytest.raises(ValueError, match="no image lies in that part"):
+        napari_plugin.fuse_recording(path, start_s=9.0)
+
+
 def test_a_foreign_tiff_is_left_to_others(tmp_path):
     import tifffile
     tifffile.imwrite(tmp_path / "b.ome.tif", np.zeros((4, 4), np.uint8))

@@ -114,12 +114,13 @@ def test_events_whiten_and_blacken_their_own_pixels():
 
 
 def test_fading_and_masking_follow_reliability():
-    picture = render.aop_bgr(np.full((1, 3), 1.0))
-    faded = render.faded(picture, np.array([[0, 0.5, np.nan]]), (10, 20, 30))
-    assert faded[0, 0].tolist() == [10, 20, 30]
-    assert faded[0, 2].tolist() == [10, 20, 30]
-    assert faded[0, 1].tolist() == np.rint(
-        (picture[0, 1] + np.array([10, 20, 30])) / 2).tolist()
+    picture = render.aop_bgr(np.full((1, 5), 1.0))
+    faded = picture.copy()
+    render.fade(faded, [[0, 0.2, np.nan, 0.4, 0]], np.array([[1, 1, 1, 1, 0]], bool),
+                top=0.4, ground=20)
+    assert faded[0, 0].tolist() == faded[0, 2].tolist() == [20] * 3
+    assert np.abs(faded[0, 1] - (picture[0, 1] + 20.0) / 2).max() <= 0.5
+    np.testing.assert_array_equal(faded[0, 3:], picture[0, 3:])
     frame = PolarFrame(light(0.3, 0.2).quad, variance=np.full((4, 20, 30), 1e-4))
     assert render.reliable(frame, least_dolp=0.1).all()
     assert not render.reliable(frame, least_dolp=0.3).any()
@@ -128,6 +129,55 @@ def test_fading_and_masking_follow_reliability():
     assert not render.reliable(frame, most_sigma_deg=limit * 0.99).any()
     with pytest.raises(ValueError, match="needs a method that knows its variance"):
         render.reliable(light(0.3), most_sigma_deg=5)
+
+
+MARK = (10, 77, 200)
+"""A colour that neither text nor legends have."""
+
+
+@pytest.mark.parametrize("ground", [0, 255])
+def test_the_wheel_of_a_faded_angle_shows_angle_and_degree(ground):
+    radius = 60
+    wheel = render.aop_legend(radius, ground, faded=True)
+    for dolp in (0.2, 0.5, 0.9):
+        for a in np.deg2rad((10, 80, 150)):
+            x = int(radius + dolp * radius * np.cos(a))
+            y = int(radius - dolp * radius * np.sin(a))
+            up, across = radius - 0.5 - y, x + 0.5 - radius
+            want = render.aop_bgr(np.arctan2([[up]], [[across]]))
+            render.fade(want, [[np.hypot(up, across)]], top=radius, ground=ground)
+            np.testing.assert_array_equal(wheel[y, x], want[0, 0])
+
+
+def test_a_light_sheet_is_dark_text_on_white():
+    picture = np.full((30, 40, 3), MARK, np.uint8)
+    sheets = {style: render.tile([render.panel(
+        picture, "AoP", legend="faded", scale=4, style=style)], columns=1, title="t",
+        style=style) for style in (render.DARK, render.LIGHT)}
+    for style, sheet in sheets.items():
+        assert np.median(sheet[:20]) == style.ground
+        assert abs(int(sheet[:20].astype(int).sum(-1).max() if style is render.DARK
+                       else sheet[:20].astype(int).sum(-1).min()) / 3 - style.ink) < 60
+        assert (sheet[-4:] == style.ground).all()
+    dark, light = sheets.values()
+    assert dark.shape == light.shape
+    np.testing.assert_array_equal((dark == MARK).all(-1), (light == MARK).all(-1))
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (40, 9), (9, 300), (131, 86)])
+def test_panels_of_any_size_stand_in_one_line(shape):
+    picture = np.full((*shape, 3), MARK, np.uint8)
+    scale = max(1, -(-240 // shape[1]))
+    sheet = render.PanelSheet(
+        [render.Panel("S0", "grey", "0", "1234 DN/ms"), render.Panel("AoP", "faded"),
+         render.Panel("DoLP", "dolp")], columns=3, scale=scale).draw([picture] * 3, "t")
+    seen = (sheet == MARK).all(-1)
+    rows = np.flatnonzero(seen.any(1))
+    assert len(rows) == rows[-1] - rows[0] + 1 == scale * shape[0]
+    assert (seen[rows].sum(1) == 3 * scale * shape[1]).all()
+    starts = np.flatnonzero(np.diff(seen[rows[0]].astype(int)) == 1)
+    assert len(starts) == 3
+    assert starts[1] - starts[0] == starts[2] - starts[1]
 
 
 def test_text_and_scale_bar_stay_in_their_corner():

@@ -36,10 +36,38 @@ def test_pages_name_no_command_that_there_is_not(root):
 
 
 def test_every_file_that_a_page_links_to_exists(root):
-    for page in [root / "README.md", *(root / "docs").rglob("*.md")]:
-        for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text()):
-            assert link.startswith("https://") or (page.parent / link).exists(), (
-                page, link)
+    for page in [*root.glob("*.md"), *(root / "docs").rglob("*.md")]:
+        for link, anchor in re.findall(
+                r"\]\(([^)#\s]*)(?:#([^)\s]*))?[^)]*\)", page.read_text()):
+            if link.startswith("https://"):
+                continue
+            target = page.parent / link if link else page
+            assert target.exists(), (page, link)
+            if anchor:
+                heads = re.findall(r"^#+ (.*)$", target.read_text(), re.M)
+                names = {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-")
+                         for head in heads}
+                assert anchor in names, (page, link, anchor)
+
+
+WORDS = {"macropixel": "2x2", "redundancy": "I0 \\+ I90|three Stokes",
+         "buffered": "later|next", "causal": "had arrived"}
+"""Word of ours -> what its explanation holds."""
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_words_of_ours_are_explained_where_they_first_occur(root, word):
+    from pdavis_cv.tools._common import Parser, add_fuse_options
+    parser = Parser("x", "", "")
+    add_fuse_options(parser)
+    for name, text in (("README.md", (root / "README.md").read_text()),
+                       ("docs/index.md", (root / "docs/index.md").read_text()),
+                       ("--help", parser.format_help().partition("options:")[2])):
+        text = re.sub(r"\s+", " ", text)
+        first = text.lower().find(word)
+        if first >= 0:
+            near = text[max(0, first - 150):first + 300]
+            assert re.search(WORDS[word], near), (name, near)
 
 
 def test_every_page_can_be_reached_from_the_readme(root):

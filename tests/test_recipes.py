@@ -13,7 +13,8 @@ TEXT = (ROOT / "docs" / "recipes.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```", TEXT, re.M | re.S)
 TITLES = [re.findall(r"^## (.*)$", TEXT[:TEXT.index(block)], re.M)[-1]
           for block in BLOCKS]
-PACKAGES = ("imutils", "supervision", "vidgear", "pims", "imageio", "ultralytics")
+PACKAGES = ("imutils", "supervision", "vidgear", "pims", "imageio", "ultralytics",
+            "torch", "dask")
 
 
 @pytest.fixture

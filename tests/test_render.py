@@ -145,6 +145,39 @@ def test_colour_kernels_check_sizes_themselves(name, change, message):
         getattr(_kernels, name)(*arguments)
 
 
+@pytest.mark.parametrize("ground", [0, 255, 40])
+@pytest.mark.parametrize("shape", [(0, 3), (1, 1), (3, 256), (2, 257), (5, 700)])
+def test_fading_matches_reference(shape, ground):
+    rng = np.random.default_rng(0)
+    weight = rng.normal(0.3, 0.4, shape).astype(np.float32)
+    weight.reshape(-1)[:4] = np.array([np.nan, np.inf, -np.inf, -0.0])[:weight.size]
+    valid = rng.random(shape) < 0.8
+    weight.flags.writeable = valid.flags.writeable = False
+    for mask in (valid, None):
+        sheet = rng.integers(0, 256, (shape[0] + 2, shape[1] + 2, 3), np.uint8)
+        before, out = sheet.copy(), sheet[1:-1, 1:-1]
+        _kernels.fade_bgr(
+            weight, np.empty((0, 0), np.uint8) if mask is None else mask.view(np.uint8),
+            2.5, ground, out)
+        before[1:-1, 1:-1] = reference.fade_bgr(
+            weight, np.ones(shape, bool) if mask is None else mask, 2.5, ground,
+            before[1:-1, 1:-1])
+        np.testing.assert_array_equal(sheet, before)    # nothing around it either
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({1: np.zeros((2, 5), np.uint8)}, "valid must be empty or have the size"),
+    ({4: np.zeros((2, 2, 3), np.uint8)}, "out must be"),
+    ({4: np.zeros((2, 3, 4), np.uint8)[..., :3]}, "out must be")])
+def test_fading_checks_sizes_itself(change, message):
+    arguments = [np.zeros((2, 3), np.float32), np.empty((0, 0), np.uint8), 1.0, 0,
+                 np.empty((2, 3, 3), np.uint8)]
+    for place, other in change.items():
+        arguments[place] = other
+    with pytest.raises(ValueError, match=message):
+        _kernels.fade_bgr(*arguments)
+
+
 def noisy_quad(shape, seed=3):
     """Channels of noise: dark, negative, infinite and missing ones among them."""
     rng = np.random.default_rng(seed)

@@ -66,12 +66,17 @@ def test_version(capsys):
     (["fuze"], "no command 'fuze'"),
     (["exprot"], "no command 'exprot'; did you mean export?"),
     (["export", SAMPLE, "-o", "x.mp4", "--metod", "cf"], "did you mean --method?"),
-    (["export", SAMPLE, "-o", "x.mp4", "--range", "0,1"], "--range is the scale of"),
+    (["export", SAMPLE, "-o", "x.mp4", "--range", "0,1"], "of which quantity?"),
+    (["export", SAMPLE, "-o", "x.mp4", "--range", "aop=0,1"], "colours of the angle"),
+    (["export", SAMPLE, "-o", "x.mp4", "--range", "s1=0,1"], "not among --quant"),
+    (["export", SAMPLE, "-o", "x.mp4", "--range", "dolp=1,0"], "LOW must be below"),
+    (["export", SAMPLE, "-o", "x.npy", "--range", "dolp=0,1"], "holds the numbers"),
+    (["export", SAMPLE, "-o", "x.gif", "--fps", "200"], "0.01..50 for .gif, got 200"),
     (["info"], "required: file"),
     (["info", "nowhere.aedat4"], "nowhere.aedat4"),
     (["info", __file__], "test_tools.py"),
     (["export", SAMPLE], "required: -o"),
-    (["export", SAMPLE, "-o", "x.gif"], "-o must end in .webm"),
+    (["export", SAMPLE, "-o", "x.bmp"], "-o must end in .webm"),
     (["export", SAMPLE, "-o", "x.mp4", "--fps", "0"], "must be positive, got 0"),
     (["export", SAMPLE, "-o", "x.mp4", "--roi", "1,2,3"], "4 numbers"),
     (["export", SAMPLE, "-o", "x.mp4", "--roi", "340,0,20,20"], "roi"),
@@ -223,7 +228,7 @@ def test_export_lossless_returns_the_quantity_within_half_a_step(tmp_path):
 
 def test_export_png_at_a_time_is_one_picture(tmp_path):
     path = tmp_path / "x.png"
-    assert run("export", SAMPLE, "-o", path, "--at", 0.1, "--bare",
+    assert run("export", SAMPLE, "-o", path, "--at", 0.1, "--bare", "--aop", "full",
                "--layout", "pdavis", "--quantities", "aop") == 0
     assert only_files(tmp_path) == ["x.png"]
     picture = cv2.imread(str(path))
@@ -240,13 +245,91 @@ def test_the_top_of_dolp_colours_the_same_numbers_otherwise(tmp_path):
     path = tmp_path / "dolp.png"
     assert run("export", SAMPLE, "-o", path, "--layout", "pdavis", "--at", "0.1",
                "--method", "frames", "--quantities", "dolp", "--bare",
-               "--dolp-top", "0.25") == 0
+               "--range", "dolp=0,0.25") == 0
     with pdavis_cv.open_recording(SAMPLE, layout="pdavis") as recording:
         image, = pdavis_cv.fuse(recording, method="frames", times_us=[
             recording.info.start_us + 100_000])
     want = render.dolp_bgr(image.dolp, image.valid, top=0.25)
     np.testing.assert_array_equal(cv2.imread(str(path)), want)
     assert (want != render.dolp_bgr(image.dolp, image.valid)).any()
+
+
+def exported(path, *options):
+    """Return AoP of the fan as `pdavis export --bare` shows it, and its image."""
+    fan = example_recording("fan")
+    assert run("export", fan, "-o", path, "--at", "0.3", "--bare", "--method", "kalman",
+               "--set", "bandwidth=250,0", "--clock-offset", "none", "--quantities",
+               "aop", *options) == 0
+    with pdavis_cv.open_recording(fan) as recording:
+        image, = pdavis_cv.fuse(
+            recording, method="kalman", bandwidth=(250, 0), clock_offset_us=None,
+            times_us=[recording.info.start_us + 300_000])
+    return cv2.imread(str(path)), image
+
+
+def test_angles_fade_by_dolp_unless_asked_otherwise(tmp_path):
+    shown, image = exported(tmp_path / "x.png", "--range", "dolp=0.1,0.5")
+    want = render.aop_bgr(image.aop, image.valid)
+    assert (shown != want).any()
+    render.fade(want, image.dolp - np.float32(0.1), image.valid, top=0.4)
+    np.testing.assert_array_equal(shown, want)
+    shown, _ = exported(tmp_path / "x.png", "--aop", "even", "--background", "light")
+    want = render.cyclic_bgr(image.aop, image.valid)
+    render.fade(want, image.dolp, image.valid, ground=255)
+    np.testing.assert_array_equal(shown, want)
+
+
+def test_angles_are_masked_by_dolp_and_by_their_uncertainty(tmp_path):
+    shown, image = exported(
+        tmp_path / "x.png", "--mask-dolp", "0.5", "--mask-sigma", "1", "--aop", "full")
+    good = image.valid & (image.dolp >= 0.5) & (image.sigma_aop <= np.deg2rad(1))
+    assert 0 < np.count_nonzero(good) < good.size
+    np.testing.assert_array_equal(shown, render.aop_bgr(image.aop, good))
+
+
+def test_pictures_have_a_scale_bar_and_a_light_background(tmp_path):
+    options = ("export", SAMPLE, "-o", tmp_path / "x.png", "--layout", "pdavis", "--at",
+               "0.1", "--method", "frames", "--quantities", "s0,dolp")
+    assert run(*options) == 0
+    plain = cv2.imread(str(tmp_path / "x.png"))
+    assert run(*options, "--pixel-um", "0.74") == 0
+    barred = cv2.imread(str(tmp_path / "x.png"))
+    changed = np.argwhere((barred != plain).any(-1))
+    assert len(changed) > 100
+    # in the lower right part of either picture: 260 rows from row 48 on
+    assert changed[:, 0].min() > 48 + 260 - 40
+    assert (np.diff(np.unique(changed[:, 1])) > 200).sum() == 1
+    assert run(*options, "--background", "light") == 0
+    light = cv2.imread(str(tmp_path / "x.png"))
+    assert light.shape == plain.shape
+    assert np.median(light[:20]) == 255
+
+
+@pytest.mark.parametrize(("arguments", "images"), [
+    (("export", SAMPLE, "-o", "x.npy", "--layout", "pdavis", "--method", "frames"), 4),
+    (("export", SAMPLE, "-o", "x.webp", "--layout", "pdavis", "--method", "frames",
+      "--quantities", "s0"), 4),
+    (("convert", SAMPLE, "x.aedat"), None),
+    (("simulate", "polarizer", "-o", "x.aedat4", "--seconds", ".1", "--size", "4x4"),
+     None)])
+def test_json_says_what_was_written(arguments, images, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["wrote"]
+    assert set(told["wrote"]) <= set(only_files(tmp_path))
+    assert told.get("images") == images
+
+
+def test_progress_is_told_to_a_log_only_when_asked_for(tmp_path, capsys):
+    for more, silent in (((), True), (("--progress",), False), ((), True)):
+        assert run("export", SAMPLE, "-o", tmp_path / "x.npy", "--layout", "pdavis",
+                   "--method", "frames", *more) == 0
+        text = capsys.readouterr().err
+        assert (text == "") == silent
+    assert run("simulate", "polarizer", "-o", tmp_path / "x.aedat4", "--seconds", ".1",
+               "--size", "4x4", "--progress") == 0
+    assert re.search(r"\d+%\|.*\[.*<.*\]", capsys.readouterr().err)   # time left
 
 
 def test_export_png_without_a_time_is_a_series(tmp_path, capsys):

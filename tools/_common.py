@@ -5,6 +5,7 @@ import argparse
 import contextlib
 import difflib
 import functools
+import json
 import os
 import re
 import signal
@@ -12,6 +13,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
@@ -39,6 +41,7 @@ __all__ = [
     "Parser",
     "UsageError",
     "add_fuse_options",
+    "add_json_option",
     "add_layout_option",
     "calibration_of",
     "can_draw",
@@ -51,14 +54,18 @@ __all__ = [
     "opened",
     "option_value",
     "progress",
+    "progress_in_time",
     "require_samples",
     "source_of",
     "stage",
     "start_of",
+    "tell",
 ]
 
 
 TRACEBACK = "PDAVIS_CV_TRACEBACK"
+_ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
+"""Whether --progress was given to this command, or to one that runs it."""
 
 
 class Main(Protocol):
@@ -103,6 +110,16 @@ class Parser(OneLineParser):
             prog=f"pdavis {name}", description=description,
             epilog=f"example:\n  {example}",
             formatter_class=argparse.RawDescriptionHelpFormatter)
+        self.add_argument(
+            "--progress", action=_Progress, nargs=0, default=argparse.SUPPRESS,
+            help="tell stages and the time left even if stderr is no terminal")
+
+
+class _Progress(argparse.Action):
+    """Notes --progress at once: stages and bars ask for it wherever they are."""
+
+    def __call__(self, *_: Any) -> None:
+        _ALWAYS.set(True)
 
 
 def command(main: Main) -> Main:
@@ -117,6 +134,7 @@ def command(main: Main) -> Main:
 
     @functools.wraps(main)
     def run(argv: Sequence[str] | None = None) -> int:
+        before = _ALWAYS.set(_ALWAYS.get())
         with warnings.catch_warnings():
             warnings.simplefilter("always", PdavisWarning)
             warnings.showwarning = _show_warning
@@ -144,6 +162,8 @@ def command(main: Main) -> Main:
                     f"this is a mistake of pdavis, {type(error).__name__}: {error}; "
                     f"please report the command and what it prints with {TRACEBACK}=1",
                     70)
+            finally:
+                _ALWAYS.reset(before)
             return code
 
     return run
@@ -470,18 +490,74 @@ def can_draw() -> bool:
     return True
 
 
+def _shown(**options: Any) -> dict[str, Any]:
+    """Return tqdm's options: it shows itself on a terminal, or after --progress."""
+    if _ALWAYS.get():
+        return {"disable": False, "mininterval": 1.0, **options}
+    return {"disable": None, **options}
+
+
 def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterable[Any]:
-    """Show progress on a terminal; be silent anywhere else."""
+    """Show how many are done and the time left, on a terminal or after --progress."""
     from tqdm import tqdm
     shown: Iterable[Any] = tqdm(
-        items, total=total, unit=f" {unit}", leave=False, disable=None)
+        items, **_shown(total=total, unit=f" {unit}", leave=False))
     return shown
 
 
+def progress_in_time(
+    packets: Iterable[Any], start_us: int | None, stop_us: int | None
+) -> Iterator[Any]:
+    """Pass packets on; show which second of the recording they have reached.
+
+    Parameters
+    ----------
+    packets : iterable of Packet
+    start_us, stop_us : int or None
+        Ends of the recording; the time left is not known without the second.
+    """
+    from tqdm import tqdm
+    start, total = start_us, None
+    if start_us is not None and stop_us is not None:
+        total = round((stop_us - start_us) / 1e6, 3)
+    with tqdm(**_shown(total=total, unit=" s", leave=False)) as bar:
+        for packet in packets:
+            yield packet
+            start = packet.start_us if start is None else start
+            bar.update(max((packet.start_us - start) / 1e6 - bar.n, 0.0))
+
+
 def stage(what: str) -> None:
-    """Say on a terminal what takes a while before there is progress to show."""
-    if sys.stderr is not None and sys.stderr.isatty():
+    """Say, where `progress` shows, what takes a while before it can."""
+    if _ALWAYS.get() or (sys.stderr is not None and sys.stderr.isatty()):
         print(f"pdavis: {what} ...", file=sys.stderr, flush=True)
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """Add --json to a command that ends with `tell`."""
+    parser.add_argument(
+        "--json", action="store_true",
+        help="print what was done as JSON, for programs")
+
+
+def tell(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
+    """Print what a command did: lines, or after --json an object of facts.
+
+    Parameters
+    ----------
+    args : Namespace
+        With ``json``.
+    lines : iterable of str
+        For people.
+    **facts
+        For programs; arrays and paths as JSON can hold them, NaN as null.
+    """
+    if args.json:
+        from pdavis_cv.export.files import plain
+        text = json.dumps(facts, default=plain)
+        print(json.dumps(json.loads(text, parse_constant=lambda _: None), indent=2))
+    else:
+        print("\n".join(lines))
 
 
 _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {

@@ -11,11 +11,13 @@ from pdavis_cv.recording.registry import formats, writer_for
 from ._common import (
     Parser,
     UsageError,
+    add_json_option,
     add_layout_option,
     checked_out,
     command,
     opened,
-    progress,
+    progress_in_time,
+    tell,
 )
 
 __all__ = ["main"]
@@ -31,13 +33,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(f"--{name} is no option of {kind.title}")
     checked_out(out, args.input, recording=True, force=args.force)
     with opened(args, args.input) as recording:
+        ends = recording.info.start_us, recording.info.stop_us
         lost = write(out, passing(
-            recording, lambda packets: progress(packets, None, "packets")), **options)
+            recording, lambda packets: progress_in_time(packets, *ends)), **options)
         problems = recording.problems
-    for what, count in lost.items():
-        print(f"not kept: {count:,} {what}")
-    for problem in problems:
-        print(f"found: {problem.kind} ({problem.count:,}): {problem.message}")
+    tell(args, [
+        f"wrote {out}",
+        *(f"not kept: {count:,} {what}" for what, count in lost.items()),
+        *(f"found: {one.kind} ({one.count:,}): {one.message}" for one in problems)],
+        wrote=[out], not_kept=lost, problems=[
+            {"kind": one.kind, "count": one.count, "message": one.message}
+            for one in problems])
     return 0
 
 
@@ -54,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     add_layout_option(parser)
     parser.add_argument("--camera", help="which camera, if the file holds several")
     parser.add_argument("--force", action="store_true", help="replace a recording")
+    add_json_option(parser)
     return parser
 
 

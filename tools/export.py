@@ -1,15 +1,17 @@
 """Fuse a recording into a video, pictures or arrays.
 
 The suffix of OUT says what is written: .webm (soonest done; browsers play it, and
-.mp4), .mkv, .avi a colour video; .png pictures; .npy float arrays (AoP in radians);
-.ome.tif, .h5 and .npz stacks with names, units, times and provenance inside, which
---resume can continue.  With --lossless, .mkv or .avi hold one quantity in 16 bits
-(FFV1).  Times, units and scales of these and of .npy stand in a .json beside it.
+.mp4), .mkv, .avi a colour video; .webp, .gif the same for slides; .png pictures; .npy
+float arrays (AoP in radians); .ome.tif, .h5 and .npz stacks with names, units, times
+and provenance inside, which --resume can continue.  With --lossless, .mkv or .avi hold
+one quantity in 16 bits (FFV1).  Times, units and scales of these and of .npy stand in a
+.json beside it.
 """
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -20,12 +22,14 @@ import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv.batch.pools import ProcessPool
+from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.render.colours import Picture
 
 from ._common import (
     Parser,
     UsageError,
     add_fuse_options,
+    add_json_option,
     checked_out,
     command,
     covered,
@@ -35,6 +39,7 @@ from ._common import (
     require_samples,
     stage,
     start_of,
+    tell,
 )
 from ._images import full_scale, told_if_nothing
 from ._values import numbers, positive, seconds, within
@@ -52,8 +57,7 @@ _TITLES = {"s0": "intensity S0", "aop": "angle of polarization",
 _UNIFORM = math.pi / math.sqrt(12)  # sigma of an angle of which nothing is known
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
-_AT_ONCE = ("s0", "aop", "dolp")
-_COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi")
+_COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
 _PLANE = (".mkv", ".avi")
 
 
@@ -72,10 +76,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(
             "--lossless writes one quantity to .mkv or .avi, got "
             f"{','.join(args.quantities)} and {args.out}")
-    if args.range is not None and not args.lossless:
+    ranges = _ranges(args)
+    if ranges and suffix in (".npy", *_STACKS):
         raise UsageError(
-            "--range is the scale of --lossless; pictures have --white and --dolp-top, "
-            "and the other files hold the numbers themselves")
+            f"--range is for pictures and --lossless; {suffix} holds the numbers "
+            "themselves")
     checked_out(args.out, args.file)
     if suffix not in (".npy", *_STACKS):
         render.opencv()  # say what is missing before the work, not after
@@ -104,22 +109,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         rate = _playing_rate(first, options["fps"], args.slow)
         total = _expected(recording, options, first)
         frames = iter(progress(itertools.chain(first, images), total, "images"))
+        facts: dict[str, Any]
         if suffix == ".npy":
-            lines = _write_arrays(args, frames)
+            lines, facts = _write_arrays(args, frames)
         elif suffix in _STACKS:
-            lines = _write_stack(args, frames, recording, first[0])
+            lines, facts = _write_stack(args, frames, recording, first[0])
         elif suffix == ".png":
-            lines = _write_pictures(args, frames, Sheet(args, recording, first[0]))
+            lines, facts = _write_pictures(
+                args, frames, Sheet(args, recording, first[0]))
         elif args.lossless:
-            lines = _write_plane(args, frames, rate, recording, first[0])
+            lines, facts = _write_plane(args, frames, rate, recording, first[0])
         else:
-            lines = _write_video(
+            lines, facts = _write_video(
                 args, frames, rate, Sheet(args, recording, first[0]))
         if options["fps"] is None and args.at is None and (
                 recording.info.event_count != 0 and recording.info.frame_count != 0):
             lines.append(
                 "one image for each frame; --fps 200 makes 200 a second, by the events")
-    print("\n".join(lines))
+    tell(args, lines, method=first[0].provenance["method"],
+         quantities=args.quantities,
+         units=[QUANTITIES[name] for name in args.quantities], **facts)
     return 0
 
 
@@ -139,11 +148,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--lossless", action="store_true", help="16-bit FFV1 of one quantity")
     parser.add_argument(
-        "--range", type=lambda text: tuple(numbers(text, 2)), metavar="LOW,HIGH",
-        help="values of the ends of the 16-bit scale; default: all that can occur")
+        "--range", type=_range, action="append", default=[],
+        metavar="[NAME=]LOW,HIGH", dest="ranges",
+        help="values at the ends of a quantity's colours (of dolp also the one of full "
+             "colour in faded AoP) or of the 16-bit scale, e.g. dolp=0,0.3; "
+             "repeatable; default: dolp 0,1, intensities up to --white, of 16 bits "
+             "all that can occur")
     parser.add_argument(
         "--pixel-um", type=positive, metavar="UM",
-        help="size of a pixel in the object, written into stacks")
+        help="size of a pixel in the object: pictures get a bar of a round length, "
+             "stacks hold it")
     parser.add_argument(
         "--resume", action="store_true",
         help="keep what an interruption leaves of a stack, and continue it")
@@ -159,14 +173,25 @@ def _parser() -> argparse.ArgumentParser:
         "--white", type=positive, metavar="DN/MS",
         help="intensity shown as white; default: from the first image, then fixed")
     look.add_argument(
-        "--dolp-top", type=positive, default=1.0, metavar="DOLP",
-        help="DoLP shown in the brightest colour; default 1")
+        "--aop", choices=("faded", "even", "full"), default="faded",
+        help="colours of the angle: hues that fade where DoLP is low (default), the "
+             "same of even lightness, or hues at full strength whatever DoLP is")
+    look.add_argument(
+        "--mask-dolp", type=positive, metavar="DOLP",
+        help="grey out AoP of weaker polarization")
+    look.add_argument(
+        "--mask-sigma", type=positive, metavar="DEG",
+        help="grey out AoP of a larger standard deviation, as kalman knows it")
+    look.add_argument(
+        "--background", choices=("dark", "light"), default="dark",
+        help="around the pictures, and what AoP fades to; light is for print")
     look.add_argument("--title", default="", help="a line above each picture")
     look.add_argument(
         "--columns", type=within(1, 64), metavar="N",
         help="panels in a row; default all")
     look.add_argument(
         "--bare", action="store_true", help="no titles, no legends, no margins")
+    add_json_option(parser)
     add_fuse_options(parser)
     return parser
 
@@ -178,6 +203,38 @@ def _quantities(text: str) -> list[str]:
             raise argparse.ArgumentTypeError(
                 f"{name!r} is none of {', '.join(QUANTITIES)}")
     return names
+
+
+def _range(text: str) -> tuple[str | None, float, float]:
+    name, equals, ends = text.rpartition("=")
+    low, high = numbers(ends, 2)
+    if not low < high:
+        raise argparse.ArgumentTypeError(f"LOW must be below HIGH, got {text!r}")
+    return _quantities(name)[0] if equals else None, low, high
+
+
+def _ranges(args: argparse.Namespace) -> dict[str, tuple[float, float]]:
+    """Return the ranges asked for, by quantity; one without a name is of the only one.
+
+    Raises
+    ------
+    UsageError
+        If it is not clear of which, or that quantity has none.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for name, low, high in args.ranges:
+        if name is None and len(args.quantities) != 1:
+            raise UsageError(
+                f"--range {low:g},{high:g}: of which quantity? "
+                f"e.g. --range {args.quantities[-1]}={low:g},{high:g}")
+        name = name or args.quantities[0]
+        if name not in args.quantities and not (
+                name == "dolp" and "aop" in args.quantities):
+            raise UsageError(f"--range {name}: it is not among --quantities")
+        if name == "aop" and not args.lossless:
+            raise UsageError("--range aop: colours of the angle go round, 0 to 180 deg")
+        found[name] = low, high
+    return found
 
 
 class Sheet:
@@ -203,12 +260,21 @@ class Sheet:
         top = full_scale(recording)
         self.white = float(args.white or _white(first, top))
         self.saturated = math.inf if top is None else top / 2
+        self.ranges = {name: _shown_range(name, self.white) for name in
+                       args.quantities} | _ranges(args)
+        self.fading = _ranges(args).get("dolp", (0.0, render.FULL_COLOUR_DOLP))
+        self.style = render.LIGHT if args.background == "light" else render.DARK
+        self._masked = args.mask_dolp is not None or args.mask_sigma is not None
         # small images are shown large enough to see and to carry a caption
+        scale = max(1, -(-240 // first.shape[1]))
+        pixel_um = args.pixel_um and args.pixel_um * (
+            2 if first.provenance.get("demosaic") in HALF_SIZE else 1)
         self._sheet = None if args.bare else render.PanelSheet(
             [self._panel(name) for name in args.quantities],
-            columns=args.columns or len(args.quantities),
-            scale=max(1, -(-240 // first.shape[1])),
-            keep=export.VideoFile.ahead + 1)
+            columns=args.columns or len(args.quantities), scale=scale,
+            keep=export.VideoFile.ahead + 1, style=self.style,
+            mark=None if pixel_um is None else functools.partial(
+                render.draw_scale_bar, pixel_um=pixel_um, scale=scale))
 
     def picture(self, frame: PolarFrame) -> Picture:
         """Compose the picture of one image.
@@ -218,10 +284,12 @@ class Sheet:
         names = self.args.quantities
         places = (None,) * len(names) if self._sheet is None else self._sheet.places
         at_once = {name: place for name, place in zip(names, places, strict=True)
-                   if name in _AT_ONCE
-                   and (name != "dolp" or self.args.dolp_top == 1)}
+                   if self._usual(name)}
         drawn = render.draw_polarization(
-            frame, at_once, white=self.white, saturated=self.saturated)
+            frame, at_once, white=self.ranges.get("s0", (0, self.white))[1],
+            saturated=self.saturated)
+        if "aop" in drawn and self.args.aop == "faded":
+            self._fade(drawn["aop"], frame)
         pictures = [drawn[name] if name in drawn else self._colour(frame, name, place)
                     for name, place in zip(names, places, strict=True)]
         if self._sheet is None:
@@ -232,33 +300,66 @@ class Sheet:
         line = f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
         return self._sheet.draw(pictures, line.rstrip())
 
+    def _usual(self, name: str) -> bool:
+        """Whether `draw_polarization` gives the picture of a quantity."""
+        if name == "aop":
+            return self.args.aop != "even" and not self._masked
+        if name == "dolp":
+            return self.ranges[name] == (0, 1)
+        return name == "s0" and self.ranges[name][0] == 0
+
+    def _fade(self, picture: Picture, frame: PolarFrame) -> None:
+        low, high = self.fading
+        render.fade(picture, frame.dolp - np.float32(low), frame.valid, top=high - low,
+                    ground=self.style.ground)
+
     def _colour(
         self, frame: PolarFrame, name: str, out: Picture | None
     ) -> Picture:
-        plane = export.plane(frame, name)
+        if name == "aop":
+            good = render.reliable(frame, least_dolp=self.args.mask_dolp,
+                                   most_sigma_deg=self.args.mask_sigma)
+            colours = render.cyclic_bgr if self.args.aop == "even" else render.aop_bgr
+            picture = colours(frame.aop, good, out)
+            if self.args.aop != "full":
+                self._fade(picture, frame)
+            picture[~good] = render.INVALID
+            return picture
+        low, high = self.ranges[name]
+        plane, width = export.plane(frame, name) - np.float32(low), high - low
         if name.startswith("dolp"):
-            return render.dolp_bgr(
-                plane, frame.valid, top=self.args.dolp_top, out=out)
-        if name == "quality" or name.startswith("sigma"):
-            return render.grey_bgr(
-                plane, _UNIFORM if name == "sigma_aop" else 1.0, out=out)
-        if name in ("s1", "s2"):  # mid-grey is 0
-            return render.grey_bgr(plane + self.white, 2 * self.white, out=out)
+            return render.dolp_bgr(plane, frame.valid, top=width, out=out)
+        if name == "quality" or name.startswith("sigma") or name in ("s1", "s2"):
+            return render.grey_bgr(plane, width, out=out)
         # An intensity that is not valid is too dark or too bright to measure, and
         # may still be seen.
         return render.grey_bgr(
-            plane, self.white, frame.valid, saturated=self.saturated, out=out)
+            plane, width, frame.valid, saturated=self.saturated - low, out=out)
 
     def _panel(self, name: str) -> render.Panel:
-        legend, start, end = "grey", "0", f"{self.white:.4g} DN/ms"
-        if name == "aop" or name.startswith("dolp"):
-            legend = name.removesuffix("_debiased")
-            end = f"{self.args.dolp_top:g}"
-        elif name == "quality" or name.startswith("sigma"):
-            end = "52 deg" if name == "sigma_aop" else "1"
-        elif name in ("s1", "s2"):
-            start = f"-{self.white:.4g}"
-        return render.Panel(_TITLES.get(name, name.upper()), legend, start, end)
+        title = _TITLES.get(name, name.upper())
+        if name == "aop":
+            legend = "aop" if self.args.aop == "full" else self.args.aop
+            return render.Panel(title, legend, end=f"{self.fading[1]:g}")
+        low, high = self.ranges[name]
+        unit = "" if QUANTITIES[name] == "1" else f" {QUANTITIES[name]}"
+        if name == "sigma_aop":
+            low, high, unit = math.degrees(low), math.degrees(high), " deg"
+        return render.Panel(
+            title, "dolp" if name.startswith("dolp") else "grey", f"{low:.4g}",
+            f"{high:.4g}{unit}")
+
+
+def _shown_range(name: str, white: float) -> tuple[float, float]:
+    """Return the values at the ends of a quantity's colours, if nothing else is said.
+
+    The middle grey of S1 and S2 is 0.
+    """
+    if name == "sigma_aop":
+        return 0.0, _UNIFORM
+    if QUANTITIES[name] == "1":
+        return 0.0, 1.0
+    return (-white if name in ("s1", "s2") else 0.0), white
 
 
 def _white(frame: PolarFrame, top: float | None) -> float:
@@ -308,29 +409,31 @@ class _Log:
                 self.facts = {"provenance": dict(frame.provenance)}
             yield frame
 
-    def write(self, path: Path, **facts: Any) -> str:
+    def write(self, path: Path, **facts: Any) -> Path:
         beside = path.with_suffix(path.suffix + ".json")
         export.write_json(beside, {
             **self.facts, **facts, "t_us": self.times, "frame_us": self.frame_times})
-        return f"wrote {beside}: times and scale"
+        return beside
 
 
 def _write_video(
     args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float, sheet: Sheet
-) -> list[str]:
+) -> tuple[list[str], dict[str, Any]]:
     facts = export.provenance(sheet.provenance, sheet.path)
-    with export.VideoFile(args.out, rate, facts) as video:
+    with export.moving_file(args.out, rate, facts) as video:
         for frame in frames:
             picture = sheet.picture(frame)
             video.add(picture, copy=False)  # encodes while the next one comes about
     height, width = picture.shape[:2]
-    return [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
-            f"{rate:g} per second; white is {sheet.white:g} DN/ms"]
+    line = (f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
+            f"{rate:g} per second; white is {sheet.white:g} DN/ms")
+    return [line], {"wrote": [args.out], "images": video.count, "playing_fps": rate,
+                    "white": sheet.white}
 
 
 def _write_pictures(
     args: argparse.Namespace, frames: Iterator[PolarFrame], sheet: Sheet
-) -> list[str]:
+) -> tuple[list[str], dict[str, Any]]:
     written = []
     facts = export.provenance(sheet.provenance, sheet.path)
     for i, frame in enumerate(frames):
@@ -340,15 +443,16 @@ def _write_pictures(
         export.write_png(path, sheet.picture(frame), facts)
         written.append(path)
     last = f" .. {written[-1].name}" if len(written) > 1 else ""
-    return [f"wrote {written[0]}{last}; white is {sheet.white:g} DN/ms"]
+    return [f"wrote {written[0]}{last}; white is {sheet.white:g} DN/ms"], {
+        "wrote": written, "images": len(written), "white": sheet.white}
 
 
 def _write_plane(
     args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float,
     recording: Recording, first: PolarFrame,
-) -> list[str]:
+) -> tuple[list[str], dict[str, Any]]:
     name = args.quantities[0]
-    low, high = args.range or _natural_range(name, recording)
+    low, high = _ranges(args).get(name) or _natural_range(name, recording)
     log = _Log(frames)
     facts = export.provenance(
         first.provenance, recording.path, quantity=name, unit=QUANTITIES[name])
@@ -360,10 +464,12 @@ def _write_plane(
         clipped=video.clipped, height=first.shape[0], width=first.shape[1],
         playing_fps=rate)
     lines = [f"wrote {args.out}: {video.count} images of {name}, 16 bits for "
-             f"{low:g} .. {high:g} {QUANTITIES[name]}", beside]
+             f"{low:g} .. {high:g} {QUANTITIES[name]}",
+             f"wrote {beside}: times and scale"]
     if video.clipped:
         lines.append(f"{video.clipped} samples were beyond that range and clipped")
-    return lines
+    return lines, {"wrote": [args.out, beside], "images": video.count,
+                   "playing_fps": rate, "clipped": video.clipped, **video.scale}
 
 
 def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
@@ -383,7 +489,7 @@ def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
 def _write_stack(
     args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording,
     first: PolarFrame,
-) -> list[str]:
+) -> tuple[list[str], dict[str, Any]]:
     facts = export.provenance(first.provenance, recording.path)
     kind = _STACKS[args.out.suffix.lower()]
     with kind(args.out, args.quantities, facts, pixel_um=args.pixel_um,
@@ -393,11 +499,16 @@ def _write_stack(
             file.add(frame)
     height, width = first.shape
     continued = f", {done} of them from before" if done else ""
-    return [f"wrote {args.out}: float32, {file.count} x {len(file.quantities)} x "
-            f"{height} x {width} ({', '.join(file.quantities)}){continued}"]
+    line = (f"wrote {args.out}: float32, {file.count} x {len(file.quantities)} x "
+            f"{height} x {width} ({', '.join(file.quantities)}){continued}")
+    return [line], {"wrote": [args.out], "images": file.count,
+                    "shape": [file.count, len(file.quantities), height, width],
+                    "continued": done}
 
 
-def _write_arrays(args: argparse.Namespace, frames: Iterator[PolarFrame]) -> list[str]:
+def _write_arrays(
+    args: argparse.Namespace, frames: Iterator[PolarFrame]
+) -> tuple[list[str], dict[str, Any]]:
     log, names = _Log(frames), args.quantities
     with export.ArrayFile(args.out) as file:
         for frame in log:
@@ -409,7 +520,10 @@ def _write_arrays(args: argparse.Namespace, frames: Iterator[PolarFrame]) -> lis
         args.out, axes="T, quantity, row, column", quantities=names,
         units=[QUANTITIES[name] for name in names], invalid="NaN")
     size = " x ".join(map(str, (file.count, *shape)))
-    return [f"wrote {args.out}: float32, {size} ({', '.join(names)})", beside]
+    lines = [f"wrote {args.out}: float32, {size} ({', '.join(names)})",
+             f"wrote {beside}: times and scale"]
+    return lines, {"wrote": [args.out, beside], "images": file.count,
+                   "shape": [file.count, *shape]}
 
 
 if __name__ == "__main__":

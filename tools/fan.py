@@ -21,12 +21,14 @@ from ._common import (
     Parser,
     UsageError,
     add_fuse_options,
+    add_json_option,
     command,
     fuse_options,
     opened,
     progress,
     stage,
     start_of,
+    tell,
 )
 from ._images import (
     facts_of,
@@ -46,8 +48,9 @@ __all__ = ["main", "make_fan"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis fan``."""
     args = _parser().parse_args(argv)
-    if args.out.suffix.lower() not in (".webm", ".mp4", ".mkv", ".avi"):
-        raise UsageError(f"-o must end in .webm, .mp4, .mkv or .avi, got {args.out}")
+    suffixes = (".webm", ".mp4", ".mkv", ".avi", *export.ANIMATIONS)
+    if args.out.suffix.lower() not in suffixes:
+        raise UsageError(f"-o must end in {', '.join(suffixes)}, got {args.out}")
     if (args.centre is None) != (args.radius is None):
         raise UsageError("--centre and --radius belong together")
     if not args.slow > 0:
@@ -55,12 +58,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     render.opencv()
     with opened(args) as recording:
         if args.beside is None:
-            lines = make_fan(args, recording, None)
+            lines, facts = make_fan(args, recording, None)
         else:
             with open_recording(args.beside, layout=args.beside_layout,
                                 fps=args.beside_fps) as second:
-                lines = make_fan(args, recording, second)
-    print("\n".join(lines))
+                lines, facts = make_fan(args, recording, second)
+    tell(args, lines, **facts)
     return 0
 
 
@@ -72,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("file", help="a recording with frames and events")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT",
-        help="video to write: .webm, .mp4, .mkv or .avi")
+        help="video to write: .webm, .mp4, .mkv or .avi; .gif or .webp for slides")
     parser.add_argument(
         "--beside", metavar="FILE", help="a second recording, shown in a row below")
     parser.add_argument(
@@ -106,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
                        help="angle of sector 0's middle at the recording's start")
     wheel.add_argument("--spacing", type=number, metavar="DEG",
                        help="from a sector's polarizer to the next; default 180/N")
+    add_json_option(parser)
     add_fuse_options(parser)
     parser.set_defaults(fps=1000.0)
     return parser
@@ -113,7 +117,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def make_fan(
     args: argparse.Namespace, recording: Recording, second: Recording | None
-) -> list[str]:
+) -> tuple[list[str], dict[str, Any]]:
     """Write the video and what goes with it.
 
     Parameters
@@ -127,8 +131,8 @@ def make_fan(
 
     Returns
     -------
-    list of str
-        What to tell the user.
+    (list of str, dict of str to object)
+        What to tell the user, and a program.
     """
     options = fuse_options(args, recording)
     origin = start_of(recording)
@@ -148,7 +152,7 @@ def make_fan(
     images = told_if_nothing(
         fuse(recording, **options), recording, options["calibration"])
     pairs = zip(fuse(recording, **held_options), images, times.tolist(), strict=True)
-    with export.VideoFile(args.out, args.fps / args.slow, facts) as video:
+    with export.moving_file(args.out, args.fps / args.slow, facts) as video:
         for held, fused, t in progress(pairs, len(times), "images"):
             rows = [("frames", held, tones[0].seen),
                     (str(fused.provenance["method"]), fused, tones[1].seen),
@@ -165,12 +169,16 @@ def make_fan(
     height, width = picture.shape[:2]
     lines = [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
              f"{video.fps:g} per second, {args.slow:g} times slower"]
+    told: dict[str, Any] = {"wrote": [args.out], "images": video.count}
     if args.still is not None and still is not None:
         export.write_png(args.still, still, facts)
         lines.append(f"wrote {args.still}")
+        told["wrote"].append(args.still)
     if wheel is not None:
+        path = args.out.with_suffix(".csv")
         lines += _write_sectors(args, wheel, measured, facts, origin)
-    return lines
+        told["wrote"].append(path)
+    return lines, told
 
 
 def _title(args: argparse.Namespace, recording: Recording, t_us: int) -> str:

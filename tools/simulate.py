@@ -14,10 +14,19 @@ from pathlib import Path
 
 import pdavis_cv
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.passing import passing
 from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import PRESETS, SCENES, Camera, named_scene
 
-from ._common import Parser, UsageError, checked_out, command
+from ._common import (
+    Parser,
+    UsageError,
+    add_json_option,
+    checked_out,
+    command,
+    progress_in_time,
+    tell,
+)
 from ._values import LAST_SEED, number, numbers, positive, within
 
 __all__ = ["main"]
@@ -53,13 +62,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
     checked_out(args.out, recording=True, force=args.force)
     stream = camera.stream(scene, args.seconds, run=args.run, threads=args.threads)
-    _write(args.out, stream)
+    _write(args.out, passing(stream, lambda packets: progress_in_time(
+        packets, 0, round(args.seconds * 1e6))))
     truth = Path(f"{os.fspath(args.out)}.truth.npz")
     stream.truth().save(truth)
-    print(f"wrote {args.out} and {truth}")
     lost = int(stream.truth().bus_lost.sum())
+    lines = [f"wrote {args.out} and {truth}"]
     if lost:
-        print(f"the read-out bus lost {lost} events")
+        lines.append(f"the read-out bus lost {lost} events")
+    tell(args, lines, wrote=[args.out, truth], bus_lost=lost)
     return 0
 
 
@@ -91,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
         "--threads", type=within(1, 256), default=1,
         help="default 1; the result is the same")
     parser.add_argument("--force", action="store_true", help="replace a recording")
+    add_json_option(parser)
     group = parser.add_argument_group("scene")
     group.add_argument(
         "--rpm", type=number, default=200.0,

@@ -7,17 +7,23 @@ from __future__ import annotations
 import json
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import export
 from pdavis_cv.fusion import fuse
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.open import open_recording
 
-__all__ = ["get_reader", "read_recording", "read_stack"]
+if TYPE_CHECKING:
+    import napari.types
+
+__all__ = ["fuse_recording", "get_reader", "read_recording", "read_stack"]
 
 Layer = tuple[NDArray[np.float32], dict[str, Any], str]
 
@@ -25,6 +31,8 @@ _QUANTITIES = ("S0", "AoP", "DoLP")
 _COLOURS = {"AoP": "hsv", "DoLP": "viridis"}
 _LIMITS = {"AoP": (0.0, math.pi), "DoLP": (0.0, 1.0)}
 _BRIGHT = 99.5  # per cent of an intensity's pixels that are not shown as white
+_METHODS = ("what fits the file", *METHODS)
+_LAYOUTS = ("as the file says", "pdavis", "sony")
 _CREATOR = 'Creator="pdavis_cv"'
 
 
@@ -61,7 +69,54 @@ def read_recording(path: str | Sequence[str]) -> list[Layer]:
         S0, AoP (radians) and DoLP, float32 (T, H, W), NaN where not valid.
     """
     with open_recording(path if isinstance(path, str) else path[0]) as recording:
-        images = list(fuse(recording))
+        return _layers(fuse(recording))
+
+
+def fuse_recording(
+    recording: Path, method: Annotated[str, {"choices": _METHODS}] = _METHODS[0],
+    images_per_second: float = 0.0, start_s: float = 0.0, seconds: float = 1.0,
+    layout: Annotated[str, {"choices": _LAYOUTS}] = _LAYOUTS[0],
+) -> list[napari.types.LayerDataTuple]:
+    """Fuse a part of a recording into layers: napari makes a widget of this function.
+
+    Parameters
+    ----------
+    recording : Path
+        The file.
+    method : str
+        One of ``METHODS``, or what fits the file.
+    images_per_second : float
+        0: one image for each frame.
+    start_s, seconds : float
+        First image, after the start of the recording, and for how long; memory holds
+        them all.
+    layout : str
+        Name of a `Layout`, for files that do not say how their polarizers lie.
+
+    Returns
+    -------
+    list of (ndarray, dict, str)
+        As of `read_recording`.
+
+    Raises
+    ------
+    ValueError
+        If there is no image in that time.
+    """
+    with open_recording(
+            recording, layout=None if layout == _LAYOUTS[0] else layout) as opened:
+        first = opened.info.start_us or opened.scan().start_us or 0
+        start = first + round(start_s * 1e6)
+        return _layers(fuse(
+            opened, method=None if method == _METHODS[0] else method,
+            fps=images_per_second or None, start_us=start,
+            stop_us=start + round(seconds * 1e6)))
+
+
+def _layers(fused: Iterable[PolarFrame]) -> list[Layer]:
+    images = list(fused)
+    if not images:
+        raise ValueError("no image lies in that part of the recording")
     planes = {name: np.stack([
         np.where(image.valid, export.plane(image, name), np.nan) for image in images])
         for name in _QUANTITIES}

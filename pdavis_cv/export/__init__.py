@@ -1,5 +1,6 @@
 """Writing images and series of images to files that other programs open."""
 from pdavis_cv._beside import write_beside
+from pdavis_cv.export.animation import ANIMATIONS, AnimationFile, moving_file
 from pdavis_cv.export.arrays import ArrayFile
 from pdavis_cv.export.files import write_json
 from pdavis_cv.export.hdf5 import Hdf5File
@@ -12,7 +13,9 @@ from pdavis_cv.export.tables import write_csv, write_jaer_csv, write_traces
 from pdavis_cv.export.video import PlaneVideo, VideoFile, write_png
 
 __all__ = [
+    "ANIMATIONS",
     "QUANTITIES",
+    "AnimationFile",
     "ArrayFile",
     "Hdf5File",
     "NpzFile",
@@ -20,6 +23,7 @@ __all__ = [
     "PlaneVideo",
     "StackFile",
     "VideoFile",
+    "moving_file",
     "plane",
     "provenance",
     "read_embedded",

@@ -21,6 +21,7 @@ __all__ = ["embed", "embed_png", "provenance", "read_embedded", "to_json"]
 # Identifies our box in MP4; random, version 4.
 _UUID = bytes.fromhex("6f0c5f1e2a4b4f6e9c3d70646176697a")
 _PNG_START, _PNG_KEY = b"\x89PNG\r\n\x1a\n", b"pdavis_cv"
+_GIF_COMMENT = b"\x21\xfe"
 _TAG_NAME = "PDAVIS_PROVENANCE"
 # Element numbers of Matroska.
 _SEGMENT, _TAGS = b"\x18\x53\x80\x67", b"\x12\x54\xc3\x67"
@@ -88,13 +89,15 @@ def to_json(facts: Mapping[str, Any]) -> str:
 
 
 def embed(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
-    """Add facts to a finished video: a box in MP4, a tag in Matroska, a chunk in AVI.
+    """Add facts to a finished video or animation, where its format has place for them.
+
+    A box in MP4, a tag in Matroska, a chunk in AVI and WebP, a comment in GIF.
 
     Parameters
     ----------
     path : path
-        ``.webm``, ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; changed in place, players
-        ignore the addition.
+        ``.webm``, ``.mp4``, ``.m4v``, ``.mkv``, ``.avi``, ``.gif`` or ``.webp``;
+        changed in place, players ignore the addition.
     facts : mapping of str to object
         What to write, as JSON.
 
@@ -115,10 +118,20 @@ def embed(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
         if start[4:8] == b"ftyp":
             file.write(struct.pack(">I4s", 24 + len(text), b"uuid") + _UUID + text)
         elif start[:4] == b"RIFF":
-            # Behind the last RIFF list, where readers have stopped.
+            # Behind the last RIFF list, where readers of AVI have stopped.
+            text += b" " * (len(text) % 2)
             file.write(b"pdvs" + struct.pack("<I", len(text)) + text)
+            if start[8:] == b"WEBP":  # readers of WebP skip a chunk unknown to them
+                size = file.tell() - 8
+                file.seek(4)
+                file.write(struct.pack("<I", size))
+        elif start[:4] == b"GIF8":
+            file.seek(-1, os.SEEK_END)  # before the trailer
+            blocks = (text[i:i + 255] for i in range(0, len(text), 255))
+            file.write(_GIF_COMMENT + b"".join(
+                bytes([len(block)]) + block for block in blocks) + b"\0;")
         else:
-            raise ValueError(f"{path}: neither MP4, Matroska nor AVI")
+            raise ValueError(f"{path}: neither MP4, Matroska, AVI, GIF nor WebP")
 
 
 def read_embedded(path: str | os.PathLike[str]) -> dict[str, Any] | None:
@@ -127,7 +140,7 @@ def read_embedded(path: str | os.PathLike[str]) -> dict[str, Any] | None:
     Parameters
     ----------
     path : path
-        A video or a PNG.
+        A video, an animation or a PNG.
 
     Returns
     -------
@@ -139,6 +152,12 @@ def read_embedded(path: str | os.PathLike[str]) -> dict[str, Any] | None:
             if kind == b"iTXt" and body.startswith(_PNG_KEY + b"\0"):
                 return _loaded(body[len(_PNG_KEY) + 5:])
         return None
+    if data[:4] == b"GIF8":
+        at, text = data.rfind(_GIF_COMMENT) + 2, b""
+        while at > 1 and (length := data[at]):
+            text += data[at + 1:at + 1 + length]
+            at += 1 + length
+        return _loaded(text) if text.startswith(b"{") else None
     if data[:4] == b"RIFF":
         at = data.rfind(b"pdvs")
         return None if at < 0 else _loaded(data[at + 8:])

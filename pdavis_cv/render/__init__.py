@@ -2,14 +2,19 @@
 from pdavis_cv._opencv import opencv
 from pdavis_cv.render.chart import Line, chart
 from pdavis_cv.render.colours import (
+    DARK,
+    FULL_COLOUR_DOLP,
     INVALID,
+    LIGHT,
     Picture,
+    Style,
     aop_bgr,
     aop_legend,
     bar_legend,
     caption,
     dolp_bgr,
     even,
+    fade,
     grey_bgr,
     panel,
     stack,
@@ -24,17 +29,27 @@ from pdavis_cv.render.layouts import (
     summary,
     tendon_sheet,
 )
-from pdavis_cv.render.overlay import burn, events_on, faded, reliable, scale_bar
+from pdavis_cv.render.overlay import (
+    burn,
+    draw_scale_bar,
+    events_on,
+    reliable,
+    scale_bar,
+)
 from pdavis_cv.render.polar import draw_polarization
 from pdavis_cv.render.sheet import Panel, PanelSheet
 from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
+    "DARK",
+    "FULL_COLOUR_DOLP",
     "INVALID",
+    "LIGHT",
     "Line",
     "Panel",
     "PanelSheet",
     "Picture",
+    "Style",
     "ToneCurve",
     "aop_bgr",
     "aop_legend",
@@ -46,9 +61,10 @@ __all__ = [
     "cyclic_legend",
     "dolp_bgr",
     "draw_polarization",
+    "draw_scale_bar",
     "even",
     "events_on",
-    "faded",
+    "fade",
     "fan_sheet",
     "frames_and_fused",
     "grey_bgr",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,14 +18,19 @@ from pdavis_cv import _kernels
 from pdavis_cv._opencv import opencv
 
 __all__ = [
+    "DARK",
+    "FULL_COLOUR_DOLP",
     "INVALID",
+    "LIGHT",
     "Picture",
+    "Style",
     "aop_bgr",
     "aop_legend",
     "bar_legend",
     "caption",
     "dolp_bgr",
     "even",
+    "fade",
     "grey_bgr",
     "opencv",
     "panel",
@@ -37,6 +42,23 @@ Picture = NDArray[np.uint8]
 
 INVALID = (96, 96, 96)
 """Colour of pixels that are not valid, BGR."""
+
+
+class Style(NamedTuple):
+    """Grey values of what stands around pictures, 0..255."""
+
+    ground: int
+    ink: int
+
+
+DARK = Style(0, 235)
+"""Light text on black, for screens."""
+LIGHT = Style(255, 20)
+"""Dark text on white, for print and slides."""
+
+FULL_COLOUR_DOLP = 0.25
+"""DoLP from which on a faded AoP has its full colour: a choice, of the tissue and sky
+that such cameras look at."""
 
 # A full turn of hue at full saturation and value: every such uint8 colour once.
 _HUES = 6 * 255
@@ -181,7 +203,7 @@ def grey_bgr(
 
 def aop_legend(
     radius: int, background: int = 0, *,
-    colours: Callable[[ArrayLike], Picture] = aop_bgr,
+    colours: Callable[[ArrayLike], Picture] = aop_bgr, faded: bool = False,
 ) -> Picture:
     """Draw the half-turn wheel that explains `aop_bgr`.
 
@@ -193,6 +215,8 @@ def aop_legend(
         Grey value around the ring, 0..255.
     colours : callable
         What gives an angle its colour.
+    faded : bool
+        Show DoLP too: no ring but a disc, of the background's grey in the middle.
 
     Returns
     -------
@@ -202,9 +226,43 @@ def aop_legend(
     """
     across, up, distance = _wheel_places(radius)
     picture = np.full((radius, 2 * radius, 3), background, np.uint8)
-    ring = (distance <= radius) & (distance >= radius / 2)
-    picture[ring] = colours(np.arctan2(up, across))[ring]
+    ring = (distance <= radius) & (faded | (distance >= radius / 2))
+    wheel = colours(np.arctan2(up, across))
+    if faded:
+        fade(wheel, distance, top=radius, ground=background)
+    picture[ring] = wheel[ring]
     return picture
+
+
+def fade(
+    picture: Picture, weight: ArrayLike, valid: NDArray[np.bool_] | None = None, *,
+    top: float = FULL_COLOUR_DOLP, ground: int = 0,
+) -> None:
+    """Fade a picture in place where its colour means little.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR; pixels of a row must be contiguous.
+    weight : array_like of float, shape (H, W)
+        `top` and more keep the colour, 0 and NaN are `ground`.
+    valid : ndarray of bool, shape (H, W), optional
+        Pixels that are False stay as they are.
+    top : float
+        Weight of full colour.
+    ground : int
+        Grey value, 0..255.
+
+    Raises
+    ------
+    ValueError
+        If a shape differs.
+    """
+    kept: NDArray[np.uint8] = (
+        np.empty((0, 0), np.uint8) if valid is None
+        else np.ascontiguousarray(valid, np.bool_).view(np.uint8))
+    _kernels.fade_bgr(
+        np.ascontiguousarray(weight, np.float32), kept, 1 / top, ground, picture)
 
 
 def _wheel_places(
@@ -237,7 +295,7 @@ def bar_legend(width: int, height: int, *, kind: str = "dolp") -> Picture:
 
 def panel(
     picture: Picture, title: str, *, legend: str | None = None, start: str = "0",
-    end: str = "1", scale: int = 1,
+    end: str = "1", scale: int = 1, style: Style = DARK,
 ) -> Picture:
     """Put a title above a picture and the legend of its colours below it.
 
@@ -247,12 +305,16 @@ def panel(
         BGR.
     title : str
         One line.
-    legend : {"aop", "dolp", "grey"}, optional
-        What the colours mean.
+    legend : {"aop", "faded", "even", "dolp", "grey"}, optional
+        What the colours mean; ``"faded"`` and ``"even"`` are angles of `aop_bgr` and
+        of `cyclic_bgr` that `fade` by DoLP.
     start, end : str
-        What the ends of the bar stand for, e.g. ``"36 DN/ms"``.
+        What the ends of the bar stand for, e.g. ``"36 DN/ms"``; `end` is the DoLP at
+        the rim of a wheel.
     scale : int
         Each pixel of the picture becomes a square of this side.
+    style : Style
+        `DARK` or `LIGHT`.
 
     Returns
     -------
@@ -261,16 +323,17 @@ def panel(
     """
     if scale != 1:
         picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
-    parts = [_line(title), picture]
-    if legend == "aop":
-        parts.append(_aop_strip())
+    parts = [_line(title, style), picture]
+    if legend in ("aop", "faded", "even"):
+        parts.append(_aop_strip(legend, end, style))
     elif legend is not None:
-        parts.append(_bar_strip(legend, start, end))
-    return stack(parts)
+        parts.append(_bar_strip(legend, start, end, style))
+    return stack(parts, style=style)
 
 
 def tile(
-    pictures: Sequence[Picture], *, columns: int, title: str = "", gap: int = 8
+    pictures: Sequence[Picture], *, columns: int, title: str = "", gap: int = 8,
+    style: Style = DARK,
 ) -> Picture:
     """Put pictures side by side, `columns` in a row, under a common title.
 
@@ -284,6 +347,8 @@ def tile(
         One line over all of them.
     gap : int
         Pixels between them and around.
+    style : Style
+        `DARK` or `LIGHT`.
 
     Returns
     -------
@@ -294,20 +359,23 @@ def tile(
     width = max(picture.shape[1] for picture in pictures)
     rows = -(-len(pictures) // columns)
     columns = min(columns, len(pictures))
-    sheet = np.zeros(
-        (rows * (height + gap) + gap, columns * (width + gap) + gap, 3), np.uint8)
+    sheet = np.full(
+        (rows * (height + gap) + gap, columns * (width + gap) + gap, 3), style.ground,
+        np.uint8)
     for i, picture in enumerate(pictures):
         row, column = divmod(i, columns)
         top = gap + row * (height + gap)
         left = gap + column * (width + gap) + (width - picture.shape[1]) // 2
         sheet[top:top + picture.shape[0], left:left + picture.shape[1]] = picture
     if title:
-        sheet = stack([_line(title), sheet])
+        sheet = stack([_line(title, style), sheet], style=style)
     return even(sheet)
 
 
-def stack(pictures: Sequence[Picture], gap: int = 0) -> Picture:
-    """Put pictures below each other, left-aligned on black.
+def stack(
+    pictures: Sequence[Picture], gap: int = 0, *, style: Style = DARK
+) -> Picture:
+    """Put pictures below each other, left-aligned.
 
     Parameters
     ----------
@@ -315,6 +383,8 @@ def stack(pictures: Sequence[Picture], gap: int = 0) -> Picture:
         BGR, from top to bottom.
     gap : int
         Pixels between them.
+    style : Style
+        `DARK` or `LIGHT`.
 
     Returns
     -------
@@ -323,7 +393,7 @@ def stack(pictures: Sequence[Picture], gap: int = 0) -> Picture:
     """
     width = max(picture.shape[1] for picture in pictures)
     height = sum(picture.shape[0] + gap for picture in pictures) - gap
-    sheet = np.zeros((height, width, 3), np.uint8)
+    sheet = np.full((height, width, 3), style.ground, np.uint8)
     top = 0
     for picture in pictures:
         sheet[top:top + picture.shape[0], :picture.shape[1]] = picture
@@ -461,29 +531,41 @@ LINE = 20
 """Height of a line of text."""
 
 
-def _line(text: str) -> Picture:
-    strip = np.zeros((LINE, _text_width(text) + 8, 3), np.uint8)
-    caption(strip, text, 4, 14)
+def _line(text: str, style: Style = DARK) -> Picture:
+    strip = np.full((LINE, _text_width(text) + 8, 3), style.ground, np.uint8)
+    caption(strip, text, 4, 14, style.ink)
     return strip
 
 
 @functools.lru_cache
-def _aop_strip(radius: int = 30) -> Picture:
-    margin = 40
-    strip = np.zeros((radius + 20, 2 * (radius + margin), 3), np.uint8)
-    strip[16:16 + radius, margin:margin + 2 * radius] = aop_legend(radius)
-    for text, x, y in (("180", margin - 28, 16 + radius), ("135", 24, 24),
+def _aop_strip(kind: str, end: str, style: Style, radius: int = 30) -> Picture:
+    margin, middle = 40, 16 + radius
+    words = "" if kind == "aop" else f"DoLP 0 .. {end} at the rim"
+    width = max(2 * (radius + margin), _text_width(words) + 8)
+    strip = np.full(
+        (radius + 20 + (LINE if words else 0), width, 3), style.ground, np.uint8)
+    if kind == "even":
+        from pdavis_cv.render.cyclic import cyclic_bgr as colours
+    else:
+        colours = aop_bgr
+    strip[16:middle, margin:margin + 2 * radius] = aop_legend(
+        radius, style.ground, colours=colours, faded=kind != "aop")
+    for text, x, y in (("180", margin - 28, middle), ("135", 24, 24),
                        ("90", margin + radius - 7, 12), ("45", 100, 24),
-                       ("0 deg", margin + 2 * radius + 4, 16 + radius)):
-        caption(strip, text, x, y)
+                       ("0 deg", margin + 2 * radius + 4, middle),
+                       (words, 4, middle + LINE - 2)):
+        caption(strip, text, x, y, style.ink)
     return strip
 
 
 @functools.lru_cache
-def _bar_strip(kind: str, start: str, end: str, width: int = 120) -> Picture:
+def _bar_strip(
+    kind: str, start: str, end: str, style: Style, width: int = 120
+) -> Picture:
     left = 10 + _text_width(start)
-    strip = np.zeros((50, left + width + 12 + _text_width(end), 3), np.uint8)
+    strip = np.full(
+        (50, left + width + 12 + _text_width(end), 3), style.ground, np.uint8)
     strip[20:34, left:left + width] = bar_legend(width, 14, kind=kind)
-    caption(strip, start, 4, 31)
-    caption(strip, end, left + width + 6, 31)
+    caption(strip, start, 4, 31, style.ink)
+    caption(strip, end, left + width + 6, 31, style.ink)
     return strip

@@ -10,15 +10,17 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._opencv import opencv
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import (
+    FULL_COLOUR_DOLP,
     Picture,
     aop_bgr,
     dolp_bgr,
     even,
+    fade,
     grey_bgr,
     panel,
     tile,
 )
-from pdavis_cv.render.overlay import faded, reliable
+from pdavis_cv.render.overlay import reliable
 from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
@@ -114,12 +116,13 @@ def summary(image: PolarFrame) -> Picture:
     grey = (ToneCurve.of([image.s0], [image.valid]) if image.valid.any()
             else ToneCurve(1.0))
     colour = aop_bgr(image.aop, image.valid)
-    faint = faded(colour, np.where(image.valid, image.dolp, 1))
+    fade(colour, image.dolp, image.valid)
     scale = max(1, -(-_LEAST_WIDTH // image.shape[1]))
     return tile([
         panel(grey.bgr(image.s0, image.valid), "S0", legend="grey",
               end=f"{grey.white:.4g}", scale=scale),
-        panel(faint, "AoP, black where DoLP is 0", legend="aop", scale=scale),
+        panel(colour, "AoP, black where DoLP is 0", legend="faded",
+              end=f"{FULL_COLOUR_DOLP:g}", scale=scale),
         panel(dolp_bgr(image.dolp, image.valid), "DoLP", legend="dolp", scale=scale)],
         columns=3)
 

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pdavis_cv._checks import MOST_SIDE, sensor_shape, whole_number
 from pdavis_cv.events import as_events
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import Picture, _text_width, caption
 
-__all__ = ["burn", "events_on", "faded", "reliable", "scale_bar"]
+__all__ = ["burn", "draw_scale_bar", "events_on", "reliable", "scale_bar"]
 
 ON, OFF = (255, 255, 255), (0, 0, 0)
 
@@ -106,32 +106,6 @@ def reliable(
     return good
 
 
-def faded(
-    picture: Picture, weight: ArrayLike, background: Sequence[int] = (0, 0, 0)
-) -> Picture:
-    """Fade a picture where its colour means little.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (H, W, 3)
-        BGR.
-    weight : array_like of float, shape (H, W)
-        1 keeps the colour, 0 is the background: DoLP, or ``1 - sigma / limit``;
-        NaN counts as 0.
-    background : sequence of int
-        BGR.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        A new picture.
-    """
-    share = np.clip(np.nan_to_num(np.asarray(weight, np.float64)), 0, 1)[..., None]
-    base = np.array(background, np.float64)
-    result: Picture = np.rint(base + share * (picture - base)).astype(np.uint8)
-    return result
-
-
 def burn(picture: Picture, *lines: str, corner: str = "bottom left") -> Picture:
     """Write lines of text into a corner, on a darkened ground.
 
@@ -197,13 +171,33 @@ def scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> Picture:
     if not (np.isfinite(pixel_um) and pixel_um > 0):
         raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
     result = np.ascontiguousarray(picture).copy()
-    height, width = result.shape[:2]
+    draw_scale_bar(result, pixel_um, scale=scale)
+    return result
+
+
+def draw_scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> None:
+    """Draw what `scale_bar` draws, into the picture itself.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR; changed.
+    pixel_um : float
+        Size of a sensor pixel in the object, micrometres.
+    scale : int
+        Picture pixels per sensor pixel.
+    """
+    height, width = picture.shape[:2]
     longest = width / 3 / scale * pixel_um
     power = 10.0 ** np.floor(np.log10(longest))
     length = next(m * power for m in (5, 2, 1) if m * power <= longest)
     pixels = max(1, round(length / pixel_um * scale))
     right, bottom = width - 8, height - 8
-    result[bottom - 3:bottom, right - pixels:right] = 235
     text = f"{length:g} um" if length < 1000 else f"{length / 1000:g} mm"
-    caption(result, text, max(0, right - (pixels + _text_width(text)) // 2), bottom - 8)
-    return result
+    left = max(0, min(right - (pixels + _text_width(text)) // 2,
+                      width - _text_width(text) - 2))
+    wide = max(pixels, _text_width(text)) + 8
+    ground = picture[max(0, bottom - 24):, max(0, right - wide):]
+    ground //= 3    # so that bar and length are seen on any colour
+    picture[bottom - 3:bottom, right - pixels:right] = 235
+    caption(picture, text, left, bottom - 8)

@@ -2,12 +2,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pdavis_cv.render.colours import (
+    DARK,
     LINE,
     Picture,
+    Style,
     _text_width,
     caption,
     panel,
@@ -45,13 +47,18 @@ class PanelSheet:
         Each pixel of a picture becomes a square of this side.
     keep : int
         Sheets that stay as they were drawn, the last one among them.
+    style : Style
+        `DARK` or `LIGHT`.
+    mark : callable, optional
+        Draws into each picture in its place, enlarged; for sheets with a title.
     """
 
     def __init__(
-        self, panels: Sequence[Panel], *, columns: int, scale: int = 1, keep: int = 1
+        self, panels: Sequence[Panel], *, columns: int, scale: int = 1, keep: int = 1,
+        style: Style = DARK, mark: Callable[[Picture], None] | None = None,
     ) -> None:
         self.panels, self.columns, self.scale = tuple(panels), columns, scale
-        self.keep = keep
+        self.keep, self.style, self.mark = keep, style, mark
         # Sheets and where the pictures stand in them, the next one first.
         self._ring: deque[tuple[Picture, list[Picture]]] = deque()
         self._sizes: list[tuple[int, ...]] = []
@@ -89,24 +96,26 @@ class PanelSheet:
                 width + width % 2 != self._ring[0][0].shape[1]):
             return self._composed(pictures, title)
         sheet, slots = self._ring[0]
-        sheet[:LINE] = 0
-        caption(sheet, title, 4, 14)
+        sheet[:LINE] = self.style.ground
+        caption(sheet, title, 4, 14, self.style.ink)
         step = self.scale
         for slot, picture in zip(slots, pictures, strict=True):
-            if picture is slot:
-                continue
-            for down in range(step):
-                for right in range(step):
-                    slot[down::step, right::step] = picture
+            if picture is not slot:
+                for down in range(step):
+                    for right in range(step):
+                        slot[down::step, right::step] = picture
+            if self.mark is not None:
+                self.mark(slot)
         self._ring.rotate(-1)
         return sheet
 
     def _composed(self, pictures: Sequence[Picture], title: str) -> Picture:
         panels = [
             panel(picture, each.title, legend=each.legend, start=each.start,
-                  end=each.end, scale=self.scale)
+                  end=each.end, scale=self.scale, style=self.style)
             for picture, each in zip(pictures, self.panels, strict=True)]
-        sheet = tile(panels, columns=self.columns, title=title, gap=_GAP)
+        sheet = tile(panels, columns=self.columns, title=title, gap=_GAP,
+                     style=self.style)
         if not title:
             return sheet
         self._sizes = [picture.shape for picture in pictures]
@@ -125,5 +134,8 @@ class PanelSheet:
                 kept[top:top + picture.shape[0] * self.scale,
                      left:left + picture.shape[1] * self.scale]
                 for (top, left), picture in zip(corners, pictures, strict=True)]))
+        if self.mark is not None:
+            for slot in self._ring[0][1]:
+                self.mark(slot)
         self._ring.rotate(-1)
         return sheet

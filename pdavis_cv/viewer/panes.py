@@ -13,14 +13,12 @@ from pdavis_cv._opencv import opencv
 from pdavis_cv.capture.picture import event_counts, events_bgr
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, faded
+from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, fade
 from pdavis_cv.stokes_vector import aop, dolp
 from pdavis_cv.viewer.show import Show
 
 __all__ = ["PANES", "archive", "jpeg", "pane", "ramp", "values"]
 
-FULL_COLOUR_DOLP = 0.25
-"""DoLP from which on the page's AoP has its full colour; below, it fades to black."""
 LARGEST_SIGMA_RAD = math.pi / 4
 """Uncertainty of AoP that has the last colour: an angle of which nothing is known has a
 standard deviation of pi / sqrt(12), 52 degrees."""
@@ -34,6 +32,12 @@ def _events(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
     return events_bgr(event_counts(show.events(image.t_us), provenance["roi"], step))
 
 
+def _aop(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
+    picture = aop_bgr(image.aop, image.valid)
+    fade(picture, image.dolp)
+    return picture
+
+
 def _uncertainty(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
     sigma = image.sigma_aop
     if sigma is None:           # the method gives none
@@ -44,8 +48,7 @@ def _uncertainty(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
 PANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
     "s0": lambda show, image: ToneCurve(show.white).bgr(
         image.s0 * np.float32(0.5), invalid=(0, 0, 0)),
-    "aop": lambda show, image: faded(
-        aop_bgr(image.aop, image.valid), image.dolp / FULL_COLOUR_DOLP),
+    "aop": _aop,
     "dolp": lambda show, image: dolp_bgr(image.dolp, image.valid),
     "events": _events,
     "uncertainty": _uncertainty,

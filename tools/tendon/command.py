@@ -37,12 +37,14 @@ from .._common import (
     Parser,
     UsageError,
     add_fuse_options,
+    add_json_option,
     command,
     fuse_options,
     opened,
     progress,
     stage,
     start_of,
+    tell,
 )
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
 from .._values import number, seconds, within
@@ -149,9 +151,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     with opened(args) as recording:
         findings = measure(args, recording, load)
-    lines = _write(args, findings)
-    report.write_report(args.out / "report.html", findings)
-    print("\n".join([*lines, f"wrote {args.out / 'report.html'}"]))
+    written = _write(args, findings)
+    stage("report")
+    written.append(args.out / "report.html")
+    report.write_report(written[-1], findings)
+    lines, facts = report.summary(findings)
+    tell(args, [*(f"wrote {path}" for path in written), *lines], wrote=written, **facts)
     return 0
 
 
@@ -202,6 +207,7 @@ def _parser() -> argparse.ArgumentParser:
                       help="enlarge each pixel; default 1")
     look.add_argument("--pixel-um", type=number, metavar="UM",
                       help="size of a pixel in the object, for a scale bar")
+    add_json_option(parser)
     add_fuse_options(parser)
     return parser
 
@@ -537,7 +543,8 @@ def _maps_and_video(
     found.maps, found.mean = lock.maps().smoothed(args.smooth), mean
 
 
-def _write(args: argparse.Namespace, found: Findings) -> list[str]:
+def _write(args: argparse.Namespace, found: Findings) -> list[Path]:
+    """Write all files but the report; return their paths."""
     out, origin, facts = args.out, found.origin_us, found.facts
     written = [out / "traces.csv"]
     export.write_traces(written[0], found.fused, origin_us=origin,
@@ -576,17 +583,4 @@ def _write(args: argparse.Namespace, found: Findings) -> list[str]:
                 "smoothed_over": args.smooth})
     if not args.no_video:
         written.append(out / "tendon.webm")
-    lines = [f"wrote {path}" for path in written]
-    for roi, tone in zip(found.fused.rois, found.tones, strict=True):
-        lines.append(
-            f"{roi.name}: {tone.hz:.4f} +- {tone.hz_se:.4f} Hz, "
-            f"DoLP {tone.offset:.4f}, amplitude {tone.amplitude[0]:.4f} "
-            f"+- {tone.amplitude_se[0]:.4f}, "
-            f"distortion {100 * tone.distortion:.1f} %")
-    if found.clock is not None:
-        clock = found.clock
-        lines.append(f"load file: its zero lies at {clock.offset_s:.4f} s" + (
-            "" if clock.how == "offset" else
-            f" (+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
-            f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow"))
-    return lines
+    return written

@@ -8,6 +8,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from pdavis_cv.export import write_beside
 if TYPE_CHECKING:
     from .command import Findings, MeanStokes
 
-__all__ = ["matplotlib", "write_report"]
+__all__ = ["matplotlib", "summary", "write_report"]
 
 _TOGETHER_DEG = 60.0        # from their mean: phases then get a map of their own range
 _LEAST_REACH_DEG = 5.0      # of that map: it is not stretched over noise
@@ -29,6 +30,9 @@ body{font:15px/1.45 system-ui,sans-serif;max-width:62em;margin:2em auto;padding:
 color:#222}h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}
 table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .8em;text-align:right;
 border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}
+.traces{position:relative}.traces i{position:absolute;width:1px;background:#888;
+pointer-events:none}.traces pre{position:absolute;margin:0;padding:.4em .7em;
+border:1px solid #bbb;background:#fffffff0;pointer-events:none}
 .warn{background:#fff3cd;border-left:4px solid #e0a800;padding:.5em 1em}
 pre{background:#f6f6f6;padding:1em;overflow:auto;font-size:12px}
 """
@@ -68,7 +72,8 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
                   "</p>", _picture(_mean_maps(found.mean))]
     parts += [
         "<h2>Traces</h2>", "<p>Lines: fused images, with one standard error. Dots: "
-        "frames alone.</p>", _figure(_traces, found, 3.0 * 3),
+        "frames alone. Point at a curve to read its values.</p>",
+        _hover(found),
         "<h2>Average cycle</h2>", "<p>Mean, its standard error (dark) and the spread "
         "over cycles (light).</p>", _figure(_cycle, found, 3.2),
         "<h2>Drift</h2>", _drift_table(found)]
@@ -84,6 +89,34 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
     parts += ["<h2>Origin</h2>", f"<pre>{html.escape(facts)}</pre></html>"]
     with write_beside(path) as part:
         part.write_text("\n".join(parts), encoding="utf-8")
+
+
+def summary(found: Findings) -> tuple[list[str], dict[str, Any]]:
+    """Return what was found, in lines and as facts by name."""
+    lines, regions = [], []
+    for roi, tone in zip(found.fused.rois, found.tones, strict=True):
+        regions.append({
+            "name": roi.name, "hz": tone.hz, "hz_se": tone.hz_se, "dolp": tone.offset,
+            "amplitude": tone.amplitude[0], "amplitude_se": tone.amplitude_se[0],
+            "distortion": tone.distortion, "false_alarm": tone.false_alarm})
+        lines.append(
+            f"{roi.name}: {tone.hz:.4f} +- {tone.hz_se:.4f} Hz, "
+            f"DoLP {tone.offset:.4f}, amplitude {tone.amplitude[0]:.4f} "
+            f"+- {tone.amplitude_se[0]:.4f}, "
+            f"distortion {100 * tone.distortion:.1f} %")
+    facts: dict[str, Any] = {"load_hz": found.load_hz, "regions": regions,
+                             "messages": found.messages}
+    if found.clock is not None:
+        clock = found.clock
+        facts["clock"] = {
+            "how": clock.how, "offset_s": clock.offset_s,
+            "offset_se_s": clock.offset_se_s, "skew_ppm": clock.skew_ppm,
+            "skew_se_ppm": clock.skew_se_ppm}
+        lines.append(f"load file: its zero lies at {clock.offset_s:.4f} s" + (
+            "" if clock.how == "offset" else
+            f" (+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
+            f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow"))
+    return lines, facts
 
 
 def _name(found: Findings) -> str:
@@ -147,16 +180,65 @@ def _picture(picture: render.Picture) -> str:
     return _image(render.png_of(picture))
 
 
-def _image(data: bytes) -> str:
-    return f'<img src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+def _image(data: bytes, more: str = "") -> str:
+    text = base64.b64encode(data).decode()
+    return f'<img {more}src="data:image/png;base64,{text}">'
 
 
-def _figure(draw: Any, found: Findings, height: float) -> str:
+def _drawn(draw: Any, found: Findings, height: float) -> tuple[bytes, Any]:
+    """Return a figure as PNG, and itself for where its axes came to lie."""
     figure = matplotlib()(figsize=(9, height), layout="constrained")
     draw(figure, found)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    return _image(buffer.getvalue())
+    return buffer.getvalue(), figure
+
+
+def _figure(draw: Any, found: Findings, height: float) -> str:
+    return _image(_drawn(draw, found, height)[0])
+
+
+def _hover(found: Findings) -> str:
+    """Return the figure of traces, its numbers, and the script that shows them.
+
+    A script of forty lines: a plotting library would add 4 MB to each report.
+    """
+    data, figure = _drawn(_traces, found, 3.0 * 3)
+    panes = []
+    for axes, (name, unit, turn) in zip(figure.axes, (
+            ("DoLP", "", False), ("AoP", " deg", True),
+            ("events", " per s", False)), strict=True):
+        box = axes.get_position()
+        key = {"DoLP": "dolp", "AoP": "aop", "events": "event_rate"}[name]
+        lines = [
+            _line(source, roi, table, found.seconds(traces.t_us), key, turn)
+            for source, traces in (("", found.fused), ("frames, ", found.frames))
+            if traces is not None and (traces is found.fused or key != "event_rate")
+            for roi, table in zip(
+                (roi.name for roi in traces.rois), traces.table, strict=True)]
+        panes.append({
+            "name": name, "unit": unit, "left": box.x0, "right": box.x1,
+            "top": 1 - box.y1, "bottom": 1 - box.y0, "span": axes.get_xlim(),
+            "lines": lines})
+    script = files("pdavis_cv.tools.tendon").joinpath("hover.js").read_text("utf-8")
+    return (f'<div class=traces>{_image(data, "id=traces ")}<i hidden></i>'
+            "<pre hidden></pre></div>"
+            f"<script>const PANES = {json.dumps(panes)};\n{script}</script>")
+
+
+def _line(
+    source: str, roi: str, table: Any, seconds: Any, key: str, turn: bool
+) -> dict[str, Any]:
+    """Return a trace as the script reads it: five digits, null where there is none."""
+    def digits(values: Any) -> list[float | None]:
+        return [float(f"{value:.5g}") if np.isfinite(value) else None
+                for value in values]
+
+    values = _degrees(table[key]) if turn else table[key]
+    se = table[key + "_se"] if key + "_se" in table.dtype.names else None
+    return {"name": source + roi, "t": [round(float(t), 6) for t in seconds],
+            "values": digits(values),
+            "se": None if se is None else digits(np.rad2deg(se) if turn else se)}
 
 
 def _traces(figure: Any, found: Findings) -> None:
@@ -262,8 +344,9 @@ def _mean_maps(mean: MeanStokes) -> render.Picture:
     top = max(math.ceil(20 * float(np.quantile(degree[valid], 0.99))) / 20, 0.05
               ) if valid.any() else 1.0
     scale = max(1, -(-_LEAST_WIDTH // angle.shape[1]))
+    colours = render.aop_bgr(angle, valid)
+    render.fade(colours, degree, valid, top=top)
     return render.tile([
-        render.panel(render.aop_bgr(angle, valid), "mean AoP", legend="aop",
-                     scale=scale),
+        render.panel(colours, "mean AoP", legend="faded", end=f"{top:g}", scale=scale),
         render.panel(render.dolp_bgr(degree, valid, top=top), "mean DoLP",
                      legend="dolp", end=f"{top:g}", scale=scale)], columns=2)

@@ -1,0 +1,156 @@
+"""Animated GIF and WebP for slides, through OpenCV."""
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv._beside import write_beside
+from pdavis_cv.export.provenance import embed
+from pdavis_cv.export.video import VideoFile
+from pdavis_cv.render import opencv
+
+__all__ = ["ANIMATIONS", "AnimationFile", "moving_file"]
+
+ANIMATIONS = (".gif", ".webp")
+_MOST_FPS = {".gif": 50.0, ".webp": 60.0}
+"""Programs show pictures of less than 20 ms (GIF, whose unit is 10 ms) or of 10 ms and
+less (WebP) for 100 ms each."""
+_UNIT_MS = {".gif": 10, ".webp": 1}
+_MOST_BYTES = 1 << 31
+"""Pictures that are kept until the end; a choice."""
+_WEBP_QUALITY = 90
+_GIF_DITHERED = 8   # of IMWRITE_GIF_QUALITY 1..8: without dither 256 colours make bands
+_GIF_OWN_COLOURS = 1    # of IMWRITE_GIF_COLORTABLE: a table for each picture
+
+
+class AnimationFile:
+    """A picture that moves and repeats, for slides and web pages; written at the end.
+
+    Parameters
+    ----------
+    path : path
+        ``.gif`` or ``.webp``; appears when it is whole.
+    fps : float
+        Pictures per second of playing: at most 50 in GIF, 60 in WebP.
+    facts : mapping of str to object, optional
+        Provenance to embed; `read_embedded` returns it.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another, or the rate not one that is shown.
+    OSError
+        If it cannot be written.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], fps: float,
+        facts: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.path, self.fps, self.facts = Path(path), float(fps), facts
+        suffix = self.path.suffix.lower()
+        if suffix not in ANIMATIONS:
+            raise ValueError(
+                f"animation must end in {', '.join(ANIMATIONS)}, got {suffix!r}")
+        if not 0.01 <= fps <= _MOST_FPS[suffix]:
+            raise ValueError(
+                f"fps must lie in 0.01..{_MOST_FPS[suffix]:g} for {suffix}, got "
+                f"{fps:g}; play it slower")
+        self._cv2 = opencv()
+        self._pictures: list[NDArray[np.uint8]] = []
+        self._stack = contextlib.ExitStack()
+        self._part = self._stack.enter_context(write_beside(self.path))
+
+    @property
+    def count(self) -> int:
+        """Pictures so far."""
+        return len(self._pictures)
+
+    def add(self, picture: NDArray[Any], *, copy: bool = True) -> None:
+        """Append a picture; it is copied, as all are kept until the end.
+
+        Parameters
+        ----------
+        picture : ndarray of uint8, shape (H, W, 3)
+            BGR; the same shape each time.
+        copy : bool
+            Not used: `VideoFile` has it.
+
+        Raises
+        ------
+        ValueError
+            If the shape differs from the first picture's, or all need more than 2 GiB.
+        """
+        if self._pictures and picture.shape != self._pictures[0].shape:
+            raise ValueError(
+                f"picture must have the first one's shape {self._pictures[0].shape}, "
+                f"got {picture.shape}")
+        if (self.count + 1) * picture.nbytes > _MOST_BYTES:
+            raise ValueError(
+                f"{self.path.name}: an animation is kept in memory, up to 2 GiB or "
+                f"{self.count} pictures of this size; write a .webm")
+        self._pictures.append(np.array(picture, np.uint8))
+
+    def _durations_ms(self) -> list[int]:
+        """Return how long each picture is shown; rounding does not add up."""
+        unit = _UNIT_MS[self.path.suffix.lower()]
+        ends = [round(k * 1000 / self.fps / unit) * unit
+                for k in range(self.count + 1)]
+        return [b - a for a, b in itertools.pairwise(ends)]
+
+    def _finish(self) -> None:
+        if not self._pictures:
+            raise ValueError(f"{self.path}: no picture to write")
+        cv2 = self._cv2
+        animation = cv2.Animation()
+        animation.frames, animation.loop_count = self._pictures, 0  # for ever
+        animation.durations = self._durations_ms()
+        suffix = self.path.suffix.lower()
+        options = ([cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY] if suffix == ".webp" else
+                   [cv2.IMWRITE_GIF_QUALITY, _GIF_DITHERED,
+                    cv2.IMWRITE_GIF_COLORTABLE, _GIF_OWN_COLOURS])
+        done, data = cv2.imencodeanimation(suffix, animation, options)
+        if not done:
+            raise OSError(
+                f"{self.path}: OpenCV cannot write {self.count} pictures of "
+                f"{self._pictures[0].shape[1]}x{self._pictures[0].shape[0]} here")
+        self._part.write_bytes(bytes(data))
+        if self.facts is not None:
+            embed(self._part, self.facts)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            try:
+                self._finish()
+            except BaseException as failure:
+                self._stack.__exit__(type(failure), failure, failure.__traceback__)
+                raise
+        self._stack.__exit__(kind, error, traceback)
+
+
+def moving_file(
+    path: str | os.PathLike[str], fps: float, facts: Mapping[str, Any] | None = None
+) -> AnimationFile | VideoFile:
+    """Return what writes moving pictures by the suffix of a file.
+
+    Parameters
+    ----------
+    path, fps, facts
+        As `AnimationFile` (``.gif``, ``.webp``) and `VideoFile` (the others) have them.
+    """
+    animated = os.fspath(path).lower().endswith(ANIMATIONS)
+    return (AnimationFile if animated else VideoFile)(path, fps, facts)
