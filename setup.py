@@ -59,6 +59,7 @@ SHARED = (
     "_extrapolation.h",
     "_film.h",
     "_guided.h",
+    "_hot.pxd",
     "_lag.pxd",
     "_lamp.pxd",
     "_math.h",

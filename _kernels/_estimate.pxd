@@ -1,6 +1,7 @@
 """Log intensity of a pixel at one time, by its state and its events.  Inline only."""
 from libc.stdint cimport int64_t
 
+from _kernels._hot cimport is_hot
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
@@ -161,7 +162,11 @@ cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
     cdef rest_t rest
     cdef double theta2 = theta_squared(s), v, n_on = walk.n_on, n_off = walk.n_off
     cdef double doubt = unheard(walk, s.sampled_us, tuning)
-    if walk.p:
+    if is_hot(s):
+        n_on = 0.0
+        n_off = 0.0
+        doubt = 0.0
+    elif walk.p:
         n_on -= doubt
     else:
         n_off -= doubt
@@ -173,7 +178,9 @@ cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
         v = counted(s, n_on, n_off) + theta2 * drift(
             epoch - s.sampled_us, walk.n_on + walk.n_off, tuning)
         v += part_variance(s, s.sampled_us, walk.t)
-        if walk.t > s.sampled_us:
+        if is_hot(s):
+            v += s.moves
+        elif walk.t > s.sampled_us:
             v += theta2 * (doubt * (1.0 - doubt) + 2.0 * tuning.motion_variance)
         rest.variance = <float>(v if v > 0.0 else 0.0)
         rest.per_s = <float>(theta2 * tuning.leak_per_s)
@@ -196,6 +203,20 @@ cdef inline void show_rest(const rest_t* rest, float dt, float most, float* out,
     valid[0] = v <= most
 
 
+cdef inline void show_hot(int64_t t, const state_t* s, const tuning_t* tuning,
+                          float* out, float* variance,
+                          unsigned char* valid) noexcept nogil:
+    """Write a pixel whose events have no weight: it holds what frames say.
+
+    It is valid as far as these are good; how far light has moved since is variance.
+    """
+    cdef double v = s.var_base + theta_squared(s) * drift(t - s.sampled_us, 0.0, tuning)
+    cdef double u = tuning.offset_dn * s.pull
+    out[0] = <float>s.base
+    valid[0] = v <= tuning.valid_variance
+    variance[0] = <float>(v + s.moves + u * u)
+
+
 cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
                             const stored_t* store, const tuning_t* tuning,
                             const lamp_t* lamp, const track_t* track,
@@ -206,6 +227,9 @@ cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
     cdef rest_t rest
     cdef double v, u, theta2
     walk_to(&r.walk, t, store, track)
+    if is_hot(s):
+        show_hot(t, s, tuning, out, variance, valid)
+        return
     if lamp.blocks == 0 and at_rest(r.walk.t, t) and (
             r.walk.next < 0 or store[r.walk.next].t > known):
         rest = rest_of(s, &r.walk, epoch, tuning)

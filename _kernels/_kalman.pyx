@@ -11,6 +11,7 @@ from libc.stdint cimport int32_t, int64_t, uint8_t
 from _kernels._estimate cimport (
     LEAST_VARIANCE, doubted, part_at, read_pixel, rest_of, rest_t,
     theta_squared)
+from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
 from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
@@ -19,15 +20,14 @@ from _kernels._model cimport (
     wave_t)
 from _kernels._tracks cimport at_rest, drift, part_t, start, step, walk_t
 from _kernels._update cimport (
-    FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST)
+    FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, limited, linear, propagate, taken_t,
+    update)
 
 cdef extern from *:
     """
     #define LINEAR_VARIANCE 0.04    /* ln^2: noise of 20 % is as wide below as above */
-    #define REST_MOST 3.0           /* ln: 20 times; light has changed, not noise */
     """
     const double LINEAR_VARIANCE
-    const double REST_MOST
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
@@ -51,13 +51,6 @@ cdef enum:
     READ_SHOT
     SHOT_SHOT
     SUMS
-
-cdef struct taken_t:
-    # What a measurement did: variance of its innovation, the innovation squared over
-    # it, at most JUMP_SIGMAS^2, and the variance that a jump of the base was given.
-    double v
-    double ratio
-    double jump
 
 cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
@@ -131,90 +124,6 @@ cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t b
         step(walk, store)
 
 
-cdef inline void propagate(state_t* s, double n_on, double n_off) noexcept nogil:
-    """Transition past so many events: base += theta_on n_on - theta_off n_off."""
-    s.base += s.theta_on * n_on - s.theta_off * n_off
-    s.var_base += (n_on * n_on * s.var_on + n_off * n_off * s.var_off
-                   + 2.0 * (n_on * s.cov_base_on - n_off * s.cov_base_off
-                            - n_on * n_off * s.cov_on_off))
-    s.cov_base_on += n_on * s.var_on - n_off * s.cov_on_off
-    s.cov_base_off += n_on * s.cov_on_off - n_off * s.var_off
-
-
-cdef inline double noise_at(double per_dn, const tuning_t* tuning) noexcept nogil:
-    """Variance of a sample (ln^2) in light of 1 / per_dn DN."""
-    return (tuning.shot_share * per_dn * (
-        tuning.read_variance * per_dn + tuning.shot_variance)
-        + tuning.frame_sigma * tuning.frame_sigma)
-
-
-cdef inline double linear(const state_t* s, double h_on, double h_off, double motion,
-                          const tuning_t* tuning, double* innovation,
-                          double* per_dn) noexcept nogil:
-    """Linearize where state and sample together see the light; return R there.
-
-    Noise is added to DN, not to their logarithm: by the sample alone, one that noise
-    has made brighter would count for more, and a darker one would be too far off.  So
-    innovation and per_dn become those of an iterated Kalman filter, but at a jump.
-    """
-    cdef double spread = s.var_base + (
-        2.0 * (h_on * s.cov_base_on + h_off * s.cov_base_off + h_on * h_off
-               * s.cov_on_off) + h_on * h_on * s.var_on + h_off * h_off * s.var_off)
-    cdef double noise = motion + noise_at(per_dn[0], tuning), there, rest, factor, e
-    rest = innovation[0] * noise / (spread + noise)
-    if rest < -REST_MOST or rest > REST_MOST:
-        return noise
-    factor = exp_f(<float>rest)
-    there = motion + noise_at(per_dn[0] * factor, tuning)
-    e = innovation[0] - rest + factor - 1.0
-    if e * e > JUMP_SIGMAS * JUMP_SIGMAS * (spread + there):
-        return noise
-    innovation[0] = e
-    per_dn[0] *= factor
-    return there
-
-
-cdef inline taken_t update(state_t* s, double h_on, double h_off, double noise,
-                           double innovation, bint learn,
-                           double per_dn) noexcept nogil:
-    """Kalman update with measured = base + h_on theta_on + h_off theta_off + noise.
-
-    Without learn, thresholds stay what they are (Schmidt-Kalman update).  per_dn is
-    what one DN more in all frames adds to this sample's log.
-    """
-    cdef double g0 = s.var_base + h_on * s.cov_base_on + h_off * s.cov_base_off
-    cdef double g1 = s.cov_base_on + h_on * s.var_on + h_off * s.cov_on_off
-    cdef double g2 = s.cov_base_off + h_on * s.cov_on_off + h_off * s.var_off
-    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2
-    cdef taken_t taken
-    taken.v = v
-    taken.ratio = innovation * innovation / v
-    taken.jump = 0.0
-    if taken.ratio > JUMP_SIGMAS * JUMP_SIGMAS:
-        # Lost events or a wrong sample: the base may have jumped, thresholds not.
-        taken.ratio = JUMP_SIGMAS * JUMP_SIGMAS
-        taken.jump = innovation * innovation
-        s.var_base += taken.jump
-        g0 += taken.jump
-        v += taken.jump
-    k0 = g0 / v
-    k1 = g1 / v
-    k2 = g2 / v
-    s.base += k0 * innovation
-    s.pull += k0 * (per_dn - s.pull)
-    s.var_base -= k0 * g0
-    s.cov_base_on -= k0 * g1
-    s.cov_base_off -= k0 * g2
-    if not learn:
-        return taken
-    s.theta_on += k1 * innovation
-    s.theta_off += k2 * innovation
-    s.var_on -= k1 * g1
-    s.cov_on_off -= k1 * g2
-    s.var_off -= k2 * g2
-    return taken
-
-
 cdef inline void note(double* innovations, const taken_t* taken, double unit,
                       double motion, double offset, double doubt,
                       double denied) noexcept nogil:
@@ -253,12 +162,6 @@ cdef inline void note_still(double* innovations, const taken_t* taken, double pe
     innovations[READ_READ] += read * read
     innovations[READ_SHOT] += read * shot
     innovations[SHOT_SHOT] += shot * shot
-
-
-cdef inline double limited(double theta, double prior) noexcept nogil:
-    if theta < THETA_LEAST * prior:
-        return THETA_LEAST * prior
-    return THETA_MOST * prior if theta > THETA_MOST * prior else theta
 
 
 def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not None,
@@ -308,6 +211,26 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
                     nodes[y, x] = node
 
 
+cdef inline void use_alone(const sample_t* sample, int64_t mid, const tuning_t* tuning,
+                           state_t* s, node_t* node) noexcept nogil:
+    """Use a sample of a hot pixel: neither moved nor de-blurred by its events."""
+    cdef double e = sample.log - s.base, per_dn = sample.per_dn
+    cdef double added = s.moves + theta_squared(s) * drift(mid - s.sampled_us, 0.0,
+                                                           tuning)
+    cdef double noise, change = e * e
+    s.var_base += added
+    node.drift = <float>added
+    node.level = sample.log
+    node.h_on = 0.0
+    node.h_off = 0.0
+    noise = linear(s, 0.0, 0.0, 0.0, tuning, &e, &per_dn)
+    node.noise = <float>noise
+    node.drift += <float>update(s, 0.0, 0.0, noise, e, False, sample.per_dn).jump
+    s.moves += (change - s.moves) / HOT_SAMPLES
+    s.samples += 1
+    s.sampled_us = mid
+
+
 cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t known,
                      const stored_t* store, const track_t* old, int32_t committed,
                      const tuning_t* tuning, const lamp_t* lamp, track_t* track,
@@ -345,6 +268,17 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
         level = sample.log
         s.var_base = FIRST_VARIANCE
     else:
+        weigh_odds(s, n_on + n_off >= LEARN_EVENTS and contradicted(
+            s.theta_on * n_on - s.theta_off * n_off,
+            s.theta_on * n_on + s.theta_off * n_off, sample.log - s.frame_log,
+            2.0 * sample.variance))
+    s.frame_log = sample.log
+    if is_hot(s):
+        use_alone(sample, mid, tuning, s, node)
+        track.n_on = all_on - at_on
+        track.n_off = all_off - at_off
+        return
+    if not fresh:
         learn = n_on + n_off >= LEARN_EVENTS
         doubt = doubted(&at_mid, store, known, s.sampled_us, tuning)
         added = theta2 * (drift(mid - s.sampled_us, n_on + n_off, tuning)

@@ -32,6 +32,9 @@ cdef packed struct state_t:
     double prior_on
     double prior_off
     double pull             # d(base) / d(offset of all frames), ln per DN
+    double frame_log        # ln intensity of the last sample, not de-blurred
+    double hot              # ln of the odds that it is hot, over the prior's
+    double moves            # of a hot one: variance of ln intensity between samples
     int64_t sampled_us      # middle of the exposure of the last sample used
     int32_t samples         # used so far; 0: base and its variance mean nothing yet
     int32_t seen_on         # all events up to sampled_us

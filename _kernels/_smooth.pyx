@@ -8,6 +8,7 @@ from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._estimate cimport (
     LEAST_VARIANCE, part_at, part_variance, theta_squared, walk_to)
+from _kernels._hot cimport is_hot
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._model cimport (
@@ -174,6 +175,33 @@ def smooth_read(int64_t t, int64_t known, chain not None, model not None,
                               &valid[y, x])
 
 
+cdef void read_hot(int64_t t, const tuning_t* tuning, const gap_t* gap,
+                   const state_t* s, float* out, float* variance,
+                   unsigned char* valid) noexcept nogil:
+    """Log intensity of a pixel whose events have no weight, by the samples alone.
+
+    What light moves by from one sample to the next is shared by time.
+    """
+    cdef double a = gap.before.var, b = gap.after.var, share, u = tuning.offset_dn
+    u *= s.pull
+    variance[0] = 0.0
+    valid[0] = 0
+    if a < 0 and b < 0:
+        out[0] = 0.0
+        return
+    valid[0] = max(a, b) <= tuning.valid_variance
+    if a < 0 or b < 0:
+        out[0] = <float>(gap.before.base if b < 0 else gap.after.base)
+        variance[0] = <float>(max(a, b) + s.moves + u * u)
+        return
+    share = <double>(t - gap.before.t) / <double>max(gap.after.t - gap.before.t, 1)
+    a += share * s.moves
+    b += (1.0 - share) * s.moves
+    share = a / (a + b + TINY)
+    out[0] = <float>(gap.before.base + share * (gap.after.base - gap.before.base))
+    variance[0] = <float>((1.0 - share) * a + u * u)
+
+
 cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
                         const tuning_t* tuning, const lamp_t* lamp,
                         const track_t* track, const gap_t* gap, const state_t* s,
@@ -185,6 +213,9 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     cdef double m_on = 0.0, m_off = 0.0, theta, level = 0.0, v, u, spread
     cdef double a = 0.0, b = 0.0, left, whole, share, hz = 0.0
     cdef bint resting
+    if is_hot(s):
+        read_hot(t, tuning, gap, s, out, variance, valid)
+        return
     walk_to(&walk, t, store, track)
     # Thresholds crossed since the sample before, and until the one after.
     if gap.before.var >= 0:

@@ -1,25 +1,25 @@
 """The Kalman method in plain float64 NumPy, a pixel at a time."""
-import functools
-import importlib
 import itertools
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
+from reference_tracks import (
+    UNKNOWN,
+    US,
+    after,
+    ahead,
+    between,
+    lead,
+    lead_variance,
+    quiet,
+    ripple_of,
+    silence,
+    steady,
+)
 
-US = 1e-6
-BLOCK, STALE, FINE = 100_000, 10_000_000, 1_500
+FINE = 1_500
 REST = 1_000_000
-# Anywhere between the two thresholds.
-UNKNOWN = np.mean(np.linspace(-1, 1, 100_001) ** 2)
 FRAME_SIGMA, LEAK, PER_EVENT = 0.01, 0.02, 0.0003
-STILL = 250_000
-
-
-def silence(gap):
-    """Probability that a pixel without an event for a gap (us) is at rest."""
-    return 1 / (1 + (STILL / max(gap, 1e-9)) ** 4)
 
 
 @dataclass
@@ -63,151 +63,6 @@ class Noise:
             setattr(self, name, getattr(self, name) * np.exp(-1 / 20))
 
 
-def ripple_of(waves):
-    """Return (ripple of log intensity, its change per second) as a function.
-
-    Of time and of the corner frequency of the pixel.
-    """
-    blocks = {wave.start_us // BLOCK: wave for wave in waves}
-
-    def ripple(t, hz):
-        wave = blocks.get(t // BLOCK)
-        if wave is None or wave.hz == 0:
-            return 0.0, 0.0
-        turn = 2 * np.pi * wave.hz
-        passed = 1 / (1 + 1j * wave.hz / hz) if hz and wave.of_light else 1
-        phasor = passed * (wave.cosine - 1j * wave.sine) * np.exp(
-            1j * turn * US * (t - wave.start_us))
-        return phasor.real, -turn * phasor.imag
-
-    return ripple
-
-
-def steady(t, hz=None):
-    return 0.0, 0.0
-
-
-def between(before, t0, p0, t1, p1, steps, r, t):
-    """Polarity, fraction of its threshold crossed, per second, variances of both, fall.
-
-    fall is the thresholds per second that the intensity last fell by.  Then what the
-    lamp adds, and per second; steps are (on, -off), r its ripple and rate at a time.
-    """
-    if t0 is None:
-        return p1, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
-    r = r if t1 - t0 < STALE else steady
-    change = r(t1)[0] - r(t0)[0]
-    since = r(t0)[0] - r(before[0])[0] if before and t0 - before[0] < STALE else 0
-    last, next = steps[1 - p0] - since, steps[1 - p1] - change
-    part = line(before, t0, p0, t1, p1, abs(last / next), last * next >= 0, t)
-    _, fraction, rate, *_ = part
-    now, slope = r(t)
-    return *part, now - r(t0)[0] - fraction * change, slope - rate * change
-
-
-def line(before, t0, p0, t1, p1, ratio, same, t):
-    gap = max(t1 - t0, 100)
-    s, hz = (t - t0) / gap, 1e6 / gap
-    if same:
-        return p1, s, hz, 0.0005, 0.0008 * hz**2, 0.0 if p1 else hz
-    turn, spread, fall = 0.366, (0.05, 1.0), 0.0
-    if before is not None and before[1] == p0:
-        q = max(t0 - before[0], 100) / gap
-        fall = hz / q if p1 else 0.0
-        turn = np.clip((ratio - q**2) / (2 * (ratio + q)), 0, 0.414)
-        spread = (0.003, 0.02)
-    # Through 0 at s = 0 and 1 at s = 1, its extremum at s = turn.
-    return (p1, s * (s - 2 * turn) / (1 - 2 * turn),
-            (2 * s - 2 * turn) / (1 - 2 * turn) * hz, spread[0], spread[1] * hz**2,
-            fall)
-
-
-def after(t0, r, t):
-    """What the lamp has added since the last event, and per second."""
-    if t - t0 >= STALE:
-        return 0.0, 0.0
-    return r(t)[0] - r(t0)[0], r(t)[1]
-
-
-def quiet(t0, p0, known, r, t):
-    if t0 is None:
-        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
-    s, hz = (t - t0) / (known - t0), 1e6 / (known - t0)
-    return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, 0.08, 0.3 * hz**2, 0.0, *after(
-        t0, r, t)
-
-
-@functools.cache
-def prior():
-    """Nodes and table of the stated prior, made by its study."""
-    folder = str(Path(__file__).resolve().parent.parent / "studies")
-    sys.path.insert(0, folder)
-    try:
-        study = importlib.import_module("kalman_extrapolation")
-        return study.NODES, study.table()
-    finally:
-        sys.path.remove(folder)
-        for name in ("kalman_extrapolation", "common"):
-            sys.modules.pop(name, None)
-
-
-def ahead(before, t0, p0, steps, r, t):
-    if before is None:
-        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
-    gap, p, same, room = t0 - before[0], p0, before[1] == p0, 1.0
-    if t - before[0] < STALE:
-        change = r(t0)[0] - r(before[0])[0]
-        if change != 0:
-            light = steps[1 - p0] - change
-            p = int(light > 0)
-            crossed = light / steps[1 - p]
-            same = before[1] == p or crossed < 0.5
-            gap = gap / max(crossed, 0.1)
-        room = np.clip(1 - (r(t)[0] - r(t0)[0]) / steps[1 - p], 0.3, 2)
-    gap = max(gap, 200)
-    u = (t - t0) / (gap * room)
-    nodes, table = prior()
-    if u >= nodes[-1]:
-        return p, 0.0, 0.0, UNKNOWN, 0.0, 0.0, *after(t0, r, t)
-    fraction, rate, *spread = (
-        np.interp(u, nodes, column) for column in table[0 if same else 1].T)
-    fall = 1e6 / gap if same and p == 0 else 0.0
-    return (p, fraction * room, rate * 1e6 / gap, spread[0],
-            spread[1] * (1e6 / gap) ** 2, fall, *after(t0, r, t))
-
-
-def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
-    """Of u in u (hz + k e^u) = rate / 2 pi, k = slope_hz * level, by its derivatives.
-
-    And of what a pixel that follows its light's intensity can lose in a fall.
-    """
-    if not hz and not slope_hz:
-        return 0.0
-    k = slope_hz * level
-    lost = max(3 * (fall / (2 * np.pi) * k / (hz + k) ** 2 - 0.24), 0)
-    e = slope_hz * level * np.exp(u)
-    d = max(hz + e * (1 + u), 0.05 * (hz + e))
-    return min((rate_var / (2 * np.pi) ** 2 + (sigma * u * (hz + e)) ** 2) / d**2
-               + lost**2, 1.0)
-
-
-def lead(slope, level, hz, slope_hz):
-    if not slope_hz:
-        return np.clip(slope / (2 * np.pi * hz), -3, 3) if hz else 0.0
-    c, e = slope / (2 * np.pi), slope_hz * level
-    u = c / (hz + e)
-    if abs(u) < 0.02:
-        return u * (1 - u * e / (hz + e))
-    u = 0.0
-    for _ in range(8):
-        k = e * np.exp(u)
-        step = (u * (hz + k) - c) / max(hz + k * (1 + u), 0.05 * (hz + k))
-        u = np.clip(u - step, -0.85, 2.0)
-        if abs(step) < 1e-4:
-            break
-    return u
-
-
 @dataclass
 class Node:
     """A sample: base + h . theta = level, and what lies between it and the last."""
@@ -231,6 +86,7 @@ class Pixel:
         self.P = np.diag([100.0, sigma**2, sigma**2])
         self.prior, self.since, self.reference = np.array([on, off]), 0, None
         self.nodes, self.past, self.pull = [], None, 0.0
+        self.odds, self.moves, self.seen = -6.91, 0.0, None
 
     def part(self, i, t, known, log):
         """Thresholds crossed since event i - 1, which left log, at t; i is the next."""
@@ -310,9 +166,64 @@ class Pixel:
         return u, theta2 * spread[0], lead_variance(
             u, theta2 * spread[1], off * spread[2], np.exp(log), hz, per_level, sigma)
 
+    @property
+    def hot(self):
+        return self.odds > 0
+
+    def weigh(self, sample, n, variance):
+        """Odds of a hot pixel after a sample, n events since the last one."""
+        rose, fell = self.x[1:] * n
+        claim, path, shown = rose - fell, rose + fell, sample - self.seen
+        short = 0.25 * abs(claim) - shown * np.sign(claim)
+        contradicted = (n.sum() >= 3 and abs(claim) > 0.5 * path
+                        and short > 4 * np.sqrt(2 * variance))
+        before = self.hot
+        self.odds = np.clip(self.odds + (4.5 if contradicted else -2.29), -6.91, 6.91)
+        if self.hot and not before:
+            self.moves = 1.0
+
+    def alone(self, sample, mid, at, per_dn):
+        """Use a sample of a hot pixel, whose events have no weight."""
+        theta2, error = self.x[1:].mean()**2, sample - self.x[0]
+        added = self.moves + theta2 * LEAK * US * (mid - self.reference)
+        self.P[0, 0] += added
+        change, v = error**2, self.P[0, 0] + self.learned.at(per_dn)
+        error, noise, _ = self.linearized(error, v, per_dn, 0.0)
+        if error**2 > 16 * (self.P[0, 0] + noise):
+            self.P[0, 0] += error**2
+            added += error**2
+        self.nodes.append(Node(mid, at, sample, np.zeros(2), noise, added))
+        v = self.P[0, 0] + noise
+        K = self.P[:, 0] / v
+        K[1:] = 0
+        PH = self.P[:, 0].copy()
+        self.x = self.x + K * error
+        self.pull += K[0] * (per_dn - self.pull)
+        self.P = self.P - np.outer(K, PH) - np.outer(PH, K) + v * np.outer(K, K)
+        self.moves += (change - self.moves) / 8
+        self.since, self.reference = at, mid
+
+    def linearized(self, error, v, per_dn, motion):
+        """Innovation, measurement noise and 1 / DN where both see the light."""
+        noise = motion + self.learned.at(per_dn)
+        spread = v - noise
+        rest = error * noise / v
+        if abs(rest) <= 3:
+            there = motion + self.learned.at(per_dn * np.exp(rest))
+            linear = error + np.expm1(rest) - rest
+            if linear**2 <= 16 * (spread + there):
+                return linear, there, per_dn * np.exp(rest)
+        return error, noise, per_dn
+
     def frame(self, sample, begin, mid, end, known, per_dn):
         fresh = self.reference is None
         at = self.next(mid)
+        if not fresh:
+            self.weigh(sample, self.counts(self.since, at), 4.0 * per_dn**2
+                       + 0.1 * per_dn)
+        self.seen = sample
+        if self.hot:
+            return self.alone(sample, mid, at, per_dn)
         learn = not fresh and at - self.since >= 3
         added = doubt = unit = motion = 0.0
         worth, theta2 = 1.0, self.x[1:].mean() ** 2
@@ -356,14 +267,8 @@ class Pixel:
         if fresh:
             self.x[0] = sample - blur
         error = sample - self.x[0] - blur
-        v, per_dn_seen = H @ self.P @ H + motion + self.learned.at(per_dn), per_dn
-        rest = error * (1 - H @ self.P @ H / v)
-        noise = motion + self.learned.at(per_dn)
-        if abs(rest) <= 3:
-            there = motion + self.learned.at(per_dn * np.exp(rest))
-            linear = error + np.expm1(rest) - rest
-            if linear**2 <= 16 * (H @ self.P @ H + there):
-                error, noise, per_dn_seen = linear, there, per_dn * np.exp(rest)
+        v = H @ self.P @ H + motion + self.learned.at(per_dn)
+        error, noise, per_dn_seen = self.linearized(error, v, per_dn, motion)
         v = H @ self.P @ H + noise
         still = v - unit * self.learned.motion + (
             self.offset_dn * (per_dn - self.pull)) ** 2
@@ -391,6 +296,9 @@ class Pixel:
 
     def read(self, t, known):
         i = self.next(t)
+        if self.hot:
+            v = self.P[0, 0] + self.x[1:].mean()**2 * LEAK * US * (t - self.reference)
+            return self.x[0], v + self.moves, v <= 0.25
         doubt = self.doubt(i, known)
         n, y, u, spread, lag = self.value(t, known, self.since, self.x[0], doubt)
         F = np.array([1.0, n[0], -n[1]])
@@ -432,8 +340,40 @@ class Pixel:
                 base, var = base + gain * (z - base), (1 - gain) * var
             self.past = node.t, node.next, base, var
 
+    def between_samples(self, t):
+        """What a hot pixel's samples say: filtered from both sides, in between."""
+        theta, sides = self.x[1:], []
+        for nodes in ([n for n in self.nodes if n.t <= t],
+                      [n for n in self.nodes if n.t > t][::-1]):
+            one = self.past if not sides else None
+            drift = 0.0
+            for node in nodes:
+                z = node.level - node.h @ theta
+                if one is None:
+                    base, var = z, node.noise
+                else:
+                    base = one[2] + self.path(one[1], node.next) @ theta
+                    var = one[3] + (drift if sides else node.drift)
+                    gain = var / (var + node.noise)
+                    base, var = base + gain * (z - base), (1 - gain) * var
+                drift = node.drift
+                one = node.t, node.next, base, var
+            sides.append(one)
+        known = [one for one in sides if one is not None]
+        if not known:
+            return 0.0, 0.0, False
+        valid = max(one[3] for one in known) <= 0.25
+        if len(known) == 1:
+            return known[0][2], known[0][3] + self.moves, valid
+        (t0, _, x0, v0), (t1, _, x1, v1) = known
+        v0, v1 = v0 + self.moves * (t - t0) / (t1 - t0), v1 + self.moves * (t1 - t) / (
+            t1 - t0)
+        return (x0 * v1 + x1 * v0) / (v0 + v1), v0 * v1 / (v0 + v1), valid
+
     def smooth(self, t, known):
         """Least squares over the past, all samples, and the value at t."""
+        if self.hot:
+            return self.between_samples(t)
         theta, i = self.x[1:], self.next(t)
         theta2 = theta.mean() ** 2
         places = [(node.t, node.next, node.drift) for node in self.nodes]
@@ -530,9 +470,10 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
         for at, pixel in pixels.items():
             dn = float(frame.dn[at])
             if dn >= 1 and (frame.valid is None or frame.valid[at]):
-                sums.append(pixel.frame(
+                said = pixel.frame(
                     np.log(dn) - log, frame.exposure_start_us, mid,
-                    max(end, frame.exposure_start_us + 1), known, 1 / dn))
+                    max(end, frame.exposure_start_us + 1), known, 1 / dn)
+                sums += [said] if said else []
             if offline:
                 pixel.fold(known - lookahead_us)
         noise.adapt(sums)

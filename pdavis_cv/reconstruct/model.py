@@ -22,6 +22,7 @@ STATE_DTYPE = np.dtype([
     ("var_base", "<f8"), ("cov_base_on", "<f8"), ("cov_base_off", "<f8"),
     ("var_on", "<f8"), ("cov_on_off", "<f8"), ("var_off", "<f8"),
     ("prior_on", "<f8"), ("prior_off", "<f8"), ("pull", "<f8"),
+    ("frame_log", "<f8"), ("hot", "<f8"), ("moves", "<f8"),
     ("sampled_us", "<i8"), ("samples", "<i4"), ("seen_on", "<i4"),
     ("seen_off", "<i4")])
 """State (base, theta_on, theta_off) of a pixel and its covariance, natural-log units.
@@ -30,6 +31,9 @@ base is the log intensity (ln DN/ms) at the last event before ``sampled_us``, th
 of the exposure of the last sample used; ``samples`` counts those (0: the base means
 nothing), ``seen_on`` and ``seen_off`` all events up to then.  The priors are the
 thresholds started from; ``pull`` is d(base) / d(offset of all frames), ln per DN.
+``frame_log`` is the last sample, as it was; ``hot`` the ln of the odds that the pixel
+is hot, less the prior's; ``moves`` the mean square of what log intensity changes by
+between two samples, ln^2, of a hot pixel.
 """
 
 TUNING_DTYPE = np.dtype([

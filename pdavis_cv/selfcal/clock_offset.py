@@ -82,9 +82,13 @@ class ClockOffset:
 
     @property
     def counts(self) -> bool:
-        """Whether it is told from 0: stated, or beyond 3 sigma and 1 ms."""
-        return self.sigma_us == 0 or abs(self.us) > max(
-            _SIGMAS * self.sigma_us, _LEAST_US)
+        """Whether it is told from 0: stated, or beyond 3 sigma and 1 ms.
+
+        Where nothing is told but the prior, nothing counts.
+        """
+        return self.sigma_us == 0 or (
+            self.sigma_us < CLOCK_OFFSET_SIGMA_US
+            and abs(self.us) > max(_SIGMAS * self.sigma_us, _LEAST_US))
 
     @property
     def ambiguous(self) -> bool:

@@ -17,7 +17,7 @@ from pdavis_cv.selfcal.uncertainty import (
     PixelActivity,
     SystematicErrors,
 )
-from pdavis_cv.selfcal.window import USABLE_DN, PixelWindow
+from pdavis_cv.selfcal.window import USABLE_DN, Interval, PixelWindow
 
 __all__ = ["CANDIDATE_DTYPE", "FILTER_NOISE", "INNOVATIONS_DTYPE", "MIN_DN",
            "PixelSample", "candidates_of", "select_busy_pixels"]
@@ -55,6 +55,14 @@ _SAMPLE_EVENTS, _SAMPLE_PIXELS, _MIN_SAMPLE_PIXELS = 30_000, 256, 16
 _BUSY_QUANTILE, _BUSY_FACTOR = 0.95, 2.0
 """Busy: within a factor of two of the 95 % quantile of the counts.  Hot pixels have
 more."""
+
+_CLAIM_SHARE, _SHOWN_SHARE, _CLAIM_SIGMAS, _CLAIM_EVENTS = 0.5, 0.25, 4.0, 3
+"""A hot pixel's frames contradict its events: as `KalmanFilter` has it (kalman.md,
+"Hot pixels")."""
+
+_HOT_SHARE = 0.5
+"""A pixel is hot whose frames contradict its events at least this often: of the
+intervals in which they make a claim."""
 
 _MAX_BALANCE = 0.5
 """Greatest distance of ln(OFF / ON events) from the median.  A pixel whose thresholds
@@ -286,6 +294,44 @@ class PixelSample:
         return other
 
 
+def contradicted_share(
+    intervals: Sequence[Interval], counts: NDArray[np.int32],
+    theta_on: NDArray[np.float64], theta_off: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return how often frames contradict what events say of log intensity.
+
+    Events between two frames make a claim if they sum up to a good part of the path
+    that they describe; frames contradict it if they show nearly none of it.
+
+    Parameters
+    ----------
+    intervals : sequence of Interval
+        F frames.
+    counts : ndarray of int32, shape (F, 2, K)
+        OFF and ON events before each.
+    theta_on, theta_off : ndarray of float64, shape (K,)
+        Thresholds, ln units.
+
+    Returns
+    -------
+    ndarray of float64, shape (K,)
+        Part of the claims; 0 where there is none.
+    """
+    light = np.array([np.fmax(each.dn, 1) for each in intervals], np.float64)
+    good = np.array([each.usable for each in intervals])
+    variance = (READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2
+    variance, good = variance[1:] + variance[:-1], good[1:] & good[:-1]
+    fell, rose = theta_off * counts[1:, 0], theta_on * counts[1:, 1]
+    claim, path = rose - fell, rose + fell
+    shown = np.diff(np.log(light), axis=0) * np.sign(claim)
+    made = (good & (np.abs(claim) > _CLAIM_SHARE * path)
+            & (counts[1:].sum(1) >= _CLAIM_EVENTS))
+    short = _SHOWN_SHARE * np.abs(claim) - shown
+    against = made & (short > _CLAIM_SIGMAS * np.sqrt(variance))
+    share: NDArray[np.float64] = against.sum(0) / np.maximum(made.sum(0), 1)
+    return share
+
+
 def select_busy_pixels(
     window: PixelWindow, nominal: tuple[ArrayLike, ArrayLike],
     leak_hz: tuple[float, float],
@@ -298,7 +344,10 @@ def select_busy_pixels(
     total = counts.sum(0)
     both = total.sum(0)
     usable = np.sum([each.usable & (each.dn >= USABLE_DN) for each in intervals], 0)
-    busy = np.where(usable >= _USABLE_SHARE * len(intervals), both, 0)
+    on, off = (np.broadcast_to(np.asarray(theta, np.float64), window.shape).ravel()[
+        window.pixels] for theta in nominal)
+    hot = contradicted_share(intervals, counts, on, off) >= _HOT_SHARE
+    busy = np.where((usable >= _USABLE_SHARE * len(intervals)) & ~hot, both, 0)
     if not busy.any():
         return None
     # A count that some pixel has, so that at least this one is busy.

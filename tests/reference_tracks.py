@@ -1,0 +1,163 @@
+"""Between and beyond a pixel's events: twins of _tracks and _lag in NumPy."""
+import functools
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+
+US = 1e-6
+BLOCK, STALE = 100_000, 10_000_000
+# Anywhere between the two thresholds.
+UNKNOWN = np.mean(np.linspace(-1, 1, 100_001) ** 2)
+STILL = 250_000
+
+
+def silence(gap):
+    """Probability that a pixel without an event for a gap (us) is at rest."""
+    return 1 / (1 + (STILL / max(gap, 1e-9)) ** 4)
+
+
+def ripple_of(waves):
+    """Return (ripple of log intensity, its change per second) as a function.
+
+    Of time and of the corner frequency of the pixel.
+    """
+    blocks = {wave.start_us // BLOCK: wave for wave in waves}
+
+    def ripple(t, hz):
+        wave = blocks.get(t // BLOCK)
+        if wave is None or wave.hz == 0:
+            return 0.0, 0.0
+        turn = 2 * np.pi * wave.hz
+        passed = 1 / (1 + 1j * wave.hz / hz) if hz and wave.of_light else 1
+        phasor = passed * (wave.cosine - 1j * wave.sine) * np.exp(
+            1j * turn * US * (t - wave.start_us))
+        return phasor.real, -turn * phasor.imag
+
+    return ripple
+
+
+def steady(t, hz=None):
+    return 0.0, 0.0
+
+
+def between(before, t0, p0, t1, p1, steps, r, t):
+    """Polarity, fraction of its threshold crossed, per second, variances of both, fall.
+
+    fall is the thresholds per second that the intensity last fell by.  Then what the
+    lamp adds, and per second; steps are (on, -off), r its ripple and rate at a time.
+    """
+    if t0 is None:
+        return p1, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
+    r = r if t1 - t0 < STALE else steady
+    change = r(t1)[0] - r(t0)[0]
+    since = r(t0)[0] - r(before[0])[0] if before and t0 - before[0] < STALE else 0
+    last, next = steps[1 - p0] - since, steps[1 - p1] - change
+    part = line(before, t0, p0, t1, p1, abs(last / next), last * next >= 0, t)
+    _, fraction, rate, *_ = part
+    now, slope = r(t)
+    return *part, now - r(t0)[0] - fraction * change, slope - rate * change
+
+
+def line(before, t0, p0, t1, p1, ratio, same, t):
+    gap = max(t1 - t0, 100)
+    s, hz = (t - t0) / gap, 1e6 / gap
+    if same:
+        return p1, s, hz, 0.0005, 0.0008 * hz**2, 0.0 if p1 else hz
+    turn, spread, fall = 0.366, (0.05, 1.0), 0.0
+    if before is not None and before[1] == p0:
+        q = max(t0 - before[0], 100) / gap
+        fall = hz / q if p1 else 0.0
+        turn = np.clip((ratio - q**2) / (2 * (ratio + q)), 0, 0.414)
+        spread = (0.003, 0.02)
+    # Through 0 at s = 0 and 1 at s = 1, its extremum at s = turn.
+    return (p1, s * (s - 2 * turn) / (1 - 2 * turn),
+            (2 * s - 2 * turn) / (1 - 2 * turn) * hz, spread[0], spread[1] * hz**2,
+            fall)
+
+
+def after(t0, r, t):
+    """What the lamp has added since the last event, and per second."""
+    if t - t0 >= STALE:
+        return 0.0, 0.0
+    return r(t)[0] - r(t0)[0], r(t)[1]
+
+
+def quiet(t0, p0, known, r, t):
+    if t0 is None:
+        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
+    s, hz = (t - t0) / (known - t0), 1e6 / (known - t0)
+    return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, 0.08, 0.3 * hz**2, 0.0, *after(
+        t0, r, t)
+
+
+@functools.cache
+def prior():
+    """Nodes and table of the stated prior, made by its study."""
+    folder = str(Path(__file__).resolve().parent.parent / "studies")
+    sys.path.insert(0, folder)
+    try:
+        study = importlib.import_module("kalman_extrapolation")
+        return study.NODES, study.table()
+    finally:
+        sys.path.remove(folder)
+        for name in ("kalman_extrapolation", "common"):
+            sys.modules.pop(name, None)
+
+
+def ahead(before, t0, p0, steps, r, t):
+    if before is None:
+        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
+    gap, p, same, room = t0 - before[0], p0, before[1] == p0, 1.0
+    if t - before[0] < STALE:
+        change = r(t0)[0] - r(before[0])[0]
+        if change != 0:
+            light = steps[1 - p0] - change
+            p = int(light > 0)
+            crossed = light / steps[1 - p]
+            same = before[1] == p or crossed < 0.5
+            gap = gap / max(crossed, 0.1)
+        room = np.clip(1 - (r(t)[0] - r(t0)[0]) / steps[1 - p], 0.3, 2)
+    gap = max(gap, 200)
+    u = (t - t0) / (gap * room)
+    nodes, table = prior()
+    if u >= nodes[-1]:
+        return p, 0.0, 0.0, UNKNOWN, 0.0, 0.0, *after(t0, r, t)
+    fraction, rate, *spread = (
+        np.interp(u, nodes, column) for column in table[0 if same else 1].T)
+    fall = 1e6 / gap if same and p == 0 else 0.0
+    return (p, fraction * room, rate * 1e6 / gap, spread[0],
+            spread[1] * (1e6 / gap) ** 2, fall, *after(t0, r, t))
+
+
+def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
+    """Of u in u (hz + k e^u) = rate / 2 pi, k = slope_hz * level, by its derivatives.
+
+    And of what a pixel that follows its light's intensity can lose in a fall.
+    """
+    if not hz and not slope_hz:
+        return 0.0
+    k = slope_hz * level
+    lost = max(3 * (fall / (2 * np.pi) * k / (hz + k) ** 2 - 0.24), 0)
+    e = slope_hz * level * np.exp(u)
+    d = max(hz + e * (1 + u), 0.05 * (hz + e))
+    return min((rate_var / (2 * np.pi) ** 2 + (sigma * u * (hz + e)) ** 2) / d**2
+               + lost**2, 1.0)
+
+
+def lead(slope, level, hz, slope_hz):
+    if not slope_hz:
+        return np.clip(slope / (2 * np.pi * hz), -3, 3) if hz else 0.0
+    c, e = slope / (2 * np.pi), slope_hz * level
+    u = c / (hz + e)
+    if abs(u) < 0.02:
+        return u * (1 - u * e / (hz + e))
+    u = 0.0
+    for _ in range(8):
+        k = e * np.exp(u)
+        step = (u * (hz + k) - c) / max(hz + k * (1 + u), 0.05 * (hz + k))
+        u = np.clip(u - step, -0.85, 2.0)
+        if abs(step) < 1e-4:
+            break
+    return u
