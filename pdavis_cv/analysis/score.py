@@ -39,6 +39,8 @@ class Score:
         45 degrees (what guessing gives) and as 1.
     roi_aop_error, roi_dolp_error : float
         Of the region's mean Stokes vector; NaN where the truth differs over it.
+    roi_dolp : float
+        DoLP of that mean, itself.
     roi_aop_range : float
         Largest less smallest AoP of that mean: close to pi for light that turns
         through, and blind to noise.
@@ -54,6 +56,7 @@ class Score:
     dolp_error: float
     roi_aop_error: float
     roi_dolp_error: float
+    roi_dolp: float
     roi_aop_range: float
     aop_coverage: float
     dolp_coverage: float
@@ -97,8 +100,9 @@ class Scorer:
         y, x = np.nonzero(self._mask)
         self._x = (x + 0.5) * scale - 0.5 + origin[0]
         self._y = (y + 0.5) * scale - 0.5 + origin[1]
-        # Sums and counts: AoP, DoLP, AoP of the region, DoLP of it.
-        self._sum, self._count = np.zeros(4), np.zeros(4)
+        # Sums and counts: errors of AoP, of DoLP, of the region's AoP and DoLP; and
+        # the region's DoLP.
+        self._sum, self._count = np.zeros(5), np.zeros(5)
         self._covered, self._claimed = np.zeros(2), np.zeros(2)
         self._valid = self._seen = self._images = 0
         self._span = (np.inf, -np.inf)
@@ -149,6 +153,7 @@ class Scorer:
             return
         dolp = np.hypot(s1, s2) / s0 if s0 > 0 else 0.0
         self._take(3, np.array([abs(dolp - degree)]))
+        self._take(4, np.array([dolp]))
         if degree > self._least:
             self._take(2, np.abs(axial_difference(np.array([aop]), angle)))
             self._span = min(self._span[0], aop), max(self._span[1], aop)
@@ -174,11 +179,12 @@ class Scorer:
                     for s, n in zip(sums, counts, strict=True)]
 
         low, high = self._span
-        aop, dolp, roi_aop, roi_dolp = part(self._sum, self._count)
+        aop, dolp, roi_aop, roi_dolp, itself = part(self._sum, self._count)
         aop_coverage, dolp_coverage = part(self._covered, self._claimed)
         return Score(
             images=self._images, aop_error=aop, dolp_error=dolp,
             roi_aop_error=roi_aop, roi_dolp_error=roi_dolp,
+            roi_dolp=itself,
             roi_aop_range=float(high - low) if high >= low else np.nan,
             aop_coverage=aop_coverage, dolp_coverage=dolp_coverage,
             valid=self._valid / self._seen if self._seen else np.nan)

@@ -1,7 +1,7 @@
 """pdavis reproduce: the paper's figures, from simulated cameras.
 
 Every method against the light in front of the camera as truth: a table (CSV), a page
-with the paper's words beside the figures (Markdown) and pictures (PNG, SVG).
+with the paper's words beside the figures (Markdown) and pictures (PNG, SVG, PDF).
 """
 from __future__ import annotations
 
@@ -38,13 +38,8 @@ from . import (
     rotation,
     transfer,
 )
-from .page import (
-    beside_stem,
-    save_figure,
-    summary,
-    write_page,
-    write_rows,
-)
+from .page import summary, write_page, write_rows
+from .print_style import beside_stem, journal, save_figure
 from .recording import fit_files, fits_page
 from .robustness_page import robustness_figure, robustness_page
 from .run import METHODS, Case, Row, Settings, Takes, run
@@ -106,6 +101,9 @@ def _compared(
                 "-" + result.rotation.name.replace(" ", "-"))
             save_figure(
                 beside_stem(stem, ending), plots.rotation_figure(figure, result))
+            if result.traces:
+                save_figure(beside_stem(stem, f"{ending}-traces"),
+                            plots.traces_figure(result))
     return write_page(stem, rotation.page(figure, results, settings, head)), rows
 
 
@@ -231,12 +229,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     settings = _settings(args)
     if args.out.name in ("", ".."):
         raise UsageError(f"-o must name what files begin with, got '{args.out}'")
-    if args.recording is None:
-        page, _ = EXPERIMENTS[args.figure][1](args.figure, args.out, settings)
-    elif args.figure == "fig2":
-        page, _ = _recorded(args.out, settings, args)
-    else:
+    if args.recording is not None and args.figure != "fig2":
         raise UsageError(f"--recording belongs to fig2, not to {args.figure}")
+    with journal():
+        if args.recording is None:
+            page, _ = EXPERIMENTS[args.figure][1](args.figure, args.out, settings)
+        else:
+            page, _ = _recorded(args.out, settings, args)
     print(page)
     return 0
 
@@ -249,7 +248,7 @@ def _parser() -> argparse.ArgumentParser:
         help="; ".join(f"{name}: {what}" for name, (what, _) in EXPERIMENTS.items()))
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="STEM",
-        help="writes STEM.csv, STEM.md and, with matplotlib, STEM.png and STEM.svg")
+        help="writes STEM.csv, STEM.md and, with matplotlib, STEM.png, .svg and .pdf")
     parser.add_argument(
         "--camera", nargs="+", choices=EVENT_CAMERAS, metavar="PRESET",
         help=f"of {', '.join(EVENT_CAMERAS)}; default what suits the figure")

@@ -15,6 +15,7 @@ from pdavis_cv.mosaic import DEMOSAIC_METHODS, HALF_SIZE
 
 from .demosaic_scenes import MADE, four_angle_folder, make
 from .page import table
+from .print_style import PAGE_IN, new_figure
 from .run import Settings
 
 if TYPE_CHECKING:
@@ -164,8 +165,6 @@ def demosaic_page(rows: Sequence[Score]) -> list[str]:
 
 def demosaic_figure(settings: Settings) -> Figure:
     """Draw crops of S0, DoLP and AoP of the first scene: truth and two methods."""
-    from matplotlib.figure import Figure
-
     name, truth = next(iter(scenes_of(settings).items()))
     layout = Layout.SONY
     mosaic = mosaic_of(truth, layout)
@@ -176,7 +175,7 @@ def demosaic_figure(settings: Settings) -> Figure:
     shown = {"truth": truth[crop]} | {
         method: demosaic(mosaic, layout, method)[crop]
         for method in ("bilinear", "guided")}
-    figure = Figure(figsize=(9, 9), layout="constrained")
+    figure = new_figure(PAGE_IN, PAGE_IN)
     grid = figure.subplots(3, 3)
     white = float(truth[crop].sum(0).max()) / 2
     for row, (label, quad) in zip(grid, shown.items(), strict=True):
@@ -188,7 +187,7 @@ def demosaic_figure(settings: Settings) -> Figure:
                 (row[2], aop, "AoP", "hsv", 180)):
             axes.imshow(picture, cmap=colours, vmin=0, vmax=most,
                         interpolation="nearest")
-            axes.set_title(f"{label}: {title}", fontsize=9)
+            axes.set_title(f"{label}: {title}")
             axes.set_axis_off()
     figure.suptitle(f"{name}, {side}x{side} pixels, Sony's layout, no noise")
     return figure

@@ -1,29 +1,25 @@
 """Tables and pages of `pdavis reproduce`: one writer for every experiment."""
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pdavis_cv.export import write_beside, write_csv
 
+from .print_style import beside_stem
 from .run import METHODS, Row
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["beside_stem", "cell", "mean", "pivot", "save_figure", "summary", "table",
-           "write_page", "write_rows"]
+__all__ = ["cell", "mean", "pivot", "summary", "table", "write_page", "write_rows"]
 
 # Columns of the tables, and how their numbers are written.
 FORMATS = {
     "aop_error_deg": "{:.2f}", "dolp_error": "{:.3f}", "aop_error_roi_deg": "{:.2f}",
-    "dolp_error_roi": "{:.3f}", "aop_range_deg": "{:.0f}", "aop_coverage": "{:.2f}",
-    "dolp_coverage": "{:.2f}", "valid": "{:.2f}", "events_per_pixel_s": "{:.1f}",
-    "median_interval_us": "{:.0f}",
+    "dolp_error_roi": "{:.3f}", "dolp_roi": "{:.3f}", "aop_range_deg": "{:.0f}",
+    "aop_coverage": "{:.2f}", "dolp_coverage": "{:.2f}", "valid": "{:.2f}",
+    "events_per_pixel_s": "{:.1f}", "median_interval_us": "{:.0f}",
 }
 
 
@@ -153,11 +149,6 @@ def _summed(rows: Sequence[Row], columns: Sequence[str], join: str) -> str:
         for level in levels)) for column in columns)
 
 
-def beside_stem(stem: Path, ending: str) -> Path:
-    """Return the path STEM + ending, dots in the stem kept."""
-    return stem.with_name(stem.name + ending)
-
-
 def write_rows(stem: Path, rows: Iterable[Row], facts: dict[str, Any]) -> None:
     """Write STEM.csv, one line per method, region and recording."""
     write_csv(beside_stem(stem, ".csv"), Row.columns(),
@@ -170,12 +161,3 @@ def write_page(stem: Path, lines: Sequence[str]) -> str:
     with write_beside(beside_stem(stem, ".md")) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
     return text
-
-
-def save_figure(stem: Path, figure: Figure) -> None:
-    """Write STEM.png and STEM.svg."""
-    for suffix in ("png", "svg"):
-        picture = io.BytesIO()
-        figure.savefig(picture, format=suffix, dpi=110)
-        with write_beside(beside_stem(stem, f".{suffix}")) as unfinished:
-            unfinished.write_bytes(picture.getvalue())

@@ -5,8 +5,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .page import mean
+from .print_style import COLUMN_IN, PAGE_IN, letters, look, new_figure
 from .rotation import (
     INTERVALS_US,
     Comparison,
@@ -17,28 +19,39 @@ from .run import METHODS, Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["errors", "range_figure", "rotation_figure", "style"]
+__all__ = ["errors", "range_figure", "rotation_figure", "traces_figure"]
 
-_COLOURS = {
-    "truth": "black", "Sony 50 fps": "tab:olive", "Sony 75 fps": "tab:brown",
-    "Sony 50 fps, own times": "tab:pink", "frames": "tab:gray",
-    "frames, own times": "silver", "events": "tab:purple",
-    "events, redundancy": "tab:red", "cf": "tab:orange",
-    "kalman causal": "tab:cyan", "kalman": "tab:blue", "kalman offline": "navy"}
+# What the paper states of its camera with events (text beside its Figs. 2 and 3).
+_PAPER_AOP = ((30.0, 60.0, 60.0, 1000.0), (5.0, 5.0, 10.0, 10.0))
+_PAPER_GROWTH = ((30.0, 1000.0), (8.0, 8.0))
+_BAND = (0.05, 0.5, 0.95)
 
 
-def style(name: str) -> dict[str, Any]:
-    """Colour and line of a method, the same in every picture."""
-    line = "--" if name.startswith("Sony") else ":" if "own times" in name else "-"
-    known = {"color": _COLOURS[name]} if name in _COLOURS else {}
-    return {"linestyle": line, "linewidth": 1.3, **known}
+def _quantiles(
+    rows: Sequence[Row], across: str, column: str, growth: bool
+) -> tuple[list[float], NDArray[np.float64]]:
+    """Return settings, and 5, 50 and 95 % of the specimens at each, shape (3, N)."""
+    settings = sorted({getattr(row, across) for row in rows})
+    specimens = sorted({(row.seed, row.start_deg) for row in rows})
+    values = np.array([[mean(
+        [row for row in rows if (row.seed, row.start_deg) == specimen
+         and getattr(row, across) == setting], column)
+        for setting in settings] for specimen in specimens])
+    if growth:
+        values = 100 * (values - values[:, :1])
+    known = np.isfinite(values).any(0)
+    found = np.full((3, len(settings)), np.nan)
+    found[:, known] = np.nanquantile(values[:, known], _BAND, axis=0)
+    return settings, found
 
 
 def errors(
     axes: Any, rows: Sequence[Row], across: str, column: str, *, label: str,
-    growth: bool = False,
+    scale: str = "log", growth: bool = False,
 ) -> None:
     """Draw a column against a setting, a line per method.
+
+    Lines are medians of the specimens, bands their 5 to 95 %.
 
     Parameters
     ----------
@@ -48,84 +61,122 @@ def errors(
         Columns of the rows.
     label : str
         Of the vertical axis.
+    scale : {"log", "linear"}
+        Of the vertical axis.
     growth : bool
-        Draw 100 times the difference from the lowest setting, on a linear axis.
+        Draw 100 times the difference from the lowest setting.
     """
     from matplotlib.ticker import FuncFormatter
 
     for name in METHODS:
         mine = [row for row in rows if row.method == name]
-        settings = sorted({getattr(row, across) for row in mine})
-        values = np.array([mean([row for row in mine if getattr(row, across) == value],
-                                column) for value in settings])
-        if not np.isfinite(values).any():
+        if not mine:
             continue
-        if growth:
-            values = 100 * (values - values[0])
-        axes.plot(settings, values, marker=".", label=name, **style(name))
+        settings, (low, middle, high) = _quantiles(mine, across, column, growth)
+        if not np.isfinite(middle).any():
+            continue
+        axes.plot(settings, middle, label=name, **look(name))
+        if (high > low).any():
+            axes.fill_between(settings, low, high, color=look(name)["color"],
+                              alpha=0.15, linewidth=0)
+    plain = FuncFormatter(lambda value, _: f"{value:g}")
     axes.set_xscale("log")
-    if not growth:
-        axes.set_yscale("log")
-        plain = FuncFormatter(lambda value, _: f"{value:g}")
+    axes.set_yscale(scale)
+    if across == "rpm":
+        axes.set_xticks(sorted({row.rpm for row in rows}))
+        axes.xaxis.set_major_formatter(plain)
+        axes.xaxis.set_minor_formatter("")
+    if scale == "log":
         axes.yaxis.set_major_formatter(plain)
-        low, high = axes.get_ylim()
-        if high < 30 * low:  # else there are too many
+        bottom, top = axes.get_ylim()
+        if top < 30 * bottom:  # else there are too many
             axes.yaxis.set_minor_formatter(plain)
     axes.set_ylabel(label)
-    axes.grid(alpha=0.3)
 
 
 def _legend(drawing: Figure, axes: Any) -> None:
-    drawing.legend(*axes.get_legend_handles_labels(), fontsize=9,
-                   ncols=int(drawing.get_size_inches()[0] / 1.8),
-                   loc="outside lower center")
-
-
-def _traces(axes: Any, traces: Sequence[Trace], quantity: str) -> None:
-    for trace in traces:
-        values = getattr(trace, quantity)
-        if quantity == "aop":
-            values = np.rad2deg(values)
-            # A jump from 180 to 0 is no line.
-            values = np.where(np.abs(np.diff(values, prepend=values[0])) > 90,
-                              np.nan, values)
-        wide = {"linewidth": 3, "alpha": 0.35} if trace.method == "truth" else {}
-        axes.plot((trace.t_us - trace.t_us[0]) / 1000, values,
-                  **{**style(trace.method), **wide}, label=trace.method)
-    axes.set_xlabel(f"ms, at {traces[0].rpm:g} RPM")
-    axes.set_ylabel("AoP (degrees)" if quantity == "aop" else "DoLP")
-    if quantity == "aop":
-        axes.set_yticks((0, 45, 90, 135, 180))
-    else:
-        axes.set_ylim(-0.05, 1.4)
-    axes.grid(alpha=0.3)
+    drawing.legend(*axes.get_legend_handles_labels(), loc="outside lower center",
+                   ncols=int(drawing.get_size_inches()[0] / 1.7))
 
 
 def rotation_figure(figure: str, result: Comparison) -> Figure:
-    """Draw errors, events and traces of one scene."""
-    from matplotlib.figure import Figure
-
-    drawing = Figure(figsize=(15, 11), layout="constrained")
-    axes = drawing.subplots(3, 3)
-    growth = figure == "fig3"
-    errors(axes[0, 0], result.rows, "rpm", "aop_error_deg",
+    """Draw errors against speed, and the events of the slowest and the fastest turn."""
+    drawing = new_figure(PAGE_IN, 5.0)
+    axes = drawing.subplots(2, 6, gridspec_kw={"hspace": 0.08})
+    grid = axes[0, 0].get_gridspec()
+    for each in axes.reshape(-1):
+        each.remove()
+    top = [drawing.add_subplot(grid[0, :3]), drawing.add_subplot(grid[0, 3:])]
+    bottom = [drawing.add_subplot(grid[1, 2 * k:2 * k + 2]) for k in range(3)]
+    letters([*top, *bottom])
+    errors(top[0], result.rows, "rpm", "aop_error_deg",
            label="AoP error of super-pixels (degrees)")
-    errors(axes[0, 1], result.rows, "rpm", "dolp_error_roi" if growth else "dolp_error",
-           label="growth of the region's DoLP error (points)" if growth else
-           "DoLP error of super-pixels", growth=growth)
-    for each in axes[0, :2]:
+    paper = {"color": "black", "linestyle": (0, (1, 1)), "linewidth": 0.8}
+    if figure == "fig3":
+        errors(top[1], result.rows, "rpm", "dolp_error_roi", scale="linear",
+               label="growth of the region's DoLP error (points)", growth=True)
+        top[1].plot(*_PAPER_GROWTH, label="paper, network: less", **paper)
+    else:
+        top[0].plot(*_PAPER_AOP, label="paper, events: less", **paper)
+        errors(top[1], result.rows, "rpm", "dolp_roi", scale="linear",
+               label="DoLP of the region")
+        top[1].axhline(1, color="black", linewidth=0.8, label="truth")
+    for each in top:
         each.set_xlabel("turns per minute")
-    _legend(drawing, axes[0, 0])
-    _rates(axes[0, 2], result)
-    speeds = sorted({trace.rpm for trace in result.traces})
-    for column, rpm in zip((0, 1), (speeds[0], speeds[-1]), strict=True):
-        shown = [trace for trace in result.traces if trace.rpm == rpm]
-        _traces(axes[1, column], shown, "aop")
-        _traces(axes[2, column], shown, "dolp")
-    _intervals(axes[1, 2], result)
-    _raster(axes[2, 2], result)
-    drawing.suptitle(f"{figure}: {result.rotation.title}")
+    handles = {label: handle for each in top for handle, label in zip(
+        *each.get_legend_handles_labels(), strict=True)}
+    drawing.legend(handles.values(), handles.keys(), loc="outside lower center",
+                   ncols=5)
+    _rates(bottom[0], result)
+    _intervals(bottom[1], result)
+    _raster(bottom[2], result)
+    drawing.suptitle(result.rotation.title)
     return drawing
+
+
+def traces_figure(result: Comparison) -> Figure:
+    """Draw AoP and DoLP over time, a line of panels per method, truth behind."""
+    names = [trace.method for trace in result.traces if trace.method != "truth"]
+    names = list(dict.fromkeys(names))
+    speeds = sorted({trace.rpm for trace in result.traces})
+    drawing = new_figure(PAGE_IN, 0.7 + 0.75 * len(names))
+    grid = drawing.subplots(len(names), 2 * len(speeds), sharex="col", squeeze=False)
+    by_name = {(trace.method, trace.rpm): trace for trace in result.traces}
+    columns = [(quantity, rpm) for quantity in ("aop", "dolp") for rpm in speeds]
+    for axes, (name, (quantity, rpm)) in zip(
+            grid.reshape(-1), ((name, column) for name in names for column in columns),
+            strict=True):
+        trace = by_name.get((name, rpm))
+        if trace is None:
+            axes.set_axis_off()
+            continue
+        _trace(axes, by_name["truth", rpm], quantity, color="0.6", linewidth=2.5)
+        _trace(axes, trace, quantity, color=look(name)["color"], linewidth=0.9)
+        if axes in grid[0]:
+            axes.set_title(("AoP (degrees)" if quantity == "aop" else "DoLP")
+                           + f", {rpm:g} RPM")
+        if axes in grid[-1]:
+            axes.set_xlabel("time (ms)")
+    for axes, name in zip(grid[:, 0], names, strict=True):
+        axes.set_ylabel(name.replace(", ", ",\n"), rotation=0, ha="right", va="center")
+    drawing.suptitle(f"{result.rotation.title}; grey: truth")
+    return drawing
+
+
+def _trace(axes: Any, trace: Trace, quantity: str, **line: Any) -> None:
+    values = getattr(trace, quantity)
+    if quantity == "aop":
+        values = np.rad2deg(values)
+        # A jump from 180 to 0 is no line.
+        values = np.where(np.abs(np.diff(values, prepend=values[0])) > 90,
+                          np.nan, values)
+    axes.plot((trace.t_us - trace.t_us[0]) / 1000, values, **line)
+    if quantity == "aop":
+        axes.set_yticks((0, 90, 180))
+        axes.set_ylim(-5, 185)
+    else:
+        axes.set_ylim(-0.05, 1.4)
+        axes.set_yticks((0, 0.5, 1))
 
 
 def _rates(axes: Any, result: Comparison) -> None:
@@ -133,47 +184,49 @@ def _rates(axes: Any, result: Comparison) -> None:
     speeds = sorted({row.rpm for row in rows})
     rates = [mean([row for row in rows if row.rpm == rpm], "events_per_pixel_s")
              for rpm in speeds]
-    axes.loglog(speeds, rates, "o-", color="tab:green", label="events")
+    axes.loglog(speeds, rates, "o-", color="#009E73", label="events")
     axes.loglog(speeds, np.array(speeds) * rates[-1] / speeds[-1], ":", color="black",
-                label="proportional to RPM")
+                label="in proportion")
     if np.isfinite(result.outside_hz):
-        axes.axhline(result.outside_hz, color="tab:red", linestyle="--",
+        axes.axhline(result.outside_hz, color="#D55E00", linestyle="--",
                      label="constant light")
+    if np.isfinite(result.denoised_hz) and result.denoised_hz > 0:
+        axes.axhline(result.denoised_hz, color="#D55E00", linestyle=":",
+                     label="the same, denoised")
     axes.set_xlabel("turns per minute")
     axes.set_ylabel("events per pixel and second")
-    axes.legend(fontsize=7)
-    axes.grid(alpha=0.3)
+    axes.legend()
 
 
 def _intervals(axes: Any, result: Comparison) -> None:
-    for spectrum in result.spectra:
+    for spectrum, line in zip(result.spectra, ("-", "--"), strict=False):
         part = spectrum.intervals / max(spectrum.intervals.sum(), 1)
-        axes.stairs(part, INTERVALS_US / 1000, label=f"{spectrum.rpm:g} RPM")
-    axes.axvline(1, color="black", linestyle=":", linewidth=1)
+        axes.stairs(part, INTERVALS_US / 1000, label=f"{spectrum.rpm:g} RPM",
+                    linestyle=line)
+    axes.axvline(1, color="black", linestyle=":", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_xlim(0.05, 1000)
     axes.set_xlabel("time between a pixel's events (ms)")
     axes.set_ylabel("part of the events")
-    axes.legend(fontsize=7)
-    axes.grid(alpha=0.3)
+    axes.legend()
 
 
 def _raster(axes: Any, result: Comparison) -> None:
     ticks = []
     for k, spectrum in enumerate(result.spectra):
         t, p = spectrum.raster
-        for polarity, colour, rise in ((1, "tab:green", 0.2), (0, "tab:red", -0.2)):
+        for polarity, colour, rise in ((1, "#009E73", 0.2), (0, "#D55E00", -0.2)):
             axes.eventplot(t[p == polarity], lineoffsets=k + rise,
-                           linelengths=0.35, linewidths=1, colors=colour)
-        ticks.append(f"{spectrum.rpm:g} RPM")
-    axes.set_yticks(range(len(ticks)), ticks)
-    axes.set_xlabel("turns; events of one I0 pixel, ON green, OFF red")
+                           linelengths=0.35, linewidths=0.6, colors=colour)
+            ticks.append((k + rise, f"{'ON' if polarity else 'OFF'}, "
+                                    f"{spectrum.rpm:g} RPM"))
+    axes.set_yticks(*zip(*ticks, strict=True))
+    axes.set_xlabel("turns; events of one I0 pixel")
+    axes.grid(visible=False)
 
 
 def range_figure(figure: str, rows: Sequence[Row]) -> Figure:
     """Draw errors against speed or irradiance: a line of panels per event camera."""
-    from matplotlib.figure import Figure
-
     across = "irradiance_uw_cm2" if figure == "dr" else "rpm"
     cameras = sorted({row.camera for row in rows if "Sony" not in row.method})
     groups = list(dict.fromkeys((row.scene, row.region) for row in rows))
@@ -181,21 +234,22 @@ def range_figure(figure: str, rows: Sequence[Row]) -> Figure:
               for group in groups]
     if figure == "dr":
         panels.append((groups[0], "aop_range_deg", "range of AoP (degrees)"))
-    drawing = Figure(figsize=(5 * len(panels), 1 + 4 * len(cameras)),
-                     layout="constrained")
+    drawing = new_figure(PAGE_IN if len(panels) > 1 else COLUMN_IN,
+                         0.9 + 2.4 * len(cameras))
     grid = drawing.subplots(len(cameras), len(panels), squeeze=False)
+    letters(grid.reshape(-1))
     for line, camera in zip(grid, cameras, strict=True):
         for axes, (group, column, label) in zip(line, panels, strict=True):
             mine = [row for row in rows if (row.scene, row.region) == group
                     and (row.camera == camera or "Sony" in row.method)]
-            errors(axes, mine, across, column, label=label)
-            if column == "aop_range_deg":
-                axes.set_yscale("linear")
+            wide = column == "aop_range_deg"
+            errors(axes, mine, across, column, label=label,
+                   scale="linear" if wide else "log")
+            if wide:
                 axes.set_ylim(0, 190)
             region = "" if group[1] == "all" else f", {group[1]}"
-            axes.set_title(f"{group[0]}{region}; {camera}", fontsize=10)
-            axes.set_xlabel("irradiance (uW/cm2)" if figure == "dr" else
+            axes.set_title(f"{group[0]}{region}\n`{camera}`")
+            axes.set_xlabel("irradiance (µW/cm²)" if figure == "dr" else
                             "turns per minute")
     _legend(drawing, grid[0, 0])
-    drawing.suptitle(figure)
     return drawing

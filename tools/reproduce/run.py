@@ -206,7 +206,8 @@ class Row:
     """A line of the table: one method on one region of one recording.
 
     Angles are in degrees; the first two errors are those of single super-pixels,
-    ``_roi`` those of the region's mean; see `pdavis_cv.analysis.Score`.
+    ``_roi`` those of the region's mean, ``dolp_roi`` that mean's DoLP itself; see
+    `pdavis_cv.analysis.Score`.
     """
 
     scene: str
@@ -221,6 +222,7 @@ class Row:
     dolp_error: float
     aop_error_roi_deg: float
     dolp_error_roi: float
+    dolp_roi: float
     aop_range_deg: float
     aop_coverage: float
     dolp_coverage: float
@@ -365,7 +367,7 @@ def run(
             if not method.gives_dolp:
                 s = dataclasses.replace(
                     s, dolp_error=math.nan, roi_dolp_error=math.nan,
-                    dolp_coverage=math.nan)
+                    roi_dolp=math.nan, dolp_coverage=math.nan)
             rate, interval = (
                 counted[region] if of_events else (math.nan, math.nan))
             yield Row(
@@ -374,7 +376,7 @@ def run(
                 irradiance_uw_cm2=case.irradiance_uw_cm2, method=name,
                 aop_error_deg=math.degrees(s.aop_error), dolp_error=s.dolp_error,
                 aop_error_roi_deg=math.degrees(s.roi_aop_error),
-                dolp_error_roi=s.roi_dolp_error,
+                dolp_error_roi=s.roi_dolp_error, dolp_roi=s.roi_dolp,
                 aop_range_deg=math.degrees(s.roi_aop_range),
                 aop_coverage=s.aop_coverage, dolp_coverage=s.dolp_coverage,
                 valid=s.valid, events_per_pixel_s=rate, median_interval_us=interval)

@@ -15,6 +15,7 @@ from pdavis_cv.reconstruct.cf import CUTOFF_HZ
 from pdavis_cv.simulation import FULL, Camera, FunctionScene, Scene
 
 from .page import table
+from .print_style import COLUMN_IN, letters, look, new_figure
 from .run import OFF_LOCK, Settings
 
 if TYPE_CHECKING:
@@ -152,33 +153,28 @@ def transfer_page(rows: Sequence[Response]) -> list[str]:
 
 def transfer_figure(rows: Sequence[Response]) -> Figure:
     """Draw gain and phase: measured as points, theory as lines."""
-    from matplotlib.figure import Figure
-
-    from .plots import style
-
-    drawing = Figure(figsize=(9, 7), layout="constrained")
+    drawing = new_figure(COLUMN_IN, 4.2)
     gain, phase = drawing.subplots(2, 1, sharex=True)
     hz = np.geomspace(0.3, 300, 400)
     for response, name, line in (
-            (expected_of_cf, "cf, theory", {"color": style("cf")["color"]}),
+            (expected_of_cf, "cf, theory", {"color": look("cf")["color"]}),
             (pixel_response, "photoreceptor", {"color": "black", "linestyle": ":"})):
         values = np.array([response(float(f)) for f in hz])
         gain.plot(hz, np.abs(values), label=name, **line)
         phase.plot(hz, np.rad2deg(np.angle(values)), **line)
     for name in dict.fromkeys(row.method for row in rows):
         mine = [row for row in rows if row.method == name]
-        look = {**style(name), "marker": "o", "markersize": 4,
+        line = {**look(name), "marker": "o",
                 "linestyle": "none" if name == "cf" else "--"}
         gain.plot([row.hz for row in mine], [row.gain for row in mine], label=name,
-                  **look)
-        phase.plot([row.hz for row in mine], [row.phase_deg for row in mine], **look)
+                  **line)
+        phase.plot([row.hz for row in mine], [row.phase_deg for row in mine], **line)
     gain.set_xscale("log")
     gain.set_ylim(0, 1.3)
     gain.set_ylabel("gain of log intensity")
     phase.set_ylabel("phase (degrees)")
     phase.set_xlabel("frequency of the light on a pixel (Hz)")
-    for axes in (gain, phase):
-        axes.grid(alpha=0.3)
-    gain.legend(fontsize=8, ncols=3)
-    drawing.suptitle("Transfer function: from log light to log intensity")
+    letters((gain, phase))
+    drawing.legend(*gain.get_legend_handles_labels(), loc="outside lower center",
+                   ncols=2)
     return drawing
