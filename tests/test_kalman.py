@@ -136,6 +136,32 @@ def test_packets_reads_and_snapshots_do_not_change_the_result(mode):
     assert len(whole._tracks.store) < len(events) / 2
 
 
+@pytest.mark.parametrize("n", [400, 40_000])
+def test_a_frame_that_comes_late_acts_as_one_that_came_in_time(n):
+    shape = (4, 6)
+    events = random_events(n, shape, seed=3)
+    frames = [random_frame(shape, mid, seed=mid, exposure_us=30_000)
+              for mid in range(110_000, 900_000, 50_000)]
+    in_time, late = (make(shape, mode="causal", bandwidth=(250, 0)) for _ in range(2))
+    feed(in_time, events, frames)
+    at = 0
+    for frame in frames:
+        end = int(np.searchsorted(events["t"], frame.available_us, "right"))
+        late.add_events(events[at:end])
+        late.add_frame(frame)
+        late.settle(frame.available_us)
+        at = end
+    late.add_events(events[at:])
+    assert same(in_time.read(1_200_000), late.read(1_200_000))
+    assert same(in_time.thresholds, late.thresholds)
+    with pytest.raises(ValueError, match="before the last frame's, 860000 us"):
+        late.add_frame(frames[-2])
+    waiting = make(shape)
+    waiting.add_events(events)
+    with pytest.raises(ValueError, match="before the last time seen"):
+        waiting.add_frame(frames[0])
+
+
 def test_thresholds_are_learned_from_frames():
     on, off = 0.12, 0.21
     recording, _ = ideal.rotating_polarizer(

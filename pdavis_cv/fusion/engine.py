@@ -27,7 +27,7 @@ from pdavis_cv.fusion.images import ImageMaker, Samples, samples_of
 from pdavis_cv.fusion.learning import Learning, OnlineLearning, Tuning
 from pdavis_cv.fusion.options import FusionOptions, takes_options
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
-from pdavis_cv.fusion.states import AsItArrives, InOrder
+from pdavis_cv.fusion.states import AsItArrives, InOrder, states_of
 from pdavis_cv.fusion.window import checked_roi, window_of
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Needs, Reconstructor
@@ -301,11 +301,11 @@ class Fusion:
         if self._states is None or self._feed is None:
             return FusionSnapshot(start_us=self._grid_start)
         return FusionSnapshot(
-            self._index, self._grid_start, self._states.fed_us, self._t,
+            self._index, self._grid_start, self._states.behind_us, self._t,
             self._states.snapshot(), tuple(self._frames), self._feed.reached_us,
             None if self._lamp is None else self._lamp.state(),
             None if self._online is None else self._online.state(),
-            self._corrected.clipping)
+            self._corrected.clipping, self._states.fed_us)
 
     def restore(self, snapshot: FusionSnapshot) -> None:
         """Go back to a snapshot of an equal Fusion.
@@ -326,7 +326,7 @@ class Fusion:
             before = self._online.tuning
             self._online.restore(snapshot.learning)
             self._go_on_with(_AFTER, self._online.tuning.changes(before))
-        self._states.restore(snapshot.state, snapshot.fed_us)
+        self._states.restore(snapshot.state, snapshot.state_us, snapshot.fed_us)
         if self._lamp is not None and snapshot.lamp is not None:
             self._lamp.restore(snapshot.lamp)
         if snapshot.clipping is not None:
@@ -490,10 +490,9 @@ class Fusion:
         tuning = self._learned()
         if self._learning.wanted and self.options.causal:
             self._online = OnlineLearning(self._learning)
-        behind = InOrder(self._made(), self.window,
-                         None if self._online is None else self._online.camera)
-        arrives = self.options.causal and self.needs.frames
-        self._states = AsItArrives(behind, self._made()) if arrives else behind
+        self._states = states_of(
+            self._made, self.window, None if self._online is None
+            else self._online.camera, causal=self.options.causal)
         self._set_clock(tuning.clock_us)
         if self.needs.lamp:
             # Over the whole sensor, so that an image of a region is the crop.
@@ -531,13 +530,17 @@ class Fusion:
         ahead = self._lookahead_us
         target = _AFTER if ahead is None else t + ahead
         self._feed_to(target)
-        if self._lamp is not None and self._states is not None and ahead is not None:
-            for wave in self._lamp.advance(target):
-                self._states.add_wave(wave)
         if ahead is not None and self._states is not None:
+            self._light_until(target)
             self._states.settle(target)
         while len(self._frames) > 1 and self._frames[1][1] <= t:
             self._frames.popleft()
+
+    def _light_until(self, t_us: int) -> None:
+        """Tell the states how the lamp flickers up to t_us; all events were there."""
+        assert self._states is not None
+        for wave in () if self._lamp is None else self._lamp.advance(t_us):
+            self._states.add_wave(wave)
 
     def _feed_to(self, target: int) -> None:
         """Feed everything up to target, inclusive; learn at the times for it."""
@@ -567,6 +570,8 @@ class Fusion:
             self._frames.append((item.mid_us, item.available_us))
             if self.needs.frames:
                 frame = self._corrected(item)
+                if self.options.causal:         # it acts as soon as it is there
+                    self._light_until(frame.moved(self._clock_us).available_us)
                 if self._lamp is not None:
                     self._lamp.add_frame(frame)
                 self._states.add_frame(frame)

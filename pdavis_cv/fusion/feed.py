@@ -30,7 +30,8 @@ class Feed:
 
     A frame counts at its mid-exposure, which lies before its arrival: events are
     held back until the next frame is known or cannot act on them any more.  With
-    `by_arrival` a frame counts when its readout ends and nothing is held back.
+    `by_arrival` a frame counts when its readout ends, after the events of that
+    microsecond, and nothing is held back.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ class Feed:
     def _release(self, t_us: int) -> Iterator[ApsFrame | NDArray[Any]]:
         while self._frames and self._time(self._frames[0]) <= t_us:
             frame = self._frames.popleft()
-            yield from self._release_events(self._time(frame) - 1)
+            yield from self._release_events(self._time(frame) - (not self._by_arrival))
             yield frame
         yield from self._release_events(t_us)
         self._given_us = max(t_us, self._given_us)

@@ -25,11 +25,12 @@ class FusionSnapshot:
     start_us : int or None
         Time of the first image.
     fed_us : int or None
-        Time up to which, inclusive, the state has been fed; None = not at all.
+        Time up to which, inclusive, nothing is fed again; None = everything is.
     t_us : int or None
         Time of the last image; None before the first, where nothing else is set.
     state : Snapshot or None
-        Of the Reconstructor; with ``causal`` as of the last frame's mid-exposure.
+        Of the Reconstructor; with ``causal``, and a method that takes no late frames,
+        as of the last frame's mid-exposure.
     frames : tuple of (int, int)
         Mid-exposure and arrival of the latest frames fed.
     reached_us : int
@@ -37,9 +38,11 @@ class FusionSnapshot:
     lamp : mapping of str to object, or None
         State of the `LampTracker`, which has seen all events up to the last image.
     learning : mapping of str to object, or None
-        State of an `OnlineLearning`, which has seen what `state` has.
+        State of an `OnlineLearning`, which has seen everything up to `fed_us`.
     clipping : Clipping, optional
         What the frames fed tell of the DN at which pixels are full.
+    state_us : int or None
+        Time up to which, inclusive, `state` has been fed, where that is after `fed_us`.
     """
 
     index: int = 0
@@ -52,6 +55,7 @@ class FusionSnapshot:
     lamp: Mapping[str, Any] | None = None
     learning: Mapping[str, Any] | None = None
     clipping: Clipping | None = None
+    state_us: int | None = None
 
     @property
     def nbytes(self) -> int:

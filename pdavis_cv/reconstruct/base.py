@@ -171,6 +171,10 @@ class Reconstructor(ABC):
     shows_at_readout: bool = False
     """Whether a frame shows from the end of its readout, not from mid-exposure, on."""
 
+    takes_late_frames: bool = False
+    """Whether a frame may also be fed when it arrives, after what came since its
+    mid-exposure: `settle` then makes the state the one with the frame in its place."""
+
     shape: tuple[int, int]
     """(height, width)."""
 

@@ -185,6 +185,7 @@ class Denoised(Reconstructor):
         self.needs = method.needs
         self.causal_parameters = method.causal_parameters
         self.shows_at_readout = method.shows_at_readout
+        self.takes_late_frames = method.takes_late_frames
 
     @property
     def parameters(self) -> Mapping[str, Any]:

@@ -68,13 +68,20 @@ class StreamClock:
         self.took(checked, _kernels.check_events(checked, self.last_us, height, width))
         return checked
 
-    def check_frame(self, frame: ApsFrame) -> int:
+    def check_frame(self, frame: ApsFrame, after_us: int | None = None) -> int:
         """Return the time of a frame, its mid-exposure, and note it.
+
+        Parameters
+        ----------
+        frame : ApsFrame
+        after_us : int, optional
+            Time of the frame before, where frames may be late; default: none may lie
+            before the last time seen.
 
         Raises
         ------
         ValueError
-            If it has another shape or lies before the last time seen.
+            If it has another shape or lies before `after_us`.
         """
         if not isinstance(frame, ApsFrame):
             raise TypeError(f"frame must be an ApsFrame, got {type(frame).__name__}")
@@ -83,11 +90,13 @@ class StreamClock:
                 f"frame must be {self.shape[1]}x{self.shape[0]}, got "
                 f"{frame.shape[1]}x{frame.shape[0]}")
         mid = frame.mid_us
-        if mid < self.last_us:
+        before = self.last_us if after_us is None else after_us
+        if mid < before:
+            last = "time seen" if after_us is None else "frame's"
             raise ValueError(
                 "frames must be fed in time order, but this one's mid-exposure "
-                f"{mid} us lies before the last time seen, {self.last_us} us")
-        self.last_us = mid
+                f"{mid} us lies before the last {last}, {before} us")
+        self.last_us = max(self.last_us, mid)
         return mid
 
     def check_read(self, t_us: int) -> int:

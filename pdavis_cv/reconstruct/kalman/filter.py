@@ -34,6 +34,7 @@ from pdavis_cv.reconstruct.model import (
     TUNING_DTYPE,
 )
 from pdavis_cv.reconstruct.stream_clock import (
+    NEVER,
     StreamClock,
     checked_bandwidth,
     checked_noise,
@@ -84,8 +85,9 @@ ADAPT_FRAMES = 20.0
 """Frames for which the innovations that tell the first two are remembered, by 1/e;
 engineering choice, a second of the paper's cameras."""
 
-# Committed events are kept this long, and at least twice the longest exposure.
-KEEP_US = 100_000
+# Committed events are kept this long, and at least twice the longest exposure; before
+# the first frame tells how late frames arrive, for exposures of half a second.
+KEEP_US, _FIRST_KEEP_US = 100_000, 500_000
 _DIM_SHARE = 0.12
 """Of a pixel's light, where a lag in inverse proportion to it matters.  Log intensity
 changes fastest where light is dim: weighed by the squared slope of 1 + .9 cos, the mean
@@ -193,6 +195,7 @@ class KalmanFilter(Reconstructor):
                 "lookahead_us must be positive in modes 'buffered' and 'offline' and 0 "
                 f"in mode 'causal', got {lookahead_us} in {mode!r}")
         self._mode, self.lookahead_us = mode, lookahead_us
+        self.takes_late_frames = mode == "causal"
         # The filter goes ahead of the smoother: it waits for next events only.
         self._wait_us = (min(self.lookahead_us, LOOKAHEAD_US) if mode == "offline"
                          else self.lookahead_us)
@@ -223,11 +226,13 @@ class KalmanFilter(Reconstructor):
         """Make what changes when the filter is fed; nothing has been yet."""
         offline = self._mode == "offline"
         self._states = np.zeros(self.shape, STATE_DTYPE)
-        self._tracks = Tracks(self.shape, KEEP_US + self._wait_us, late=offline)
+        self._tracks = Tracks(
+            self.shape, max(_FIRST_KEEP_US, KEEP_US + self._wait_us), late=offline)
         self._smoother = Smoother(self.shape) if offline else None
         self._reader = Reader(self.shape)
         self._epoch_us = 0      # not before the last sample of any pixel
         self._interval_us = 0   # between the last two frames used, 0 before
+        self._mid_us = NEVER    # of the last frame fed
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._frames: tuple[WaitingFrame, ...] = ()
@@ -405,8 +410,13 @@ class KalmanFilter(Reconstructor):
             self._settle(self._clock.last_us)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Take a frame; it acts when the events that it needs are there."""
-        self._clock.check_frame(frame)
+        """Take a frame; it acts when the events that it needs are there.
+
+        In mode "causal" also one that is late: when it has been read out.
+        """
+        first = self._mid_us == NEVER
+        self._mid_us = self._clock.check_frame(
+            frame, self._mid_us if self.takes_late_frames else None)
         self._fed += 1
         waiting = WaitingFrame(frame, self._wait_us)
         self._frames = (*self._frames, waiting)
@@ -415,8 +425,9 @@ class KalmanFilter(Reconstructor):
         longest = int(np.max(np.subtract(frame.exposure_end_us,
                                          frame.exposure_start_us)))
         delay = frame.available_us - int(np.min(frame.exposure_start_us))
+        needed = max(KEEP_US + self._wait_us, 2 * longest, 2 * delay)
         keep = self._tracks
-        keep.keep_us = max(keep.keep_us, 2 * longest, 2 * delay)
+        keep.keep_us = needed if first else max(keep.keep_us, needed)
 
     def add_wave(self, wave: Wave) -> None:
         """Tell how the lamp flickers (see `Reconstructor.add_wave`)."""
@@ -548,7 +559,7 @@ class KalmanFilter(Reconstructor):
         np.copyto(as_bytes(self._states), as_bytes(other._states))
         np.copyto(self._innovations, other._innovations)
         self._clock.last_us, self._epoch_us = other._clock.last_us, other._epoch_us
-        self._interval_us = other._interval_us
+        self._interval_us, self._mid_us = other._interval_us, other._mid_us
         self._frames = other._frames
         self._tracks.assign(other._tracks)
         self._lamp.restore(other._lamp.state())
@@ -559,7 +570,7 @@ class KalmanFilter(Reconstructor):
     def _state(self) -> Mapping[str, Any]:
         smoother = self._smoother
         return {"last_us": self._clock.last_us, "epoch_us": self._epoch_us,
-                "interval_us": self._interval_us,
+                "interval_us": self._interval_us, "mid_us": self._mid_us,
                 "frames": self._frames, "tracks": self._tracks.state(),
                 "states": as_bytes(self._states).copy(), "lamp": self._lamp.state(),
                 "innovations": self._innovations.copy(),
@@ -569,7 +580,7 @@ class KalmanFilter(Reconstructor):
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us, self._epoch_us = state["last_us"], state["epoch_us"]
-        self._interval_us = state["interval_us"]
+        self._interval_us, self._mid_us = state["interval_us"], state["mid_us"]
         self._frames = state["frames"]
         self._tracks.restore(state["tracks"])
         as_bytes(self._states)[:] = state["states"]
