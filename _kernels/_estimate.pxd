@@ -35,7 +35,7 @@ cdef struct rest_t:
 
 cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t known,
                            double on, double off, const lamp_t* lamp, double hz,
-                           double still_us, double t) noexcept nogil:
+                           const tuning_t* tuning, double t) noexcept nogil:
     """Part crossed at t, between walk and its next event, if that is known.
 
     As far as the pixel moves: what silence says against that counts, see `silence`.
@@ -44,19 +44,19 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
     cdef double gap, rest
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(walk, store[walk.next].t, store[walk.next].p, on, off, lamp,
-                       hz, t)
+                       hz, tuning.refractory_us, t)
         gap = <double>(store[walk.next].t - walk.t)
     elif at_rest(walk.t, <int64_t>t):
         return still(walk, lamp, hz, t)
     else:
         gap = max(<double>(walk.t - walk.t_prev), <double>known - <double>walk.t)
         if <double>known > t:
-            part = quiet(walk.t, walk.p, <double>known, lamp, hz, t)
+            part = quiet(walk, <double>known, lamp, hz, tuning.refractory_us, t)
         else:
-            part = ahead(walk, on, off, lamp, hz, t)
-    if still_us <= 0.0 or lamp.blocks > 0:
+            part = ahead(walk, on, off, lamp, hz, tuning.refractory_us, t)
+    if tuning.still_us <= 0.0 or lamp.blocks > 0:
         return part
-    rest = silence(gap, still_us)
+    rest = silence(gap, tuning.still_us)
     part.var = (1.0 - rest) * (part.var + rest * part.fraction * part.fraction)
     part.rate_var = (1.0 - rest) * (part.rate_var + rest * part.rate * part.rate)
     part.fraction *= 1.0 - rest
@@ -99,13 +99,13 @@ cdef inline double moved(const walk_t* walk, const stored_t* store, int64_t know
 
 
 cdef inline void walk_to(walk_t* walk, int64_t t, const stored_t* store,
-                         const track_t* track) noexcept nogil:
+                         const track_t* track, double refractory) noexcept nogil:
     """Pass the events up to t, inclusive; count all since the last sample."""
     start(walk, track)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
     while walk.next >= 0 and store[walk.next].t <= t:
-        step(walk, store)
+        step(walk, store, refractory)
 
 
 cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
@@ -118,7 +118,7 @@ cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
     if lamp.blocks > 0:
         hz = corner(tuning, s.base + s.theta_on * r.n_on - s.theta_off * r.n_off)
     r.part = part_at(&r.walk, store, known, s.theta_on, s.theta_off, lamp, hz,
-                     tuning.still_us, <double>t)
+                     tuning, <double>t)
     r.doubt = doubted(&r.walk, store, known, s.sampled_us, tuning)
     if r.walk.p:
         r.n_on -= r.doubt
@@ -226,7 +226,7 @@ cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
     cdef reading_t r
     cdef rest_t rest
     cdef double v, u, theta2
-    walk_to(&r.walk, t, store, track)
+    walk_to(&r.walk, t, store, track, tuning.refractory_us)
     if is_hot(s):
         show_hot(t, s, tuning, out, variance, valid)
         return

@@ -72,7 +72,7 @@ cdef inline double at(const walk_t* walk, const stored_t* store, int64_t known,
     if lamp.blocks > 0:
         hz = corner(tuning, level + s.theta_on * walk.n_on - s.theta_off * walk.n_off)
     part = part_at(walk, store, known, s.theta_on, s.theta_off, lamp, hz,
-                   tuning.still_us, t)
+                   tuning, t)
     n_on[0] = walk.n_on
     n_off[0] = walk.n_off
     if part.p:
@@ -121,7 +121,7 @@ cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t b
             now = until
         if walk.next < 0 or store[walk.next].t >= end:
             break
-        step(walk, store)
+        step(walk, store, tuning.refractory_us)
 
 
 cdef inline void note(double* innovations, const taken_t* taken, double unit,
@@ -240,7 +240,7 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     cdef taken_t taken
     cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0, e, offset
     cdef double theta2 = theta_squared(s)
-    cdef int at_on = 0, at_off = 0, all_on, all_off
+    cdef double at_on, at_off, all_on, all_off
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
     cdef double n_on, n_off, h_on, h_off, blur, level, added = 0.0
     cdef double noise = 0.0, per_dn
@@ -248,18 +248,18 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     # Counts from the start of exposure to the middle and to the last committed.
     start(&walk, old)
     while walk.next >= 0 and store[walk.next].t <= mid:
-        step(&walk, store)
+        step(&walk, store, tuning.refractory_us)
     at_on = walk.n_on
     at_off = walk.n_off
     at_mid = walk
     while walk.next >= 0 and walk.next < committed:
-        step(&walk, store)
+        step(&walk, store, tuning.refractory_us)
     all_on = walk.n_on
     all_off = walk.n_off
     n_on = track.n_on - (all_on - at_on)
     n_off = track.n_off - (all_off - at_off)
-    s.seen_on += <int32_t>n_on
-    s.seen_off += <int32_t>n_off
+    s.seen_on += n_on
+    s.seen_off += n_off
     node.n_on = s.seen_on
     node.n_off = s.seen_off
     if fresh:
@@ -284,7 +284,7 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
         added = theta2 * (drift(mid - s.sampled_us, n_on + n_off, tuning)
                           + doubt * (1.0 - doubt))
         motion = theta2 * tuning.motion_variance
-        if n_on + n_off > 0:
+        if n_on + n_off > 0.5:      # none, up to rounding
             unit = 2.0 * theta2
             added += motion
             noise += motion
@@ -307,7 +307,7 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     if end <= begin:
         end = begin + 1
     while walk.next >= 0 and store[walk.next].t <= begin:
-        step(&walk, store)
+        step(&walk, store, tuning.refractory_us)
     if (walk.next < 0 or store[walk.next].t >= end) and not lit(
             lamp, <double>begin, <double>end):
         # Less than a threshold over the whole exposure: its middle says it all.

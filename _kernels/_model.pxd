@@ -15,8 +15,8 @@ cdef packed struct stored_t:
 cdef packed struct track_t:
     int64_t prev            # stamp of the last but one event
     int64_t last            # stamp of the last one
-    int32_t n_off           # counted since the last sample
-    int32_t n_on
+    double n_off            # counted since the last sample, with what was lost
+    double n_on
     int32_t first           # index of the first event after these, -1: none
 
 cdef packed struct state_t:
@@ -37,8 +37,8 @@ cdef packed struct state_t:
     double moves            # of a hot one: variance of ln intensity between samples
     int64_t sampled_us      # middle of the exposure of the last sample used
     int32_t samples         # used so far; 0: base and its variance mean nothing yet
-    int32_t seen_on         # all events up to sampled_us
-    int32_t seen_off
+    double seen_on          # all events up to sampled_us, with what was lost
+    double seen_off
 
 cdef packed struct tuning_t:
     double leak_per_s
@@ -55,6 +55,7 @@ cdef packed struct tuning_t:
     double motion_variance
     double doubt
     double still_us
+    double refractory_us
 
 cdef packed struct sample_t:
     float log               # ln intensity
@@ -81,8 +82,8 @@ cdef packed struct node_t:
     float h_off
     float noise
     float drift             # variance since the sample before
-    int32_t n_on            # all events up to the middle
-    int32_t n_off
+    double n_on             # all events up to the middle, with what was lost
+    double n_off
 
 
 cdef inline int check_given(parts) except -1:

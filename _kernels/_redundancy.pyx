@@ -197,7 +197,7 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
     for i in range(4):
         y = y0 + i // 2
         x = x0 + i % 2
-        walk_to(&r.walk, t, store, &tracks[y, x])
+        walk_to(&r.walk, t, store, &tracks[y, x], tuning.refractory_us)
         read_level(&r, t, known, store, tuning, lamp, &states[y, x])
         log[i] = <float>(r.level + r.lag)
         level += 0.25 * log[i]

@@ -13,7 +13,7 @@ from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
 from _kernels._model cimport tuning_t, wave_t
 from _kernels._tracks cimport (
-    LONG_AGO, at_rest, between, drift, part_t, quiet, still, walk_t)
+    LONG_AGO, at_rest, between, drift, part_t, pass_to, quiet, still, walk_t)
 from _kernels._types cimport event_t
 from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST)
@@ -66,16 +66,9 @@ cdef struct blur_t:
     double off
 
 
-cdef inline void pass_event(walk_t* walk, const event_t* events,
-                            int32_t stop) noexcept nogil:
-    walk.t_prev = walk.t
-    walk.p_prev = walk.p
-    walk.t = events[walk.next].t
-    walk.p = events[walk.next].p
-    if walk.p:
-        walk.n_on += 1
-    else:
-        walk.n_off += 1
+cdef inline void pass_event(walk_t* walk, const event_t* events, int32_t stop,
+                            double refractory) noexcept nogil:
+    pass_to(walk, events[walk.next].t, events[walk.next].p, refractory)
     walk.next += 1
     if walk.next >= stop:
         walk.next = -1
@@ -92,11 +85,11 @@ cdef inline double log_at(const walk_t* walk, const event_t* events, int64_t kno
         hz = corner(camera, level + s.on * walk.n_on - s.off * walk.n_off)
     if walk.next >= 0 and events[walk.next].t <= known:
         part = between(walk, events[walk.next].t, events[walk.next].p, s.on, s.off,
-                       lamp, hz, t)
+                       lamp, hz, camera.refractory_us, t)
     elif at_rest(walk.t, <int64_t>t):
         part = still(walk, lamp, hz, t)
     else:
-        part = quiet(walk.t, walk.p, <double>known, lamp, hz, t)
+        part = quiet(walk, <double>known, lamp, hz, camera.refractory_us, t)
     n_on[0] = walk.n_on
     n_off[0] = walk.n_off
     if part.p:
@@ -150,7 +143,7 @@ cdef blur_t integral(walk_t* walk, const event_t* events, int32_t stop,
             now = until
         if walk.next < 0 or events[walk.next].t >= frame.end:
             return total
-        pass_event(walk, events, stop)
+        pass_event(walk, events, stop, camera.refractory_us)
 
 
 cdef inline void propagate(state_t* s, double n_on, double n_off,
@@ -206,20 +199,32 @@ cdef inline double limited(double theta, double prior) noexcept nogil:
     return THETA_MOST * prior if theta > THETA_MOST * prior else theta
 
 
+cdef inline void place(walk_t* walk, const event_t* events, const pixel_t* pixel,
+                       int32_t i) noexcept nogil:
+    """Begin before a pixel's event i, nothing counted."""
+    walk.t_prev = events[i - 2].t if i >= pixel.start + 2 else LONG_AGO
+    walk.p_prev = events[i - 2].p if i >= pixel.start + 2 else 0
+    walk.t = events[i - 1].t if i > pixel.start else LONG_AGO
+    walk.p = events[i - 1].p if i > pixel.start else 0
+    walk.next = i if i < pixel.stop else -1
+    walk.n_on = 0.0
+    walk.n_off = 0.0
+
+
 cdef void run_pixel(const event_t* events, const pixel_t* pixel,
                     const reading_t* reading, Py_ssize_t frames, Py_ssize_t stride,
                     double theta_sigma, int64_t clock_us, const lamp_t* lamp,
                     const tuning_t* camera, innovations_t* out) noexcept nogil:
     cdef reading_t frame
     cdef state_t s
-    cdef walk_t walk
+    cdef walk_t walk, since
     cdef blur_t total
     cdef double n_on, n_off, h_on, h_off, theta2, blur, level
     cdef int64_t reference = 0
-    cdef int32_t counted = pixel.start, i
-    cdef int at_on, at_off
+    cdef int32_t i
     cdef bint fresh = True
     cdef Py_ssize_t k
+    place(&since, events, pixel, pixel.start)
     s.base = 0.0
     s.on = pixel.theta_on
     s.off = pixel.theta_off
@@ -238,23 +243,23 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel,
         frame.end += clock_us
         frame.known += clock_us
         # Events since the reference, and those of the exposure before its middle.
-        n_on = 0.0
-        n_off = 0.0
-        while counted < pixel.stop and events[counted].t <= frame.middle:
-            if events[counted].p:
-                n_on += 1.0
-            else:
-                n_off += 1.0
-            counted += 1
-        at_on = 0
-        at_off = 0
-        i = counted
+        since.n_on = 0.0
+        since.n_off = 0.0
+        while since.next >= 0 and events[since.next].t <= frame.middle:
+            pass_event(&since, events, pixel.stop, camera.refractory_us)
+        n_on = since.n_on
+        n_off = since.n_off
+        i = since.next if since.next >= 0 else pixel.stop
         while i > pixel.start and events[i - 1].t > frame.begin:
             i -= 1
-            if events[i].p:
-                at_on += 1
-            else:
-                at_off += 1
+        place(&walk, events, pixel, i)
+        while walk.next >= 0 and events[walk.next].t <= frame.middle:
+            pass_event(&walk, events, pixel.stop, camera.refractory_us)
+        total.on = walk.n_on
+        total.off = walk.n_off
+        place(&walk, events, pixel, i)
+        walk.n_on = -total.on
+        walk.n_off = -total.off
         if fresh:
             level = frame.log
         else:
@@ -262,13 +267,6 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel,
             propagate(&s, n_on, n_off, theta2 * drift(
                 frame.middle - reference, n_on + n_off, camera))
             level = s.base
-        walk.t_prev = events[i - 2].t if i >= pixel.start + 2 else LONG_AGO
-        walk.p_prev = events[i - 2].p if i >= pixel.start + 2 else 0
-        walk.t = events[i - 1].t if i > pixel.start else LONG_AGO
-        walk.p = events[i - 1].p if i > pixel.start else 0
-        walk.next = i if i < pixel.stop else -1
-        walk.n_on = -at_on
-        walk.n_off = -at_off
         if (walk.next < 0 or events[walk.next].t >= frame.end) and not lit(
                 lamp, <double>frame.begin, <double>frame.end):
             # Less than a threshold over the whole exposure: its middle says it all.
@@ -298,13 +296,15 @@ def sample_innovations(const event_t[::1] events not None,
                        const pixel_t[::1] pixels not None,
                        const reading_t[:, ::1] frames not None,
                        const wave_t[::1] waves not None, double theta_sigma,
+                       double refractory_us,
                        const candidate_t[::1] candidates not None,
                        innovations_t[::1] out not None):
     """Add up the innovations of all pixels for each candidate.
 
     events are those of the pixels, one pixel after the other, each in order of time;
     frames (frame, pixel) in order of time, end > begin.  waves are the lamp's,
-    as in kalman_frame.  theta_sigma is the prior standard deviation of a threshold.
+    as in kalman_frame.  theta_sigma is the prior standard deviation of a threshold,
+    refractory_us how long a pixel is held in reset after an event.
     out is overwritten.
     """
     cdef Py_ssize_t n = pixels.shape[0], c, i, m = candidates.shape[0]
@@ -312,6 +312,7 @@ def sample_innovations(const event_t[::1] events not None,
     cdef tuning_t camera
     cdef pixel_t pixel
     cdef const event_t* first = NULL
+    camera.refractory_us = refractory_us
     if out.shape[0] != m:
         raise ValueError("sample_innovations: out must have one row per candidate")
     if frames.shape[1] != n:

@@ -20,8 +20,8 @@ cdef packed struct past_t:
     double base
     double var
     int64_t t
-    int32_t n_on            # all events up to t
-    int32_t n_off
+    double n_on             # all events up to t, with what was lost
+    double n_off
 
 cdef packed struct gap_t:
     # What the samples on both sides of t say; var < 0: there is none.
@@ -216,7 +216,7 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     if is_hot(s):
         read_hot(t, tuning, gap, s, out, variance, valid)
         return
-    walk_to(&walk, t, store, track)
+    walk_to(&walk, t, store, track, tuning.refractory_us)
     # Thresholds crossed since the sample before, and until the one after.
     if gap.before.var >= 0:
         m_on = walk.n_on - gap.before.n_on
@@ -254,7 +254,7 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     if lamp.blocks > 0:
         hz = corner(tuning, level)
     part = part_at(&walk, store, known, on, off, lamp, hz,
-                   tuning.still_us, <double>t)
+                   tuning, <double>t)
     resting = lamp.blocks == 0 and at_rest(walk.t, t) and (
         walk.next < 0 or store[walk.next].t > known)
     spread = theta2 * part.var

@@ -2,6 +2,7 @@
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._model cimport stored_t, track_t
+from _kernels._tracks cimport loss_t, lost
 from _kernels._types cimport event_t
 
 cdef extern from "_prefetch.h" nogil:
@@ -73,10 +74,15 @@ def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t at,
 
 
 def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t stop,
-                 int64_t until, track_t[:, ::1] tracks not None):
-    """Count stored events from index at on, t <= until; return the first one left."""
+                 int64_t until, double refractory, track_t[:, ::1] tracks not None):
+    """Count stored events from index at on, t <= until; return the first one left.
+
+    With what a refractory period (us) loses of the light between two of them.
+    """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
     cdef track_t* track
+    cdef loss_t loss
+    cdef double on
     if at < 0 or stop > store.shape[0]:
         raise ValueError("store_commit: indices must lie in store")
     with nogil:
@@ -88,6 +94,11 @@ def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t s
             if y >= h or x >= w:
                 break
             track = &tracks[y, x]
+            if refractory > 0.0:
+                loss = lost(track.prev >> 1, track.last >> 1, store[i].t, refractory)
+                on = loss.before * (track.last & 1) + loss.after * store[i].p
+                track.n_on += on
+                track.n_off += loss.before + loss.after - on
             track.prev = track.last
             track.last = 2 * store[i].t + store[i].p
             # No branch on the polarity: it cannot be predicted.

@@ -2,6 +2,7 @@
 
 A stamp is an event's time times two, plus its polarity.
 """
+from libc.math cimport sqrt
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._lamp cimport lamp_t, ripple
@@ -24,11 +25,10 @@ cdef extern from *:
        whose stamps say nothing of how fast the light changes. */
     #define GAP_LEAST_US 100.0
     #define AHEAD_LEAST_US 200.0
-    /* A parabola from one event to the next of the other sign turns half a threshold
-       beyond the first, (sqrt 3 - 1) / 2 of the gap after it; at the latest a whole
-       one, sqrt 2 - 1 of the gap. */
-    #define TURN_HALF 0.3660254037844386
-    #define TURN_MOST 0.41421356237309515
+    /* A parabola from one event to the next of the other sign turns so many thresholds
+       beyond the first: where nothing is known, and at most. */
+    #define TURN_HALF 0.5
+    #define TURN_MOST 1.0
     /* Variances of the part (thresholds^2) and of its slope (thresholds^2 per gap^2):
        studies/kalman_interpolation.py.  Between two events of one sign; where the light
        has turned and the event before tells how fast it was; where it does not; where
@@ -84,8 +84,14 @@ cdef struct walk_t:
     int64_t t
     int p
     int32_t next
-    int n_on
-    int n_off
+    double n_on             # with what was lost
+    double n_off
+
+cdef struct loss_t:
+    # What a refractory period lost between two events, in thresholds of the first, on
+    # in the direction of it, and of the second.
+    double before
+    double after
 
 cdef struct part_t:
     # What has been crossed of a threshold since the last event: fraction * theta[p],
@@ -120,15 +126,62 @@ cdef inline double silence(double gap, double still_us) noexcept nogil:
     return gap / (1.0 + gap)
 
 
-cdef inline void step(walk_t* walk, const stored_t* store) noexcept nogil:
+cdef inline double audible(int64_t t0, int64_t t1, double refractory) noexcept nogil:
+    """Return how long after an event a pixel compares until the next one, us."""
+    cdef double gap = <double>(t1 - t0) - refractory
+    return gap if gap > GAP_LEAST_US else GAP_LEAST_US
+
+
+cdef inline loss_t lost(int64_t before, int64_t t, int64_t next,
+                        double refractory) noexcept nogil:
+    """Return what light did while the pixel was held in reset after an event at t.
+
+    Mean slopes are known of the times before and after that; between their middles
+    the slope is taken as linear (docs/theory/kalman.md).
+    """
+    cdef loss_t loss
+    cdef double first, second, whole
+    loss.before = 0.0
+    loss.after = 0.0
+    if refractory <= 0.0 or never(t):
+        return loss
+    second = audible(t, next, refractory)
+    if never(before):
+        loss.after = refractory / second
+        return loss
+    first = audible(before, t, refractory)
+    whole = first + 2.0 * refractory + second
+    loss.before = refractory * (refractory + second) / (first * whole)
+    loss.after = refractory * (first + refractory) / (second * whole)
+    return loss
+
+
+cdef inline void count(double n, int p, double* n_on, double* n_off) noexcept nogil:
+    """Add to the count of a polarity."""
+    if p:
+        n_on[0] += n
+    else:
+        n_off[0] += n
+
+
+cdef inline void pass_to(walk_t* walk, int64_t t, int p,
+                         double refractory) noexcept nogil:
+    """Pass the next event, which is at t, and count it."""
+    cdef loss_t loss
+    if refractory > 0.0:
+        loss = lost(walk.t_prev, walk.t, t, refractory)
+        count(loss.before, walk.p, &walk.n_on, &walk.n_off)
+        count(loss.after, p, &walk.n_on, &walk.n_off)
     walk.t_prev = walk.t
     walk.p_prev = walk.p
-    walk.t = store[walk.next].t
-    walk.p = store[walk.next].p
-    if walk.p:
-        walk.n_on += 1
-    else:
-        walk.n_off += 1
+    walk.t = t
+    walk.p = p
+    count(1.0, p, &walk.n_on, &walk.n_off)
+
+
+cdef inline void step(walk_t* walk, const stored_t* store,
+                      double refractory) noexcept nogil:
+    pass_to(walk, store[walk.next].t, store[walk.next].p, refractory)
     walk.next = store[walk.next].next
 
 
@@ -139,8 +192,8 @@ cdef inline void start(walk_t* walk, const track_t* track) noexcept nogil:
     walk.t = track.last >> 1
     walk.p = track.last & 1
     walk.next = track.first
-    walk.n_on = 0
-    walk.n_off = 0
+    walk.n_on = 0.0
+    walk.n_off = 0.0
 
 
 cdef inline part_t nothing(int p) noexcept nogil:
@@ -162,22 +215,33 @@ cdef inline double drift(int64_t dt, double n, const tuning_t* tuning) noexcept 
     return tuning.leak_per_s * 1e-6 * <double>dt + tuning.noise_per_event * n
 
 
+cdef inline void turn_at(double room, double whole, double* a,
+                         double* b) noexcept nogil:
+    """Return the parabola a s + b s^2 from 0 to `whole` that turns at -room."""
+    cdef double most = room + whole, x
+    room = sqrt(room)
+    x = room + (sqrt(most) if most > 0.0 else 0.0)
+    a[0] = -2.0 * room * x
+    b[0] = x * x
+
+
 cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
                            double off, const lamp_t* lamp, double hz,
-                           double t) noexcept nogil:
+                           double refractory, double t) noexcept nogil:
     """Part crossed at t, between walk and its next event, of polarity p1 at t1.
 
     Linear where the signs agree.  Else a parabola through both and the event before,
     which crossed the same way as the last; on and off are the thresholds.  It
     cannot turn before the last event nor a threshold beyond it; without an event
     before, half a threshold.  The variances are those of turning polarizers and plates.
-    Under a lamp that flickers this holds for the light less its ripple, as a pixel of
-    hz passes it on.
+    What is lost to a refractory period is part of the way.  Under a lamp that flickers
+    this holds for the light less its ripple, as a pixel of hz passes it on.
     """
     cdef part_t part = nothing(p1)
-    cdef double gap = <double>(t1 - walk.t), s, q, turn = TURN_HALF
-    cdef double last = 0.0, next = 0.0
+    cdef double gap = <double>(t1 - walk.t), s, q, a, b, beyond, whole = 1.0
+    cdef double last = off if p1 else on, next = on if p1 else off, ripples = 1.0
     cdef double here = 0.0, now, change = 0.0, _
+    cdef loss_t loss = lost(walk.t_prev, walk.t, t1, refractory)
     cdef bint same = walk.p == p1
     cdef bint flickers = lamp.blocks > 0 and t1 - walk.t < STALE_US
     if never(walk.t):
@@ -187,7 +251,12 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     s = (t - <double>walk.t) / gap
     part.var = SAME_VARIANCE
     part.rate_var = SAME_RATE_VARIANCE
+    whole += loss.after + (loss.before if same else -loss.before * last / next)
     if flickers:
+        # The part is shaped as the light less its ripple is, then scaled.
+        ripples = whole
+        whole = 1.0
+        loss.before = 0.0
         last = on if walk.p else -off
         next = on if p1 else -off
         here = ripple(lamp, hz, <double>walk.t, &_)
@@ -196,57 +265,81 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
         if walk.t - walk.t_prev < STALE_US:
             last -= here - ripple(lamp, hz, <double>walk.t_prev, &_)
         same = last * next >= 0.0
+        last = last if last > 0.0 else -last
+        next = next if next > 0.0 else -next
     if same:
-        part.fraction = s
-        part.rate = 1e6 / gap
-        part.fall = 0.0 if p1 else part.rate
+        a = whole
+        b = 0.0
+        part.fall = 0.0 if p1 else 1e6 / gap
+    elif never(walk.t_prev) or walk.p_prev != walk.p:
+        part.var = UNSURE_VARIANCE
+        part.rate_var = UNSURE_RATE_VARIANCE
+        turn_at(TURN_HALF + loss.before, whole, &a, &b)
     else:
-        if never(walk.t_prev) or walk.p_prev != walk.p:
-            part.var = UNSURE_VARIANCE
-            part.rate_var = UNSURE_RATE_VARIANCE
-        else:
-            part.var = TURNED_VARIANCE
-            part.rate_var = TURNED_RATE_VARIANCE
-            q = <double>(walk.t - walk.t_prev)
-            q = q if q > GAP_LEAST_US else GAP_LEAST_US
-            part.fall = 1e6 / q if p1 else 0.0
-            q /= gap
-            if flickers:
-                last = last if last > 0.0 else -last
-                next = next if next > 0.0 else -next
-            else:
-                last = off if p1 else on
-                next = on if p1 else off
-            turn = (last - q * q * next) / (2.0 * (last + q * next) + TINY)
-            turn = 0.0 if turn < 0.0 else TURN_MOST if turn > TURN_MOST else turn
-        q = 1.0 / (1.0 - 2.0 * turn)
-        part.fraction = s * (s - 2.0 * turn) * q
-        part.rate = (2.0 * s - 2.0 * turn) * q * 1e6 / gap
+        part.var = TURNED_VARIANCE
+        part.rate_var = TURNED_RATE_VARIANCE
+        q = <double>(walk.t - walk.t_prev)
+        q = q if q > GAP_LEAST_US else GAP_LEAST_US
+        # The slope before the last event, on until the one before that.
+        last *= q / audible(walk.t_prev, walk.t, refractory) / (next + TINY)
+        part.fall = 1e6 / q if p1 else 0.0
+        q /= gap
+        beyond = TURN_MOST + loss.before
+        b = (last + q * whole) / (q * (1.0 + q))
+        a = whole - b
+        if a > 0.0 or b < 0.0:
+            a = whole
+            b = 0.0
+            if whole > 0.0:
+                a = 0.0
+                b = whole
+        elif a * a > 4.0 * b * beyond:
+            turn_at(beyond, whole, &a, &b)
+    part.fraction = s * (a + s * b)
+    part.rate = (a + 2.0 * s * b) * 1e6 / gap
     part.rate_var *= PER_S2 / (gap * gap)
     if flickers:
         now = ripple(lamp, hz, t, &part.ripple_rate)
         part.ripple = now - here - part.fraction * change
         part.ripple_rate -= part.rate * change
+        part.fraction *= ripples
+        part.rate *= ripples
     return part
 
 
-cdef inline part_t quiet(int64_t t0, int p0, double known, const lamp_t* lamp,
-                         double hz, double t) noexcept nogil:
-    """Part crossed at t when no event follows t0 up to the time known, which is > t.
+cdef inline void add_deaf(part_t* part, double since, double gap, double first,
+                          double refractory) noexcept nogil:
+    """Add what light does while the pixel is held in reset after its last event.
+
+    It goes on at `first` thresholds per gap (us); since is the time since the event.
+    """
+    if since < refractory:
+        part.fraction += first * since / gap
+        part.rate += first * 1e6 / gap
+    else:
+        part.fraction += first * refractory / gap
+
+
+cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
+                         double hz, double refractory, double t) noexcept nogil:
+    """Part crossed at t when no event follows up to the time known, which is > t.
 
     A parabola that goes on by half a threshold and is back at the time known: within
     0.1 of the mean over turning and slowing pixels.
     """
-    cdef part_t part = nothing(p0)
-    cdef double gap = known - <double>t0, s
-    if never(t0):
+    cdef part_t part = nothing(walk.p)
+    cdef double gap = known - <double>walk.t, s
+    if never(walk.t):
         return part
     part.var = QUIET_VARIANCE
     part.rate_var = QUIET_RATE_VARIANCE * PER_S2 / (gap * gap)
-    s = (t - <double>t0) / gap
+    s = (t - <double>walk.t) / gap
     part.fraction = 2.0 * s * (1.0 - s)
     part.rate = (2.0 - 4.0 * s) * 1e6 / gap
-    add_ripple(&part, lamp, hz, t0, t)
+    if refractory > 0.0 and not never(walk.t_prev):
+        add_deaf(&part, t - <double>walk.t, audible(
+            walk.t_prev, walk.t, refractory), 1.0, refractory)
+    add_ripple(&part, lamp, hz, walk.t, t)
     return part
 
 
@@ -269,7 +362,8 @@ cdef inline part_t still(const walk_t* walk, const lamp_t* lamp, double hz,
 
 
 cdef inline part_t ahead(const walk_t* walk, double on, double off,
-                         const lamp_t* lamp, double hz, double t) noexcept nogil:
+                         const lamp_t* lamp, double hz, double refractory,
+                         double t) noexcept nogil:
     """Part crossed at t from the last two events alone, nothing known beyond t.
 
     Means and variances of the part and of its slope, given that no event has followed,
@@ -279,7 +373,8 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     for the light less its ripple.
     """
     cdef part_t part = nothing(walk.p)
-    cdef double gap = <double>(walk.t - walk.t_prev), u, change, room = 1.0, w, _
+    cdef double gap = <double>(walk.t - walk.t_prev) - refractory, u, change
+    cdef double since = t - <double>walk.t, room = 1.0, w, _
     cdef int node
     cdef const double* low
     cdef bint same = walk.p_prev == walk.p
@@ -303,7 +398,7 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         room = room if room < ROOM_MOST else ROOM_MOST
     if gap < AHEAD_LEAST_US:
         gap = AHEAD_LEAST_US
-    u = (t - <double>walk.t) / (gap * room)
+    u = (since - refractory if since > refractory else 0.0) / (gap * room)
     if u < AHEAD_KNEE * AHEAD_FINE:
         w = u / AHEAD_FINE
         node = <int>w
@@ -327,5 +422,10 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     part.fraction *= room
     part.rate *= 1e6 / gap
     part.rate_var *= PER_S2 / (gap * gap)
+    if refractory > 0.0:
+        if since < refractory:
+            part.fraction = 0.0
+            part.rate = 0.0
+        add_deaf(&part, since, gap, AHEAD[0 if same else AHEAD_NODES][1], refractory)
     add_ripple(&part, lamp, hz, walk.t, t)
     return part

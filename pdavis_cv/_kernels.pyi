@@ -239,8 +239,8 @@ def superpixel(
 ) -> None: ...
 def sample_innovations(
     events: NDArray[Any], pixels: NDArray[Any], frames: NDArray[Any],
-    waves: NDArray[Any], theta_sigma: float, candidates: NDArray[Any],
-    out: NDArray[Any],
+    waves: NDArray[Any], theta_sigma: float, refractory_us: float,
+    candidates: NDArray[Any], out: NDArray[Any],
 ) -> None: ...
 def smooth_gap(
     nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],
@@ -256,7 +256,8 @@ def smooth_read(
     states: NDArray[Any], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def store_commit(
-    store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any]
+    store: NDArray[Any], at: int, stop: int, until: int, refractory: float,
+    tracks: NDArray[Any],
 ) -> int: ...
 def store_link(
     store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]

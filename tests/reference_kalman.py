@@ -11,6 +11,7 @@ from reference_tracks import (
     between,
     lead,
     lead_variance,
+    lost,
     quiet,
     ripple_of,
     silence,
@@ -78,7 +79,8 @@ class Node:
 class Pixel:
     """One pixel's events (t, p) and the state (base, on, off) with covariance."""
 
-    def __init__(self, on, off, sigma, bandwidth, ripple, noise, offset_dn):
+    def __init__(self, on, off, sigma, bandwidth, ripple, noise, offset_dn, deaf=0.0):
+        self.deaf = deaf
         self.learned, self.offset_dn = noise, offset_dn
         self.events, self.bandwidth = [], bandwidth
         self.ripple = ripple or steady
@@ -99,14 +101,15 @@ class Pixel:
             return self.ripple(t, hz)
 
         if i < len(self.events) and self.events[i][0] <= known:
-            part = between(before, *last, *self.events[i], steps, ripple, t)
+            part = between(before, *last, *self.events[i], steps, ripple,
+                           hasattr(self.ripple, "lit"), self.deaf, t)
             gap = self.events[i][0] - last[0] if i else np.inf
         elif last[0] is None or t - last[0] >= REST:
             return (last[1], 0.0, 0.0, UNKNOWN, 0.0, 0.0,
                     *(after(last[0], ripple, t) if i else (0.0, 0.0)))
         else:
-            part = (quiet(*last, known, ripple, t) if known > t
-                    else ahead(before, *last, steps, ripple, t))
+            part = (quiet(before, *last, known, ripple, self.deaf, t) if known > t
+                    else ahead(before, *last, steps, ripple, self.deaf, t))
             gap = max(known - last[0], last[0] - before[0]) if before else np.inf
         if self.ripple is not steady:
             return part
@@ -142,8 +145,17 @@ class Pixel:
         return sum(time <= t for time, _ in self.events)
 
     def counts(self, start, stop):
-        p = [p for _, p in self.events[start:stop]]
-        return np.array([sum(p), len(p) - sum(p)], float)
+        """ON and OFF events, and what was lost from one to the next, in thresholds."""
+        n = np.zeros(2)
+        for i in range(start, stop):
+            n[0 if self.events[i][1] else 1] += 1
+            if self.deaf and i:
+                (t0, p0), (t1, p1) = self.events[i - 1:i + 1]
+                before = self.events[i - 2][0] if i > 1 else None
+                for p, part in zip((p0, p1), lost(before, t0, t1, self.deaf),
+                                   strict=True):
+                    n[0 if p else 1] += part
+        return n
 
     def value(self, t, known, since, level, doubt=0.0):
         i = self.next(t)
@@ -224,7 +236,7 @@ class Pixel:
         self.seen = sample
         if self.hot:
             return self.alone(sample, mid, at, per_dn)
-        learn = not fresh and at - self.since >= 3
+        learn = not fresh and self.counts(self.since, at).sum() >= 3
         added = doubt = unit = motion = 0.0
         worth, theta2 = 1.0, self.x[1:].mean() ** 2
         if not fresh:
@@ -306,8 +318,9 @@ class Pixel:
         if self.reference is not None and self.settled(i, t, known, self.reference):
             spread = 0
         variance = F @ self.P @ F + spread + theta2 * (
-            LEAK * US * (t - (self.reference or 0)) + PER_EVENT * (i - self.since)
-            + doubt * (1 - doubt) + self.motion(i, known, self.sampled))
+            LEAK * US * (t - (self.reference or 0))
+            + PER_EVENT * self.counts(self.since, i).sum() + doubt * (1 - doubt)
+            + self.motion(i, known, self.sampled))
         fresh = self.reference is None
         variance = max(variance, 1e-8)
         return (self.x[0] + y + u, 0.0 if fresh else variance + lag,
@@ -389,7 +402,8 @@ class Pixel:
         sides, link = [], None      # counts from the samples next to t
 
         def drift(t0, i0, t1, i1):
-            return theta2 * (LEAK * US * (t1 - t0) + PER_EVENT * (i1 - i0))
+            return theta2 * (LEAK * US * (t1 - t0)
+                             + PER_EVENT * self.counts(i0, i1).sum())
 
         for k in range(here + 1):
             t0, i0, _ = places[k - 1] if k else (None, None, None)
@@ -446,7 +460,8 @@ class Pixel:
 
 
 def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0, 0),
-           lookahead_us=50_000, offline=False, offset_dn=0.0, waves=()):
+           lookahead_us=50_000, offline=False, offset_dn=0.0, waves=(),
+           refractory_us=0.0):
     """Log intensity, variance and validity at t_us, from what acts on it."""
     wait_us = min(lookahead_us, 50_000)
     on, off = np.broadcast_to(on, shape), np.broadcast_to(off, shape)
@@ -457,7 +472,8 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
     for at in np.ndindex(*shape):
         lamp = ripple_of(waves) if any(wave.hz for wave in waves) else steady
         pixel = pixels[at] = Pixel(
-            on[at], off[at], sigma, bandwidth, lamp, noise, offset_dn)
+            on[at], off[at], sigma, bandwidth, lamp, noise, offset_dn,
+            refractory_us)
         mine = events[(events["y"] == at[0]) & (events["x"] == at[1])]
         pixel.events = [(int(t), int(p)) for t, p in zip(mine["t"], mine["p"],
                                                         strict=True)]

@@ -6,7 +6,7 @@ import numpy as np
 from reference_kalman import Pixel, steady
 
 
-def innovations(events, readings, theta, sigma, camera):
+def innovations(events, readings, theta, sigma, camera, deaf=0.0):
     """Sums of e^2 / v and ln v of one pixel, their number, and its thresholds' ln.
 
     events are (t, p), readings rows of (log, variance, begin, middle, end, known).
@@ -16,7 +16,7 @@ def innovations(events, readings, theta, sigma, camera):
     # for granted of a light with any ripple.
     nothing = SimpleNamespace(doubt=0.0, motion=0.0)
     pixel = Pixel(*theta, sigma, (camera["hz"], camera["hz_per_intensity"], 0),
-                  lambda t, hz: steady(t, hz), nothing, 0.0)
+                  lambda t, hz: steady(t, hz), nothing, 0.0, deaf)
     pixel.events = events
     chi2 = log_variance = count = 0
     since, reference = 0, None

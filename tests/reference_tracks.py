@@ -35,6 +35,7 @@ def ripple_of(waves):
             1j * turn * US * (t - wave.start_us))
         return phasor.real, -turn * phasor.imag
 
+    ripple.lit = True
     return ripple
 
 
@@ -42,7 +43,28 @@ def steady(t, hz=None):
     return 0.0, 0.0
 
 
-def between(before, t0, p0, t1, p1, steps, r, t):
+def audible(t0, t1, deaf):
+    """Time (us) in which a pixel compares between two events."""
+    return max(t1 - t0 - deaf, 100)
+
+
+def lost(before, t, after, deaf):
+    """What light does in reset after t: thresholds of the event there, of the next.
+
+    The slopes, one threshold per audible time, hold in the middle of these times.
+    """
+    if not deaf or t is None:
+        return np.zeros(2)
+    second = audible(t, after, deaf)
+    if before is None:
+        return np.array([0, deaf / second])
+    first = audible(before, t, deaf)
+    middles = -first / 2, deaf + second / 2
+    return deaf * np.array([np.interp(deaf / 2, middles, (1 / first, 0)),
+                            np.interp(deaf / 2, middles, (0, 1 / second))])
+
+
+def between(before, t0, p0, t1, p1, steps, r, lit, deaf, t):
     """Polarity, fraction of its threshold crossed, per second, variances of both, fall.
 
     fall is the thresholds per second that the intensity last fell by.  Then what the
@@ -54,27 +76,46 @@ def between(before, t0, p0, t1, p1, steps, r, t):
     change = r(t1)[0] - r(t0)[0]
     since = r(t0)[0] - r(before[0])[0] if before and t0 - before[0] < STALE else 0
     last, next = steps[1 - p0] - since, steps[1 - p1] - change
-    part = line(before, t0, p0, t1, p1, abs(last / next), last * next >= 0, t)
-    _, fraction, rate, *_ = part
+    ours, theirs = lost(before and before[0], t0, t1, deaf)
+    # Thresholds of the next event from the last one to it.
+    whole = 1 + theirs + ours * steps[1 - p0] / steps[1 - p1]
+    if not lit or r is steady:
+        part = line(before, t0, p0, t1, p1, abs(last / next), last * next >= 0, whole,
+                    ours, deaf, t)
+        return *part, 0.0, 0.0
+    p, fraction, rate, *spread = line(
+        before, t0, p0, t1, p1, abs(last / next), last * next >= 0, 1, 0, deaf, t)
     now, slope = r(t)
-    return *part, now - r(t0)[0] - fraction * change, slope - rate * change
+    return (p, whole * fraction, whole * rate, *spread,
+            now - r(t0)[0] - fraction * change, slope - rate * change)
 
 
-def line(before, t0, p0, t1, p1, ratio, same, t):
+def turning(room, whole):
+    """The parabola (1, s, s^2) from 0 to `whole` at s = 1 that turns at -room."""
+    at = 1 / (1 + np.sqrt(max(room + whole, 0) / room))     # where it turns
+    return np.array([0, -2 * room / at, room / at**2])
+
+
+def line(before, t0, p0, t1, p1, ratio, same, whole, ours, deaf, t):
     gap = max(t1 - t0, 100)
     s, hz = (t - t0) / gap, 1e6 / gap
     if same:
-        return p1, s, hz, 0.0005, 0.0008 * hz**2, 0.0 if p1 else hz
-    turn, spread, fall = 0.366, (0.05, 1.0), 0.0
+        return p1, s * whole, hz * whole, 0.0005, 0.0008 * hz**2, 0.0 if p1 else hz
+    path, spread, fall = turning(0.5 + ours, whole), (0.05, 1.0), 0.0
     if before is not None and before[1] == p0:
-        q = max(t0 - before[0], 100) / gap
+        past = max(t0 - before[0], 100)
+        q = past / gap
         fall = hz / q if p1 else 0.0
-        turn = np.clip((ratio - q**2) / (2 * (ratio + q)), 0, 0.414)
+        height = ratio * past / audible(before[0], t0, deaf)
+        # Through the event before, this one and the next.
+        path = np.linalg.solve(np.vander([-q, 0, 1], 3, True), [height, 0, whole])
+        if path[1] > 0 or path[2] < 0:
+            path = np.array([0, 0, whole] if whole > 0 else [0, whole, 0])
+        elif path[1]**2 > 4 * path[2] * (1 + ours):
+            path = turning(1 + ours, whole)
         spread = (0.003, 0.02)
-    # Through 0 at s = 0 and 1 at s = 1, its extremum at s = turn.
-    return (p1, s * (s - 2 * turn) / (1 - 2 * turn),
-            (2 * s - 2 * turn) / (1 - 2 * turn) * hz, spread[0], spread[1] * hz**2,
-            fall)
+    return (p1, path @ (1, s, s * s), path @ (0, 1, 2 * s) * hz, spread[0],
+            spread[1] * hz**2, fall)
 
 
 def after(t0, r, t):
@@ -84,12 +125,19 @@ def after(t0, r, t):
     return r(t)[0] - r(t0)[0], r(t)[1]
 
 
-def quiet(t0, p0, known, r, t):
+def in_reset(since, gap, first, deaf):
+    """Thresholds crossed in reset at `first` per gap, and per second."""
+    return first * min(since, deaf) / gap, (first * 1e6 / gap if since < deaf else 0)
+
+
+def quiet(before, t0, p0, known, r, deaf, t):
     if t0 is None:
         return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
     s, hz = (t - t0) / (known - t0), 1e6 / (known - t0)
-    return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, 0.08, 0.3 * hz**2, 0.0, *after(
-        t0, r, t)
+    more, faster = (in_reset(t - t0, audible(before[0], t0, deaf), 1, deaf)
+                    if deaf and before else (0, 0))
+    return (p0, 2 * s * (1 - s) + more, (2 - 4 * s) * hz + faster, 0.08, 0.3 * hz**2,
+            0.0, *after(t0, r, t))
 
 
 @functools.cache
@@ -106,10 +154,10 @@ def prior():
             sys.modules.pop(name, None)
 
 
-def ahead(before, t0, p0, steps, r, t):
+def ahead(before, t0, p0, steps, r, deaf, t):
     if before is None:
         return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
-    gap, p, same, room = t0 - before[0], p0, before[1] == p0, 1.0
+    gap, p, same, room = t0 - before[0] - deaf, p0, before[1] == p0, 1.0
     if t - before[0] < STALE:
         change = r(t0)[0] - r(before[0])[0]
         if change != 0:
@@ -120,14 +168,20 @@ def ahead(before, t0, p0, steps, r, t):
             gap = gap / max(crossed, 0.1)
         room = np.clip(1 - (r(t)[0] - r(t0)[0]) / steps[1 - p], 0.3, 2)
     gap = max(gap, 200)
-    u = (t - t0) / (gap * room)
+    u = max(t - t0 - deaf, 0) / (gap * room)
     nodes, table = prior()
     if u >= nodes[-1]:
         return p, 0.0, 0.0, UNKNOWN, 0.0, 0.0, *after(t0, r, t)
     fraction, rate, *spread = (
         np.interp(u, nodes, column) for column in table[0 if same else 1].T)
     fall = 1e6 / gap if same and p == 0 else 0.0
-    return (p, fraction * room, rate * 1e6 / gap, spread[0],
+    fraction, rate = fraction * room, rate * 1e6 / gap
+    if deaf:
+        if t - t0 < deaf:
+            fraction = rate = 0.0
+        more, faster = in_reset(t - t0, gap, table[0 if same else 1][0, 1], deaf)
+        fraction, rate = fraction + more, rate + faster
+    return (p, fraction, rate, spread[0],
             spread[1] * (1e6 / gap) ** 2, fall, *after(t0, r, t))
 
 

@@ -53,9 +53,11 @@ def looked_on(recording, cuts=None, **options):
     return camera
 
 
-def test_the_kernel_is_its_twin(recording):
+@pytest.mark.parametrize("deaf", [0.0, 700.0])
+def test_the_kernel_is_its_twin(recording, deaf):
     camera = looked_on(recording)
-    sample = select_busy_pixels(camera._window, NOMINAL, (0.2, 0.08))
+    sample = select_busy_pixels(camera._window, NOMINAL, (0.2, 0.08)).with_refractory(
+        deaf)
     candidates = candidates_of([(250.0, 0.0), (0.0, 8.0), (20.0, 3.0)])
     candidates["noise_per_s"][2] = 0.1
     candidates["frame_sigma"][2] = 0.01
@@ -68,7 +70,7 @@ def test_the_kernel_is_its_twin(recording):
         mine = [(int(e["t"]), int(e["p"])) for e in sample._events[start:stop]]
         for k, candidate in enumerate(candidates):
             expected[k] += reference_selfcal.innovations(
-                mine, sample._frames[:, i].tolist(), theta, 0.035, candidate)
+                mine, sample._frames[:, i].tolist(), theta, 0.035, candidate, deaf)
     np.testing.assert_allclose(got.view(np.float64).reshape(3, 4), expected, rtol=1e-4)
 
 
@@ -108,7 +110,7 @@ def arguments(n=2, frames=3):
     """Valid arguments of the kernel, the output last."""
     events = np.zeros(0, EVENT_DTYPE)
     return [events, np.zeros(n, PIXEL_DTYPE), np.zeros((frames, n), READING_DTYPE),
-            np.zeros(0, WAVE_DTYPE), 0.035, np.zeros(2, CANDIDATE_DTYPE),
+            np.zeros(0, WAVE_DTYPE), 0.035, 0.0, np.zeros(2, CANDIDATE_DTYPE),
             np.zeros(2, INNOVATIONS_DTYPE)]
 
 

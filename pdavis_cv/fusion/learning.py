@@ -40,6 +40,7 @@ from pdavis_cv.selfcal.priors import (
     THRESHOLD_SIGMA,
     USUAL_MISMATCH,
 )
+from pdavis_cv.selfcal.refractory import Refractory
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["FIRST_LOOK_S", "Learning", "OnlineLearning", "Tuning",
@@ -51,6 +52,9 @@ time, and then at twice, four times ... that."""
 
 _WORTHWHILE = 0.05
 """A change of the ln of the corner frequency by less is not worth a change."""
+
+_SIGMAS = 3.0
+"""A refractory period that differs by less is the same."""
 
 _KNOWN_SIGMA = 0.0005
 """Prior sigma (ln units) of a calibration's thresholds that come without one."""
@@ -138,6 +142,8 @@ class Learning:
                 f"{given['bandwidth']!r}")
         known = {**self._of_calibration(options), **given}
         wanted = {name for name in needs.learned if name not in known}
+        if wanted == {"refractory_us"}:
+            wanted = set()      # alone it is not worth to look ahead for
         if options.thresholds == "in-situ":
             # A stream that passes is not kept for what each pixel needs.
             wanted.add("scale" if options.causal else "thresholds")
@@ -153,6 +159,8 @@ class Learning:
             # Nothing is known yet of what follows at once: the usual camera's then.
             known["bandwidth"] = self._stated or (
                 TYPICAL_BANDWIDTH if options.causal else None)
+        if "refractory_us" in wanted:
+            known["refractory_us"] = 0.0
         if "noise" in wanted:
             known["noise"] = self._noise(0.0)
         self.prior = Tuning(on, off, known, clock or ClockOffset(
@@ -234,6 +242,8 @@ class Learning:
         if "noise" in self.wanted and estimate.noise is not None:
             found["noise"] = self._noise(estimate.noise)
         scaled = "scale" in self.wanted and estimate.common_scale_sigma > 0
+        if "refractory_us" in self.wanted and estimate.refractory is not None:
+            found["refractory_us"] = estimate.refractory.us
         if "thresholds" in self.wanted or scaled:
             tuning = dataclasses.replace(
                 tuning, theta_on=estimate.theta_on.astype(np.float32),
@@ -313,6 +323,9 @@ class OnlineLearning:
             estimate = dataclasses.replace(estimate, bandwidth=None)
         if clock is not None and clock.sigma_us > before.clock.sigma_us:
             estimate, clock = dataclasses.replace(estimate, clock_offset=None), None
+        if estimate.refractory is not None and not _is_other(
+                estimate.refractory, before.parameters.get("refractory_us", 0.0)):
+            estimate = dataclasses.replace(estimate, refractory=None)
         moved = clock is not None and clock.applied_us != before.clock_us
         # What was found of the lag with other stamps holds no more.
         if estimate.bandwidth is not None and not moved and not _is_news(
@@ -345,6 +358,12 @@ def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
                     / (known[0] + known[1] * level))
     return bool(np.abs(change).max() > _WORTHWHILE
                 or found.sigma < known[2] / 2)
+
+
+def _is_other(found: Refractory, known_us: float) -> bool:
+    """Tell whether a refractory period is another one than was known."""
+    return abs(found.us - known_us) > max(
+        _SIGMAS * found.sigma_us if found.us else 0.0, _WORTHWHILE * known_us)
 
 
 def _stated_clock(options: FusionOptions) -> ClockOffset | None:

@@ -64,7 +64,7 @@ class Needs:
         Whether it makes use of `Reconstructor.add_wave`.
     learned : frozenset of str
         Parameters that are estimated from the recording where the caller states none:
-        ``"bandwidth"`` and ``"noise"``, as `KalmanFilter` takes them.
+        ``"bandwidth"``, ``"noise"``, ``"refractory_us"``, as `KalmanFilter` takes them.
     prior : frozenset of str
         Parameters that are taken from calibration and sensor where the caller states
         none: ``"threshold_sigma"`` and ``"offset_dn"``, as `KalmanFilter` takes them.

@@ -12,10 +12,11 @@ STORED_DTYPE = np.dtype([
 """An event (t in us) and the index of its pixel's next one, -1 for none."""
 
 TRACK_DTYPE = np.dtype([
-    ("prev", "<i8"), ("last", "<i8"), ("n_off", "<i4"), ("n_on", "<i4"),
+    ("prev", "<i8"), ("last", "<i8"), ("n_off", "<f8"), ("n_on", "<f8"),
     ("first", "<i4")])
 """Stamps (2 t + p) of a pixel's last two events, counts of events since the last
-sample, and the index of the first stored event after them, -1 for none."""
+sample, with what a refractory period lost of the light, in thresholds, and the index
+of the first stored event after them, -1 for none."""
 
 STATE_DTYPE = np.dtype([
     ("base", "<f8"), ("theta_on", "<f8"), ("theta_off", "<f8"),
@@ -23,8 +24,8 @@ STATE_DTYPE = np.dtype([
     ("var_on", "<f8"), ("cov_on_off", "<f8"), ("var_off", "<f8"),
     ("prior_on", "<f8"), ("prior_off", "<f8"), ("pull", "<f8"),
     ("frame_log", "<f8"), ("hot", "<f8"), ("moves", "<f8"),
-    ("sampled_us", "<i8"), ("samples", "<i4"), ("seen_on", "<i4"),
-    ("seen_off", "<i4")])
+    ("sampled_us", "<i8"), ("samples", "<i4"), ("seen_on", "<f8"),
+    ("seen_off", "<f8")])
 """State (base, theta_on, theta_off) of a pixel and its covariance, natural-log units.
 
 base is the log intensity (ln DN/ms) at the last event before ``sampled_us``, the middle
@@ -41,7 +42,8 @@ TUNING_DTYPE = np.dtype([
     ("bandwidth_hz_per_intensity", "<f8"), ("bandwidth_sigma", "<f8"),
     ("frame_sigma", "<f8"), ("shot_share", "<f8"), ("read_variance", "<f8"),
     ("shot_variance", "<f8"), ("offset_dn", "<f8"), ("valid_variance", "<f8"),
-    ("motion_variance", "<f8"), ("doubt", "<f8"), ("still_us", "<f8")])
+    ("motion_variance", "<f8"), ("doubt", "<f8"), ("still_us", "<f8"),
+    ("refractory_us", "<f8")])
 """Process noise: variance of the sum of events, in thresholds^2, per second and per
 event.  Photoreceptor: corner frequency in Hz, what an intensity of 1 DN/ms adds to it,
 relative error of both.  Measurement noise: sigma of ln intensity that de-blurring
@@ -50,7 +52,7 @@ shot noise in DN^2 per DN, sigma in DN of an offset of all frames.  Variance (ln
 to which an estimate is valid.  Where events come: variance in thresholds^2 of what
 interpolation between them leaves; the probability that an event of a pixel at rest is
 noise; gap between two events of which half say rest, us, 0: all of them are
-interpolated."""
+interpolated; how long a pixel is held in reset after an event, us."""
 
 SAMPLE_DTYPE = np.dtype([("log", "<f4"), ("variance", "<f4"), ("per_dn", "<f4")])
 """A frame's ln intensity, variance of its read and shot noise (ln^2; 0: no usable
@@ -66,11 +68,11 @@ WAVE_DTYPE = np.dtype([
 
 NODE_DTYPE = np.dtype([
     ("level", "<f4"), ("h_on", "<f4"), ("h_off", "<f4"), ("noise", "<f4"),
-    ("drift", "<f4"), ("n_on", "<i4"), ("n_off", "<i4")])
+    ("drift", "<f4"), ("n_on", "<f8"), ("n_off", "<f8")])
 """What a frame said of one pixel."""
 
 PAST_DTYPE = np.dtype([
-    ("base", "<f8"), ("var", "<f8"), ("t", "<i8"), ("n_on", "<i4"), ("n_off", "<i4")])
+    ("base", "<f8"), ("var", "<f8"), ("t", "<i8"), ("n_on", "<f8"), ("n_off", "<f8")])
 """What the frames on one side of a time say of one pixel."""
 
 GAP_DTYPE = np.dtype([

@@ -13,7 +13,8 @@ from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BANDWIDTH_SIGMA", "NEVER", "StreamClock", "checked_bandwidth",
-           "checked_noise", "checked_threshold", "checked_threshold_sigma", "steps"]
+           "checked_noise", "checked_refractory", "checked_threshold",
+           "checked_threshold_sigma", "steps"]
 
 BANDWIDTH_SIGMA = 0.03
 """Relative error of a bandwidth that says nothing of its own."""
@@ -163,3 +164,11 @@ def checked_noise(value: Sequence[float]) -> tuple[float, float, float, float]:
             f"{value!r}")
     sigma, per_s, per_event, share = (*parts, 1.0)[:4]
     return sigma, per_s, per_event, share
+
+
+def checked_refractory(value: float) -> float:
+    """Return a refractory period in us, checked."""
+    if not (np.isfinite(value) and value >= 0):
+        raise ValueError(
+            f"refractory_us must be finite and not negative, got {value}")
+    return float(value)

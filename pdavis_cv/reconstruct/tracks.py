@@ -53,6 +53,8 @@ class Tracks:
         Chained by pixel from one of the three, the one that was chained last.
     committed : int
         Index of the first event that is not committed.
+    refractory_us : float
+        How long a pixel is held in reset after an event; what it loses is counted.
     """
 
     def __init__(
@@ -65,7 +67,7 @@ class Tracks:
             np.full(size, none).view(TRACK_DTYPE)
             for size in (shape, shape, shape if late else (0, 0)))
         self.store = np.zeros(_LEAST, STORED_DTYPE)
-        self.keep_us = int(keep_us)
+        self.keep_us, self.refractory_us = int(keep_us), 0.0
         self.committed = self._passed = self._late = self._stop = 0
         self._chained: tuple[NDArray[Any], int, int] | None = None
 
@@ -92,18 +94,21 @@ class Tracks:
         """Commit all events up to until_us, inclusive."""
         if self.committed < self._stop:
             self.committed = _kernels.store_commit(
-                self.store, self.committed, self._stop, until_us, self.tracks)
+                self.store, self.committed, self._stop, until_us,
+                self.refractory_us, self.tracks)
 
     def commit_late(self, until_us: int) -> None:
         """Commit all events up to until_us, inclusive, for the later reader."""
         if self._late < self._stop:
             self._late = _kernels.store_commit(
-                self.store, self._late, self._stop, until_us, self.late)
+                self.store, self._late, self._stop, until_us, self.refractory_us,
+                self.late)
 
     def chain_since(self, t_us: int) -> None:
         """Pass all committed events up to t_us, and chain those after them to old."""
         self._passed = _kernels.store_commit(
-            self.store, self._passed, self.committed, t_us, self.old)
+            self.store, self._passed, self.committed, t_us, self.refractory_us,
+            self.old)
         self._chain(self.old, self._passed, self._stop)
 
     def chain_pending(self) -> None:
@@ -137,7 +142,8 @@ class Tracks:
         if self.committed:
             recent = int(self.store["t"][self.committed - 1]) - self.keep_us
             self._passed = _kernels.store_commit(
-                self.store, self._passed, self.committed, recent, self.old)
+                self.store, self._passed, self.committed, recent, self.refractory_us,
+                self.old)
         drop = self._begin
         # Half of the room is left for what comes, so that moving stays rare.
         room = max(len(self.store), 2 * (self._stop - drop + n))

@@ -26,6 +26,7 @@ from pdavis_cv.selfcal.pixel_sample import (
     select_busy_pixels,
 )
 from pdavis_cv.selfcal.priors import LEAK_HZ, THRESHOLD_SIGMA
+from pdavis_cv.selfcal.refractory import Refractory, fit_refractory
 from pdavis_cv.selfcal.thresholds import shrink_to_population, variance_inflation
 from pdavis_cv.selfcal.uncertainty import frame_systematics
 from pdavis_cv.selfcal.window import Item, PixelWindow, SensorWindow
@@ -33,10 +34,11 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
-QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise", "clock_offset"})
+QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise", "refractory_us",
+                        "clock_offset"})
 """What a `SelfCalibration` can estimate: thresholds of every pixel, or only the scale
-that all share (which the former include), bandwidth, event noise, and how far the
-frames' stamps are off."""
+that all share (which the former include), bandwidth, event noise, refractory period,
+and how far the frames' stamps are off."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
 """Bounds on the factors on variances, of the ratio and of the scale."""
@@ -63,6 +65,9 @@ class CameraEstimate:
     common_scale_sigma : float
         Standard deviation of the ln of the scale that all pixels share.  Part of
         `covariance`, and the same error in every pixel: no mean over pixels reduces it.
+    refractory : Refractory or None
+        How long pixels are held in reset after an event; None where it was not
+        estimated or events are too few.  The rest is estimated with what it loses.
     clock_offset : ClockOffset or None
         What the frames' stamps must be moved by to the clock of the events; None where
         it was not estimated.  The rest is estimated with stamps moved by what counts.
@@ -74,6 +79,7 @@ class CameraEstimate:
     bandwidth: Bandwidth | None = None
     noise: float | None = None
     common_scale_sigma: float = 0.0
+    refractory: Refractory | None = None
     clock_offset: ClockOffset | None = None
 
     @property
@@ -212,7 +218,12 @@ class SelfCalibration:
         clock: ClockOffset | None = None
         known = None if "bandwidth" in wanted or bandwidth is None else (
             checked_bandwidth(bandwidth))
+        refractory: Refractory | None = None
         if sample is not None:
+            if "refractory_us" in wanted and not len(self._window.waves):
+                refractory = fit_refractory(sample)
+                if refractory is not None:
+                    sample = sample.with_refractory(refractory.us)
             stamped = sample
             # A lamp's ripple makes events whose times say nothing of the scene's.
             if "clock_offset" in wanted and not len(self._window.waves):
@@ -250,12 +261,12 @@ class SelfCalibration:
             return CameraEstimate(
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common,
-                clock_offset=clock)
+                refractory=refractory, clock_offset=clock)
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
             common_scale_sigma=0.0 if scale is None else scale.sigma,
-            clock_offset=clock)
+            refractory=refractory, clock_offset=clock)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,
@@ -268,7 +279,8 @@ class SelfCalibration:
         on, off = nominal
         method = KalmanFilter(
             self.shape, theta_on=on, theta_off=off, threshold_sigma=self._sigma,
-            bandwidth=law, noise=FILTER_NOISE)
+            bandwidth=law, noise=FILTER_NOISE,
+            refractory_us=0.0 if sample is None else sample.refractory_us)
         _feed(method, ordered, frames // 2)
         after_half = method.thresholds
         _feed(method, ordered, -1)

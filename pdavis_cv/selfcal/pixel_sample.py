@@ -129,6 +129,7 @@ class PixelSample:
         leak_hz: tuple[float, float],
     ) -> None:
         self.events_per_s, self.leak_hz = events_per_s, leak_hz
+        self.refractory_us = 0.0
         self.pixels = window.pixels[chosen]
         place = np.full(len(window.pixels), -1, np.int32)
         place[chosen] = np.arange(len(chosen))
@@ -178,6 +179,21 @@ class PixelSample:
         other._traits = self._traits.copy()
         other._traits["theta_on"] *= on
         other._traits["theta_off"] *= off
+        return other
+
+    @property
+    def gaps_us(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Times between consecutive events of one pixel, and where the sign changes."""
+        first = np.zeros(len(self._events) + 1, np.bool_)
+        first[self._traits["start"]] = True
+        inside = ~first[1:-1]
+        p = self._events["p"]
+        return np.diff(self._events["t"])[inside], (p[1:] != p[:-1])[inside]
+
+    def with_refractory(self, us: float) -> PixelSample:
+        """Return the sample of pixels that are held in reset so long after an event."""
+        other = copy(self)
+        other.refractory_us = us
         return other
 
     def without_dim_samples(self) -> PixelSample:
@@ -256,7 +272,7 @@ class PixelSample:
         _kernels.sample_innovations(
             self._events, np.ascontiguousarray(self._traits[::every]),
             np.ascontiguousarray(self._frames[:, ::every]), self._waves,
-            THRESHOLD_SIGMA, candidates, out)
+            THRESHOLD_SIGMA, self.refractory_us, candidates, out)
         return out
 
     def systematics(

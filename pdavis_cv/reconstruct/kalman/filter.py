@@ -38,6 +38,7 @@ from pdavis_cv.reconstruct.stream_clock import (
     StreamClock,
     checked_bandwidth,
     checked_noise,
+    checked_refractory,
     checked_threshold,
     checked_threshold_sigma,
 )
@@ -141,6 +142,9 @@ class KalmanFilter(Reconstructor):
     offset_dn : float
         Standard deviation of what a pixel's frames all are off by, DN; it counts in
         the variance, where light is dim above all.
+    refractory_us : float
+        How long a pixel is held in reset after an event, us; what light does meanwhile
+        is put back by its slope before and after.
     response : array_like of shape (2, 2, 3) or (H, W, 3), optional
         Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
         orthogonal ones on the diagonals.
@@ -169,7 +173,7 @@ class KalmanFilter(Reconstructor):
     """
 
     method = "kalman"
-    needs = Needs(lamp=True, learned=frozenset({"bandwidth", "noise"}),
+    needs = Needs(lamp=True, learned=frozenset({"bandwidth", "noise", "refractory_us"}),
                   prior=frozenset({"threshold_sigma", "offset_dn"}))
     causal_parameters = MappingProxyType({"mode": "causal"})
     margin = WHOLE_SENSOR  # the noise of motion is learned from all of its innovations
@@ -181,7 +185,7 @@ class KalmanFilter(Reconstructor):
         threshold_sigma: ArrayLike = THRESHOLD_SIGMA,
         bandwidth: Sequence[float] | None = None,
         noise: Sequence[float] = NOISE, offset_dn: float = 0.0,
-        response: ArrayLike | None = None,
+        refractory_us: float = 0.0, response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         if mode not in _LOOKAHEADS:
@@ -208,6 +212,7 @@ class KalmanFilter(Reconstructor):
             raise ValueError(
                 f"offset_dn must be finite and not negative, got {offset_dn}")
         self._offset_dn = float(offset_dn)
+        self._refractory_us = checked_refractory(refractory_us)
         self._tuning = np.zeros(1, TUNING_DTYPE)
         self._tuning["offset_dn"] = self._offset_dn
         self._tuning["valid_variance"] = VALID_VARIANCE
@@ -215,11 +220,11 @@ class KalmanFilter(Reconstructor):
         self._tuning["shot_variance"] = 1 / DN_PER_SHOT
         self._tuning["doubt"], self._tuning["motion_variance"] = DOUBT[0], MOTION[0]
         self._tuning["still_us"] = STILL_US
-        self._tune()
         self._saturated = Saturated(
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
             self._bandwidth)
         self._begin()
+        self._tune()
         self._begin_thresholds()
 
     def _begin(self) -> None:
@@ -246,6 +251,8 @@ class KalmanFilter(Reconstructor):
                  "frame_sigma", "leak_per_s", "noise_per_event", "shot_share")
         for name, value in zip(names, (*self._bandwidth, *self._noise), strict=True):
             self._tuning[name] = value
+        self._tuning["refractory_us"] = self._refractory_us
+        self._tracks.refractory_us = self._refractory_us
 
     def _adapt(self) -> None:
         """Take the noise of events, motion and reads for what innovations say it is."""
@@ -282,6 +289,7 @@ class KalmanFilter(Reconstructor):
 
         Thresholds and their sigma (`theta_on`, `theta_off`, `threshold_sigma`) are a
         new prior, with which pixels begin anew; what gives it has seen what they have.
+        So they do with another refractory period: thresholds made up for what was lost.
         With another bandwidth, or frames that are moved from now on, thresholds that
         were learned made up for what was wrong with the delay of events behind frames:
         they become less certain by as much.  What innovations said of noise was said
@@ -291,8 +299,9 @@ class KalmanFilter(Reconstructor):
         unknown = learned.keys() - self.needs.learned - prior - {"frames_moved_us"}
         if unknown:
             raise TypeError(
-                "retune takes bandwidth, noise, theta_on, theta_off, threshold_sigma "
-                f"and frames_moved_us, got {', '.join(sorted(unknown))}")
+                "retune takes bandwidth, noise, refractory_us, theta_on, theta_off, "
+                "threshold_sigma and frames_moved_us, got "
+                f"{', '.join(sorted(unknown))}")
         before, moved_us = self._lags(), learned.get("frames_moved_us", 0)
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
@@ -304,7 +313,9 @@ class KalmanFilter(Reconstructor):
             self._innovations[_MISFIT:] = 0
             self._adapt()
             self._frames = ()   # what waits has the stamps of before
-        if not prior.isdisjoint(learned):
+        if "refractory_us" in learned:
+            self._refractory_us = checked_refractory(learned["refractory_us"])
+        if not prior.isdisjoint(learned) or "refractory_us" in learned:
             for name in ("theta_on", "theta_off"):
                 if name in learned:
                     setattr(self, f"_{name}", checked_threshold(
@@ -375,6 +386,7 @@ class KalmanFilter(Reconstructor):
                 "mode": self._mode, "lookahead_us": self.lookahead_us,
                 "threshold_sigma": self._sigma, "bandwidth": self._bandwidth,
                 "noise": self._noise, "offset_dn": self._offset_dn,
+                "refractory_us": self._refractory_us,
                 "response": self._saturated.response}
 
     @property
@@ -553,6 +565,7 @@ class KalmanFilter(Reconstructor):
     def _take(self, other: KalmanFilter) -> None:
         """Take over everything but what is known of saturated pixels."""
         self._noise, self._bandwidth = other._noise, other._bandwidth
+        self._refractory_us = other._refractory_us
         self._theta_on, self._theta_off = other._theta_on, other._theta_off
         self._sigma = other._sigma
         np.copyto(self._tuning, other._tuning)
@@ -562,6 +575,7 @@ class KalmanFilter(Reconstructor):
         self._interval_us, self._mid_us = other._interval_us, other._mid_us
         self._frames = other._frames
         self._tracks.assign(other._tracks)
+        self._tracks.refractory_us = other._refractory_us
         self._lamp.restore(other._lamp.state())
         if self._smoother is not None and other._smoother is not None:
             self._smoother.assign(other._smoother)
