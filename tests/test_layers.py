@@ -22,8 +22,8 @@ LINES = (
     ("reconstruct",),
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events"),
-    ("sensor", "errors", "_beside", "_checks", "_opencv", "_remote", "_workers",
-     "data"),
+    ("sensor", "errors", "_arrays", "_beside", "_checks", "_opencv", "_remote",
+     "_workers", "data"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

@@ -125,8 +125,11 @@ def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadT
              if line.strip() and not line.lstrip().startswith("#")]
     delimiter = _delimiter([line for _, line in lines[:5]])
     decimal_comma = delimiter != ","
-    rows = [(number, next(csv.reader([line], delimiter=delimiter)))
-            for number, line in lines]
+    try:
+        rows = [(number, next(csv.reader([line], delimiter=delimiter)))
+                for number, line in lines]
+    except csv.Error as error:
+        raise ValueError(f"{path}: not a table, {error}") from None
     first = next((i for i, (_, row) in enumerate(rows)
                   if _classify(row)), None)
     if first is None:
@@ -162,7 +165,10 @@ def _collect(
         values.append(found)
     if len(values) < 2:
         raise ValueError(f"{path}: fewer than two rows of numbers")
-    table = np.array(values) * np.array([scales[kind] for kind in kinds])
+    with np.errstate(over="ignore"):
+        table = np.array(values) * np.array([scales[kind] for kind in kinds])
+    if not np.isfinite(table).all():
+        raise ValueError(f"{path}: numbers must be finite in N, mm and s")
     column = dict(zip(kinds, table.T, strict=True))
     t = np.ascontiguousarray(column["time"])
     step = np.diff(t)

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["Roi", "parse_roi", "read_rois"]
 
+_MOST_BYTES = 1 << 26
+"""Of all regions of an archive; one has a few hundred."""
 _UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")
 
 
@@ -244,8 +246,15 @@ def read_rois(path: str | Path) -> list[Roi]:
     try:
         if magic not in (b"Iout", b"PK\x03\x04"):
             raise ValueError(f"first bytes {magic!r}")
+        if magic.startswith(b"PK"):
+            with zipfile.ZipFile(path) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+            if size > _MOST_BYTES:
+                raise ValueError(f"{size} bytes in it, at most {_MOST_BYTES} are read")
         found = roifile.roiread(path)
-    except (ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
+    except OSError:
+        raise
+    except Exception as error:      # of whatever kind roifile raises
         raise ValueError(f"{path}: not a Fiji ROI file, {error}") from None
     regions = found if isinstance(found, list) else [found]
     if not regions:
@@ -262,8 +271,13 @@ def _from_fiji(region: Any, path: Path) -> Roi:
         return Roi.from_rectangle(
             region.left, region.top, region.right - region.left,
             region.bottom - region.top, name)
-    rings = tuple(np.asarray(ring, np.float64)
-                  for ring in region.coordinates(multi=True) if len(ring) >= 3)
+    try:
+        rings = tuple(np.asarray(ring, np.float64)
+                      for ring in region.coordinates(multi=True) if len(ring) >= 3)
+    except Exception as error:      # of whatever kind roifile raises
+        raise ValueError(f"{path}: roi {name!r} is damaged, {error}") from None
     if not rings:
         raise ValueError(f"{path}: roi {name!r} has fewer than three corners")
+    if not all(np.isfinite(ring).all() for ring in rings):
+        raise ValueError(f"{path}: roi {name!r} must have finite corners")
     return Roi(name, rings)

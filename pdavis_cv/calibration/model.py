@@ -5,7 +5,6 @@ import dataclasses
 import io
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._arrays import read_arrays
 from pdavis_cv._beside import write_beside
 from pdavis_cv.errors import CalibrationError
 from pdavis_cv.sensor import Layout
@@ -24,6 +24,8 @@ __all__ = ["FORMAT_VERSION", "Calibration"]
 FORMAT_VERSION = 1
 """Version of the file format; a file of a newer one is refused."""
 
+_MOST_BYTES = 1 << 29
+"""Of all planes: 41 bytes for each of 13 million pixels."""
 _POSITIVE = ("theta_on", "theta_off", "gain")
 _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
@@ -268,25 +270,22 @@ class Calibration:
         """
         path = Path(path)
         try:
-            # From memory: np.load leaves a damaged file open.
-            with np.load(
-                    io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-                if not isinstance(data, np.lib.npyio.NpzFile) or "head" not in data:
-                    raise CalibrationError(f"{path}: not a calibration file")
-                head = json.loads(str(data["head"]))
-                version = head["format_version"]
-                if version > FORMAT_VERSION:
-                    raise CalibrationError(
-                        f"{path}: format version {version} is newer than "
-                        f"{FORMAT_VERSION}, the latest that this version reads")
-                planes: dict[str, Any] = {
-                    name: data[name] for name in _PLANES if name in data}
+            data = read_arrays(path, _MOST_BYTES)
+            if "head" not in data:
+                raise CalibrationError(f"{path}: not a calibration file")
+            head = json.loads(str(data["head"]))
+            version = head["format_version"]
+            if version > FORMAT_VERSION:
+                raise CalibrationError(
+                    f"{path}: format version {version} is newer than "
+                    f"{FORMAT_VERSION}, the latest that this version reads")
+            planes: dict[str, Any] = {
+                name: data[name] for name in _PLANES if name in data}
         except CalibrationError:
             raise
         except FileNotFoundError:
             raise
-        except (OSError, ValueError, KeyError, TypeError, EOFError,
-                zipfile.BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise CalibrationError(
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
@@ -298,5 +297,6 @@ class Calibration:
                 serial=head["serial"], notes=head["notes"],
                 layout=None if layout is None else Layout(*map(tuple, layout)),
                 **{name: head[name] for name in _NUMBERS}, **planes)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError,
+                OverflowError) as error:
             raise CalibrationError(f"{path}: damaged: {error}") from None

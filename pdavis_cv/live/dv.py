@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import DeviceError
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.live.address import taken
 from pdavis_cv.live.base import HEARTBEAT_S, LiveSource
 from pdavis_cv.live.replay import pieces
@@ -34,6 +34,7 @@ from pdavis_cv.recording.aedat4.container import (
     parsed_header,
 )
 from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, root_table
+from pdavis_cv.recording.aedat4.reader import MAX_SIDE
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.timeline import NEVER
 from pdavis_cv.sensor import Layout, Sensor
@@ -97,7 +98,7 @@ class _Connection:
         self._held += part
 
     def payloads(self) -> Iterator[tuple[str, bytes]]:
-        """Yield the kind and the FlatBuffer of each packet that is complete."""
+        """Yield the kind and the payload of each packet that is complete."""
         at, held = 0, self._held
         while len(held) - at >= _PACKET.size:
             number, size = _PACKET.unpack_from(held, at)
@@ -108,8 +109,7 @@ class _Connection:
             stream = self.streams.get(number)
             if stream is not None:
                 start = at + _PACKET.size
-                yield stream.kind, decompressed(
-                    bytes(held[start:start + size]), self.compression)
+                yield stream.kind, bytes(held[start:start + size])
             at += _PACKET.size + size
         del held[:at]
 
@@ -153,11 +153,18 @@ class DvSource(LiveSource):
             size = int(first.attributes["sizeY"]), int(first.attributes["sizeX"])
         except (KeyError, ValueError):
             raise DeviceError(f"{name}: the header gives no sensor size") from None
+        if not all(0 < side <= MAX_SIDE for side in size):
+            raise DeviceError(f"{name}: sensor sides must lie in 1..{MAX_SIDE}, the "
+                              f"header says {size[1]}x{size[0]}")
         text = next((s.attributes["polarizerLayout"] for s in streams
                      if "polarizerLayout" in s.attributes), None)
         if layout is None and text is not None:
-            a, b, c, d = (int(angle) for angle in text.split(","))
-            layout = Layout((a, b), (c, d))
+            try:
+                a, b, c, d = (int(angle) for angle in text.split(","))
+                layout = Layout((a, b), (c, d))
+            except ValueError as error:
+                raise DeviceError(f"{name}: polarizerLayout {text!r}: {error}"
+                                  ) from None
         davis = (first.source.upper().startswith("DAVIS346")
                  or size == Sensor.PDAVIS.size)
         return RecordingInfo(
@@ -173,9 +180,9 @@ class DvSource(LiveSource):
             ready, _, _ = select.select([c.link for c in open_], [], [], HEARTBEAT_S)
             for one in [c for c in open_ if c.link in ready]:
                 one.receive()
-                for kind, data in one.payloads():
+                for kind, payload in one.payloads():
                     heard_s = time.monotonic()
-                    yield from self._packets(kind, data)
+                    yield from self._packets(kind, payload, one.compression)
                 if one.ended:
                     open_.remove(one)
             if self._last_us is not None and not ready:
@@ -185,8 +192,11 @@ class DvSource(LiveSource):
                     yield Packet(until_us=self._last_us + passed)
         yield from self._released(None)
 
-    def _packets(self, kind: str, data: bytes) -> Iterator[Packet]:
+    def _packets(
+        self, kind: str, payload: bytes, compression: str
+    ) -> Iterator[Packet]:
         try:
+            data = decompressed(payload, compression)
             table = root_table(data, kind.encode())
             if kind == "EVTS":
                 yield from self._of_events(data, *samples.event_vector(table))
@@ -195,9 +205,10 @@ class DvSource(LiveSource):
                 if self.info.event_count == 0:
                     yield from self._released(None)
             elif kind == "IMUS":
-                yield from pieces(Packet(imu=samples.imu_samples(data, table)))
+                yield from pieces(Packet(imu=_sorted(samples.imu_samples(data, table))))
             elif kind == "TRIG":
-                yield from pieces(Packet(triggers=samples.triggers(data, table)))
+                yield from pieces(
+                    Packet(triggers=_sorted(samples.triggers(data, table))))
         except (PayloadError, FlatBufferError, samples.UnknownFrameError) as error:
             self._log.add("damage", object(), f"a packet could not be read: {error}")
 
@@ -220,7 +231,7 @@ class DvSource(LiveSource):
 
     def _frame(self, data: bytes, table: Any) -> ApsFrame:
         raw = samples.raw_frame(data, table)
-        if self._scale is None:
+        if self._scale is None or self._scale.itemsize != raw.pixels.dtype.itemsize:
             self._scale = samples.scale_of(raw.pixels)
         times = samples.exposure_times(raw.times)
         frame = samples.aps_frame(raw, self._scale, times, self.info.sensor_size)
@@ -250,6 +261,12 @@ class DvSource(LiveSource):
         super().close()
         for one in self._connections:
             one.link.close()
+
+
+def _sorted(found: NDArray[Any]) -> NDArray[Any]:
+    """Return samples in the order of time, without those at impossible ones."""
+    found = found[np.abs(found["t"]) < FAR]
+    return found[np.argsort(found["t"], kind="stable")]
 
 
 def open_tcp(

@@ -7,6 +7,7 @@ from bisect import bisect_left
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.live.base import HEARTBEAT_S, LiveSource, endless
@@ -129,14 +130,17 @@ def pieces(packet: Packet) -> Iterator[Packet]:
     start, stop = packet.start_us, packet.stop_us
     if start is None or stop is None:
         return
-    edges = [*range(start + PIECE_US, stop, PIECE_US), stop]
-    before = start
-    for edge in edges:
+    times = [samples["t"] for samples in (packet.events, packet.imu, packet.triggers)]
+    times.append(np.array([f.available_us for f in packet.frames], np.int64))
+    # Pieces that hold nothing are not looked for: a wrong time may be years away.
+    numbers = np.unique(np.concatenate([(t - start) // PIECE_US for t in times]))
+    for number in numbers.tolist():
+        before = start + number * PIECE_US
+        edge = min(before + PIECE_US, stop)
         piece = Packet(
             _part(packet.events, before, edge),
             tuple(f for f in packet.frames if before <= f.available_us < edge),
             _part(packet.imu, before, edge), _part(packet.triggers, before, edge))
-        before = edge
         if piece.start_us is not None:
             yield piece
 

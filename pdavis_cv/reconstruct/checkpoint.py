@@ -284,9 +284,9 @@ def read_state_dict(path: str | Path) -> Mapping[str, Array]:
         raise
     except zipfile.BadZipFile as error:
         _refuse(path, str(error))
-    except OSError:
-        raise
-    except Exception as error:  # a pickle can go wrong in any way
+    except Exception as error:  # an archive and a pickle can go wrong in any way
+        if isinstance(error, OSError) and error.filename is not None:
+            raise   # it cannot be opened
         _refuse(path, f"{type(error).__name__}: {error}")
     state = found.get("state_dict", found) if isinstance(found, dict) else None
     if not isinstance(state, dict) or not state or not all(

@@ -2,9 +2,7 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.resources import as_file, files
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._arrays import read_arrays
 from pdavis_cv.errors import WeightsError
 
 __all__ = ["BINS", "MEMORY", "WIDTH", "Weights", "expected_shapes"]
@@ -30,6 +29,8 @@ MEMORY = (8.0, 64.0)
 # What goes in and out of each network, and how many planes go in directly at the end.
 _ENDS = {"firenet": (BINS, 1, 0), "joint": (4 * BINS + 8, 6, 8)}
 _META = "about"
+_MOST_BYTES = 1 << 24
+"""Of all weights of a network; those that ship have 0.2 MB."""
 
 
 def expected_shapes(network: str) -> dict[str, tuple[int, ...]]:
@@ -129,18 +130,16 @@ class Weights:
         OSError
             If it cannot be opened.
         """
-        data = io.BytesIO(Path(path).read_bytes())
         try:
-            with np.load(data, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
+            arrays = read_arrays(path, _MOST_BYTES)
             about = json.loads(str(arrays.pop(_META)))
             return cls(about["network"], arrays,
                        None if about["unit"] is None else float(about["unit"]),
                        dict(about["about"]))
         except WeightsError as error:
             raise WeightsError(f"{path}: {error}") from None
-        except (ValueError, KeyError, TypeError, AttributeError, EOFError,
-                zipfile.BadZipFile) as error:
+        except (ValueError, KeyError, TypeError, OverflowError,
+                RecursionError) as error:
             raise WeightsError(
                 f"{path}: not weights that pdavis_cv wrote ({error})") from error
 

@@ -3,8 +3,10 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -36,10 +38,18 @@ from pdavis_cv.sensor import Layout, Sensor
 __all__ = ["Aedat3Recording"]
 
 MAX_PACKET = 64 << 20
+_AHEAD = 8
+"""Packets among which the next of the same kind is looked for, to judge times by."""
 _END = b"#!END-HEADER\r\n"
 _HEAD = struct.Struct("<hhiiiiii")
+_BEGIN = re.compile(rb"(?=[\x00-\x04]\x00..(?:[\x08\x24\x30]\x00\x00\x00\x04|..."
+                    rb"\x00\x08)\x00\x00\x00)", re.DOTALL)
+"""Kind, source, bytes per event, and where in it the time is: 8 in a frame, else 4."""
 _SIZES = {0: 8, 1: 8, 3: 36, 4: 48}
 SPECIAL, POLARITY, FRAME, IMU6, IMU9 = range(5)
+_ANY = -1
+Decoded = tuple[int, int, Any, NDArray[np.int64]]
+"""A packet: its byte, its kind, samples or frames, their times."""
 _FRAME = struct.Struct("<i4i4i")
 _IMU = np.dtype([("info", "<i4"), ("t", "<i4"), ("accel", "<f4", 3),
                  ("gyro", "<f4", 3), ("temperature", "<f4")])
@@ -101,7 +111,7 @@ class Aedat3Recording(FileRecording):
         """Tell whether the file holds frames, by the heads of its packets."""
         at = self._start
         while at < self._reader.size:
-            found = self._plausible(self._reader.read(at, _HEAD.size), at)
+            found = self._plausible(at)
             if found is None or found[0] == FRAME:
                 return True  # where it is damaged there may be some
             at += _HEAD.size + found[1] * found[3]
@@ -120,21 +130,31 @@ class Aedat3Recording(FileRecording):
         self, at: int, *, quiet: bool = False
     ) -> Iterator[tuple[int, int, int, int, bytes]]:
         """Give (byte, kind, event size, overflow, events) of each packet from at on."""
-        while at < self._reader.size:
-            head = self._reader.read(at, _HEAD.size)
-            found = self._plausible(head, at)
+        end = self._reader.size
+        found = self._plausible(at)
+        while at < end:
             if found is None:
-                after = self._resync(at + 1)
+                after = self._resync(at + 1, end)
                 if not quiet:
                     self._log.damage(
                         at, f"byte {at}: no whole packet is here, reading goes on at "
-                        f"byte {self._reader.size if after is None else after}",
-                        offset=at)
+                        f"byte {end if after is None else after}", offset=at)
                 if after is None:
                     return
-                at = after
+                at, found = after, self._plausible(after)
                 continue
             kind, size, overflow, count = found
+            after = at + _HEAD.size + size * count
+            following = self._plausible(after)
+            if following is None and after < end:
+                # Its size is wrong, or bytes are missing: the next may begin inside.
+                inside = self._resync(at + 1, after)
+                if inside is not None:
+                    if not quiet:
+                        self._log.damage(at, f"byte {at}: a packet that should end at "
+                                         f"byte {after} ends at {inside}", offset=at)
+                    count = max(inside - at - _HEAD.size, 0) // size
+                    after, following = inside, self._plausible(inside)
             data = self._reader.read(at + _HEAD.size, size * count)
             if len(data) < size * count:
                 if not quiet:
@@ -142,9 +162,11 @@ class Aedat3Recording(FileRecording):
                         at, f"byte {at}: the file was cut while it is read", offset=at)
                 return
             yield at, kind, size, overflow, data
-            at += _HEAD.size + size * count
+            at, found = after, following
 
-    def _plausible(self, head: bytes, at: int) -> tuple[int, int, int, int] | None:
+    def _plausible(self, at: int) -> tuple[int, int, int, int] | None:
+        """Return kind, bytes per event, overflows and count of a packet at a byte."""
+        head = self._reader.read(at, _HEAD.size)
         if len(head) < _HEAD.size:
             return None
         kind, source, size, offset, overflow, capacity, number, valid = (
@@ -157,17 +179,14 @@ class Aedat3Recording(FileRecording):
             return None
         return kind, size, overflow, number
 
-    def _resync(self, at: int) -> int | None:
+    def _resync(self, at: int, until: int) -> int | None:
+        """Return where the next packet of a known kind begins, before `until`."""
         step = 1 << 20
-        pattern = re.compile(
-            rb"[\x00-\x04]\x00..(?=[\x08\x24\x30]\x00\x00\x00[\x04\x08])", re.DOTALL)
-        while at < self._reader.size:
-            block = self._reader.read(at, step + 64)
-            for found in pattern.finditer(block):
-                head = block[found.start():found.start() + _HEAD.size]
-                if self._plausible(head, at + found.start()) is not None:
-                    return at + found.start()
-            at += step
+        for base in range(at, until, step):
+            for found in _BEGIN.finditer(self._reader.read(base, step + _HEAD.size)):
+                start = base + found.start()
+                if start < until and self._plausible(start) is not None:
+                    return start
         return None
 
     # Reading -------------------------------------------------------------------
@@ -181,19 +200,20 @@ class Aedat3Recording(FileRecording):
     def _batches(self, start_us: int | None) -> Iterator[Batch]:
         timeline = Timeline()
         clocks = [Clock(timeline) for _ in range(4)]
-        begin, last_mid, promised, before = self._start, NEVER, NEVER, None
+        begin, last_mid, promised = self._start, NEVER, NEVER
+        before: dict[int, int] = {}     # kind -> time of the last sample
         if start_us is not None:
             mark = self._marks.before(cell_start(start_us))
             if mark is not None:
                 begin, clocks, last_mid, promised, before = mark
         packets = self._decoded(begin)
-        ahead = next(packets, None)
-        while ahead is not None:
-            at, kind, found, times = ahead
-            ahead = next(packets, None)
+        ahead = deque(islice(packets, _AHEAD))
+        while ahead:
+            at, kind, found, times = ahead.popleft()
+            ahead.extend(islice(packets, 1))
             newest = max(clock.last for clock in clocks)
             self._marks.note(at, newest, (at, clocks, last_mid, promised, before))
-            sane = ~_wild(times, before, None if ahead is None else ahead[3])
+            sane = ~_wild(kind, times, before, ahead)
             if not sane.all():
                 self._count(at, "wild time", int((~sane).sum()), "samples were dropped "
                             "because their time is far from all around them")
@@ -202,7 +222,7 @@ class Aedat3Recording(FileRecording):
                 times = times[sane]
             if not len(times):
                 continue
-            before = int(times[-1])
+            before[kind] = before[_ANY] = int(times[-1])
             batch = Batch()
             if kind == FRAME:
                 for frame in found:
@@ -232,9 +252,7 @@ class Aedat3Recording(FileRecording):
             promised = batch.complete_us = max(promised, newest - HORIZON_US)
             yield batch
 
-    def _decoded(
-        self, begin: int
-    ) -> Iterator[tuple[int, int, Any, NDArray[np.int64]]]:
+    def _decoded(self, begin: int) -> Iterator[Decoded]:
         """Give (byte, kind, samples or frames, times) of the packets from a byte on."""
         for at, kind, size, overflow, data in self._raw(begin):
             found: Any
@@ -288,25 +306,33 @@ class Aedat3Recording(FileRecording):
                         available_us=ready if 0 <= ready - end <= 60_000_000 else end)
 
 
-def _wild(times: NDArray[np.int64], before: int | None,
-          after: NDArray[np.int64] | None) -> NDArray[np.bool_]:
+def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
+          ahead: Iterable[Decoded]) -> NDArray[np.bool_]:
     """Return which times a damaged word must have made.
 
     They lie far from what comes before and after, on the same side of both, while
     those two go on as time does.  All of a packet, if its middle does: a packet has a
-    count of overflows of its own.
+    count of overflows of its own.  Packets of one kind are in order of time, those of
+    several nearly.  Before the first of its kind lies what the next two agree on.
     """
-    if after is None:
+    # Of the three times that a packet begins with, one may be damaged as well.
+    nexts = [_middle(one[3][:3]) for one in ahead if one[1] == kind][:2]
+    limit = SPIKE_US
+    if not nexts or (kind not in before and len(nexts) < 2):
+        kind, limit = _ANY, SEGMENT_US
+        nexts = nexts or [_middle(one[3][:3]) for one in ahead][:1]
+    if not nexts:
         return np.zeros(len(times), np.bool_)
-    nexts = int(np.median(after))
-    if before is None:
-        before = nexts if nexts < times[0] else int(times[0])
-    if spikes(np.array([before, int(np.median(times)), nexts]), SEGMENT_US)[0]:
+    first = before.get(kind, min(*nexts, int(times[0])))
+    if spikes(np.array([first, _middle(times), nexts[0]]), limit)[0]:
         return np.ones(len(times), np.bool_)
-    # Other packets need not be in order of time with this one.
-    wild = spikes(np.concatenate(([before], times, [nexts])), SEGMENT_US)
+    wild = spikes(np.concatenate(([first], times, nexts[:1])), limit)
     wild[1:-1] |= spikes(times, SPIKE_US)
     return wild
+
+
+def _middle(times: NDArray[np.int64]) -> int:
+    return int(np.sort(times)[len(times) // 2])
 
 
 def _polarity(data: bytes, base: int) -> NDArray[Any]:

@@ -104,7 +104,8 @@ class TraceRecording(FileRecording):
             orientation["imu_flipped"] = tuple(orientation["imu_flipped"])
             self._orientation = Orientation(**orientation)
             header = dict(head["header"])
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError,
+                RecursionError) as error:
             raise RecordingError(
                 f"{self._path}: the line about the camera is damaged: {error}"
             ) from error

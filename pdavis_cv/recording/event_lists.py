@@ -228,7 +228,9 @@ class NumpyRecording(_EventList):
                              offset=self._reader.size)
         t, x, y, p = (column[:whole] for column in columns)
         if t.dtype.kind == "f":
-            t = np.rint(t * (1e6 if self._scale == "s" else 1.0))
+            with np.errstate(over="ignore"):
+                t = np.rint(t.astype(np.float64) * (
+                    1e6 if self._scale == "s" else 1.0))
             t = np.where(np.abs(t) < FAR, t, -FAR)  # dropped, and what is no number
         elif self._scale == "ns":
             t = t // 1000

@@ -17,6 +17,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._arrays import array_header
 from pdavis_cv.recording.files import FileReader
 
 __all__ = ["StoredArray", "stored_arrays"]
@@ -155,10 +156,5 @@ def _unpacked(path: Path, member: zipfile.ZipInfo) -> FileReader:
 def _header(file: IO[bytes], size: int, opened: Callable[[], FileReader]
             ) -> StoredArray:
     """Return the array whose header begins a file of so many bytes."""
-    version = np.lib.format.read_magic(file)
-    read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
-            else np.lib.format.read_array_header_2_0)
-    shape, fortran, dtype = read(file)
-    if dtype.hasobject or dtype.itemsize * math.prod(shape) > size:
-        raise ValueError(f"an array of shape {shape} in {size} bytes")
+    shape, fortran, dtype = array_header(file, size)
     return StoredArray(dtype, shape, fortran, file.tell(), opened)

@@ -83,7 +83,8 @@ class Clock:
         back = self.last - t_us
         move = self._timeline.move(self._jumps, back)
         self._jumps += 1
-        self.state[2] += move
+        # Times that jump from one end of their range to the other add up beyond it.
+        self.state[2] = min(max(int(self.state[2]) + move, -2 * FAR), 2 * FAR)
         return move
 
     def order(self, times: NDArray[Any]) -> tuple[NDArray[np.bool_], list[int]]:

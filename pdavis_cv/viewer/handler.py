@@ -127,11 +127,11 @@ class Handler(BaseHTTPRequestHandler):
         self._answer({"/command": self._command})
 
     def _answer(self, known: dict[str, Callable[[], None]]) -> None:
-        address = urlsplit(self.path)
-        self.query = {
-            name: given[-1] for name, given in parse_qs(address.query).items()}
-        self.where = address.path
         try:
+            address = urlsplit(self.path)
+            self.query = {
+                name: given[-1] for name, given in parse_qs(address.query).items()}
+            self.where = address.path
             self._check()
             if self.where not in known:
                 raise _Refused(404, f"there is no {self.command} {self.where[:80]}")

@@ -30,6 +30,8 @@ MAX_HEADER = 16 << 20
 _LZ4_MAGIC = b"\x04\x22\x4d\x18"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PACKET = struct.Struct("<ii")
+_HEAD = 24
+"""Bytes that tell a packet: its header, and the beginning of its payload."""
 
 
 class PayloadError(ValueError):
@@ -90,6 +92,7 @@ class Aedat4File:
     def __init__(self, reader: FileReader, log: ProblemLog) -> None:
         self.reader, self.log = reader, log
         self._read_header()
+        self.indexed = False
         self.indexed = self._read_index()
         if not self.indexed:
             for entry in self._walk():
@@ -183,29 +186,41 @@ class Aedat4File:
 
     def _walk(self) -> Iterator[Entry]:
         """Find packets from their headers alone, looking for the next after damage."""
-        at, size = self.data_start, self.reader.size
-        limit = size
-        if self.data_start <= self.table_position < size:
+        at, limit = self.data_start, self.reader.size
+        # Damage that moved the packets moved the index away from its place.
+        if at <= self.table_position < limit and self._is_index(self.table_position):
             limit = self.table_position
+        entry = self._plausible(at, limit)
         while at < limit:
-            head = self.reader.read(at, 24)
-            entry = self._plausible(head, at, limit)
-            if entry is not None:
-                yield entry
-                at = entry.offset + entry.size
+            if entry is None:
+                if self._is_index(at):
+                    return
+                found = self._resync(at + 1, limit, limit)
+                self.log.damage(
+                    at, f"byte {at}: no whole packet is here, reading goes on at byte "
+                    f"{limit if found is None else found}", offset=at)
+                if found is None:
+                    return
+                at, entry = found, self._plausible(found, limit)
                 continue
-            if self._is_index(head, at):
-                return
-            found = self._resync(at + 1, limit)
-            self.log.damage(
-                at, f"byte {at}: no whole packet is here, reading goes on at byte "
-                f"{limit if found is None else found}", offset=at)
-            if found is None:
-                return
-            at = found
+            after = entry.offset + entry.size
+            following = self._plausible(after, limit)
+            if following is None and after < limit and not self._is_index(after):
+                # Its size is wrong, or bytes are missing: the next may begin inside.
+                inside = self._resync(at + 1, after, limit)
+                if inside is not None:
+                    self.log.damage(
+                        at, f"byte {at}: a packet that should end at byte {after} "
+                        f"ends at {inside}", offset=at)
+                    entry.size, after = max(inside - entry.offset, 0), inside
+                    following = self._plausible(after, limit)
+            yield entry
+            at, entry = after, following
 
-    def _plausible(self, head: bytes, at: int, limit: int) -> Entry | None:
-        if len(head) < 8:
+    def _plausible(self, at: int, limit: int) -> Entry | None:
+        """Return the packet that seems to begin at a byte and end before another."""
+        head = self.reader.read(at, _HEAD)
+        if len(head) < _PACKET.size:
             return None
         stream, size = _PACKET.unpack_from(head)
         if stream not in self.streams or not 0 < size <= limit - at - 8:
@@ -219,7 +234,8 @@ class Aedat4File:
             right = size >= 8 and int.from_bytes(payload[:4], "little") == size - 4
         return Entry(stream, at + 8, size) if right else None
 
-    def _is_index(self, head: bytes, at: int) -> bool:
+    def _is_index(self, at: int) -> bool:
+        head = self.reader.read(at, _HEAD)
         if head[8:12] == b"FTAB":
             return True
         if head[:4] not in (_LZ4_MAGIC, _ZSTD_MAGIC):
@@ -230,8 +246,8 @@ class Aedat4File:
         except PayloadError:
             return False
 
-    def _resync(self, at: int, limit: int) -> int | None:
-        """Return where the next plausible packet begins."""
+    def _resync(self, at: int, until: int, limit: int) -> int | None:
+        """Return where the next plausible packet begins, before the byte `until`."""
         if self.compression == "none":
             marks = [stream.kind.encode() for stream in self.streams.values()]
             before = 16  # stream, size, prefix, root, identifier
@@ -239,13 +255,12 @@ class Aedat4File:
             lz4_used = self.compression.startswith("LZ4")
             marks, before = [_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC], 8
         step, overlap = 1 << 20, 32
-        for base in range(at, limit, step):
+        for base in range(at, until, step):
             block = self.reader.read(base, step + overlap)
             places = sorted({i for mark in set(marks) for i in _find_all(block, mark)})
             for i in places:
                 start = base + i - before
-                if start >= at and self._plausible(
-                        self.reader.read(start, 24), start, limit) is not None:
+                if at <= start < until and self._plausible(start, limit) is not None:
                     return start
         return None
 
@@ -260,7 +275,7 @@ class Aedat4File:
         raw = self.reader.read(entry.offset - 8, entry.size + 8)
         if len(raw) < entry.size + 8:
             raise PayloadError("the file ends inside it")
-        if _PACKET.unpack_from(raw) != (entry.stream, entry.size):
+        if self.indexed and _PACKET.unpack_from(raw) != (entry.stream, entry.size):
             raise PayloadError("its header is not what the index says")
         return decompressed(memoryview(raw)[8:], self.compression)
 
