@@ -20,7 +20,8 @@ import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 
-from targets import MOST_SAMPLES, TARGETS  # noqa: E402
+import corpus  # noqa: E402
+from targets import MOST_SAMPLES, RECORDINGS  # noqa: E402
 
 import pdavis_cv  # noqa: E402
 from pdavis_cv.tools.main import main  # noqa: E402
@@ -169,8 +170,8 @@ READS = {"nothing": lambda path: None, "EIO": broken_reads, "cut": cut, "grown":
 def of_readers():
     """Yield what each fault, after opening, did to reading each file."""
     with tempfile.TemporaryDirectory() as folder:
-        for target, corpus in TARGETS.items():
-            for number, data in enumerate(corpus()):
+        for name, target in RECORDINGS.items():
+            for number, data in enumerate(target.whole(corpus.large)):
                 if b"SQLite format 3" in data:
                     continue    # read by SQLite, from a folder
                 for fault, cause in READS.items():
@@ -195,7 +196,7 @@ def of_readers():
                         return 0
 
                     code, said = in_a_child(work)
-                    yield {"file": f"{target} {number}", "fault": fault, "code": code,
+                    yield {"file": f"{name} {number}", "fault": fault, "code": code,
                            "said": said}
 
 

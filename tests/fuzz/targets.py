@@ -1,161 +1,292 @@
-"""What is fuzzed: a corpus of whole files and one entry per parser."""
+"""What is fuzzed: an entry per parser, and what each promises of any bytes."""
 import contextlib
-import importlib.util
+import functools
+import logging
+import os
+import socket
 import tempfile
 import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
+import corpus
+import mutators
 import numpy as np
 
 import pdavis_cv
-from pdavis_cv import open_recording, recording_from_arrays, write_aedat2, write_aedat4
+from pdavis_cv import open_recording
 
 MOST_SAMPLES = 5_000_000
+_DATABASE = b"SQLite format 3"
 
 
-def recording(size, frames):
-    """Return a small recording of every kind of sample."""
-    rng = np.random.default_rng(0)
-    n = 3000
-    events = np.zeros(n, pdavis_cv.EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, 200_000, n))
-    events["y"], events["x"] = rng.integers(0, size[0], n), rng.integers(0, size[1], n)
-    events["p"] = rng.integers(0, 2, n)
-    images = [pdavis_cv.ApsFrame(
-        rng.integers(0, 1000, size).astype(np.float32), 50_000 * k + 9_000,
-        50_000 * k + 19_000, available_us=50_000 * k + 25_000) for k in range(frames)]
-    imu = np.zeros(40, pdavis_cv.IMU_DTYPE)
-    imu["t"] = 5_000 * np.arange(40)
-    triggers = np.zeros(4, pdavis_cv.TRIGGER_DTYPE)
-    triggers["t"], triggers["type"] = [1, 9_000, 90_000, 199_000], [1, 2, 3, 1]
-    return recording_from_arrays(events, images, sensor_size=size, imu=imu,
-                                 triggers=triggers)
-
-
-def _written(write, *arguments, **options):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "x"
-        write(path, *arguments, **options)
-        return path.read_bytes()
-
-
-def _aedat4():
-    return [_written(write_aedat4, recording((12, 16), 4), compression=name)
-            for name in ("lz4", "none", "zstd")]
-
-
-def _aedat2():
-    return [_written(write_aedat2, recording((128, 128), 2))]
-
-
-def _aedat31():
-    from aedat31_bytes import aedat31_file
-    return [aedat31_file(recording((12, 16), 3))]
-
-
-def _hdf5():
-    if importlib.util.find_spec("h5py") is None:
-        return []
-    from pdavis_cv.recording.hdf5.writer import write_hdf5
-    return [_written(write_hdf5, recording((12, 16), 3), flavour=name)
-            for name in ("e2p", "dsec")]
-
-
-def fuzz_one(data):
-    """Read what may be a recording from end to end; only our errors are allowed.
+def read_recording(data, folder):
+    """Read what may be a recording from end to end; return the places of its events.
 
     Bytes with a database in them are a folder: metadata.yaml, then the database.
+
+    Raises
+    ------
+    RecordingError
+        If it is none.
     """
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        metadata, found, database = data.partition(b"SQLite format 3")
-        path = Path(folder)
-        if found:
-            (path / "metadata.yaml").write_bytes(metadata)
-            (path / "bag.db3").write_bytes(found + database)
-        else:
-            path /= "file.bin"
-            path.write_bytes(data)
-        with contextlib.suppress(pdavis_cv.RecordingError):
-            return _read(path)
-    return 0
+    metadata, found, database = data.partition(_DATABASE)
+    path = folder
+    if found:
+        (folder / "metadata.yaml").write_bytes(metadata)
+        (folder / "bag.db3").write_bytes(found + database)
+    else:
+        path = folder / "file.bin"
+        path.write_bytes(data)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            with open_recording(path) as recording:
+                return _read(recording)
+        finally:
+            of_damage = [one for one in told
+                         if issubclass(one.category, pdavis_cv.DamagedFileWarning)]
+            assert len(of_damage) <= 1, of_damage
+            foreign = [one for one in told
+                       if not issubclass(one.category, pdavis_cv.PdavisWarning)]
+            assert not foreign, foreign[0]
 
 
-def _read(path):
-    """Return the number of events, after checks of what every packet promises."""
-    count, before = 0, None
-    with open_recording(path) as recording:
-        height, width = recording.info.sensor_size
-        for packet in recording.packets():
-            events = packet.events
-            assert len(events) <= 65_536
-            assert len(packet.frames) <= 1
-            assert packet.stop_us - packet.start_us <= 10_000
-            assert before is None or packet.start_us >= before
-            before = packet.stop_us - 1
-            if len(events):
-                assert events["x"].max() < width
-                assert events["y"].max() < height
-                assert events["p"].max() <= 1
-                assert np.all(events["t"][1:] >= events["t"][:-1])
-            for frame in packet.frames:
-                assert frame.shape == (height, width)
-            count += len(events)
-            assert count < MOST_SAMPLES
-        assert len(recording.problems) < 100
-        middle = None if before is None else before // 2
-        for _ in recording.packets(middle, before):
-            break
-        recording.events(middle, before)
-    return count
+def _read(recording):
+    """Return places of all events, after checks of what every packet promises."""
+    height, width = recording.info.sensor_size
+    places, count, before = [], 0, None
+    for packet in recording.packets():
+        events = packet.events
+        assert len(events) <= 65_536
+        assert len(packet.frames) <= 1
+        assert packet.stop_us - packet.start_us <= 10_000
+        assert before is None or packet.start_us >= before
+        before = packet.stop_us - 1
+        if len(events):
+            assert events["x"].max() < width
+            assert events["y"].max() < height
+            assert events["p"].max() <= 1
+            assert np.all(events["t"][1:] >= events["t"][:-1])
+            places.append(events["y"].astype(np.int64) << 16 | events["x"])
+        for frame in packet.frames:
+            assert frame.shape == (height, width)
+        count += len(events)
+        assert count < MOST_SAMPLES
+    assert len(recording.problems) < 100
+    middle = None if before is None else before // 2
+    for _ in recording.packets(middle, before):
+        break
+    recording.events(middle, before)
+    return np.concatenate(places) if places else np.zeros(0, np.int64)
 
 
-def _prophesee():
-    from event_bytes import dat_file, evt2_file, evt3_file
-    source = recording((12, 16), 0).events()
-    return [make(source, (12, 16)) for make in (evt2_file, evt3_file, dat_file)]
+def read_weights(data, folder):
+    """Read an archive as weights, or as a checkpoint where it looks like one."""
+    from pdavis_cv.reconstruct.checkpoint import firenet_weights, read_state_dict
+    from pdavis_cv.reconstruct.weights import Weights
+    path = folder / "file.bin"
+    path.write_bytes(data)
+    with contextlib.suppress(pdavis_cv.errors.WeightsError):
+        Weights.load(path)
+    read_state_dict(path)
+    firenet_weights(path)
 
 
-def _lists():
-    from event_bytes import npy_file, npz_file, text_file
-    source = recording((12, 16), 0).events()
-    return [npy_file(source), npz_file(source), text_file(source)]
+def read_calibration(data, folder):
+    """Read a camera's file, and use what it says as `fuse` would."""
+    path = folder / "file.bin"
+    path.write_bytes(data)
+    known = pdavis_cv.Calibration.load(path)
+    assert known.replace(notes={}).sensor_size == known.sensor_size
 
 
-def _rpg():
-    if importlib.util.find_spec("h5py") is None:
-        return []
-    from event_bytes import rpg_file
-    return [_written(rpg_file, recording((12, 16), 3))]
+def read_load(data, folder):
+    """Read the table of a test frame."""
+    from pdavis_cv.analysis.load import read_load as read
+    path = folder / "file.csv"
+    path.write_bytes(data)
+    trace = read(path)
+    assert np.isfinite(trace.t_s).all()
+    assert np.isfinite(trace.primary).all()
+    assert (np.diff(trace.t_s) > 0).all()
+    if trace.trigger is not None:
+        trace.trigger_times()
+    trace.inside_gap(trace.t_s)
 
 
-def _ros1():
-    if importlib.util.find_spec("rosbags") is None:
-        return []
-    from event_bytes import ros1_file
-    return [_written(ros1_file, recording((12, 16), 0).events(), (12, 16))]
+def read_roi(data, folder):
+    """Read Fiji's regions, and draw them."""
+    from pdavis_cv.analysis.roi import read_rois
+    logging.getLogger("roifile").setLevel(logging.ERROR)
+    path = folder / "file.roi"
+    path.write_bytes(data)
+    for region in read_rois(path):
+        region.mask((12, 16))
 
 
-def _ros2():
-    if importlib.util.find_spec("rosbags") is None:
-        return []
-    from event_bytes import ros2_bytes
-    return [ros2_bytes(recording((12, 16), 0).events(), (12, 16))]
+def read_dv(data, folder):
+    """Receive a stream of DV's protocol."""
+    from pdavis_cv.live.dv import DvSource
+    ours, theirs = socket.socketpair()
+    with theirs:
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 22)
+        theirs.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            theirs.send(data)
+    times, before = [], None
+    try:
+        with DvSource("dv", [ours], None) as source:
+            height, width = source.info.sensor_size
+            for packet in source.packets():
+                assert packet.start_us is None or before is None or (
+                    packet.start_us >= before)
+                if packet.stop_us is not None:
+                    before = packet.stop_us - 1
+                assert not len(packet.events) or (
+                    packet.events["x"].max() < width
+                    and packet.events["y"].max() < height)
+                times.append(packet.events["t"].copy())
+                assert all(f.shape == (height, width) for f in packet.frames)
+    finally:
+        ours.close()
+    return np.concatenate(times) if times else np.zeros(0, np.int64)
 
 
-def _usb():
-    from pdavis_cv.live.usb import SimulatedDavis346
-    from pdavis_cv.recording.davis_trace import TraceWriter
-
-    def write(path, device):
-        with TraceWriter(path, device.info, device.orientation) as trace:
-            while (transfers := device.read(1)) is not None:
-                for one in transfers:
-                    trace.add(one)
-    return [_written(write, SimulatedDavis346(recording((12, 16), 3), speed=0))]
+@functools.cache
+def _viewer(pid):
+    """Return what a handler needs, and a door: threads belong to one process."""
+    from pdavis_cv.viewer import serve
+    server = serve(corpus.small((12, 16), 1), port=0, layout=pdavis_cv.Layout.PDAVIS,
+                   method="frames")
+    return SimpleNamespace(owner=server), socket.create_server(("127.0.0.1", 0))
 
 
-TARGETS = {"aedat4": _aedat4, "aedat2": _aedat2, "aedat31": _aedat31, "hdf5": _hdf5,
-           "prophesee": _prophesee, "lists": _lists, "rpg": _rpg, "ros1": _ros1,
-           "ros2": _ros2, "usb": _usb}
-"""Name of a parser -> its corpus; each is read by `fuzz_one`."""
+def read_http(data, folder):
+    """Answer a request."""
+    from pdavis_cv.viewer.handler import Handler
+    server, door = _viewer(os.getpid())
+    theirs = socket.create_connection(door.getsockname())
+    ours, _ = door.accept()
+    with ours, theirs:
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 22)
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 22)
+        theirs.sendall(data)
+        theirs.shutdown(socket.SHUT_WR)
+        if b"stream" in data:   # which ends only where nobody takes it
+            theirs.close()
+        with contextlib.suppress(ConnectionError, TimeoutError):
+            Handler(ours, ("fuzz", 0), server)
+        ours.close()
+        if b"stream" not in data:
+            answer = theirs.recv(1 << 20)
+            assert b" 500 " not in answer.partition(b"\r\n")[0], answer
+
+
+@dataclass(frozen=True)
+class Target:
+    """One parser.
+
+    Parameters
+    ----------
+    whole : callable
+        From what makes recordings to the bytes of whole files.
+    read : callable
+        Given bytes and a folder; may raise `allowed` and nothing else.
+    grammar : tuple of callable
+        Mutators that know the format, each (bytes, rng) -> bytes.
+    allowed : tuple of type
+    parts : callable, optional
+        From a whole file to the (first byte, byte after the last) of its packets: an
+        event of a packet that is not touched must be delivered.
+    """
+
+    whole: Callable
+    read: Callable = read_recording
+    grammar: tuple = ()
+    allowed: tuple = field(default=(pdavis_cv.RecordingError,))
+    parts: Callable | None = None
+
+
+RECORDINGS = {
+    "aedat4": Target(corpus.aedat4, grammar=mutators.AEDAT4,
+                     parts=corpus.aedat4_packets),
+    "aedat2": Target(corpus.aedat2),
+    "aedat31": Target(corpus.aedat31, parts=corpus.aedat31_packets),
+    "hdf5": Target(corpus.hdf5, grammar=mutators.HDF5),
+    "prophesee": Target(corpus.prophesee),
+    "lists": Target(corpus.lists, grammar=mutators.ARRAYS + mutators.TABLES),
+    "rpg": Target(corpus.rpg, grammar=mutators.HDF5),
+    "ros1": Target(corpus.ros1),
+    "ros2": Target(corpus.ros2),
+    "usb": Target(corpus.usb),
+}
+"""Formats of recordings, by name."""
+_DV = (pdavis_cv.DeviceError,)
+_WEIGHTS = (pdavis_cv.errors.WeightsError,)
+_CALIBRATION = (pdavis_cv.errors.CalibrationError,)
+OTHERS = {
+    "weights": Target(corpus.weights, read_weights, mutators.ARRAYS + mutators.PICKLES,
+                      _WEIGHTS),
+    "calibration": Target(corpus.calibration, read_calibration, mutators.ARRAYS,
+                          _CALIBRATION),
+    "load": Target(corpus.load, read_load, mutators.TABLES, (ValueError,)),
+    "roi": Target(corpus.roi, read_roi, mutators.ARCHIVES, (ValueError,)),
+    "dv": Target(corpus.dv, read_dv, mutators.AEDAT4_STREAM, _DV),
+    "http": Target(corpus.http, read_http, mutators.REQUESTS, ()),
+}
+TARGETS = RECORDINGS | OTHERS
+"""Everything that is fuzzed, by name."""
+
+
+def fuzz_one(name, data, folder):
+    """Read bytes; return what came of it, None where they were refused as they may be.
+
+    Parameters
+    ----------
+    name : str
+        Of `TARGETS`.
+    data : bytes
+    folder : Path
+        Files are written here, over those of the call before.
+    """
+    target = TARGETS[name]
+    try:
+        return target.read(data, folder)
+    except target.allowed:
+        return None
+
+
+@functools.cache
+def whole_parts(name):
+    """Return for each file of a corpus its bytes, and its packets with their events.
+
+    Packets are (first byte, byte after the last, places of their events, which tell
+    each).  Which events a packet holds is found by leaving it out.
+    """
+    target, found = TARGETS[name], []
+    with tempfile.TemporaryDirectory() as folder:
+        for data in target.whole(corpus.small):
+            every = target.read(data, Path(folder))
+            packets = []
+            for start, stop in target.parts(data):
+                rest = fuzz_one(name, data[:start] + data[stop:], Path(folder))
+                packets.append((start, stop, np.setdiff1d(every, rest)))
+            held = sum(len(times) for *_, times in packets)
+            assert held == len(every), (name, held, len(every))
+            found.append((data, packets))
+    return found
+
+
+def packet_mutant(name, number, rng):
+    """Return a whole file with packets damaged, and the events of the other packets."""
+    files = whole_parts(name)
+    data, packets = files[number % len(files)]
+    hit = {int(i) for i in rng.integers(len(packets), size=rng.integers(1, 3))}
+    for i in sorted(hit, reverse=True):
+        start, stop, _ = packets[i]
+        data = data[:start] + mutators.damaged(data[start:stop], rng) + data[stop:]
+    return data, np.concatenate([np.zeros(0, np.int64), *(
+        times for i, (*_, times) in enumerate(packets) if i not in hit)])
