@@ -63,7 +63,7 @@ def _reading() -> Iterator[None]:
         yield
     except PdavisError:
         raise
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError, AttributeError,
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, AttributeError,
             OverflowError, MemoryError, SystemError) as error:
         raise _LostError(f"{type(error).__name__}: {error}") from error
 
@@ -420,6 +420,7 @@ def _unit(t: NDArray[Any]) -> float:
 def _microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
     if t.dtype.kind != "f":
         return t.astype(np.int64)
-    t = np.rint(t * unit)
+    with np.errstate(over="ignore"):
+        t = np.rint(t.astype(np.float64) * unit)
     # What is no number, or beyond any time, is dropped as such later.
     return np.where(np.abs(t) < FAR, t, -FAR).astype(np.int64)
