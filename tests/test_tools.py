@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import termios
+import time
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from streams import random_events
 import pdavis_cv
 from pdavis_cv import render
 from pdavis_cv.data import example_recording
-from pdavis_cv.tools import demo
+from pdavis_cv.tools import _common, _progress, demo
 from pdavis_cv.tools.main import COMMANDS, main
 
 SAMPLE = str(example_recording())
@@ -330,6 +331,26 @@ def test_progress_is_told_to_a_log_only_when_asked_for(tmp_path, capsys):
     assert run("simulate", "polarizer", "-o", tmp_path / "x.aedat4", "--seconds", ".1",
                "--size", "4x4", "--progress") == 0
     assert re.search(r"\d+%\|.*\[.*<.*\]", capsys.readouterr().err)   # time left
+
+
+def test_a_stage_tells_for_how_long_it_goes_on(capsys, monkeypatch):
+    monkeypatch.setattr(_progress, "_EVERY_S", 0.01)
+
+    @_common.command
+    def slow(argv=None):
+        _common.Parser("slow", "", "").parse_args(argv)
+        _common.stage("learning")
+        deadline = time.monotonic() + 30
+        while "learning: " not in "".join(said) and time.monotonic() < deadline:
+            said.append(capsys.readouterr().err)
+            time.sleep(0.005)
+        return 0
+
+    said = []
+    assert slow(["--progress"]) == 0
+    assert said[0].startswith("pdavis: learning ...\n")
+    assert "pdavis: learning: 0.01 s" in "".join(said)
+    assert _progress._Stage.now is None
 
 
 def test_export_png_without_a_time_is_a_series(tmp_path, capsys):

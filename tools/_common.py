@@ -13,12 +13,12 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv.errors import PdavisError, PdavisWarning
 
+from ._progress import AlwaysProgress, own_progress, progress, progress_in_time, stage
 from ._values import (
     layout_option,
     offset,
@@ -64,8 +64,6 @@ __all__ = [
 
 
 TRACEBACK = "PDAVIS_CV_TRACEBACK"
-_ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
-"""Whether --progress was given to this command, or to one that runs it."""
 
 
 class Main(Protocol):
@@ -111,15 +109,8 @@ class Parser(OneLineParser):
             epilog=f"example:\n  {example}",
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument(
-            "--progress", action=_Progress, nargs=0, default=argparse.SUPPRESS,
+            "--progress", action=AlwaysProgress, nargs=0, default=argparse.SUPPRESS,
             help="tell stages and the time left even if stderr is no terminal")
-
-
-class _Progress(argparse.Action):
-    """Notes --progress at once: stages and bars ask for it wherever they are."""
-
-    def __call__(self, *_: Any) -> None:
-        _ALWAYS.set(True)
 
 
 def command(main: Main) -> Main:
@@ -134,12 +125,11 @@ def command(main: Main) -> Main:
 
     @functools.wraps(main)
     def run(argv: Sequence[str] | None = None) -> int:
-        before = _ALWAYS.set(_ALWAYS.get())
         with warnings.catch_warnings():
             warnings.simplefilter("always", PdavisWarning)
             warnings.showwarning = _show_warning
             try:
-                with _terminated():
+                with own_progress(), _terminated():
                     code = _flushed(main, argv)
             except SystemExit as leave:  # argparse after --help
                 return leave.code if isinstance(leave.code, int) else 0
@@ -162,8 +152,6 @@ def command(main: Main) -> Main:
                     f"this is a mistake of pdavis, {type(error).__name__}: {error}; "
                     f"please report the command and what it prints with {TRACEBACK}=1",
                     70)
-            finally:
-                _ALWAYS.reset(before)
             return code
 
     return run
@@ -488,49 +476,6 @@ def can_draw() -> bool:
         print("no picture: matplotlib is missing (pip install matplotlib)")
         return False
     return True
-
-
-def _shown(**options: Any) -> dict[str, Any]:
-    """Return tqdm's options: it shows itself on a terminal, or after --progress."""
-    if _ALWAYS.get():
-        return {"disable": False, "mininterval": 1.0, **options}
-    return {"disable": None, **options}
-
-
-def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterable[Any]:
-    """Show how many are done and the time left, on a terminal or after --progress."""
-    from tqdm import tqdm
-    shown: Iterable[Any] = tqdm(
-        items, **_shown(total=total, unit=f" {unit}", leave=False))
-    return shown
-
-
-def progress_in_time(
-    packets: Iterable[Any], start_us: int | None, stop_us: int | None
-) -> Iterator[Any]:
-    """Pass packets on; show which second of the recording they have reached.
-
-    Parameters
-    ----------
-    packets : iterable of Packet
-    start_us, stop_us : int or None
-        Ends of the recording; the time left is not known without the second.
-    """
-    from tqdm import tqdm
-    start, total = start_us, None
-    if start_us is not None and stop_us is not None:
-        total = round((stop_us - start_us) / 1e6, 3)
-    with tqdm(**_shown(total=total, unit=" s", leave=False)) as bar:
-        for packet in packets:
-            yield packet
-            start = packet.start_us if start is None else start
-            bar.update(max((packet.start_us - start) / 1e6 - bar.n, 0.0))
-
-
-def stage(what: str) -> None:
-    """Say, where `progress` shows, what takes a while before it can."""
-    if _ALWAYS.get() or (sys.stderr is not None and sys.stderr.isatty()):
-        print(f"pdavis: {what} ...", file=sys.stderr, flush=True)
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
 
 from . import export as export_tool
 from . import fan as fan_tool
-from ._common import Parser, command, opened
+from ._common import Parser, command, opened, stage
 
 __all__ = ["axial_difference", "main", "mean_aop"]
 
@@ -61,8 +61,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if code:
         return code
     args.layout = None
+    stage("the tendon, by its frames and fused")
     with opened(args, kept["tendon"]) as recording:
         _tendon(folder / "tendon.png", recording)
+    stage(f"a polarizer at {RPM} RPM, simulated and fused")
     _polarizer(folder / f"polarizer_{RPM}rpm.png")
     code = _real(folder)
     if code == 0:
