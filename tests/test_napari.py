@@ -1,4 +1,5 @@
 """The reader for napari, through its plugin engine and without a window."""
+import inspect
 import math
 import warnings
 
@@ -73,6 +74,10 @@ def test_the_widget_fuses_a_part_of_a_recording(tmp_path, recording):
     manager = npe2.PluginManager.instance()
     [widget] = manager.get_manifest("pdavis-cv").contributions.widgets
     assert widget.autogenerate
+    # magicgui cannot resolve strings that name what is in our module
+    for name, one in (("method", "kalman"), ("layout", "pdavis")):
+        asked = inspect.signature(napari_plugin.fuse_recording).parameters[name]
+        assert one in asked.annotation.__metadata__[0]["choices"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         fused = manager.commands.execute(widget.command, (

@@ -1,9 +1,8 @@
 """A reader for napari: recordings, and OME-TIFFs that `pdavis export` wrote.
 
-napari finds it by ``napari.yaml`` beside this file.
+napari finds it by ``napari.yaml`` beside this file, and makes a widget of
+`fuse_recording` by its annotations, which are no strings here for that reason.
 """
-from __future__ import annotations
-
 import json
 import math
 import xml.etree.ElementTree as ElementTree
@@ -76,7 +75,7 @@ def fuse_recording(
     recording: Path, method: Annotated[str, {"choices": _METHODS}] = _METHODS[0],
     images_per_second: float = 0.0, start_s: float = 0.0, seconds: float = 1.0,
     layout: Annotated[str, {"choices": _LAYOUTS}] = _LAYOUTS[0],
-) -> list[napari.types.LayerDataTuple]:
+) -> "list[napari.types.LayerDataTuple]":
     """Fuse a part of a recording into layers: napari makes a widget of this function.
 
     Parameters
