@@ -4,6 +4,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pdavis_cv.tools import reproduce
 from pdavis_cv.tools.reproduce import print_style
 from pdavis_cv.tools.reproduce.rotation import SCENES, Comparison, Spectrum, Trace
 from pdavis_cv.tools.reproduce.run import METHODS, Row
@@ -118,3 +119,19 @@ def test_three_files_of_a_picture_are_written(result, tmp_path):
     png = (tmp_path / "fig.2.png").read_bytes()
     assert png.startswith(b"\x89PNG")
     assert int.from_bytes(png[16:20], "big") == round(183 / 25.4 * 300)
+
+
+@pytest.mark.gate
+def test_the_fan_is_shown_by_each_method_beside_the_truth(tmp_path, capsys):
+    assert reproduce.main(["fan", "-o", str(tmp_path / "fan"), "--quick",
+                           "--rpm", "200", "--methods", "frames", "kalman"]) == 0
+    page = capsys.readouterr().out
+    cells = {line.split("|")[1].strip(): line.split("|")[2].strip()
+             for line in page.splitlines() if line.startswith("|")}
+    dark, bright = cells["kalman"].split("; ")
+    assert float(dark.split(" / ")[0]) < 2
+    assert float(bright.split(" / ")[0]) < 5
+    assert float(bright.split(" / ")[1]) > 0.9
+    assert cells["frames"].endswith("- / 0.00")     # saturated in the bright half
+    for name in ("fan.png", "fan.pdf", "fan-profile.svg", "fan.csv"):
+        assert (tmp_path / name).stat().st_size > 1000

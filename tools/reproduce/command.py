@@ -32,10 +32,12 @@ from . import (
     both_scores,
     demosaic,
     denoise,
+    fan_images,
     light,
     network,
     robustness,
     rotation,
+    specification,
     transfer,
 )
 from .page import summary, write_page, write_rows
@@ -183,6 +185,32 @@ def _transfer(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, transfer.transfer_page(rows)), []
 
 
+def _tables(figure: str, stem: Path, settings: Settings) -> Result:
+    """Tables S1 and S2."""
+    camera = (settings.cameras or ("nominal",))[0]
+    found = list(specification.specification(settings))
+    compared = list(specification.ways(settings))
+    for ending, columns, lines in (
+            (".csv", specification.columns(), found),
+            ("-methods.csv", specification.ways_columns(), compared)):
+        write_csv(beside_stem(stem, ending), columns,
+                  map(dataclasses.astuple, lines), _facts(figure, settings))
+    return write_page(
+        stem, specification.specification_page(camera, found, compared)), []
+
+
+def _fan_images(figure: str, stem: Path, settings: Settings) -> Result:
+    """Figure 4a: what each method shows of the fan."""
+    count = fan_images.count(settings)
+    views = list(progress(fan_images.fan_views(settings), count, "images"))
+    write_csv(beside_stem(stem, ".csv"), fan_images.profile_columns(),
+              fan_images.profile_rows(views), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, fan_images.views_figure(views))
+        save_figure(beside_stem(stem, "-profile"), fan_images.profiles_figure(views))
+    return write_page(stem, fan_images.fan_images_page(views)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -209,6 +237,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "fig2": ("error against speed, rotating polarizer", _rotation),
     "fig3": ("error against speed, plate and polarizer, both ways round", _rotation),
     "fig4a": ("a fan of polarizers, one half lit 2000 times more", _range),
+    "fan": ("fig4a as pictures: what each method shows of the fan", _fan_images),
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
     "all": ("all of these, as STEM-fig2 and so on, and a table of them", _all),
@@ -216,6 +245,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "denoise": ("noise left and true events kept by denoising", _denoising),
     "robustness": ("cameras and light that depart from what is assumed", _robustness),
     "score": ("the score of pdavis score beside the score by the truth", _both_scores),
+    "tables": ("the supplement's tables: specification, methods", _tables),
     "transfer": ("transfer functions, measured beside theory", _transfer),
     "network": ("networks on events alone, on these and on moving textures", _networks),
 }

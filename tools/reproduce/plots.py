@@ -111,7 +111,8 @@ def rotation_figure(figure: str, result: Comparison) -> Figure:
     letters([*top, *bottom])
     errors(top[0], result.rows, "rpm", "aop_error_deg",
            label="AoP error of super-pixels (degrees)")
-    paper = {"color": "black", "linestyle": (0, (1, 1)), "linewidth": 0.8}
+    paper: dict[str, Any] = {
+        "color": "black", "linestyle": (0, (1, 1)), "linewidth": 0.8}
     if figure == "fig3":
         errors(top[1], result.rows, "rpm", "dolp_error_roi", scale="linear",
                label="growth of the region's DoLP error (points)", growth=True)

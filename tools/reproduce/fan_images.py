@@ -1,0 +1,282 @@
+"""Figure 4a as pictures: the fan at two speeds, a line per method, truth above."""
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.analysis.score import KnownLight, axial_difference
+from pdavis_cv.fusion import fuse
+from pdavis_cv.render import aop_bgr, fade
+from pdavis_cv.simulation import FULL, Camera, Fan
+
+from . import run as runs
+from .network import all_weights
+from .page import table
+from .print_style import PAGE_IN, look, new_figure
+from .run import OFF_LOCK, SONY_FULL, Settings, Take, fuse_parameters
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["View", "count", "fan_images_page", "fan_views", "profile_columns",
+           "profile_rows", "profiles_figure", "views_figure"]
+
+_NETWORKS = ("firenet", "joint")
+_LEFT_OUT = ("kalman offline", "Sony 75 fps")
+"""Which look like another line."""
+_RPMS = (200.0, 1000.0)
+_SIDE, _QUICK_SIDE = 96, 48
+_AT_S, _AFTER_S = 0.6, 0.1
+"""When the picture is taken: frames have come, and there is a future to look at."""
+_PLACES = 180
+"""Along the circle."""
+_SHARP = 3.0
+"""Degrees from a sector's edge within which the profile is left out."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One method's image of the fan.
+
+    Parameters
+    ----------
+    method : str
+        ``"truth"``, or a method.
+    rpm : float
+    i0, aop, dolp : ndarray of float, shape (H, W)
+        Light behind 0 degrees, DN per ms or what the method gives; radians; NaN where
+        not valid.
+    around_deg, along_deg, true_deg : ndarray of float, shape (N,)
+        Places on a circle half way to the rim, AoP there, and the true one.
+    """
+
+    method: str
+    rpm: float
+    i0: NDArray[np.floating[Any]]
+    aop: NDArray[np.floating[Any]]
+    dolp: NDArray[np.floating[Any]]
+    around_deg: NDArray[np.float64]
+    along_deg: NDArray[np.float64]
+    true_deg: NDArray[np.float64]
+
+
+def fan_views(settings: Settings) -> Iterator[View]:
+    """Record the fan and yield truth and methods, speed by speed."""
+    side = _QUICK_SIDE if settings.quick else _SIDE
+    preset, seed = (settings.cameras or ("nominal",))[0], settings.seeds[0]
+    at_us = round(1e6 * _AT_S)
+    for rpm in settings.rpms or _RPMS:
+        takes: dict[str, tuple[Take, Fan, Camera]] = {}
+        for name in ("truth", *_shown(settings)):
+            method = runs.METHODS.get(name, runs.Method(parameters={"method": name}))
+            maker = method.preset or preset
+            if maker not in takes:
+                takes[maker] = _record(maker, method, side, seed, rpm)
+            take, fan, camera = takes[maker]
+            circle = _Circle(fan, camera, take.truth, at_us)
+            yield (_truth(rpm, fan, camera, circle, at_us) if name == "truth"
+                   else _view(name, rpm, take, circle, at_us, fuse_parameters(
+                       method, runs.Case(scene="fan", light=lambda s0: Fan(rpm=0),
+                                         rpm=rpm, camera=preset))))
+
+
+def count(settings: Settings) -> int:
+    """Return how many images `fan_views` yields."""
+    return len(settings.rpms or _RPMS) * (1 + len(_shown(settings)))
+
+
+def _shown(settings: Settings) -> list[str]:
+    return [name for name in (*runs.METHODS, *_NETWORKS) if name in settings.methods
+            and "own times" not in name and name not in _LEFT_OUT]
+
+
+def _record(preset: str, method: runs.Method, side: int, seed: int, rpm: float
+            ) -> tuple[Take, Fan, Camera]:
+    camera = Camera.preset(preset, seed=seed, size=(side, side), **method.changes)
+    row, column = camera.origin
+    fan = Fan(rpm=rpm * OFF_LOCK, radius=0.48 * side, hub=0.08 * side,
+              s0=SONY_FULL if method.preset else FULL,
+              centre=(column + (side - 1) / 2, row + (side - 1) / 2))
+    recording, truth = camera.record(fan, _AT_S + _AFTER_S)
+    return Take(recording, truth, 0, truth.stop_us), fan, camera
+
+
+_NEAR = 0.06
+"""Part of the circle's radius within which the true AoP must be one."""
+
+
+class _Circle:
+    """Places of the image on a circle half way to the rim, and the AoP there."""
+
+    def __init__(self, fan: Fan, camera: Camera, truth: KnownLight, at_us: int) -> None:
+        angle = np.arange(_PLACES) * 2 * np.pi / _PLACES
+        radius = (fan.radius + fan.hub) / 2
+        row, column = camera.origin
+        self._x = fan.centre[0] - column + radius * np.cos(angle)
+        self._y = fan.centre[1] - row - radius * np.sin(angle)
+        self.around_deg = np.rad2deg(angle)
+        true = truth.aop(at_us, self._x, self._y)
+        spread = [np.abs(axial_difference(true, truth.aop(
+            at_us, self._x + radius * dx, self._y + radius * dy)))
+            for dx in (-_NEAR, _NEAR) for dy in (-_NEAR, _NEAR)]
+        edge = np.max(spread, 0) > math.radians(_SHARP)
+        self.true_deg = np.where(edge, np.nan, np.rad2deg(true) % 180)
+
+    def along_deg(self, aop: NDArray[np.floating[Any]], scale: float
+                  ) -> NDArray[np.float64]:
+        """Return the AoP of the nearest pixels, degrees."""
+        y, x = (np.clip(np.rint((place + 0.5) / scale - 0.5).astype(np.int64), 0,
+                        side - 1)
+                for place, side in zip((self._y, self._x), aop.shape, strict=True))
+        return np.asarray(np.rad2deg(aop[y, x]) % 180, np.float64)
+
+
+def _truth(rpm: float, fan: Fan, camera: Camera, circle: _Circle, at_us: int) -> View:
+    y, x = np.mgrid[:camera.size[0], :camera.size[1]]
+    s0, s1, s2 = fan.stokes(at_us, x + camera.origin[1], y + camera.origin[0])
+    return View("truth", rpm, (s0 + s1) / 2, np.arctan2(s2, s1) / 2 % np.pi,
+                np.hypot(s1, s2) / s0, circle.around_deg, circle.true_deg,
+                circle.true_deg)
+
+
+def _view(name: str, rpm: float, take: Take, circle: _Circle, at_us: int,
+          parameters: Mapping[str, Any]) -> View:
+    options = dict(parameters)
+    if name in _NETWORKS:
+        options |= {"weights": all_weights(())[name], "window_us": _window_us(rpm)}
+    image = next(iter(fuse(take.recording, times_us=[at_us], demosaic="superpixel",
+                           **options)))
+    aop = np.where(image.valid, image.aop, np.nan)
+    i0, dolp = (np.where(image.valid, plane, np.nan)
+                for plane in (image.quad[0], image.dolp))
+    return View(name, rpm, i0, aop, dolp, circle.around_deg,
+                circle.along_deg(aop, 2.0), circle.true_deg)
+
+
+def _window_us(rpm: float) -> int:
+    """Return a window of the networks: a 25th of a sector's passage, 1 ms or more."""
+    return max(1000, round(60e6 / rpm / 6 / 25))
+
+
+# ---- what is written and drawn ---------------------------------------------------
+
+
+def profile_columns() -> tuple[str, ...]:
+    """Return the columns of the table of profiles."""
+    return "rpm", "method", "around_deg", "aop_deg", "true_aop_deg"
+
+
+def profile_rows(views: Sequence[View]) -> Iterator[tuple[Any, ...]]:
+    """Yield AoP along the circle of every method and speed."""
+    for view in views:
+        for place, found, true in zip(
+                view.around_deg, view.along_deg, view.true_deg, strict=True):
+            yield view.rpm, view.method, place, found, true
+
+
+def fan_images_page(views: Sequence[View]) -> list[str]:
+    """Return the Markdown: the error along the circle, by half and speed."""
+    speeds = list(dict.fromkeys(view.rpm for view in views))
+    lines = ["# fan", "", "A wheel of six polarizers, 30 degrees apart, its left half "
+             "lit 2000 times more; median error of AoP in degrees / part valid, of "
+             "single super-pixels on a circle half way to the rim, away from the "
+             "sectors' edges: right (dark) half; left (bright) half. One image of each "
+             f"method, {_AT_S:g} s after the beginning.", ""]
+    rows = []
+    for name in dict.fromkeys(view.method for view in views):
+        mine = {view.rpm: view for view in views if view.method == name}
+        if name != "truth":
+            rows.append([name, *("; ".join(
+                _half(mine[rpm], bright) for bright in (False, True))
+                for rpm in speeds)])
+    return lines + table(("method", *(f"{rpm:g} RPM" for rpm in speeds)), rows)
+
+
+def _half(view: View, bright: bool) -> str:
+    """Return median error / part valid of a half of the circle."""
+    left = np.cos(np.deg2rad(view.around_deg)) < 0
+    counted = (left == bright) & np.isfinite(view.true_deg)
+    off = np.abs(np.rad2deg(axial_difference(
+        np.deg2rad(view.along_deg), np.deg2rad(view.true_deg))))[counted]
+    valid = np.isfinite(off)
+    middle = f"{np.median(off[valid]):.1f}" if valid.any() else "-"
+    return f"{middle} / {valid.mean():.2f}"
+
+
+def views_figure(views: Sequence[View]) -> Figure:
+    """Draw I0, AoP faded by DoLP, and DoLP: a line per method.
+
+    I0 is logarithmic, each picture to its own range: where frames saturate, events
+    tell how light changes but not how bright it is.
+    """
+    from matplotlib import colormaps
+
+    ramps = {name: colormaps[name].with_extremes(bad="0.38")
+             for name in ("gray", "viridis")}
+    speeds = list(dict.fromkeys(view.rpm for view in views))
+    names = list(dict.fromkeys(view.method for view in views))
+    drawing = new_figure(PAGE_IN, min(9.5, 0.4 + 1.12 * len(names)))
+    grid = drawing.subplots(len(names), 3 * len(speeds), squeeze=False)
+    by_name = {(view.method, view.rpm): view for view in views}
+    for line, name in zip(grid, names, strict=True):
+        for k, rpm in enumerate(speeds):
+            view = by_name[name, rpm]
+            three = line[3 * k:3 * k + 3]
+            log = np.log10(np.maximum(view.i0, 1e-6))
+            low, high = np.nanquantile(log, (0.01, 0.99))
+            three[0].imshow(log, cmap=ramps["gray"], vmin=low, vmax=high)
+            three[1].imshow(_faded(view))
+            three[2].imshow(view.dolp, cmap=ramps["viridis"], vmin=0, vmax=1)
+            if name == names[0]:
+                for axes, title in zip(three, ("I0, log", "AoP", "DoLP"), strict=True):
+                    axes.set_title(f"{title}, {rpm:g} RPM")
+        for axes in line:
+            axes.set_xticks([])
+            axes.set_yticks([])
+            axes.grid(visible=False)
+        line[0].set_ylabel(name.replace(", ", ",\n"), rotation=0, ha="right",
+                           va="center")
+    return drawing
+
+
+def _faded(view: View) -> NDArray[np.uint8]:
+    """Return AoP as RGB, black where the light is not polarized, grey if not valid."""
+    valid = np.isfinite(view.aop)
+    picture = aop_bgr(np.nan_to_num(view.aop), valid)
+    fade(picture, np.nan_to_num(view.dolp), valid)
+    return picture[..., ::-1]
+
+
+def profiles_figure(views: Sequence[View]) -> Figure:
+    """Draw the error of AoP along the circle: a line of panels per method."""
+    speeds = list(dict.fromkeys(view.rpm for view in views))
+    names = [name for name in dict.fromkeys(view.method for view in views)
+             if name != "truth"]
+    drawing = new_figure(PAGE_IN, 0.7 + 0.8 * len(names))
+    grid = drawing.subplots(len(names), len(speeds), sharex=True, sharey=True,
+                            squeeze=False)
+    for view in views:
+        if view.method == "truth":
+            continue
+        axes = grid[names.index(view.method), speeds.index(view.rpm)]
+        off = np.rad2deg(axial_difference(
+            np.deg2rad(view.along_deg), np.deg2rad(view.true_deg)))
+        axes.axvspan(90, 270, color="0.92", linewidth=0)
+        axes.plot(view.around_deg, off, linestyle="none", marker=".", markersize=2,
+                  color=look(view.method).get("color", "black"))
+        axes.set_ylim(-95, 95)
+        axes.set_yticks((-90, 0, 90))
+        if view.method == names[0]:
+            axes.set_title(f"{view.rpm:g} RPM")
+        if view.method == names[-1]:
+            axes.set_xticks((0, 90, 180, 270, 360))
+            axes.set_xlabel("place on the circle (degrees); grey: the bright half")
+    for axes, name in zip(grid[:, 0], names, strict=True):
+        axes.set_ylabel(name.replace(", ", ",\n"), rotation=0, ha="right", va="center")
+    drawing.suptitle("error of AoP along a circle half way to the rim (degrees)")
+    return drawing
