@@ -65,6 +65,7 @@ SHARED = (
     "_lamp.pxd",
     "_math.h",
     "_math.pxd",
+    "_measure.h",
     "_model.pxd",
     "_picture.h",
     "_pixel.pxd",

@@ -20,37 +20,64 @@ from _kernels._model cimport (
     wave_t)
 from _kernels._tracks cimport at_rest, drift, part_t, start, step, walk_t
 from _kernels._update cimport (
-    FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, limited, linear, propagate, taken_t,
-    update)
+    FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST,
+    propagate)
 
-cdef extern from *:
-    """
-    #define LINEAR_VARIANCE 0.04    /* ln^2: noise of 20 % is as wide below as above */
-    """
-    const double LINEAR_VARIANCE
+cdef extern from "_measure.h" nogil:
+    enum:
+        TOGETHER
+        TERMS
+    ctypedef struct policy_t:
+        double frame_sigma
+        double shot_share
+        double read_variance
+        double shot_variance
+        double offset_dn
+        double motion_variance
+        double jump_sigmas
+        double theta_least
+        double theta_most
+    ctypedef struct group_t:
+        double base[TOGETHER]
+        double theta_on[TOGETHER]
+        double theta_off[TOGETHER]
+        double var_base[TOGETHER]
+        double cov_base_on[TOGETHER]
+        double cov_base_off[TOGETHER]
+        double var_on[TOGETHER]
+        double cov_on_off[TOGETHER]
+        double var_off[TOGETHER]
+        double prior_on[TOGETHER]
+        double prior_off[TOGETHER]
+        double pull[TOGETHER]
+        double h_on[TOGETHER]
+        double h_off[TOGETHER]
+        double noise[TOGETHER]
+        double innovation[TOGETHER]
+        double sample_per_dn[TOGETHER]
+        double learn[TOGETHER]
+        double rests[TOGETHER]
+        double unit[TOGETHER]
+        double doubt[TOGETHER]
+        double worth[TOGETHER]
+        double noted[TOGETHER]
+        double jump[TOGETHER]
+        double terms[TERMS][TOGETHER]
+    void measure(group_t*, const policy_t*, Py_ssize_t)
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
                   Py_ssize_t, float*, unsigned char*)
 
-cdef enum:
-    # Places in innovations: sums over samples of e^2 / v, of ln v, their number; of the
-    # parts of doubted events that frames deny, their number; regression of e^2 on what
-    # motion adds to v, relative to v without it: product, square; normal
-    # equations of e^2 by read and shot noise, where no event tells of motion.
-    RATIO
-    LOG
-    SAMPLES
-    DENIED
-    DOUBTED
-    MOTION
-    SQUARE
-    READ
-    SHOT
-    READ_READ
-    READ_SHOT
-    SHOT_SHOT
-    SUMS
+cdef struct slot_t:
+    # A pixel whose sample waits for `measure`: its column, what the smoother needs, by
+    # what its variance grew since the sample before, the unit of parts' variances, and
+    # how log intensity changed since then, if the pixel is hot.
+    Py_ssize_t x
+    node_t node
+    double added
+    double theta2
+    double change
 
 cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
@@ -124,46 +151,6 @@ cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t b
         step(walk, store, tuning.refractory_us)
 
 
-cdef inline void note(double* innovations, const taken_t* taken, double unit,
-                      double motion, double offset, double doubt,
-                      double denied) noexcept nogil:
-    """Add an innovation to the sums.
-
-    unit is what a motion_variance of 1 would add to its variance, motion what the
-    present one does, offset what that of all frames adds to it; denied is the part of a
-    doubted event that the sample denies.
-    """
-    innovations[RATIO] += taken.ratio
-    innovations[LOG] += log_f(<float>taken.v)
-    innovations[SAMPLES] += 1.0
-    # Weights are those without motion: else the first samples, before it is known,
-    # outweigh all that follow.
-    motion = taken.v - motion + offset
-    unit /= motion
-    innovations[MOTION] += unit * (taken.ratio * taken.v / motion - 1.0)
-    innovations[SQUARE] += unit * unit
-    if doubt > 0.0:
-        denied = denied if denied > 0.0 else 0.0
-        innovations[DENIED] += doubt * (denied if denied < 1.0 else 1.0)
-        innovations[DOUBTED] += doubt
-
-
-cdef inline void note_still(double* innovations, const taken_t* taken, double per_dn,
-                            const tuning_t* tuning) noexcept nogil:
-    """Add an innovation to the sums that tell the noise of frames in light 1 / per_dn.
-
-    Read and shot noise add `read` and `shot`, times their variances, relatively.
-    """
-    cdef double shot = tuning.shot_share * per_dn / taken.v, read = shot * per_dn
-    cdef double excess = (taken.ratio - 1.0 + read * tuning.read_variance
-                          + shot * tuning.shot_variance)
-    innovations[READ] += read * excess
-    innovations[SHOT] += shot * excess
-    innovations[READ_READ] += read * read
-    innovations[READ_SHOT] += read * shot
-    innovations[SHOT_SHOT] += shot * shot
-
-
 def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not None,
                  track_t[:, ::1] tracks not None, state_t[:, ::1] states not None,
                  double[::1] innovations not None, node_t[:, ::1] nodes not None):
@@ -172,7 +159,8 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     frame is (samples, exposures by column, time up to which events are known), chain
     (store, tracks that chain its events since the exposure began), model (tuning,
     waves).  Events below index `committed` are counted in tracks.  innovations
-    collects sums (see above).  nodes receives what a smoother needs; it may be empty.
+    collects the sums of what _measure.h calls terms.  nodes receives what a smoother
+    needs; it may be empty.
     """
     cdef const sample_t[:, ::1] samples
     cdef const exposure_t[::1] exposures
@@ -183,8 +171,11 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     cdef int64_t known
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], y, x
     cdef lamp_t lamp
+    cdef policy_t policy
+    cdef group_t group
+    cdef slot_t[TOGETHER] slots
+    cdef Py_ssize_t n, i, k
     cdef bint keep = nodes.shape[0] > 0
-    cdef node_t node
     check_given((*frame, *chain, *model))
     samples, exposures, known = frame
     store, old = chain
@@ -193,57 +184,107 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
             or states.shape[1] != w or old.shape[0] != h or old.shape[1] != w
             or exposures.shape[0] != w):
         raise ValueError("kalman_frame: all images must have one shape")
-    if tuning.shape[0] != 1 or innovations.shape[0] != SUMS or store.shape[0] == 0:
+    if tuning.shape[0] != 1 or innovations.shape[0] != TERMS or store.shape[0] == 0:
         raise ValueError(
             "kalman_frame: tuning, innovations or store has a wrong length")
     if keep and (nodes.shape[0] != h or nodes.shape[1] != w):
         raise ValueError("kalman_frame: nodes must be (h, w)")
     lamp = lamp_of(waves)
+    policy = policy_of(&tuning[0])
     with nogil:
         for y in range(h):
+            n = 0
             for x in range(w):
-                node.noise = 0.0
                 if samples[y, x].variance > 0:
-                    use_sample(&samples[y, x], &exposures[x], known, &store[0],
-                               &old[y, x], <int32_t>committed, &tuning[0], &lamp,
-                               &tracks[y, x], &states[y, x], &innovations[0], &node)
-                if keep:
-                    nodes[y, x] = node
+                    slots[n].x = x
+                    prepare(&samples[y, x], &exposures[x], known, &store[0], &old[y, x],
+                            <int32_t>committed, &tuning[0], &lamp, &tracks[y, x],
+                            &states[y, x], &group, n, &slots[n])
+                    n += 1
+                elif keep:
+                    nodes[y, x].noise = 0.0
+                if n == TOGETHER or x == w - 1:
+                    measure(&group, &policy, n)
+                    for i in range(n):
+                        finish(&group, i, &slots[i], &states[y, slots[i].x])
+                        if keep:
+                            nodes[y, slots[i].x] = slots[i].node
+                        for k in range(TERMS):
+                            innovations[k] += group.terms[k][i]
+                    n = 0
 
 
-cdef inline void use_alone(const sample_t* sample, int64_t mid, const tuning_t* tuning,
-                           state_t* s, node_t* node) noexcept nogil:
-    """Use a sample of a hot pixel: neither moved nor de-blurred by its events."""
-    cdef double e = sample.log - s.base, per_dn = sample.per_dn
-    cdef double added = s.moves + theta_squared(s) * drift(mid - s.sampled_us, 0.0,
-                                                           tuning)
-    cdef double noise, change = e * e
-    s.var_base += added
-    node.drift = <float>added
-    node.level = sample.log
-    node.h_on = 0.0
-    node.h_off = 0.0
-    noise = linear(s, 0.0, 0.0, 0.0, tuning, &e, &per_dn)
-    node.noise = <float>noise
-    node.drift += <float>update(s, 0.0, 0.0, noise, e, False, sample.per_dn).jump
-    s.moves += (change - s.moves) / HOT_SAMPLES
-    s.samples += 1
-    s.sampled_us = mid
+cdef inline policy_t policy_of(const tuning_t* tuning) noexcept nogil:
+    cdef policy_t policy
+    policy.frame_sigma = tuning.frame_sigma
+    policy.shot_share = tuning.shot_share
+    policy.read_variance = tuning.read_variance
+    policy.shot_variance = tuning.shot_variance
+    policy.offset_dn = tuning.offset_dn
+    policy.motion_variance = tuning.motion_variance
+    policy.jump_sigmas = JUMP_SIGMAS
+    policy.theta_least = THETA_LEAST
+    policy.theta_most = THETA_MOST
+    return policy
 
 
-cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t known,
-                     const stored_t* store, const track_t* old, int32_t committed,
-                     const tuning_t* tuning, const lamp_t* lamp, track_t* track,
-                     state_t* s, double* innovations, node_t* node) noexcept nogil:
+cdef inline void hand_over(const state_t* s, const sample_t* sample, group_t* group,
+                           Py_ssize_t i) noexcept nogil:
+    """Copy to the group what `measure` updates, and by what."""
+    group.base[i] = s.base
+    group.theta_on[i] = s.theta_on
+    group.theta_off[i] = s.theta_off
+    group.var_base[i] = s.var_base
+    group.cov_base_on[i] = s.cov_base_on
+    group.cov_base_off[i] = s.cov_base_off
+    group.var_on[i] = s.var_on
+    group.cov_on_off[i] = s.cov_on_off
+    group.var_off[i] = s.var_off
+    group.prior_on[i] = s.prior_on
+    group.prior_off[i] = s.prior_off
+    group.pull[i] = s.pull
+    group.sample_per_dn[i] = sample.per_dn
+
+
+cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
+                               const tuning_t* tuning, state_t* s, group_t* group,
+                               Py_ssize_t i, slot_t* slot) noexcept nogil:
+    """Predict a sample of a hot pixel: neither moved nor de-blurred by its events."""
+    slot.change = sample.log - s.base
+    slot.change *= slot.change
+    slot.added = s.moves + theta_squared(s) * drift(mid - s.sampled_us, 0.0, tuning)
+    s.var_base += slot.added
+    slot.theta2 = 0.0
+    slot.node.level = sample.log
+    slot.node.h_on = 0.0
+    slot.node.h_off = 0.0
+    hand_over(s, sample, group, i)
+    group.h_on[i] = 0.0
+    group.h_off[i] = 0.0
+    group.noise[i] = 0.0
+    group.innovation[i] = sample.log - s.base
+    group.learn[i] = 0.0
+    group.rests[i] = 0.0
+    group.unit[i] = 0.0
+    group.doubt[i] = 0.0
+    group.worth[i] = 1.0
+    group.noted[i] = 0.0
+
+
+cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t known,
+                  const stored_t* store, const track_t* old, int32_t committed,
+                  const tuning_t* tuning, const lamp_t* lamp, track_t* track,
+                  state_t* s, group_t* group, Py_ssize_t i,
+                  slot_t* slot) noexcept nogil:
+    """Predict a sample: de-blur it, move the state to it, hand both to the group."""
     cdef walk_t walk, at_mid
     cdef sum_t total
-    cdef taken_t taken
-    cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0, e, offset
+    cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0
     cdef double theta2 = theta_squared(s)
     cdef double at_on, at_off, all_on, all_off
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
     cdef double n_on, n_off, h_on, h_off, blur, level, added = 0.0
-    cdef double noise = 0.0, per_dn
+    cdef double noise = 0.0
     cdef bint fresh = s.samples == 0, learn = False
     # Counts from the start of exposure to the middle and to the last committed.
     start(&walk, old)
@@ -260,8 +301,8 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
     n_off = track.n_off - (all_off - at_off)
     s.seen_on += n_on
     s.seen_off += n_off
-    node.n_on = s.seen_on
-    node.n_off = s.seen_off
+    slot.node.n_on = s.seen_on
+    slot.node.n_off = s.seen_off
     if fresh:
         n_on = 0
         n_off = 0
@@ -273,10 +314,12 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
             s.theta_on * n_on + s.theta_off * n_off, sample.log - s.frame_log,
             2.0 * sample.variance))
     s.frame_log = sample.log
+    track.n_on = all_on - at_on
+    track.n_off = all_off - at_off
     if is_hot(s):
-        use_alone(sample, mid, tuning, s, node)
-        track.n_on = all_on - at_on
-        track.n_off = all_off - at_off
+        prepare_alone(sample, mid, tuning, s, group, i, slot)
+        s.samples += 1
+        s.sampled_us = mid
         return
     if not fresh:
         learn = n_on + n_off >= LEARN_EVENTS
@@ -324,28 +367,47 @@ cdef void use_sample(const sample_t* sample, const exposure_t* exposure, int64_t
         h_off = -total.off / total.whole
     if fresh:
         s.base = sample.log - blur
-    e = sample.log - s.base - blur
-    per_dn = sample.per_dn
-    noise = linear(s, h_on, h_off, noise, tuning, &e, &per_dn)
-    node.level = <float>(sample.log - blur + h_on * s.theta_on + h_off * s.theta_off)
-    node.h_on = <float>h_on
-    node.h_off = <float>h_off
-    node.noise = <float>noise
-    offset = tuning.offset_dn * (sample.per_dn - s.pull)
-    taken = update(s, h_on, h_off, noise, e, learn, sample.per_dn)
-    note(innovations, &taken, unit, unit * tuning.motion_variance, offset * offset,
-         doubt, doubt - e / worth)
-    if not fresh and unit == 0.0 and noise <= LINEAR_VARIANCE:
-        note_still(innovations, &taken, per_dn, tuning)
-    added += taken.jump
-    # The smoother counts the event in full: the square of what it may be off by.
-    node.drift = <float>(added + theta2 * doubt * doubt)
-    s.theta_on = limited(s.theta_on, s.prior_on)
-    s.theta_off = limited(s.theta_off, s.prior_off)
+    slot.node.level = <float>(
+        sample.log - blur + h_on * s.theta_on + h_off * s.theta_off)
+    slot.node.h_on = <float>h_on
+    slot.node.h_off = <float>h_off
+    slot.added = added
+    slot.theta2 = theta2
+    hand_over(s, sample, group, i)
+    group.h_on[i] = h_on
+    group.h_off[i] = h_off
+    group.noise[i] = noise
+    group.innovation[i] = sample.log - s.base - blur
+    group.learn[i] = learn
+    group.rests[i] = not fresh and unit == 0.0
+    group.unit[i] = unit
+    group.doubt[i] = doubt
+    group.worth[i] = worth
+    group.noted[i] = 1.0
     s.samples += 1
     s.sampled_us = mid
-    track.n_on = all_on - at_on
-    track.n_off = all_off - at_off
+
+
+cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
+                        state_t* s) noexcept nogil:
+    """Take the state over, and what the smoother needs."""
+    cdef double doubt = group.doubt[i]
+    slot.node.noise = <float>group.noise[i]
+    # The smoother counts the event in full: the square of what it may be off by.
+    slot.node.drift = <float>(
+        slot.added + group.jump[i] + slot.theta2 * doubt * doubt)
+    s.base = group.base[i]
+    s.theta_on = group.theta_on[i]
+    s.theta_off = group.theta_off[i]
+    s.var_base = group.var_base[i]
+    s.cov_base_on = group.cov_base_on[i]
+    s.cov_base_off = group.cov_base_off[i]
+    s.var_on = group.var_on[i]
+    s.cov_on_off = group.cov_on_off[i]
+    s.var_off = group.var_off[i]
+    s.pull = group.pull[i]
+    if is_hot(s):
+        s.moves += (slot.change - s.moves) / HOT_SAMPLES
 
 
 cdef inline void ask(Py_ssize_t at, const track_t* tracks, const state_t* states,

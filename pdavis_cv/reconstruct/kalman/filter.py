@@ -94,8 +94,9 @@ _DIM_SHARE = 0.12
 changes fastest where light is dim: weighed by the squared slope of 1 + .9 cos, the mean
 square of the lag is that at .12 of the brightest."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
-# Sums over innovations that kalman_frame collects, the first three being `misfit`;
-# beside them, sums over frames of what they say of motion, and of their weights.
+# Sums over samples that kalman_frame collects, terms in _measure.h, the first three
+# being `misfit`; beside them, sums over frames of what they say of motion, and of their
+# weights.
 _SUMS, _MISFIT = 12, 3
 _KEPT = _SUMS + 2
 # Rows that a frame is used by at a time.

@@ -1,0 +1,187 @@
+/* The measurement update of the Kalman method for some pixels at once: see _kalman.pyx.
+
+   Every quantity has a row of its own, so that a processor takes several pixels in one
+   instruction.  The bits are those of one pixel after the other: nothing is summed. */
+#ifndef PDAVIS_CV_MEASURE_H
+#define PDAVIS_CV_MEASURE_H
+
+#include "_clones.h"
+#include "_math.h"
+
+#define LINEAR_VARIANCE 0.04    /* ln^2: noise of 20 % is as wide below as above */
+#define REST_MOST 3.0           /* ln: 20 times; light has changed, not noise */
+
+enum {
+    TOGETHER = 64,              /* pixels per call of measure */
+    /* Rows of `terms`, what a sample adds to the sums over all: e^2 / v; ln v; 1; the
+       part of a doubted event that it denies, and 1 for each; regression of e^2 on what
+       motion adds to v, relative to v without it: product, square; normal equations of
+       e^2 by read and shot noise, where no event tells of motion. */
+    RATIO = 0, LOG, COUNT, DENIED, DOUBTED, MOTION, SQUARE,
+    READ, SHOT, READ_READ, READ_SHOT, SHOT_SHOT, TERMS
+};
+
+typedef struct {
+    double frame_sigma, shot_share, read_variance, shot_variance;
+    double offset_dn, motion_variance;
+    double jump_sigmas;         /* innovations beyond: the base has jumped */
+    double theta_least, theta_most;     /* bounds of the thresholds, by their priors */
+} policy_t;
+
+typedef struct {
+    /* The state (see state_t), and its thresholds' priors. */
+    double base[TOGETHER], theta_on[TOGETHER], theta_off[TOGETHER];
+    double var_base[TOGETHER], cov_base_on[TOGETHER], cov_base_off[TOGETHER];
+    double var_on[TOGETHER], cov_on_off[TOGETHER], var_off[TOGETHER];
+    double prior_on[TOGETHER], prior_off[TOGETHER], pull[TOGETHER];
+    /* measured = base + h_on theta_on + h_off theta_off + noise; innovation; d(log) /
+       d(DN), of the sample and where it is linearized.  noise is that of motion first. */
+    double h_on[TOGETHER], h_off[TOGETHER], noise[TOGETHER], innovation[TOGETHER];
+    double sample_per_dn[TOGETHER], per_dn[TOGETHER];
+    double learn[TOGETHER];     /* 1, or 0: thresholds stay (Schmidt-Kalman update) */
+    double rests[TOGETHER];     /* 1 where no event tells of motion, else 0 */
+    double unit[TOGETHER];      /* what a motion_variance of 1 adds to v */
+    double doubt[TOGETHER];     /* probability that the last event is noise */
+    double worth[TOGETHER];     /* what it moved the base by */
+    double noted[TOGETHER];     /* 1, or 0: it adds nothing to the sums */
+    /* Variance of the innovation; that of a jump of the base; see RATIO ... */
+    double v[TOGETHER], jump[TOGETHER];
+    double terms[TERMS][TOGETHER];
+    double spread[TOGETHER], rest[TOGETHER];
+    float narrow[TOGETHER];
+} group_t;
+
+/* Variance of a sample (ln^2) in light of 1 / per_dn DN. */
+PDAVIS_INLINE double noise_at(double per_dn, const policy_t *p)
+{
+    return p->shot_share * per_dn * (p->read_variance * per_dn + p->shot_variance)
+           + p->frame_sigma * p->frame_sigma;
+}
+
+/* Linearize where state and sample together see the light; noise becomes R there.
+
+   Noise is added to DN, not to their logarithm: by the sample alone, one that noise has
+   made brighter would count for more, and a darker one would be too far off.  So
+   innovation and per_dn become those of an iterated Kalman filter, but at a jump. */
+PDAVIS_INLINE void linearize(group_t *restrict g, const policy_t *restrict p,
+                             ptrdiff_t n)
+{
+    double most = p->jump_sigmas * p->jump_sigmas;
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        double on = g->h_on[i], off = g->h_off[i];
+        double noise = g->noise[i] + noise_at(g->sample_per_dn[i], p);
+        g->spread[i] = g->var_base[i] + (
+            2.0 * (on * g->cov_base_on[i] + off * g->cov_base_off[i]
+                   + on * off * g->cov_on_off[i])
+            + on * on * g->var_on[i] + off * off * g->var_off[i]);
+        g->rest[i] = g->innovation[i] * noise / (g->spread[i] + noise);
+        g->narrow[i] = (float)g->rest[i];
+    }
+    for (i = 0; i < n; i++)
+        g->narrow[i] = pd_exp(g->narrow[i]);
+    for (i = 0; i < n; i++) {
+        double per_dn = g->sample_per_dn[i], rest = g->rest[i], factor = g->narrow[i];
+        double here = g->noise[i] + noise_at(per_dn, p);
+        double there = g->noise[i] + noise_at(per_dn * factor, p);
+        double e = g->innovation[i] - rest + factor - 1.0;
+        int stays = (rest < -REST_MOST) | (rest > REST_MOST)
+                    | (e * e > most * (g->spread[i] + there));
+        g->innovation[i] = stays ? g->innovation[i] : e;
+        g->per_dn[i] = stays ? per_dn : per_dn * factor;
+        g->noise[i] = stays ? here : there;
+    }
+}
+
+/* What the samples add to the sums that noise is learned from. */
+PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff_t n)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++)
+        g->narrow[i] = pd_log(g->narrow[i]);
+    for (i = 0; i < n; i++) {
+        double ratio = g->terms[RATIO][i], v = g->v[i], offset = g->spread[i];
+        /* Weights are those without motion: else the first samples, before it is
+           known, outweigh all that follow. */
+        double calm = v - g->unit[i] * p->motion_variance + offset * offset;
+        double unit = g->unit[i] / calm;
+        double denied = g->doubt[i] - g->innovation[i] / g->worth[i];
+        int doubted = g->doubt[i] > 0.0;
+        denied = denied > 0.0 ? denied : 0.0;
+        denied = g->doubt[i] * (denied < 1.0 ? denied : 1.0);
+        int noted = g->noted[i] > 0.0;
+        g->terms[LOG][i] = noted ? g->narrow[i] : 0.0;
+        g->terms[COUNT][i] = g->noted[i];
+        g->terms[MOTION][i] = unit * (ratio * v / calm - 1.0);
+        g->terms[SQUARE][i] = unit * unit;
+        g->terms[DENIED][i] = doubted ? denied : 0.0;
+        g->terms[DOUBTED][i] = doubted ? g->doubt[i] : 0.0;
+    }
+    for (i = 0; i < n; i++) {
+        /* Read and shot noise add these, times their variances, relatively. */
+        double shot = p->shot_share * g->per_dn[i] / g->v[i];
+        double read = shot * g->per_dn[i];
+        double excess = g->terms[RATIO][i] - 1.0 + read * p->read_variance
+                        + shot * p->shot_variance;
+        int told = (g->rests[i] > 0.0) & (g->noise[i] <= LINEAR_VARIANCE);
+        read = told ? read : 0.0;
+        shot = told ? shot : 0.0;
+        excess = told ? excess : 0.0;
+        g->terms[READ][i] = read * excess;
+        g->terms[SHOT][i] = shot * excess;
+        g->terms[READ_READ][i] = read * read;
+        g->terms[READ_SHOT][i] = read * shot;
+        g->terms[SHOT_SHOT][i] = shot * shot;
+    }
+    for (i = 0; i < n; i++)
+        g->terms[RATIO][i] = g->noted[i] > 0.0 ? g->terms[RATIO][i] : 0.0;
+}
+
+PDAVIS_INLINE double limited(double theta, double prior, const policy_t *p)
+{
+    double least = p->theta_least * prior, most = p->theta_most * prior;
+    theta = theta < least ? least : theta;
+    return theta > most ? most : theta;
+}
+
+/* Update n <= TOGETHER states by a sample each. */
+PDAVIS_CLONES PDAVIS_UNUSED static void measure(
+    group_t *restrict g, const policy_t *restrict p, ptrdiff_t n)
+{
+    double most = p->jump_sigmas * p->jump_sigmas;
+    ptrdiff_t i;
+    linearize(g, p, n);
+    for (i = 0; i < n; i++) {
+        double on = g->h_on[i], off = g->h_off[i], e = g->innovation[i];
+        double g0 = g->var_base[i] + on * g->cov_base_on[i] + off * g->cov_base_off[i];
+        double g1 = g->cov_base_on[i] + on * g->var_on[i] + off * g->cov_on_off[i];
+        double g2 = g->cov_base_off[i] + on * g->cov_on_off[i] + off * g->var_off[i];
+        double v = g0 + on * g1 + off * g2 + g->noise[i], ratio = e * e / v, jump;
+        double k0, k1, k2, learn = g->learn[i];
+        /* Lost events or a wrong sample: the base may have jumped, thresholds not. */
+        jump = ratio > most ? e * e : 0.0;
+        g->v[i] = v;
+        g->narrow[i] = (float)v;
+        g->jump[i] = jump;
+        g->terms[RATIO][i] = ratio > most ? most : ratio;
+        g->spread[i] = p->offset_dn * (g->sample_per_dn[i] - g->pull[i]);
+        g0 += jump;
+        v += jump;
+        k0 = g0 / v;
+        k1 = learn * (g1 / v);
+        k2 = learn * (g2 / v);
+        g->base[i] += k0 * e;
+        g->pull[i] += k0 * (g->sample_per_dn[i] - g->pull[i]);
+        g->var_base[i] = g->var_base[i] + jump - k0 * g0;
+        g->cov_base_on[i] -= k0 * g1;
+        g->cov_base_off[i] -= k0 * g2;
+        g->theta_on[i] = limited(g->theta_on[i] + k1 * e, g->prior_on[i], p);
+        g->theta_off[i] = limited(g->theta_off[i] + k2 * e, g->prior_off[i], p);
+        g->var_on[i] -= k1 * g1;
+        g->cov_on_off[i] -= k1 * g2;
+        g->var_off[i] -= k2 * g2;
+    }
+    note(g, p, n);
+}
+
+#endif
