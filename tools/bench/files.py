@@ -133,44 +133,74 @@ def _aedat4() -> Iterator[Comparison]:
                 partial(_rate, len(events)), "Mev/s")
 
 
-@case("aedat4_write", "AEDAT-4 (LZ4) from packets of 10,000, against faery", 0.8)
+@case("aedat4_write", "AEDAT-4 (LZ4) from packets of 10,000, against faery", 1.0)
 def _aedat4_write() -> Iterator[Comparison]:
     faery = _peer("faery")
-    encoder = faery.aedat.Encoder
+
+    def theirs(packets: list[NDArray[Any]], path: Path) -> Callable[[], None]:
+        foreign = [_for_faery(packet, faery.EVENTS_DTYPE) for packet in packets]
+        description = _description(faery.aedat)
+
+        def write() -> None:
+            with faery.aedat.Encoder(
+                    path, description, faery.aedat.LZ4_DEFAULT) as writer:
+                for packet in foreign:
+                    writer.write(0, packet)
+        return write
+
+    return _writing(theirs)
+
+
+@case("aedat4_write_dv",
+      "AEDAT-4 (LZ4) from packets of 10,000, against dv_processing", 1.0)
+def _aedat4_write_dv() -> Iterator[Comparison]:
+    dv = _peer("dv_processing")
+
+    def theirs(packets: list[NDArray[Any]], path: Path) -> Callable[[], None]:
+        stores = []
+        for packet in packets:
+            stores.append(dv.EventStore())
+            for t, x, y, p in packet.tolist():
+                stores[-1].push_back(t, x, y, p == 1)
+        options = dv.io.MonoCameraWriter.EventOnlyConfig(
+            "DAVIS346_00000000", SHAPE[::-1], dv.CompressionType.LZ4)
+
+        def write() -> None:
+            writer = dv.io.MonoCameraWriter(str(path), options)
+            for store in stores:
+                writer.writeEvents(store)
+            del writer      # ends the file
+        return write
+
+    return _writing(theirs)
+
+
+def _writing(
+    peer: Callable[[list[NDArray[Any]], Path], Callable[[], None]]
+) -> Iterator[Comparison]:
+    """Yield comparisons with what `peer` returns: what writes packets to a path."""
     for kind in KINDS:
         events = event_input(kind)
         packets = [events[i:i + PACKET] for i in range(0, EVENTS, PACKET)]
-        foreign = [_for_faery(packet, faery.EVENTS_DTYPE) for packet in packets]
         with tempfile.TemporaryDirectory() as folder:
             path, other = Path(folder) / "ours.aedat4", Path(folder) / "other.aedat4"
 
-            def candidate(packets: list[NDArray[Any]] = packets,
-                          path: Path = path) -> float:
-                start = perf_counter()
+            def ours(packets: list[NDArray[Any]] = packets, path: Path = path) -> None:
                 with Aedat4Writer(path, sensor_size=SHAPE) as writer:
                     for packet in packets:
                         writer.add(Packet(packet))
-                return perf_counter() - start
 
-            def floor(packets: list[NDArray[Any]] = foreign,
-                      path: Path = other) -> float:
-                description = _description(faery.aedat)
-                start = perf_counter()
-                with encoder(path, description, faery.aedat.LZ4_DEFAULT) as writer:
-                    for packet in packets:
-                        writer.write(0, packet)
-                return perf_counter() - start
+            theirs = peer(packets, other)
 
             def check(events: NDArray[Any] = events, path: Path = path,
                       other: Path = other,
-                      work: tuple[Callable[[], float], ...] = (candidate, floor)
-                      ) -> None:
+                      work: tuple[Callable[[], None], ...] = (ours, theirs)) -> None:
                 for one, written in zip(work, (path, other), strict=True):
                     one()
                     np.testing.assert_array_equal(_all_events(written), events)
 
-            yield Comparison(kind, check, candidate, floor,
-                             partial(_rate, EVENTS), "Mev/s")
+            yield Comparison(kind, check, partial(_seconds, ours),
+                             partial(_seconds, theirs), partial(_rate, EVENTS), "Mev/s")
 
 
 def _for_faery(events: NDArray[Any], dtype: Any) -> NDArray[Any]:
