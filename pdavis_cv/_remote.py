@@ -85,6 +85,34 @@ class RemotePath(PurePosixPath):
         """Open it; what is written appears when it is closed."""
         return self.store.open(str(self), mode)
 
+    def read_bytes(self) -> bytes:
+        """Return all of it."""
+        return bytes(self.store.cat_file(str(self)))
+
+    def write_bytes(self, data: bytes) -> None:
+        """Put it, whole or not at all."""
+        self.store.pipe_file(str(self), data)
+
+    def put(self, file: Path) -> None:
+        """Put what a file holds, whole or not at all."""
+        self.store.put_file(str(file), str(self))
+
+    def remove(self) -> None:
+        """Remove it, and all whose names go on from it; nothing if there are none."""
+        self.store.invalidate_cache()
+        names = self.store.find(str(self))
+        if names:
+            self.store.rm(names)
+
+    def below(self) -> list[str]:
+        """Return the last parts of the names that are one part longer, sorted."""
+        self.store.invalidate_cache()
+        try:
+            found = self.store.ls(str(self), detail=False)
+        except FileNotFoundError:
+            return []
+        return sorted(name.rstrip("/").rpartition("/")[2] for name in found)
+
     def ranges(self) -> functools._lru_cache_wrapper[bytes]:
         """Return a function that reads its i-th MiB, and keeps what it has read."""
         store, name, size = self.store, str(self), self._facts()["size"]

@@ -122,11 +122,11 @@ def memory(folder: Path) -> None:
 def tiles(path: Path) -> None:
     """Print the CPU time of a recording as a whole and as two stripes."""
     with open_recording(path) as recording:
-        for method in ("cf", "events", "frames"):
+        for method in ("cf", "events", "frames", "kalman"):
             options = FusionOptions(method=method, fps=100, layout="pdavis")
             spent: dict[str, list[float]] = {"whole": [], "stripes": []}
             differing = 0
-            for _ in range(3):
+            for _ in range(5):
                 start = time.process_time()
                 whole = _measured(fuse(recording, options))
                 spent["whole"].append(time.process_time() - start)

@@ -1,13 +1,17 @@
-"""Recordings in object storage: read by ranges, the same as from a disk."""
+"""Object storage: recordings read by ranges, results put whole, as with a disk."""
+import csv
+import json
 import os
 import pickle
 from pathlib import Path
 
+import batch_works
 import numpy as np
 import pytest
-from test_batch import run, write
+from batch_works import Inline
+from test_batch import PLAIN, files_in, run, write
 
-from pdavis_cv import RecordingError, open_recording
+from pdavis_cv import RecordingError, batch, open_recording
 from pdavis_cv._remote import RemotePath, as_path, is_remote
 from pdavis_cv.data import example_recording
 
@@ -90,6 +94,73 @@ def test_a_batch_reads_from_a_store(memory, tmp_path):
     assert len({row["name"] for row in table}) == 2     # the third is the first
 
 
+# ---- results ---------------------------------------------------------------------
+
+OF_THE_RUN = {"started", "wall_s", "cpu_s", "peak_mib", "name", "recording"}
+
+
+def content_of(store, out):
+    """Return the objects below a name, without what belongs to runs."""
+    found = {name.partition(f"{out}/")[2]: store.cat_file(name)
+             for name in store.find(out)}
+    return {name: data for name, data in found.items() if ".batch" not in name}
+
+
+def assert_as_local(store, out, local):
+    """Compare all that a run has put with what the same one wrote on a disk."""
+    remote = content_of(store, out)
+    assert remote.keys() == files_in(local)
+    for name, data in remote.items():
+        if name.count("/"):
+            if name.endswith(".json"):     # beside a table: where the recording lies
+                continue
+            assert data == (local / name).read_bytes(), name
+        elif name.endswith(".json"):
+            one, other = json.loads(data), json.loads((local / name).read_bytes())
+            for fact in OF_THE_RUN - {"name"}:
+                one["row"].pop(fact), other["row"].pop(fact)
+            assert one["row"] == other["row"]
+    rows = list(csv.DictReader(remote["summary.csv"].decode("utf-8").splitlines()))
+    with (local / "summary.csv").open(newline="", encoding="utf-8") as file:
+        for one, other in zip(rows, csv.DictReader(file), strict=True):
+            assert {k: v for k, v in one.items() if k not in OF_THE_RUN} == {
+                k: v for k, v in other.items() if k not in OF_THE_RUN}
+
+
+def test_results_in_a_store_are_those_on_a_disk(memory, tmp_path):
+    paths = [write(tmp_path / f"run{i}.aedat4", i) for i in range(2)]
+    for out in ("memory://lab/out", tmp_path / "out"):
+        table = run(paths, out, work="traces")
+        assert [row["state"] for row in table] == ["done", "done"]
+    assert_as_local(memory, "/lab/out", tmp_path / "out")
+    assert not memory.find("/lab/out/.batch/runs")
+
+
+def test_a_store_too_is_done_once(memory, tmp_path):
+    path = write(tmp_path / "run.aedat4")
+    first = list(run([path], "memory://lab/out"))
+    again = Inline()
+    assert list(run([path], "memory://lab/out", executor=again)) == first
+    assert again.sent == 0
+    found = batch.status("memory://lab/out")
+    assert (found.done, found.failed, found.runs) == (1, 0, 0)
+
+
+def test_of_a_job_that_fails_a_store_holds_its_row_only(memory, tmp_path):
+    table = run([write(tmp_path / "run.aedat4")], "memory://lab/out",
+                work=batch_works.half)
+    name = table[0]["name"]
+    assert table[0]["error"] == "damaged in the middle"
+    assert content_of(memory, "/lab/out").keys() == {
+        f"{name}.json", "summary.csv", "index.html"}
+
+
+def test_status_of_a_store_without_results_says_so(memory):
+    memory.pipe("/lab/other", b"")
+    with pytest.raises(FileNotFoundError, match="no results of pdavis batch"):
+        batch.status("memory://lab/out")
+
+
 @pytest.mark.parametrize(("path", "remote"), [
     ("s3://bucket/run.aedat4", True), ("run.aedat4", False), ("/a//b", False),
     (Path("a/b"), False), ("file:///tmp/x", False), ("C://x", True)])
@@ -126,3 +197,21 @@ def test_an_object_of_s3_reads_as_a_file(bucket):
     path = example_recording()
     bucket.put(str(path), "lab/run.aedat4")
     assert_same(read("s3://lab/run.aedat4"), read(path))
+
+
+@pytest.mark.gate
+@pytest.mark.filterwarnings("ignore")       # of moto and its server
+def test_results_in_s3_are_those_on_a_disk(bucket, tmp_path):
+    paths = [write(tmp_path / f"run{i}.aedat4", i) for i in range(3)]
+    for out in ("s3://lab/out", tmp_path / "out"):
+        table = batch.run(paths, PLAIN, out, work="export", workers=2, progress=False)
+        assert [row["state"] for row in table] == ["done"] * 3
+    assert_as_local(bucket, "lab/out", tmp_path / "out")
+    bucket.put(str(paths[0]), "lab/run0.aedat4")
+    stored = batch.run(["s3://lab/run0.aedat4"], PLAIN, "s3://lab/other",
+                       work="export", workers=1, progress=False)
+    assert stored[0]["figures"] == table[0]["figures"]
+    again = Inline()
+    assert list(run(["s3://lab/run0.aedat4"], "s3://lab/other", work="export",
+                    executor=again)) == list(stored)
+    assert again.sent == 0

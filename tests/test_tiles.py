@@ -5,9 +5,9 @@ from concurrent.futures import Executor, Future
 
 import numpy as np
 import pytest
-from batch_works import Inline
+from test_batch import write
 
-from pdavis_cv import FusionOptions, KalmanFilter, fuse, open_recording
+from pdavis_cv import FusionOptions, fuse, open_recording
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import tiles
 from pdavis_cv.recording.stream import source_from_packets
@@ -47,25 +47,50 @@ def assert_same_bits(one, other):
                 mine.view(np.uint8), its.view(np.uint8), err_msg=name)
 
 
-@pytest.mark.parametrize("options", [
-    {"method": "cf"}, {"method": "cf", "causal": True}, {"method": "frames"},
-    {"method": "events"}, {"method": "cf", "demosaic": "superpixel"},
-    pytest.param({"method": "events", "offsets": "redundancy"}, marks=pytest.mark.gate),
-    {"method": "cf", "demosaic": "guided"},
-    {"method": "cf", "denoise": True}, {"method": "cf", "roi": (11, 7, 101, 63)}],
-    ids=lambda options: " ".join(map(str, options.values())))
-def test_stripes_are_the_same_bits(options, recording, monkeypatch):
-    monkeypatch.setattr("pdavis_cv.fusion.stripes._IMAGES", 5)
+def assert_same_images(options, source, monkeypatch, images=5, **shared):
+    """Compare with what one alone makes; return how many images and calls there were.
+    """
+    monkeypatch.setattr("pdavis_cv.fusion.stripes._IMAGES", images)
     options = FusionOptions(fps=80, layout="pdavis").replace(**options)
     executor = Pickling()
     count = 0
     for one, other in itertools.zip_longest(
-            fuse(recording, options),
-            fuse(recording, options, executor=executor, tiles=3)):
+            fuse(source, options),
+            fuse(source, options, executor=executor, tiles=3, **shared)):
         assert_same_bits(one, other)
+        assert repr(one.provenance) == repr(other.provenance)
         count += 1
     assert count > 10
-    assert executor.sent == 3 * (count // 5 + 1)     # the state was handed on
+    return count, executor.sent
+
+
+@pytest.mark.parametrize("options", [
+    {"method": "frames"}, {"method": "cf", "roi": (11, 7, 101, 63)},
+    {"method": "cf", "demosaic": "superpixel", "causal": True}, *(
+        pytest.param(one, marks=pytest.mark.gate) for one in (
+            {"method": "cf"}, {"method": "events"},
+            {"method": "events", "offsets": "redundancy"},
+            {"method": "cf", "demosaic": "guided"},
+            {"method": "cf", "denoise": True}))],
+    ids=lambda options: " ".join(map(str, options.values())))
+def test_stripes_are_the_same_bits(options, recording, monkeypatch):
+    count, sent = assert_same_images(options, recording, monkeypatch)
+    assert sent == 3 * (count // 5 + (count % 5 > 0))   # the state was handed on
+
+
+def test_where_all_pixels_count_time_is_divided_to_the_same_bits(
+        tmp_path, monkeypatch):
+    with open_recording(write(tmp_path / "run.aedat4")) as small:
+        count, sent = assert_same_images(
+            {"method": "kalman", "fps": 300, "roi": (1, 2, 5, 4)}, small, monkeypatch)
+    assert sent == count // 5 + (count % 5 > 0)
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("options", [{}, {"causal": True}, {"mode": "offline"}],
+                         ids=lambda options: " ".join(options) or "buffered")
+def test_pieces_of_time_of_a_camera_are_the_same_bits(options, recording, monkeypatch):
+    assert_same_images({"method": "kalman", **options}, recording, monkeypatch)
 
 
 @pytest.mark.parametrize("shape", [(260, 346), (7, 5), (2, 2), (1, 4)])
@@ -86,22 +111,15 @@ def test_no_stripe_is_refused():
         tiles((4, 4), 0)
 
 
-def test_a_method_that_looks_at_all_pixels_says_what_to_do(recording):
-    with pytest.raises(ValueError, match=r"kalman depends on all others .threads="):
-        fuse(recording, method="kalman", layout="pdavis", executor=Inline())
+@pytest.mark.parametrize("causal", [False, True])
+def test_what_is_read_once_is_shared_too(causal, recording):
+    def images(**shared):
+        source = source_from_packets(recording.info, recording.packets())
+        return list(fuse(source, method="cf", layout="pdavis", fps=20, causal=causal,
+                         **shared))
 
-
-def test_what_is_read_once_is_refused(recording):
-    source = source_from_packets(recording.info, recording.packets())
-    with pytest.raises(TypeError, match="executor needs a Recording"):
-        fuse(source, method="cf", executor=Inline())
-
-
-def test_a_method_of_ones_own_says_by_its_margin(recording):
-    class Bounded(KalmanFilter):
-        margin = 0
-
-    assert fuse(recording, method=Bounded, layout="pdavis", executor=Inline())
+    for one, other in zip(images(), images(executor=Pickling(), tiles=2), strict=True):
+        assert_same_bits(one, other)
 
 
 @pytest.mark.gate

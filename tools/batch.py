@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.files, options, args.out, work=work, executor=args.executor,
         workers=args.jobs, retries=args.retries, timeout_s=args.timeout)
     if args.parquet:
-        table.write_parquet(f"{args.out}/summary.parquet")
+        table.write_parquet()
     failed = table.failed
     for row in failed[:20]:
         print(f"{row['recording']}: {row['error']}")
@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "files", nargs="+", metavar="FILE",
         help="recordings; or: status OUT")
-    parser.add_argument("-o", "--out", metavar="OUT", help="folder of the results")
+    parser.add_argument("-o", "--out", metavar="OUT", help="folder of the results, or s3://...")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE,...",
         dest="settings", type=_setting,

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
-from pdavis_cv.batch.pools import ProcessPool
+from pdavis_cv.batch.processes import ProcessPool
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.render.colours import Picture
 
@@ -163,8 +163,8 @@ def _parser() -> argparse.ArgumentParser:
         help="keep what an interruption leaves of a stack, and continue it")
     parser.add_argument(
         "--jobs", type=within(1, 1024), default=1, metavar="N",
-        help="processes that share the rows of the sensor, for methods whose pixels "
-             "depend on a neighbourhood, such as cf; default 1")
+        help="processes that share the sensor's rows, or the time where pixels depend "
+             "on all others, as with kalman; default 1")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",

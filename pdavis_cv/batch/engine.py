@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
+import platform
 import time
 import warnings
 from collections import deque
@@ -25,7 +25,6 @@ from pdavis_cv.batch.table import Table
 from pdavis_cv.batch.worker import Row, failed_row, perform
 from pdavis_cv.batch.works import work_of
 from pdavis_cv.errors import PdavisWarning
-from pdavis_cv.export.files import write_json
 from pdavis_cv.fusion.options import FusionOptions
 
 __all__ = ["plan", "run"]
@@ -63,8 +62,9 @@ def run(
     jobs : FusionOptions, or iterable of FusionOptions
         Each recording is fused with each.
     out : path
-        Folder of the results; all workers must see it.  Holds ``NAME/`` and
-        ``NAME.json`` for each job, ``summary.csv`` and ``index.html``.
+        Folder of the results, or with a scheme their place in object storage; all
+        workers must see it.  Holds ``NAME/`` and ``NAME.json`` for each job,
+        ``summary.csv`` and ``index.html``.
     work : str or Work
         One of ``WORKS`` or a function of your own module:
         ``(recording, options, folder)`` writes files into `folder` and returns
@@ -387,8 +387,8 @@ class _Told:
         self, results: Results, total: int | None, show: Callable[[int, int], None]
     ) -> None:
         self._show, self._total = show, total
-        host = socket.gethostname()
-        self._path = results.runs / f"{host}-{os.getpid()}-{id(self):x}.json"
+        host = platform.node()
+        self._results, self._run = results, f"{host}-{os.getpid()}-{id(self):x}"
         self._done = self._failed = 0
         self._told_s = 0.0
         self._facts = {"host": host, "pid": os.getpid(), "total": total,
@@ -407,14 +407,14 @@ class _Told:
             return
         self._told_s = time.monotonic()
         with contextlib.suppress(OSError):
-            write_json(self._path, {
+            self._results.tell(self._run, {
                 **self._facts, "done": self._done, "failed": self._failed,
                 "running": running, "seen_s": time.time()})
 
     def end(self) -> None:
         """Say no more."""
         with contextlib.suppress(OSError):
-            self._path.unlink()
+            self._results.forget(self._run)
 
 
 @contextlib.contextmanager

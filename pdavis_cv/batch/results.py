@@ -62,24 +62,28 @@ class Results:
     def __init__(self, out: str | os.PathLike[str]) -> None:
         self.out = Path(out)
         self._own = self.out / ".batch"
-        self._parts, self._claims, self._identities, self.runs = (
-            self._own / name for name in ("parts", "claims", "identities", "runs"))
+        self._parts, self._claims = self._own / "parts", self._own / "claims"
 
     def begin(self) -> None:
         """Make the folders."""
-        for folder in (self._parts, self._claims, self._identities, self.runs):
-            folder.mkdir(parents=True, exist_ok=True)
+        for name in ("parts", "claims", "identities", "runs"):
+            (self._own / name).mkdir(parents=True, exist_ok=True)
 
     # ---- what is there -------------------------------------------------------
 
     def marker(self, name: str) -> Mapping[str, Any] | None:
         """Return what the marker of a job holds, None if there is none."""
         try:
-            facts: Mapping[str, Any] = json.loads(
-                (self.out / f"{name}.json").read_bytes())
+            facts: Mapping[str, Any] = json.loads(self._read(f"{name}.json"))
         except FileNotFoundError:
             return None
         return facts
+
+    def _read(self, name: str) -> bytes:
+        return (self.out / name).read_bytes()
+
+    def _write(self, name: str, facts: Mapping[str, Any]) -> None:
+        write_json(self.out / name, facts)
 
     def is_done(self, name: str) -> bool:
         """Tell whether a job has been done, and not only tried."""
@@ -187,9 +191,10 @@ class Results:
                      for one in files]
         except OSError:
             return f"unread {source}"
-        kept = self._identities / hashlib.sha256(source.encode()).hexdigest()[:32]
+        digest = hashlib.sha256(source.encode()).hexdigest()[:32]
+        kept = f".batch/identities/{digest}"
         with contextlib.suppress(OSError, ValueError, KeyError):
-            known = json.loads(kept.read_bytes())
+            known = json.loads(self._read(kept))
             if known["state"] == state:
                 return str(known["sha256"])
         try:
@@ -197,8 +202,24 @@ class Results:
         except OSError:
             return f"unread {source}"
         with contextlib.suppress(OSError):      # it is looked at again then
-            write_json(kept, {"state": state, "sha256": found})
+            self._write(kept, {"state": state, "sha256": found})
         return found
+
+    # ---- how far runs are ----------------------------------------------------
+
+    def tell(self, run: str, facts: Mapping[str, Any]) -> None:
+        """Note how far a run is."""
+        self._write(f".batch/runs/{run}.json", facts)
+
+    def forget(self, run: str) -> None:
+        """Note that a run has ended."""
+        (self._own / "runs" / f"{run}.json").unlink()
+
+    def told(self) -> Iterator[dict[str, Any]]:
+        """Yield what runs have told."""
+        for path in (self._own / "runs").glob("*.json"):
+            with contextlib.suppress(OSError, ValueError):  # it has just ended
+                yield json.loads(path.read_bytes())
 
 
 def _remove(path: Path) -> None:
@@ -220,10 +241,13 @@ def _digest(files: list[Path]) -> str:
 
 
 def results_at(out: str | os.PathLike[str]) -> Results:
-    """Return the results at a path.
+    """Return the results at a path, which may have a scheme.
 
     Parameters
     ----------
     out : path
     """
+    if is_remote(out):
+        from pdavis_cv.batch.stored import StoredResults
+        return StoredResults(str(out))
     return Results(out)

@@ -1,7 +1,6 @@
 """How far the jobs of a folder are, for whoever asks while they are done."""
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections import Counter
@@ -85,15 +84,7 @@ def status(out: str | os.PathLike[str]) -> Status:
 
 
 def _alive(results: Results) -> list[dict[str, Any]]:
-    found = []
-    for path in results.runs.glob("*.json"):
-        try:
-            run = json.loads(path.read_bytes())
-        except (OSError, ValueError):
-            continue        # it has just ended
-        if time.time() - run["seen_s"] < _SILENT_S:
-            found.append(run)
-    return found
+    return [run for run in results.told() if time.time() - run["seen_s"] < _SILENT_S]
 
 
 def _left_s(run: dict[str, Any]) -> float | None:

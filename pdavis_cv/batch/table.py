@@ -112,12 +112,13 @@ class Table(Sequence[Row]):
         columns = self.columns
         write_csv(path, columns, (self.cells(row, columns) for row in self))
 
-    def write_parquet(self, path: Any) -> None:
+    def write_parquet(self, path: Any = None) -> None:
         """Write all rows as Parquet; columns of numbers are numbers.
 
         Parameters
         ----------
-        path : path
+        path : path, optional
+            Default ``summary.parquet`` beside the results.
 
         Raises
         ------
@@ -134,7 +135,8 @@ class Table(Sequence[Row]):
         values = list(zip(*(self.cells(row, columns) for row in self), strict=True))
         made = {name: _of_one_type(column) for name, column in zip(
             columns, values or [()] * len(columns), strict=True)}
-        with pdavis_cv.export.write_beside(path) as part:
+        with self._results.written("summary.parquet") if path is None else (
+                pdavis_cv.export.write_beside(path)) as part:
             parquet.write_table(pyarrow.table(made), part)
 
     def write_page(self, path: Any) -> None:

@@ -6,7 +6,6 @@ import ctypes
 import json
 import platform
 import signal
-import socket
 import threading
 import time
 import traceback
@@ -99,7 +98,7 @@ def _row(job: Job, attempt: int) -> Row:
         "options": given(job.options), "figures": {}, "problems": 0, "warnings": [],
         "files": [], "attempt": attempt, "wall_s": None, "cpu_s": None,
         "peak_mib": None, "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "host": socket.gethostname(), "version": pdavis_cv.__version__}
+        "host": platform.node(), "version": pdavis_cv.__version__}
 
 
 def _provenance(job: Job) -> dict[str, Any]:

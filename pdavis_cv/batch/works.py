@@ -6,27 +6,24 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import pdavis_cv
 from pdavis_cv import export
-from pdavis_cv.analysis import (
-    LeftOutFrames,
-    Roi,
-    TraceRecorder,
-    Traces,
-    observed,
-    parse_roi,
-)
 from pdavis_cv.batch.jobs import Work
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.export.stacks import StackFile, names_of
-from pdavis_cv.fusion import Fusion, FusionOptions, fuse, thresholds_in_situ
-from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Estimate
+from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.reconstruct.methods import default_method
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.selfcal import CameraEstimate
+
+if TYPE_CHECKING:   # what does the work is loaded by those who do it
+    from pdavis_cv.analysis import LeftOutFrames, Roi, Traces
+    from pdavis_cv.polarimetry import PolarFrame
+    from pdavis_cv.reconstruct.base import Estimate
+    from pdavis_cv.selfcal import CameraEstimate
 
 __all__ = ["WORKS", "Calibrate", "Export", "Score", "Trace", "measured_parts",
            "predicted", "predicted_images", "work_of"]
@@ -97,7 +94,7 @@ class Export(_Part):
         self, recording: Recording, options: FusionOptions, folder: Path
     ) -> Mapping[str, Any]:
         """Write ``images`` with the suffix, and ``preview.png`` where OpenCV is."""
-        images = fuse(recording, self._of(recording, options))
+        images = pdavis_cv.fuse(recording, self._of(recording, options))
         first = _first(images)
         facts = export.provenance(first.provenance, recording.path)
         path = folder / f"images{self.suffix}"
@@ -129,10 +126,11 @@ class Trace(_Part):
         self, recording: Recording, options: FusionOptions, folder: Path
     ) -> Mapping[str, Any]:
         """Write ``traces.csv``; figures are means over time."""
-        images = fuse(recording, self._of(recording, options))
+        images = pdavis_cv.fuse(recording, self._of(recording, options))
         first = _first(images)
-        rois = [roi for text in self.regions for roi in parse_roi(text)]
-        recorder = TraceRecorder(rois or [_whole(recording, options)])
+        analysis = pdavis_cv.analysis
+        rois = [roi for text in self.regions for roi in analysis.parse_roi(text)]
+        recorder = analysis.TraceRecorder(rois or [_whole(recording, options)])
         recorder.add(first)
         for image in images:
             recorder.add(image)
@@ -146,7 +144,8 @@ class Trace(_Part):
 
 def _whole(recording: Recording, options: FusionOptions) -> Roi:
     height, width = recording.info.sensor_size
-    return Roi.from_rectangle(*(options.roi or (0, 0, width, height)), name="all")
+    return pdavis_cv.analysis.Roi.from_rectangle(
+        *(options.roi or (0, 0, width, height)), name="all")
 
 
 def _means(traces: Traces) -> dict[str, float]:
@@ -181,15 +180,15 @@ class Score:
         self, recording: Recording, options: FusionOptions, folder: Path
     ) -> Mapping[str, Any]:
         """Return what ``pdavis score`` tells of one method, and write nothing."""
-        left_out = LeftOutFrames(
+        left_out = pdavis_cv.analysis.LeftOutFrames(
             recording, stop_us=start_of(recording) + round(self.seconds * 1e6))
         asked = {one.name: getattr(options, one.name)
                  for one in dataclasses.fields(options)
                  if one.name not in ("fps", "times_us", "start_us", "stop_us",
                                      "parameters", "demosaic")}
         asked |= dict(options.parameters)
-        asked["method"] = Fusion(left_out.kept, options).method if (
-            options.method is None) else options.method
+        if options.method is None:
+            asked["method"] = default_method(left_out.kept.info)
         scores = left_out.score(predicted(left_out, **asked))
         return {"frames": len(left_out.times_us), **{
             f"{score.kind} {name}": getattr(score, name) for score in scores
@@ -222,11 +221,14 @@ def predicted_images(
 ) -> Iterator[tuple[PolarFrame, Estimate]]:
     """Yield each image of super-pixels beside what `predicted` yields for it."""
     seen: list[Estimate] = []
-    options = {**options, "method": observed(options["method"], seen),
-               "demosaic": "superpixel"}
+    from pdavis_cv.fusion import Fusion
+
+    options = {**options, "demosaic": "superpixel",
+               "method": pdavis_cv.analysis.observed(options["method"], seen)}
     recording: Recording = left_out.kept
     clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
-    for image in fuse(recording, times_us=left_out.times_us + clock_us, **options):
+    times_us = left_out.times_us + clock_us
+    for image in pdavis_cv.fuse(recording, times_us=times_us, **options):
         yield image, seen[0]
 
 
@@ -247,7 +249,7 @@ class Calibrate:
     ) -> Mapping[str, Any]:
         """Write ``camera.npz``; `options` give what is known, by ``calibration``."""
         info, known = recording.info, options.calibration
-        found = thresholds_in_situ(
+        found = pdavis_cv.thresholds_in_situ(
             recording, nominal=self.nominal, calibration=known)
         values = {name: value for name, value in measured_parts(found).items()
                   if value is not None}
@@ -286,10 +288,8 @@ def _first(images: Iterable[PolarFrame]) -> PolarFrame:
 
 def _draw(image: PolarFrame, folder: Path) -> None:
     """Write a small picture, where OpenCV is there to draw it."""
-    from pdavis_cv import render
-
     with contextlib.suppress(ImportError):
-        export.write_png(folder / _PICTURE, render.summary(image))
+        export.write_png(folder / _PICTURE, pdavis_cv.render.summary(image))
 
 
 WORKS: dict[str, Work] = {"export": Export(), "traces": Trace(), "score": Score(),

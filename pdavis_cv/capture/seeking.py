@@ -58,6 +58,8 @@ class Cursor:
         If the fusion is of a Source that is read once.
     """
 
+    fusion: Fusion
+
     def __init__(self, fusion: Fusion) -> None:
         if not isinstance(fusion.recording, Recording):
             raise TypeError(

@@ -1,9 +1,10 @@
 """fuse(): polarization images at any time; the one place that orders time."""
 from __future__ import annotations
 
+import functools
 import itertools
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from fractions import Fraction
 from types import MappingProxyType
@@ -23,12 +24,13 @@ from pdavis_cv.fusion.camera import (
     response_of,
 )
 from pdavis_cv.fusion.feed import Feed
-from pdavis_cv.fusion.images import ImageMaker, Samples, samples_of
+from pdavis_cv.fusion.images import ImageMaker, Samples
 from pdavis_cv.fusion.learning import Learning, OnlineLearning, Tuning
 from pdavis_cv.fusion.options import FusionOptions, takes_options
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
-from pdavis_cv.fusion.states import AsItArrives, InOrder, states_of
-from pdavis_cv.fusion.window import checked_roi, window_of
+from pdavis_cv.fusion.states import AsItArrives, InOrder, Script, states_of
+from pdavis_cv.fusion.window import Window, checked_roi, window_of
+from pdavis_cv.mosaic import REACH
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import LampTracker
@@ -38,6 +40,7 @@ from pdavis_cv.reconstruct.methods import (
     make_reconstructor,
 )
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
+from pdavis_cv.sensor import Layout
 
 __all__ = ["Fusion", "fuse"]
 
@@ -68,10 +71,11 @@ def fuse(
     options : FusionOptions, optional
         What to begin with; the keywords below change it.
     executor : concurrent.futures.Executor, optional
-        Works on stripes of the sensor; the images are the same bits.  For a Recording,
-        and methods whose pixels depend on a neighbourhood only, such as ``cf``.
+        Works on stripes of the sensor; the images are the same bits.  The recording
+        is read here, once.  Where pixels depend on all others, as with ``kalman``, on
+        pieces of time: from states that are followed here, without making images.
     tiles : int, optional
-        How many stripes; default one per core.
+        How many stripes, or pieces at a time; default one per core.
     {options}
     **method_parameters
         Passed to the method, e.g. ``cutoff_hz`` for ``cf``.
@@ -135,6 +139,8 @@ class Fusion:
 
     method: str
     needs: Needs
+    layout: Layout
+    shape: tuple[int, int]
     _t: int | None
     _corrected: FrameCorrection
 
@@ -161,10 +167,8 @@ class Fusion:
         self._workers = Workers(options.threads)
         self._clock_us = self._learning.prior.clock_us
         self.roi, self.margin = roi, asked.margin
-        self.window = window_of(roi, info.sensor_size, options.demosaic, asked.margin)
-        self._response = response_of(
-            self.window.layout(self.layout), options.calibration,
-            self.window.rows, self.window.columns)
+        self.window = window_of(
+            roi, info.sensor_size, asked.margin + REACH[options.demosaic])
         self._images = ImageMaker(
             self.window, roi, self.layout, options.demosaic, ratio,
             options.calibration, info.sensor, self._workers)
@@ -263,20 +267,15 @@ class Fusion:
         return self._images.image(
             method, self._t, self._frame_us(method, self._t), self.provenance)
 
-    def samples(self) -> tuple[object | None, Samples]:
-        """Return what `Reconstructor.shows` tells, and the region's samples."""
-        assert self._t is not None
-        assert self._states is not None
-        method = self._states.method
-        return method.shows(self._t), samples_of(method, self._t).part(
-            *self.window.part(self.roi))
-
-    def made(self, samples: Samples, t_us: int, frame_us: int | None) -> PolarFrame:
+    def made(
+        self, samples: Samples, t_us: int, frame_us: int | None,
+        provenance: Mapping[str, Any],
+    ) -> PolarFrame:
         """Return the image of samples of the whole `window`."""
-        return self._images.made(samples, t_us, frame_us, self.provenance)
+        return self._images.made(samples, t_us, frame_us, provenance)
 
     def frame_us(self) -> int | None:
-        """Return the mid-exposure of the last frame that `image` uses."""
+        """Return the mid-exposure of the last frame that an image here would use."""
         assert self._t is not None
         assert self._states is not None
         return self._frame_us(self._states.method, self._t)
@@ -429,7 +428,7 @@ class Fusion:
         self._frames: deque[tuple[int, int]] = deque()
         self._feed: Feed | None = None
         self._peeked = False        # the beginning of the stream was found
-        self._states: InOrder | AsItArrives | None = None
+        self._states: InOrder | AsItArrives | Script | None = None
         self._online: OnlineLearning | None = None
         self._lamp: LampTracker | None = None
         self._corrected: FrameCorrection = FrameCorrection(self.options.calibration)
@@ -459,18 +458,6 @@ class Fusion:
     def _learns_first(self) -> bool:
         return bool(self._learning.wanted) and not self.options.causal
 
-    def learned(self, by_another: Tuning | None = None) -> Tuning:
-        """Return what is known before the first image.
-
-        Parameters
-        ----------
-        by_another : Tuning, optional
-            What another Fusion, equal but for its region, has learned.
-        """
-        if by_another is not None:
-            self._tuning = by_another
-        return self._learned()
-
     def _learned(self) -> Tuning:
         """Return what is known before the first image: not causal, by a beginning."""
         if self._tuning is None:
@@ -491,8 +478,9 @@ class Fusion:
         if self._learning.wanted and self.options.causal:
             self._online = OnlineLearning(self._learning)
         self._states = states_of(
-            self._made, self.window, None if self._online is None
-            else self._online.camera, causal=self.options.causal)
+            self.maker(self.window, self._workers), self.window,
+            None if self._online is None else self._online.camera,
+            causal=self.options.causal)
         self._set_clock(tuning.clock_us)
         if self.needs.lamp:
             # Over the whole sensor, so that an image of a region is the crop.
@@ -501,16 +489,17 @@ class Fusion:
                 tuning.parameters.get("bandwidth"))
         self._say(self._states.method.parameters)
 
-    def _made(self) -> Reconstructor:
-        assert self._tuning is not None
-        plane = self.window.plane
-        made = make_reconstructor(
-            self._factory, self.window.shape, plane(self._tuning.theta_on),
-            plane(self._tuning.theta_off),
-            {name: plane(value) for name, value in self._tuning.parameters.items()},
-            self._response, self._denoise)
-        made.workers = self._workers
-        return made
+    def maker(
+        self, window: Window, workers: Workers
+    ) -> Callable[[], Reconstructor]:
+        """Return what makes the method for a window, with what is known beforehand."""
+        tuning, plane = self._learned(), window.plane
+        response = response_of(window.layout(self.layout), self.options.calibration,
+                               window.rows, window.columns)
+        return functools.partial(
+            _made, workers, self._factory, window.shape, plane(tuning.theta_on),
+            plane(tuning.theta_off),
+            window.planes(tuning.parameters), response, self._denoise)
 
     def _say(self, parameters: Mapping[str, Any]) -> None:
         """Put the parameters in force into the provenance of the images to come."""
@@ -521,8 +510,8 @@ class Fusion:
     def _set_clock(self, clock_us: int) -> None:
         """Add this to the exposure times of the frames to come."""
         self._clock_us = clock_us
-        if isinstance(self._states, AsItArrives):
-            self._states.clock_us = clock_us
+        if self._states is not None:
+            self._states.set_clock(clock_us)
         if self._feed is not None:
             self._feed.clock_us = clock_us
 
@@ -592,8 +581,7 @@ class Fusion:
             if self.needs.frames:
                 changed = {**changed, "frames_moved_us": moved_us}
         if changed:
-            self._states.retune(t_us, {
-                name: self.window.plane(value) for name, value in changed.items()})
+            self._states.retune(t_us, changed)
         if self._lamp is not None and "bandwidth" in changed:
             self._lamp.retune(changed["bandwidth"])
         self._say(self._states.method.parameters)
@@ -602,3 +590,10 @@ class Fusion:
         arrived = self.options.causal or method.shows_at_readout
         return next((mid for mid, available in reversed(self._frames)
                      if (available if arrived else mid) <= t), None)
+
+
+def _made(workers: Workers, *described: Any) -> Reconstructor:
+    """Return what `make_reconstructor` makes, with threads to share its rows."""
+    made = make_reconstructor(*described)
+    made.workers = workers
+    return made

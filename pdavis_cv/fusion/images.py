@@ -47,10 +47,9 @@ class Samples(NamedTuple):
     quality: NDArray[np.float32] | None
 
     def part(self, rows: slice, columns: slice) -> Samples:
-        """Return those of a part, in memory of their own."""
+        """Return those of a part; views."""
         return Samples._make(
-            None if plane is None else np.ascontiguousarray(plane[rows, columns])
-            for plane in self)
+            None if plane is None else plane[rows, columns] for plane in self)
 
     @classmethod
     def stacked(cls, parts: Sequence[Samples]) -> Samples:

@@ -5,6 +5,7 @@ import warnings
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
@@ -17,7 +18,32 @@ from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal import SelfCalibration
 
-__all__ = ["AsItArrives", "InOrder", "Replayed", "states_of"]
+__all__ = ["AsItArrives", "Held", "InOrder", "Replayed", "Script", "Told", "states_of"]
+
+Told = tuple[str, tuple[Any, ...]]
+"""Name of a method of the states, and what it was called with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """All that states hold, to go on with elsewhere; picklable.
+
+    Parameters
+    ----------
+    state : Snapshot
+    fed_us, behind_us : int or None
+        As of the states.
+    since : tuple of ndarray of EVENT_DTYPE
+        Events after behind_us.
+    clock_us : int
+        Added to the exposure times of frames that arrive.
+    """
+
+    state: Snapshot
+    fed_us: int | None
+    behind_us: int | None
+    since: tuple[NDArray[Any], ...] = ()
+    clock_us: int = 0
 
 
 class InOrder:
@@ -75,8 +101,8 @@ class InOrder:
         self.method.settle(t_us)
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Go on from t_us with other parameters of the method."""
-        self.method.retune(**learned)
+        """Go on from t_us with other parameters of the method, of the whole sensor."""
+        self.method.retune(**self.window.planes(learned))
 
     def snapshot(self) -> Snapshot:
         """Return the state after everything up to `fed_us`."""
@@ -93,6 +119,17 @@ class InOrder:
         """Return to what `snapshot` returned."""
         self.method.restore(snapshot)
         self.fed_us = fed_us
+
+    def set_clock(self, clock_us: int) -> None:
+        """Nothing to do: what feeds it moves the frames."""
+
+    def held(self) -> Held:
+        """Return all that is held."""
+        return Held(self.snapshot(), self.fed_us, self.behind_us)
+
+    def take(self, held: Held) -> None:
+        """Go on from what equal states held."""
+        self.restore(held.state, held.fed_us, held.behind_us)
 
 
 class AsItArrives:
@@ -173,8 +210,8 @@ class AsItArrives:
         self.method.settle(t_us)
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Go on from t_us with other parameters of the method."""
-        self.method.retune(**learned)
+        """Go on from t_us with other parameters of the method, of the whole sensor."""
+        self.method.retune(**self.window.planes(learned))
 
     def snapshot(self) -> Snapshot:
         """Return the state after everything up to `fed_us`."""
@@ -187,6 +224,21 @@ class AsItArrives:
         self.method.restore(snapshot)
         self.fed_us, self.behind_us = fed_us, behind_us
         self._since.clear()
+
+    def set_clock(self, clock_us: int) -> None:
+        """Add this to the exposure times of the frames to come."""
+        self.clock_us = clock_us
+
+    def held(self) -> Held:
+        """Return all that is held."""
+        return Held(self.snapshot(), self.fed_us, self.behind_us, tuple(self._since),
+                    self.clock_us)
+
+    def take(self, held: Held) -> None:
+        """Go on from what equal states held."""
+        self.restore(held.state, held.fed_us, held.behind_us)
+        self._since = deque(held.since)
+        self.clock_us = held.clock_us
 
     @property
     def _follows(self) -> bool:
@@ -249,14 +301,15 @@ class Replayed(AsItArrives):
         """Note that everything that arrived up to t_us has been there."""
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Go on from t_us with other parameters of the method.
+        """Go on from t_us with other parameters of the method, of the whole sensor.
 
         They hold from where the state behind is: at a place that the stream alone
         determines, not the packets that it came in.
         """
         self._advance(t_us - LONGEST_DELAY_US)
-        self._behind.retune(**learned)
-        self.method.retune(**learned)
+        seen = self.window.planes(learned)
+        self._behind.retune(**seen)
+        self.method.retune(**seen)
         self._catch_up()
 
     def snapshot(self) -> Snapshot:
@@ -269,6 +322,11 @@ class Replayed(AsItArrives):
         """Return to what `snapshot` returned; events after behind_us are fed again."""
         super().restore(snapshot, None, behind_us)
         self._behind.restore(snapshot)
+
+    def take(self, held: Held) -> None:
+        """Go on from what equal states held."""
+        super().take(held)
+        self._catch_up()
 
     def _use(self, frame: ApsFrame) -> None:
         self._behind.add_frame(frame)
@@ -309,3 +367,81 @@ def states_of(
     if method.takes_late_frames:
         return AsItArrives(method, window, camera)
     return Replayed(method, made(), window, camera)
+
+
+class Script:
+    """Notes what states are told, in order, so that others can be told the same.
+
+    Parameters
+    ----------
+    states : InOrder or AsItArrives
+    follow : bool
+        Whether these do what they are told; else they only say what their method is.
+
+    Attributes
+    ----------
+    told : list of Told
+        Since it was last emptied.
+    """
+
+    def __init__(self, states: InOrder | AsItArrives, *, follow: bool) -> None:
+        self.states, self._follow = states, follow
+        self.told: list[Told] = []
+
+    @property
+    def method(self) -> Reconstructor:
+        """The current state."""
+        return self.states.method
+
+    @property
+    def fed_us(self) -> int | None:
+        """Time up to which, inclusive, the states have been fed."""
+        return self.states.fed_us
+
+    @property
+    def behind_us(self) -> int | None:
+        """Time up to which, inclusive, nothing acts any more."""
+        return self.states.behind_us
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Note events of the whole sensor."""
+        self._tell("add_events", events)
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Note a frame of the whole sensor, corrected."""
+        self._tell("add_frame", frame)
+
+    def add_wave(self, wave: Wave) -> None:
+        """Note how the lamp flickers."""
+        self._tell("add_wave", wave)
+
+    def passed(self, t_us: int) -> None:
+        """Note that everything up to t_us, inclusive, has been there."""
+        self._tell("passed", t_us)
+
+    def settle(self, t_us: int) -> None:
+        """Note that what is due can be done."""
+        self._tell("settle", t_us)
+
+    def set_clock(self, clock_us: int) -> None:
+        """Note by how much the stamps of frames are off."""
+        self._tell("set_clock", clock_us)
+
+    def retune(self, t_us: int, learned: dict[str, Any]) -> None:
+        """Note other parameters of the method."""
+        self._tell("retune", t_us, learned)
+
+    def snapshot(self) -> Snapshot:
+        """Return the state after everything up to `fed_us`."""
+        return self.states.snapshot()
+
+    def restore(
+        self, snapshot: Snapshot, fed_us: int | None, behind_us: int | None
+    ) -> None:
+        """Return to what `snapshot` returned."""
+        self.states.restore(snapshot, fed_us, behind_us)
+
+    def _tell(self, name: str, *args: Any) -> None:
+        self.told.append((name, args))
+        if self._follow:
+            getattr(self.states, name)(*args)

@@ -1,27 +1,36 @@
-"""One recording by several workers: stripes of the sensor, joined to the same bits."""
+"""One recording by several workers: the same bits as by one.
+
+One process reads the recording and notes what a state of the whole sensor is told;
+workers tell it to states of stripes, or of pieces of time.
+"""
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv._workers import Workers
 from pdavis_cv.fusion.engine import Fusion
-from pdavis_cv.fusion.images import Samples
-from pdavis_cv.fusion.learning import Tuning
+from pdavis_cv.fusion.images import Samples, samples_of
 from pdavis_cv.fusion.options import FusionOptions
-from pdavis_cv.fusion.snapshot import FusionSnapshot
-from pdavis_cv.fusion.window import Roi
+from pdavis_cv.fusion.states import AsItArrives, Held, InOrder, Script, Told, states_of
+from pdavis_cv.fusion.window import Roi, Window, window_of
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import WHOLE_SENSOR
-from pdavis_cv.recording.base import Recording, Source
+from pdavis_cv.reconstruct.base import WHOLE_SENSOR, Reconstructor
+from pdavis_cv.recording.base import Source
 
 __all__ = ["fuse_tiles", "tiles"]
 
 _IMAGES = 64
 """In a piece of work: its state is handed on after it.  With fewer that costs more than
 a few percent, with more the images of several stripes take more memory."""
+_READ = "read"
 
 
 def tiles(shape: tuple[int, int], n: int) -> tuple[Roi, ...]:
@@ -65,39 +74,144 @@ def _stripes(roi: Roi, n: int) -> tuple[Roi, ...]:
 
 
 @dataclass(frozen=True, eq=False)
+class _Stripe:
+    """A part of the sensor, or all of it, that a worker computes.
+
+    Parameters
+    ----------
+    window : Window
+        What is computed.
+    part : (slice, slice)
+        Rows and columns of it that are wanted.
+    make : callable
+        Makes the method for the window.
+    causal : bool
+        Whether frames count from when they arrive on.
+    """
+
+    window: Window
+    part: tuple[slice, slice]
+    make: Callable[[], Reconstructor]
+    causal: bool
+
+    def seen(self, told: Sequence[Told]) -> list[Told]:
+        """Return what states of this window alone are told."""
+        found: list[Told] = []
+        for name, args in told:
+            if name == "add_events":
+                events = self.window.events(args[0])
+                if len(events):
+                    found.append((name, (events,)))
+            elif name == "add_frame":
+                found.append((name, (self.window.frame(args[0]),)))
+            elif name == "retune":
+                found.append((name, (args[0], self.window.planes(args[1]))))
+            else:
+                found.append((name, args))
+        return found
+
+    def states(self) -> InOrder | AsItArrives:
+        """Make states that take what `seen` returns."""
+        height, width = self.window.shape
+        whole = Window(slice(0, height), slice(0, width), (height, width))
+        return states_of(self.make, whole, None, causal=self.causal)
+
+
+@dataclass(frozen=True, eq=False)
 class _Piece:
-    """Some images of a stripe, and the state before them."""
+    """Some images of a stripe.
 
-    recording: Recording
-    options: FusionOptions
-    tuning: Tuning
-    before: FusionSnapshot | None
+    Parameters
+    ----------
+    stripe : _Stripe
+    told : sequence of Told
+        To its states, and when they are read.
+    before : Held or None
+        What they held before.
+    hand_on : bool
+        Whether what they hold afterwards is wanted.
+    """
+
+    stripe: _Stripe
+    told: Sequence[Told]
+    before: Held | None
+    hand_on: bool
 
 
-class _Sampled(NamedTuple):
-    """Samples of a stripe at a time; None where they are those of the image before."""
-
-    t_us: int
-    frame_us: int | None
-    samples: Samples | None
-
-
-def _work(piece: _Piece) -> tuple[list[_Sampled], FusionSnapshot]:
-    """Return the samples of a piece, fewer at the end, and the state after them."""
-    fusion = Fusion(piece.recording, piece.options)
-    fusion.learned(piece.tuning)
+def _work(piece: _Piece) -> tuple[list[Samples | None], Held | None]:
+    """Return the samples of a piece, None for those of the image before."""
+    states = piece.stripe.states()
     if piece.before is not None:
-        fusion.restore(piece.before)
-    found: list[_Sampled] = []
+        states.take(piece.before)
+    found: list[Samples | None] = []
     last: object | None = None
-    while len(found) < _IMAGES and fusion.advance():
-        shown, samples = fusion.samples()
-        same = shown is not None and shown is last
-        assert fusion.t_us is not None
-        found.append(_Sampled(
-            fusion.t_us, fusion.frame_us(), None if same else samples))
+    valid: NDArray[np.bool_] | None = None
+    for name, args in piece.told:
+        if name != _READ:
+            getattr(states, name)(*args)
+            continue
+        shown = states.method.shows(*args)
+        if shown is not None and shown is last:
+            found.append(None)
+            continue
+        samples = samples_of(states.method, *args).part(*piece.stripe.part)
+        if valid is None or not np.array_equal(samples.valid, valid):
+            valid = samples.valid
+        found.append(samples._replace(valid=valid))     # one object is sent once
         last = shown
-    return found, fusion.snapshot()
+    return found, states.held() if piece.hand_on else None
+
+
+class _Leader(Fusion):
+    """Reads the recording, and says what its states are told.
+
+    They do it too where the whole sensor has to be followed.
+    """
+
+    def _start(self) -> None:
+        super()._start()
+        assert isinstance(self._states, InOrder | AsItArrives)
+        self._states = self.script = Script(self._states, follow=self.follows)
+        self._set_clock(self._clock_us)     # those who are told begin at 0
+
+    @property
+    def by_time(self) -> bool:
+        """Whether time is divided, and not the sensor."""
+        return self.margin >= WHOLE_SENSOR
+
+    @property
+    def follows(self) -> bool:
+        """Whether its own states are fed."""
+        return self.by_time or self._online is not None
+
+    def held(self) -> Held | None:
+        """Return what its states hold, None before anything was fed."""
+        return None if self._states is None else self.script.states.held()
+
+    def round(self) -> _Round:
+        """Read on by some images."""
+        images: list[tuple[int, int | None, Mapping[str, Any]]] = []
+        told: list[Told] = []
+        while len(images) < _IMAGES and self.advance():
+            assert self.t_us is not None
+            told += [*self.script.told, (_READ, (self.t_us,))]
+            self.script.told.clear()
+            images.append((self.t_us, self.frame_us(), self.provenance))
+        return _Round(images, told)
+
+    def stripe(self, roi: Roi) -> _Stripe:
+        """Return what computes a region."""
+        window = self.window if self.by_time else window_of(
+            roi, self.window.size, self.margin)
+        make = self.maker(window, Workers())    # there is a worker for each as it is
+        return _Stripe(window, window.part(roi), make, self.options.causal)
+
+
+class _Round(NamedTuple):
+    """Some images: (time, mid-exposure of the frame, provenance) of each."""
+
+    images: list[tuple[int, int | None, Mapping[str, Any]]]
+    told: list[Told]
 
 
 def fuse_tiles(
@@ -105,70 +219,88 @@ def fuse_tiles(
 ) -> Iterator[PolarFrame]:
     """Yield what `fuse` yields, made by an executor from n stripes.
 
-    What must be learned of the recording is learned here, once, and handed on.
+    The recording is read here, once, and what must be learned of it is learned here.
+    Where the method's pixels depend on all others, the executor gets pieces of time,
+    n at once: what the method holds at their beginnings comes from following it here.
 
     Parameters
     ----------
-    recording : Recording
-        Pickles, and can be read where the executor works: a file, whose path is sent.
+    recording : Recording or Source
     options : FusionOptions
     executor : Executor
     n : int
-        How many stripes.
-
-    Raises
-    ------
-    TypeError
-        If the source can be read only once.
-    ValueError
-        If the method's pixels depend on all others.
+        How many stripes, or pieces at a time.
     """
-    if not isinstance(recording, Recording):
-        raise TypeError("executor needs a Recording, which each worker can read, got "
-                        f"{type(recording).__name__}")
-    whole = Fusion(recording, options)
-    if whole.margin >= WHOLE_SENSOR:
-        raise ValueError(
-            f"executor needs a method whose pixels depend on a neighbourhood; each one "
-            f"of {whole.method} depends on all others (threads= shares its rows)")
+    whole = _Leader(recording, options)
     rows, columns = whole.window.rows, whole.window.columns
     height, width = whole.window.shape
-    return _joined(whole, recording, executor, _stripes(
-        (columns.start, rows.start, width, height), n))
+    regions = _stripes((columns.start, rows.start, width, height), n)
+    if whole.by_time:
+        return _by_time(whole, executor, len(regions))
+    return _by_stripes(whole, executor, regions)
 
 
-def _joined(
-    whole: Fusion, recording: Recording, executor: Executor, stripes: Sequence[Roi]
+def _by_stripes(
+    whole: _Leader, executor: Executor, regions: Sequence[Roi]
 ) -> Iterator[PolarFrame]:
-    tuning = whole.learned()
-
-    # Stripes are not demosaiced, so they may have an odd side at the sensor's edge.
-    options = whole.options.replace(demosaic="bilinear")
-
-    def submit(
-        stripe: Roi, before: FusionSnapshot | None
-    ) -> Future[tuple[list[_Sampled], FusionSnapshot]]:
-        return executor.submit(_work, _Piece(
-            recording, options.replace(roi=stripe), tuning, before))
-
-    waiting = [submit(stripe, None) for stripe in stripes]
-    image: PolarFrame | None = None
+    stripes = [whole.stripe(region) for region in regions]
+    held: list[Held | None] = [None] * len(stripes)
+    join, waiting = _Joined(whole), deque[Future[Any]]()
     try:
-        while waiting:
-            pieces = [future.result() for future in waiting]
-            ended = len(pieces[0][0]) < _IMAGES
-            waiting = [] if ended else [
-                submit(stripe, after)
-                for stripe, (_, after) in zip(stripes, pieces, strict=True)]
-            for parts in zip(*(found for found, _ in pieces), strict=True):
-                t_us, frame_us, _ = parts[0]
-                planes = [part.samples for part in parts if part.samples is not None]
-                if planes:
-                    image = whole.made(Samples.stacked(planes), t_us, frame_us)
-                else:
-                    assert image is not None
-                    image = image.retimed(t_us, frame_us, whole.provenance)
-                yield image
+        now = whole.round()
+        while now.images:
+            waiting.extend(
+                executor.submit(_work, _Piece(one, one.seen(now.told), before, True))
+                for one, before in zip(stripes, held, strict=True))
+            after = whole.round()       # is read while they work
+            pieces = [waiting.popleft().result() for _ in stripes]
+            held = [one for _, one in pieces]
+            yield from join(now, [samples for samples, _ in pieces])
+            now = after
     finally:
         for future in waiting:
             future.cancel()
+
+
+def _by_time(whole: _Leader, executor: Executor, n: int) -> Iterator[PolarFrame]:
+    rows, columns = whole.window.rows, whole.window.columns
+    stripe = whole.stripe((columns.start, rows.start,
+                           columns.stop - columns.start, rows.stop - rows.start))
+    join, waiting = _Joined(whole), deque[tuple[_Round, Future[Any]]]()
+    try:
+        while True:
+            while len(waiting) < n:
+                before = whole.held()
+                now = whole.round()
+                if not now.images:
+                    break
+                waiting.append((now, executor.submit(_work, _Piece(
+                    stripe, stripe.seen(now.told), before, False))))
+            if not waiting:
+                return
+            now, future = waiting.popleft()
+            yield from join(now, [future.result()[0]])
+    finally:
+        for _, future in waiting:
+            future.cancel()
+
+
+class _Joined:
+    """Makes images of the samples of stripes."""
+
+    def __init__(self, whole: Fusion) -> None:
+        self._whole = whole
+        self._image: PolarFrame | None = None
+
+    def __call__(
+        self, now: _Round, stripes: Sequence[Sequence[Samples | None]]
+    ) -> Iterator[PolarFrame]:
+        """Yield the images of a round."""
+        for about, *parts in zip(now.images, *stripes, strict=True):
+            planes = [part for part in parts if part is not None]
+            if planes:
+                self._image = self._whole.made(Samples.stacked(planes), *about)
+            else:
+                assert self._image is not None
+                self._image = self._image.retimed(*about)
+            yield self._image

@@ -1,13 +1,14 @@
 """The part of the sensor that a region's result depends on."""
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.mosaic import HALF_SIZE, REACH
+from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Layout
 
@@ -63,6 +64,10 @@ class Window:
             return np.ascontiguousarray(value[..., self.rows, self.columns])
         return value
 
+    def planes(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the windows of those values that are arrays over the sensor."""
+        return {name: self.plane(value) for name, value in values.items()}
+
     def part(self, roi: Roi) -> tuple[slice, slice]:
         """Return the rows and columns of the window that a region is."""
         x, y, width, height = roi
@@ -95,9 +100,7 @@ def checked_roi(roi: Roi | None, size: tuple[int, int], demosaic: str) -> Roi:
     return x, y, w, h
 
 
-def window_of(
-    roi: Roi, size: tuple[int, int], demosaic: str, margin: int
-) -> Window:
+def window_of(roi: Roi, size: tuple[int, int], margin: int) -> Window:
     """Return the window that the roi's result depends on.
 
     Parameters
@@ -106,13 +109,11 @@ def window_of(
         (x, y, width, height).
     size : (int, int)
         (height, width) of the sensor.
-    demosaic : str
-        One of ``DEMOSAIC_METHODS``.
     margin : int
-        Pixels around a pixel that the method's result for it depends on.
+        Pixels around a pixel that its result depends on: the method's, and what
+        demosaicing reaches.
     """
     x, y, w, h = roi
-    margin += REACH[demosaic]
     margin += margin % 2
 
     def side(start: int, length: int, limit: int) -> slice:

@@ -4,8 +4,8 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from html import escape
 from typing import Any
-from xml.sax.saxutils import escape
 
 import lz4.frame
 import numpy as np
@@ -322,7 +322,8 @@ def _info_node(
     compression: str, full_scale_dn: int,
 ) -> str:
     def attribute(key: str, value: object, kind: str = "string") -> str:
-        return (f'<attr key="{key}" type="{kind}">{escape(str(value))}</attr>')
+        text = escape(str(value), quote=False)
+        return f'<attr key="{key}" type="{kind}">{text}</attr>'
 
     lines = ['<dv version="2.0">',
              '<node name="outInfo" path="/mainloop/Recorder/outInfo/">']
