@@ -3,7 +3,9 @@
 What was done before is not done again; an interrupted run goes on when it is called
 again.  OUT gets a folder and a .json for each job, summary.csv, and index.html to look
 at.  A recording that fails is a row with its error.  "pdavis batch status OUT" says
-how far it is.
+how far it is.  With --work reproduce, FILEs are experiments of pdavis reproduce (all,
+fig2, fig3, fig4a, dr, flicker, robustness): their parts are the jobs, and OUT gets
+their tables and pages too.
 """
 from __future__ import annotations
 
@@ -16,14 +18,16 @@ from pathlib import Path
 from typing import Any
 
 from pdavis_cv import FusionOptions, batch
+from pdavis_cv._remote import is_remote
 from pdavis_cv.batch.pools import EXECUTORS
 
 from ._common import Parser, UsageError, command, option_value
-from ._values import positive, within
+from ._values import LAST_SEED, positive, within
 
 __all__ = ["main"]
 
 _MOST_WORKERS = 100_000
+_REPRODUCE = "reproduce"
 
 
 @command
@@ -36,6 +40,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError("the following arguments are required: -o/--out")
     work = _work(args.work, args.work_settings)
     options = _options(args.settings)
+    reproduces = args.work == _REPRODUCE
+    if reproduces:
+        if is_remote(args.out) or args.settings:
+            raise UsageError(
+                "--work reproduce has no --set, and joins its tables on a disk, got "
+                f"-o {args.out}")
+        args.files = list(_reproduce().parts(args.files, work))
     if args.dry_run:
         return _dry_run(args, work, options)
     table = batch.run(
@@ -43,6 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         workers=args.jobs, retries=args.retries, timeout_s=args.timeout)
     if args.parquet:
         table.write_parquet()
+    if reproduces:
+        print("wrote", *_reproduce().join(table, Path(args.out)))
     failed = table.failed
     for row in failed[:20]:
         print(f"{row['recording']}: {row['error']}")
@@ -70,14 +83,14 @@ def _parser() -> argparse.ArgumentParser:
              "slashes: bandwidth=250/0")
     parser.add_argument(
         "--work", default="export", metavar="WORK",
-        help=f"{', '.join(batch.WORKS)}, or MODULE:FUNCTION of your own; "
-             "default export")
+        help=f"{', '.join(batch.WORKS)}, {_REPRODUCE}, or MODULE:FUNCTION of your "
+             "own; default export")
     parser.add_argument(
         "--with", action="append", default=[], metavar="NAME=VALUE",
         dest="work_settings", type=_setting,
         help="of the work: export has suffix (.npz, .h5, .ome.tif), quantities, "
              "start_s, stop_s; traces regions, start_s, stop_s; score seconds; "
-             "calibrate nominal")
+             "calibrate nominal; reproduce quick, seeds, seconds")
     parser.add_argument(
         "--jobs", type=within(1, _MOST_WORKERS), metavar="N",
         help="how many at a time; default one per core")
@@ -122,10 +135,12 @@ def _work(name: str, settings: Sequence[tuple[str, list[str]]]) -> batch.Work:
             raise UsageError(f"--work {name}: {error}") from None
     elif name in batch.WORKS:
         work = batch.WORKS[name]
+    elif name == _REPRODUCE:
+        work = _reproduce().Part()
     else:
         raise UsageError(
-            f"--work must be one of {', '.join(batch.WORKS)} or MODULE:FUNCTION, got "
-            f"{name!r}")
+            f"--work must be one of {', '.join(batch.WORKS)}, {_REPRODUCE} or "
+            f"MODULE:FUNCTION, got {name!r}")
     changes = dict(_work_values(settings))
     if not changes:
         return work  # type: ignore[no-any-return]
@@ -138,6 +153,11 @@ def _work(name: str, settings: Sequence[tuple[str, list[str]]]) -> batch.Work:
     return changed
 
 
+def _reproduce() -> Any:
+    from .reproduce import parts
+    return parts
+
+
 def _work_values(
     settings: Sequence[tuple[str, list[str]]]
 ) -> Iterator[tuple[str, Any]]:
@@ -146,6 +166,8 @@ def _work_values(
             yield name, tuple(value.replace("/", ",") for value in values)
         elif name == "nominal":
             yield name, tuple(map(positive, values))
+        elif name == "seeds":
+            yield name, tuple(map(within(0, LAST_SEED), values))
         elif len(values) > 1:
             raise UsageError(f"--with {name} takes one value, got {','.join(values)}")
         else:

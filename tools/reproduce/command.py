@@ -46,7 +46,10 @@ from .recording import fit_files, fits_page
 from .robustness_page import robustness_figure, robustness_page
 from .run import METHODS, Case, Row, Settings, Takes, run
 
-__all__ = ["EXPERIMENTS", "main"]
+__all__ = ["EXPERIMENTS", "PAPER", "main", "settings_of"]
+
+PAPER = ("fig2", "fig3", "fig4a", "dr", "flicker")
+"""The experiments of the paper."""
 
 EVENT_CAMERAS = tuple(name for name in PRESETS if PRESETS[name]["dvs"] is not None)
 
@@ -222,7 +225,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 def _all(figure: str, stem: Path, settings: Settings) -> Result:
     """Everything, and a table of it."""
     rows = {}
-    for name in ("fig2", "fig3", "fig4a", "dr", "flicker"):
+    for name in PAPER:
         start = perf_counter()
         _, rows[name] = EXPERIMENTS[name][1](
             name, beside_stem(stem, f"-{name}"), settings)
@@ -344,6 +347,11 @@ def _named(methods: Iterable[str]) -> str:
 def _two_thresholds(text: str) -> tuple[float, float]:
     on, off = numbers(text, 2)
     return on, off
+
+
+def settings_of(argv: Sequence[str]) -> Settings:
+    """Return what a command line would set."""
+    return _settings(_parser().parse_args(argv))
 
 
 def _settings(args: argparse.Namespace) -> Settings:

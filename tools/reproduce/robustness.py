@@ -27,7 +27,7 @@ from .light import EVENT_DN, LOW_UW_CM2, fan_cases
 from .run import METHODS, OFF_LOCK, Case, Method, Row, Settings, Takes, run
 
 __all__ = ["ALL", "CAUSAL", "DEPARTURES", "QUICK_SEEDS", "RECORDED", "SEEDS",
-           "STEPS_US", "edges", "robustness_cases", "robustness_rows"]
+           "STEPS_US", "case_rows", "edges", "robustness_cases", "robustness_rows"]
 
 CAUSAL: dict[str, Method] = {
     "frames": METHODS["frames"],
@@ -187,14 +187,14 @@ def robustness_rows(settings: Settings) -> Iterator[list[Row]]:
     count = len(robustness_cases(settings))
     workers = min(usable_cores(), count)
     if workers < 2:
-        yield from map(_rows, [settings] * count, range(count))
+        yield from map(case_rows, [settings] * count, range(count))
         return
     # "spawn": a fork of a process that has threads may never go on.
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        yield from pool.map(_rows, [settings] * count, range(count))
+        yield from pool.map(case_rows, [settings] * count, range(count))
 
 
-def _rows(settings: Settings, index: int) -> list[Row]:
+def case_rows(settings: Settings, index: int) -> list[Row]:
     """Return the rows of a case, made here: its light, a function, does not travel."""
     case = robustness_cases(settings)[index]
     return list(run(case, settings, Takes(case), ALL))
