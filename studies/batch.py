@@ -3,7 +3,8 @@
 python studies/batch.py workers    two workers against one, 16 recordings, kalman
 python studies/batch.py done       a second run of 200 done jobs
 python studies/batch.py memory     the parent's memory with 10,000 jobs
-python studies/batch.py tiles FILE CPU time of two stripes of a recording against none
+python studies/batch.py warmup     what cf still knows of seconds ago: bits that differ
+python studies/batch.py tiles FILE CPU time of two workers on a recording against none
 """
 from __future__ import annotations
 
@@ -19,12 +20,17 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pdavis_cv import (
     FusionOptions,
+    Layout,
     PolarFrame,
     batch,
     fuse,
     open_recording,
+    recording_from_arrays,
     write_aedat4,
 )
 from pdavis_cv.data import example_recording
@@ -119,6 +125,32 @@ def memory(folder: Path) -> None:
         print(f"{count} jobs: peak {peak:.0f} MiB")
 
 
+def warmup(folder: Path) -> None:
+    """Print how many numbers of cf differ if the recording begins so late."""
+    seconds, start_us = 21.0, 20_000_000
+    camera = Camera.preset("nominal", seed=1, size=(24, 24))
+    scene = named_scene("polarizer", seconds=seconds, rpm=60.0, hz=1.0, seed=1,
+                        camera="nominal")
+    recording, _ = camera.record(scene, seconds)
+    packets = list(recording.packets())
+    events = np.concatenate([packet.events for packet in packets])
+    frames = [frame for packet in packets for frame in packet.frames]
+    options = FusionOptions(method="cf", layout="pdavis", fps=50, start_us=start_us)
+
+    def numbers(begin_us: int) -> NDArray[np.float32]:
+        part = recording_from_arrays(
+            events[events["t"] >= begin_us],
+            [frame for frame in frames if frame.mid_us >= begin_us],
+            sensor_size=(24, 24), layout=Layout.PDAVIS)
+        return np.stack([image.quad for image in fuse(part, options)])
+
+    whole = numbers(0)
+    for before_s in (1, 2, 3, 5, 8, 12, 16):
+        late = numbers(start_us - round(before_s * 1e6))
+        print(f"{before_s} s before: {np.mean(late != whole):.2%} of {whole.size} "
+              f"numbers differ, by {np.max(np.abs(late / whole - 1)):.1g} at most")
+
+
 def tiles(path: Path) -> None:
     """Print the CPU time of a recording as a whole and as two stripes."""
     with open_recording(path) as recording:
@@ -168,7 +200,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-_STUDIES = {"workers": workers, "done": done, "memory": memory}
+_STUDIES = {"workers": workers, "done": done, "memory": memory, "warmup": warmup}
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -86,6 +86,16 @@ def test_where_all_pixels_count_time_is_divided_to_the_same_bits(
     assert sent == count // 5 + (count % 5 > 0)
 
 
+@pytest.mark.parametrize("options", [
+    {"method": "frames"}, {"method": "cf"}, {"method": "cf", "causal": True}],
+    ids=lambda options: " ".join(map(str, options.values())))
+def test_pieces_of_time_of_any_method_are_the_same_bits(options, tmp_path, monkeypatch):
+    with open_recording(write(tmp_path / "run.aedat4")) as small:
+        count, sent = assert_same_images(
+            {"fps": 300, **options}, small, monkeypatch, by_time=True)
+    assert sent == count // 5 + (count % 5 > 0)
+
+
 @pytest.mark.gate
 @pytest.mark.parametrize("options", [{}, {"causal": True}, {"mode": "offline"}],
                          ids=lambda options: " ".join(options) or "buffered")

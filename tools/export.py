@@ -98,7 +98,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         executor = None if args.jobs == 1 else pools.enter_context(
             ProcessPool(args.jobs))
         images = told_if_nothing(
-            fuse(recording, executor=executor, tiles=args.jobs, **options), recording,
+            fuse(recording, executor=executor, tiles=args.jobs, by_time=args.by_time,
+                 **options), recording,
             options["calibration"])
         stage("learning what the recording tells of its camera")
         first = list(itertools.islice(images, 2))
@@ -165,6 +166,9 @@ def _parser() -> argparse.ArgumentParser:
         "--jobs", type=within(1, 1024), default=1, metavar="N",
         help="processes that share the sensor's rows, or the time where pixels depend "
              "on all others, as with kalman; default 1")
+    parser.add_argument(
+        "--by-time", action="store_true",
+        help="--jobs share the time in any case")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",

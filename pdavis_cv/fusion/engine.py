@@ -50,7 +50,8 @@ _AFTER = 2**62
 @takes_options
 def fuse(
     recording: Source, options: FusionOptions | None = None, *,
-    executor: Executor | None = None, tiles: int | None = None, **changes: Any,
+    executor: Executor | None = None, tiles: int | None = None, by_time: bool = False,
+    **changes: Any,
 ) -> Iterator[PolarFrame]:
     """Fuse a recording's frames and events into polarization images.
 
@@ -71,11 +72,12 @@ def fuse(
     options : FusionOptions, optional
         What to begin with; the keywords below change it.
     executor : concurrent.futures.Executor, optional
-        Works on stripes of the sensor; the images are the same bits.  The recording
-        is read here, once.  Where pixels depend on all others, as with ``kalman``, on
-        pieces of time: from states that are followed here, without making images.
+        Works on stripes of the sensor, to the same bits; the recording is read here.
     tiles : int, optional
         How many stripes, or pieces at a time; default one per core.
+    by_time : bool
+        Divide time: states are followed here, images made there.  It always is where
+        pixels depend on all others, as with ``kalman``.
     {options}
     **method_parameters
         Passed to the method, e.g. ``cutoff_hz`` for ``cf``.
@@ -107,7 +109,7 @@ def fuse(
         return Fusion(recording, options, **changes)
     from pdavis_cv.fusion.stripes import fuse_tiles
     return fuse_tiles(recording, (options or FusionOptions()).replace(**changes),
-                      executor, tiles or usable_cores())
+                      executor, tiles or usable_cores(), by_time)
 
 
 class Fusion:
@@ -276,8 +278,7 @@ class Fusion:
 
     def frame_us(self) -> int | None:
         """Return the mid-exposure of the last frame that an image here would use."""
-        assert self._t is not None
-        assert self._states is not None
+        assert self._t is not None and self._states is not None  # noqa: PT018
         return self._frame_us(self._states.method, self._t)
 
     # ---- repositioning -------------------------------------------------------

@@ -166,18 +166,24 @@ class _Leader(Fusion):
     """Reads the recording, and says what its states are told.
 
     They do it too where the whole sensor has to be followed.
+
+    Attributes
+    ----------
+    by_time : bool
+        Whether time is divided, and not the sensor.
     """
+
+    def __init__(
+        self, recording: Source, options: FusionOptions, by_time: bool
+    ) -> None:
+        super().__init__(recording, options)
+        self.by_time = by_time or self.margin >= WHOLE_SENSOR
 
     def _start(self) -> None:
         super()._start()
         assert isinstance(self._states, InOrder | AsItArrives)
         self._states = self.script = Script(self._states, follow=self.follows)
         self._set_clock(self._clock_us)     # those who are told begin at 0
-
-    @property
-    def by_time(self) -> bool:
-        """Whether time is divided, and not the sensor."""
-        return self.margin >= WHOLE_SENSOR
 
     @property
     def follows(self) -> bool:
@@ -215,7 +221,8 @@ class _Round(NamedTuple):
 
 
 def fuse_tiles(
-    recording: Source, options: FusionOptions, executor: Executor, n: int
+    recording: Source, options: FusionOptions, executor: Executor, n: int,
+    by_time: bool,
 ) -> Iterator[PolarFrame]:
     """Yield what `fuse` yields, made by an executor from n stripes.
 
@@ -230,8 +237,10 @@ def fuse_tiles(
     executor : Executor
     n : int
         How many stripes, or pieces at a time.
+    by_time : bool
+        Pieces of time in any case.
     """
-    whole = _Leader(recording, options)
+    whole = _Leader(recording, options, by_time)
     rows, columns = whole.window.rows, whole.window.columns
     height, width = whole.window.shape
     regions = _stripes((columns.start, rows.start, width, height), n)
