@@ -34,6 +34,7 @@ cdef extern from "_measure.h" nogil:
         double shot_variance
         double offset_dn
         double motion_variance
+        double noise_per_event
         double jump_sigmas
         double theta_least
         double theta_most
@@ -58,6 +59,7 @@ cdef extern from "_measure.h" nogil:
         double learn[TOGETHER]
         double rests[TOGETHER]
         double unit[TOGETHER]
+        double events[TOGETHER]
         double doubt[TOGETHER]
         double worth[TOGETHER]
         double noted[TOGETHER]
@@ -222,6 +224,7 @@ cdef inline policy_t policy_of(const tuning_t* tuning) noexcept nogil:
     policy.shot_variance = tuning.shot_variance
     policy.offset_dn = tuning.offset_dn
     policy.motion_variance = tuning.motion_variance
+    policy.noise_per_event = tuning.noise_per_event
     policy.jump_sigmas = JUMP_SIGMAS
     policy.theta_least = THETA_LEAST
     policy.theta_most = THETA_MOST
@@ -266,6 +269,7 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     group.learn[i] = 0.0
     group.rests[i] = 0.0
     group.unit[i] = 0.0
+    group.events[i] = 0.0
     group.doubt[i] = 0.0
     group.worth[i] = 1.0
     group.noted[i] = 0.0
@@ -279,7 +283,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     """Predict a sample: de-blur it, move the state to it, hand both to the group."""
     cdef walk_t walk, at_mid
     cdef sum_t total
-    cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0
+    cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0, events = 0.0
     cdef double theta2 = theta_squared(s)
     cdef double at_on, at_off, all_on, all_off
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
@@ -327,6 +331,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         added = theta2 * (drift(mid - s.sampled_us, n_on + n_off, tuning)
                           + doubt * (1.0 - doubt))
         motion = theta2 * tuning.motion_variance
+        events = theta2 * (n_on + n_off)
         if n_on + n_off > 0.5:      # none, up to rounding
             unit = 2.0 * theta2
             added += motion
@@ -381,6 +386,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     group.learn[i] = learn
     group.rests[i] = not fresh and unit == 0.0
     group.unit[i] = unit
+    group.events[i] = events
     group.doubt[i] = doubt
     group.worth[i] = worth
     group.noted[i] = 1.0

@@ -14,16 +14,17 @@
 enum {
     TOGETHER = 64,              /* pixels per call of measure */
     /* Rows of `terms`, what a sample adds to the sums over all: e^2 / v; ln v; 1; the
-       part of a doubted event that it denies, and 1 for each; regression of e^2 on what
-       motion adds to v, relative to v without it: product, square; normal equations of
-       e^2 by read and shot noise, where no event tells of motion. */
-    RATIO = 0, LOG, COUNT, DENIED, DOUBTED, MOTION, SQUARE,
+       part of a doubted event that it denies, and 1 for each; normal equations of e^2
+       by what motion and what each event add to v, relative to v without both; of e^2
+       by read and shot noise, where no event tells of motion. */
+    RATIO = 0, LOG, COUNT, DENIED, DOUBTED,
+    MOTION, EVENTS, MOTION_MOTION, MOTION_EVENTS, EVENTS_EVENTS,
     READ, SHOT, READ_READ, READ_SHOT, SHOT_SHOT, TERMS
 };
 
 typedef struct {
     double frame_sigma, shot_share, read_variance, shot_variance;
-    double offset_dn, motion_variance;
+    double offset_dn, motion_variance, noise_per_event;
     double jump_sigmas;         /* innovations beyond: the base has jumped */
     double theta_least, theta_most;     /* bounds of the thresholds, by their priors */
 } policy_t;
@@ -41,6 +42,7 @@ typedef struct {
     double learn[TOGETHER];     /* 1, or 0: thresholds stay (Schmidt-Kalman update) */
     double rests[TOGETHER];     /* 1 where no event tells of motion, else 0 */
     double unit[TOGETHER];      /* what a motion_variance of 1 adds to v */
+    double events[TOGETHER];    /* what a noise_per_event of 1 does */
     double doubt[TOGETHER];     /* probability that the last event is noise */
     double worth[TOGETHER];     /* what it moved the base by */
     double noted[TOGETHER];     /* 1, or 0: it adds nothing to the sums */
@@ -101,10 +103,12 @@ PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff
         g->narrow[i] = pd_log(g->narrow[i]);
     for (i = 0; i < n; i++) {
         double ratio = g->terms[RATIO][i], v = g->v[i], offset = g->spread[i];
-        /* Weights are those without motion: else the first samples, before it is
+        /* Weights are those without either: else the first samples, before they are
            known, outweigh all that follow. */
-        double calm = v - g->unit[i] * p->motion_variance + offset * offset;
-        double unit = g->unit[i] / calm;
+        double calm = v - g->unit[i] * p->motion_variance
+                      - g->events[i] * p->noise_per_event + offset * offset;
+        double unit = g->unit[i] / calm, events = g->events[i] / calm;
+        double excess = ratio * v / calm - 1.0;
         double denied = g->doubt[i] - g->innovation[i] / g->worth[i];
         int doubted = g->doubt[i] > 0.0;
         denied = denied > 0.0 ? denied : 0.0;
@@ -112,8 +116,11 @@ PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff
         int noted = g->noted[i] > 0.0;
         g->terms[LOG][i] = noted ? g->narrow[i] : 0.0;
         g->terms[COUNT][i] = g->noted[i];
-        g->terms[MOTION][i] = unit * (ratio * v / calm - 1.0);
-        g->terms[SQUARE][i] = unit * unit;
+        g->terms[MOTION][i] = unit * excess;
+        g->terms[EVENTS][i] = events * excess;
+        g->terms[MOTION_MOTION][i] = unit * unit;
+        g->terms[MOTION_EVENTS][i] = unit * events;
+        g->terms[EVENTS_EVENTS][i] = events * events;
         g->terms[DENIED][i] = doubted ? denied : 0.0;
         g->terms[DOUBTED][i] = doubted ? g->doubt[i] : 0.0;
     }

@@ -31,8 +31,9 @@ class Noise:
     motion: float = 0.002
     denied: float = 0.0
     doubted: float = 0.0
-    total: float = 0.0
-    frames: float = 0.0
+    per_event: float = PER_EVENT
+    matrix: np.ndarray = 0.0    # of motion and events, normal equations
+    product: np.ndarray = 0.0
     of_frames: np.ndarray = field(default_factory=lambda: np.array([4.0, 0.1]))
     known: np.ndarray = 0.0     # of both, normal equations: matrix and right-hand side
     told: np.ndarray = 0.0
@@ -52,15 +53,23 @@ class Noise:
             x[k] = np.clip((told[k] - known[k, 1 - k] * x[1 - k]) / known[k, k],
                            (1, 0.005)[k], (400, 1)[k])
         self.of_frames = x
-        denied, doubted, product, square = np.sum(
-            [each[:4] for each in sums], axis=0) if sums else np.zeros(4)
+        denied, doubted = np.sum(
+            [each[:2] for each in sums], axis=0) if sums else np.zeros(2)
         self.denied += denied
         self.doubted += doubted
-        self.total += product / (square + 2 / 0.05**2)
-        self.frames += square / (square + 2 / 0.05**2)
         self.doubt = (25 + self.denied) / (50 + self.doubted)
-        self.motion = np.clip((0.002 + self.total) / (1 + self.frames), 0, 1)
-        for name in ("denied", "doubted", "total", "frames", "known", "told"):
+        u = np.array([each[2] for each in sums]).reshape(-1, 2)
+        weight = 1 / (u[:, 0] @ u[:, 0] + 2 / 0.05**2)
+        self.matrix = self.matrix + weight * u.T @ u
+        self.product = self.product + weight * u.T @ [each[3] for each in sums]
+        x = np.array([0.002, PER_EVENT])
+        known = self.matrix + np.diag([1, 400])
+        told = self.product + np.array([1, 400]) * x
+        for k in (0, 1) * 20:
+            x[k] = np.clip((told[k] - known[k, 1 - k] * x[1 - k]) / known[k, k],
+                           (0, PER_EVENT)[k], (1, 0.5)[k])
+        self.motion, self.per_event = x
+        for name in ("denied", "doubted", "matrix", "product", "known", "told"):
             setattr(self, name, getattr(self, name) * np.exp(-1 / 20))
 
 
@@ -241,7 +250,8 @@ class Pixel:
         worth, theta2 = 1.0, self.x[1:].mean() ** 2
         if not fresh:
             n = self.counts(self.since, at)
-            drift = LEAK * US * (mid - self.reference) + PER_EVENT * n.sum()
+            drift = (LEAK * US * (mid - self.reference)
+                     + self.learned.per_event * n.sum())
             doubt = self.doubt(at, known)
             motion = theta2 * self.learned.motion
             if n.sum():
@@ -284,8 +294,10 @@ class Pixel:
         v = H @ self.P @ H + noise
         still = v - unit * self.learned.motion + (
             self.offset_dn * (per_dn - self.pull)) ** 2
+        events = 0 if fresh else theta2 * self.counts(self.since, at).sum()
+        still -= events * self.learned.per_event
         sums = (doubt * np.clip(doubt - error / worth, 0, 1), doubt,
-                unit / still * (min(error**2, 16 * v) / still - 1), (unit / still) ** 2,
+                np.array([unit, events]) / still, min(error**2, 16 * v) / still - 1,
                 (0 if fresh or unit or noise > 0.04 else 1)
                 * np.array([per_dn_seen**2, per_dn_seen]) / v,
                 min(error**2 / v, 16) - 1)
@@ -319,7 +331,8 @@ class Pixel:
             spread = 0
         variance = F @ self.P @ F + spread + theta2 * (
             LEAK * US * (t - (self.reference or 0))
-            + PER_EVENT * self.counts(self.since, i).sum() + doubt * (1 - doubt)
+            + self.learned.per_event * self.counts(self.since, i).sum()
+            + doubt * (1 - doubt)
             + self.motion(i, known, self.sampled))
         fresh = self.reference is None
         variance = max(variance, 1e-8)
@@ -403,7 +416,7 @@ class Pixel:
 
         def drift(t0, i0, t1, i1):
             return theta2 * (LEAK * US * (t1 - t0)
-                             + PER_EVENT * self.counts(i0, i1).sum())
+                             + self.learned.per_event * self.counts(i0, i1).sum())
 
         for k in range(here + 1):
             t0, i0, _ = places[k - 1] if k else (None, None, None)

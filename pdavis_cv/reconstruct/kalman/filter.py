@@ -19,6 +19,7 @@ from pdavis_cv.reconstruct.base import (
     Needs,
     Reconstructor,
 )
+from pdavis_cv.reconstruct.kalman.event_noise import MOTION, event_noise
 from pdavis_cv.reconstruct.kalman.frame_noise import (
     DN_PER_SHOT,
     READ_NOISE_DN,
@@ -73,11 +74,6 @@ frames, and a third of what is assumed of read and shot noise."""
 DOUBT = (0.5, 50.0)
 """Prior probability that an event of a pixel at rest is noise, and how many such events
 it counts for beside those that frames confirm or deny.  Engineering choice: even."""
-MOTION = (0.002, 0.05, 1.0)
-"""Variance (thresholds^2) of what interpolation between events leaves: prior, standard
-deviation below which a frame's estimate of it does not count in full, and the most.
-Engineering choice: turning polarizers have 0 to .02, the real DAVIS346 .5, and a part
-of which nothing is known 1/3."""
 STILL_US = 250_000.0
 """Gap between two events (us) at which rest and motion are as likely.  Engineering
 choice: five frames of the paper's cameras; a threshold of .2 in it is .04 from frame to
@@ -95,10 +91,9 @@ changes fastest where light is dim: weighed by the squared slope of 1 + .9 cos, 
 square of the lag is that at .12 of the brightest."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 # Sums over samples that kalman_frame collects, terms in _measure.h, the first three
-# being `misfit`; beside them, sums over frames of what they say of motion, and of their
-# weights.
-_SUMS, _MISFIT = 12, 3
-_KEPT = _SUMS + 2
+# being `misfit`; beside them, sums over frames of what they say of motion and events.
+_SUMS, _MISFIT, _OF_EVENTS = 15, 3, 5
+_KEPT = _SUMS + _OF_EVENTS
 # Rows that a frame is used by at a time.
 _BAND = 32
 _NO_NODES = np.zeros((0, 0), NODE_DTYPE)
@@ -258,18 +253,18 @@ class KalmanFilter(Reconstructor):
     def _adapt(self) -> None:
         """Take the noise of events, motion and reads for what innovations say it is."""
         kept = self._innovations[_MISFIT:]
-        denied, doubted, product, square, *normal, total, frames = kept
+        (denied, doubted), normal = kept[:2], kept[2 + _OF_EVENTS:-_OF_EVENTS]
         share, weight = DOUBT
         self._tuning["doubt"] = (share * weight + denied) / (weight + doubted)
-        motion, sigma, most = MOTION
         # By least squares in each frame, and no frame outweighs the others: the first
         # ones come before thresholds and bandwidth are known.
-        least = 2 / sigma**2     # the variance of e^2 / v is 2
-        total += product / (square + least)
-        frames += square / (square + least)
-        self._tuning["motion_variance"] = np.clip(
-            (motion + total) / (1 + frames), 0, most)
-        kept[2:4], kept[-2:] = 0, (total, frames)
+        least = 2 / MOTION[1]**2     # the variance of e^2 / v is 2
+        frame, frames = kept[2:2 + _OF_EVENTS], kept[-_OF_EVENTS:]
+        frames += frame / (frame[2] + least)
+        frame[:] = 0
+        self._tuning["motion_variance"], self._tuning["noise_per_event"] = event_noise(
+            frames, self._noise[2])
+        normal = normal.tolist()
         kept *= math.exp(-1 / ADAPT_FRAMES)
         self._tuning["read_variance"], self._tuning["shot_variance"] = frame_noise(
             normal)
