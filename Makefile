@@ -3,6 +3,8 @@
 # make docs: the site into build/docs/, warnings are errors.
 # make asan: the tests under the address and undefined-behaviour sanitizers.
 # make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
+# make soak MINUTES=40: stream simulated data, watch memory, handles and drift.
+# make twice: the wheel, built twice, is the same to the bit.
 # Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
 
 VENV := .venv
@@ -13,7 +15,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
 	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
 
-.PHONY: demo test docs asan bits fuzz clean
+.PHONY: demo test docs asan bits fuzz soak twice clean
 
 # One more than there are cores: some tests wait for time to pass.
 WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
@@ -32,6 +34,13 @@ docs: $(VENV)/.with-docs
 SECONDS := 60
 fuzz: $(VENV)/.with-test
 	$(VENV)/bin/python -P tests/fuzz/fuzz.py --seconds $(SECONDS)
+
+MINUTES := 40
+soak: $(VENV)/.with-test
+	$(VENV)/bin/pdavis soak --minutes $(MINUTES)
+
+twice:
+	.ci/twice
 
 asan: $(SOURCES)
 	.ci/asan

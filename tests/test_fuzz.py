@@ -147,21 +147,27 @@ def test_the_runner_tells_what_dies_hangs_or_loses(monkeypatch, tmp_path, capsys
     import time
 
     def broken(name, seed, number, folder):
-        if number == 2:
+        if number == 0:
             os.kill(os.getpid(), signal.SIGKILL)
-        if number == 4:
+        if number == 1:
             end = time.process_time() + 5
             while time.process_time() < end:
                 pass
-        if number == 6:
+        if number == 2:
             raise fuzz.LostError("3 events of packets that are whole")
 
+    def counted(name, seed, first, *arguments):
+        if first == 3:
+            raise KeyboardInterrupt
+        return in_a_child(name, seed, first, *arguments)
+
+    in_a_child = fuzz.in_a_child
+    monkeypatch.setattr(fuzz, "in_a_child", counted)
     monkeypatch.setattr(fuzz, "check", broken)
     monkeypatch.setattr(fuzz, "LONGEST_S", 0.05)
-    monkeypatch.setattr(fuzz, "TURN_S", 0.1)
-    assert fuzz.main(["--target", "load", "--seconds", "0.6", "--keep",
+    assert fuzz.main(["--target", "load", "--seconds", "600", "--keep",
                       str(tmp_path)]) == 1
     said = capsys.readouterr().out
-    for word in ("SIGKILL", "SIGPROF", "LostError"):
+    for word in ("SIGKILL", "SIGPROF", "LostError", ": 3 files, load 3;"):
         assert word in said
     assert len(list(tmp_path.iterdir())) == 3

@@ -31,6 +31,7 @@ COMMANDS = {
     "train": "train a network for the methods joint and firenet on simulated events",
     "weights": "convert a published network's checkpoint, or show a file of weights",
     "demo": "make pictures of the recordings that ship with the library",
+    "soak": "stream simulated data for hours and watch memory, handles and drift",
 }
 
 

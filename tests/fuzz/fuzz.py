@@ -6,6 +6,7 @@ Each parser has its turn, in a process of its own that the system ends when one 
 takes too long; what broke is kept, and the other parsers go on.
 """
 import argparse
+import itertools
 import mmap
 import os
 import resource
@@ -183,24 +184,28 @@ def main(argv=None):
     turn_s = min(TURN_S, args.seconds / len(names))
     numbers = dict.fromkeys(names, args.first)
     slowest, broken, refused = 0.0, 0, 0
-    while time.monotonic() < end:
-        for name in names:
+    for name in itertools.cycle(names):
+        if time.monotonic() >= end:
+            break
+        try:
             number, took, why = in_a_child(
                 name, seed, numbers[name], turn_s, args.most_mb)
-            slowest = max(slowest, took)
-            numbers[name] = number
-            if why is None:
-                continue
-            numbers[name] += 1
-            data, _ = made(name, seed, number)
-            if why.startswith("ended") and excused(name, data):
-                refused += 1
-                continue
-            broken += 1
-            path = args.keep / f"fuzz-{name}-{seed}-{number}.bin"
-            path.write_bytes(data)
-            print(f"{name}: seed {seed}, number {number}, kept as {path}: {why}",
-                  flush=True)
+        except KeyboardInterrupt:       # enough: say how far it came
+            break
+        slowest = max(slowest, took)
+        numbers[name] = number
+        if why is None:
+            continue
+        numbers[name] += 1
+        data, _ = made(name, seed, number)
+        if why.startswith("ended") and excused(name, data):
+            refused += 1
+            continue
+        broken += 1
+        path = args.keep / f"fuzz-{name}-{seed}-{number}.bin"
+        path.write_bytes(data)
+        print(f"{name}: seed {seed}, number {number}, kept as {path}: {why}",
+              flush=True)
     counts = {name: number - args.first for name, number in numbers.items()}
     print(f"seed {seed}: {sum(counts.values())} files, "
           + ", ".join(f"{n} {c}" for n, c in counts.items())
