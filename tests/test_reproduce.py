@@ -138,11 +138,16 @@ def test_flicker_leaves_the_frames_alone(tmp_path):
 
 @pytest.mark.gate
 def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
     stem = tmp_path / "all"
     assert reproduce.main([
         "all", "-o", str(stem), "--quick", "--rpm", "200", "--seconds", "1.3",
         "--step-us", "20260", "--methods", "frames"]) == 0
-    for name in ("fig2", "fig3", "fig4a", "dr", "flicker"):
+    page = (tmp_path / "all.html").read_text()
+    links = set(re.findall(r'(?:src|href)="([^"]+)"', page))
+    assert {"all.md", "all-fig3-rotating-plate.png", "all-fan.pdf"} <= links
+    assert all((tmp_path / link).exists() for link in links)
+    for name in ("fig2", "fig3", "fig4a", "fan", "dr", "flicker", "tables"):
         assert (tmp_path / f"all-{name}.md").exists()
         assert (tmp_path / f"all-{name}.csv").exists()
     line = next(line for line in capsys.readouterr().out.splitlines()

@@ -40,6 +40,7 @@ from . import (
     specification,
     transfer,
 )
+from .index import write_index
 from .page import summary, write_page, write_rows
 from .print_style import beside_stem, journal, save_figure
 from .recording import fit_files, fits_page
@@ -222,16 +223,20 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 }
 
 
+_IN_ALL = (*PAPER, "fan", "tables")
+
+
 def _all(figure: str, stem: Path, settings: Settings) -> Result:
-    """Everything, and a table of it."""
+    """Everything, a table of it, and a page with the pictures."""
     rows = {}
-    for name in PAPER:
+    for name in _IN_ALL:
         start = perf_counter()
         _, rows[name] = EXPERIMENTS[name][1](
             name, beside_stem(stem, f"-{name}"), settings)
         print(f"{name}: {perf_counter() - start:.0f} s")
     every = [row for each in rows.values() for row in each]
     write_rows(stem, every, _facts(figure, settings))
+    write_index(stem, [(name, EXPERIMENTS[name][0]) for name in _IN_ALL], settings)
     return write_page(stem, summary(rows)), every
 
 
@@ -243,7 +248,8 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "fan": ("fig4a as pictures: what each method shows of the fan", _fan_images),
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
-    "all": ("all of these, as STEM-fig2 and so on, and a table of them", _all),
+    "all": ("all of these and tables, as STEM-fig2 and so on, a table of them, and "
+            "STEM.html with the pictures", _all),
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
     "robustness": ("cameras and light that depart from what is assumed", _robustness),

@@ -1,0 +1,69 @@
+"""One page with all figures: what each shows, of which cameras, by which command."""
+from __future__ import annotations
+
+import glob
+import html
+from collections.abc import Sequence
+from pathlib import Path
+
+from pdavis_cv import __version__
+from pdavis_cv.export import write_beside
+
+from .print_style import SUFFIXES, beside_stem
+from .run import Settings
+
+__all__ = ["write_index"]
+
+_STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
+       padding: 0 1rem; color: #222; background: #fff; }
+figure { margin: 2.5rem 0; } img { max-width: 100%; height: auto; }
+figcaption { color: #444; } code { background: #f2f2f2; padding: 0 .2em; }
+"""
+
+
+def write_index(stem: Path, figures: Sequence[tuple[str, str]], settings: Settings
+                ) -> None:
+    """Write STEM.html: the pictures STEM-NAME*.png, with captions.
+
+    Parameters
+    ----------
+    stem : path
+    figures : sequence of (str, str)
+        Name and what it shows, in order.
+    settings : Settings
+        What the captions say of specimens and speeds.
+    """
+    parts = []
+    for name, what in figures:
+        found = sorted(path.name.removesuffix(".png") for path in stem.parent.glob(
+            f"{glob.escape(stem.name)}-{name}*.png"))
+        caption = (f"<b>{html.escape(name)}</b>: {html.escape(what)}. "
+                   f"{html.escape(_of(settings))} <code>pdavis reproduce {name}"
+                   f"{' --quick' if settings.quick else ''}</code>, pdavis_cv "
+                   f"{__version__}. <a href=\"{html.escape(stem.name)}-{name}.md\">"
+                   f"Numbers</a>, <a href=\"{html.escape(stem.name)}-{name}.csv\">table"
+                   "</a>.")
+        pictures = "".join(
+            f'<img src="{html.escape(one)}.png" alt="{html.escape(what)}"><br>'
+            + " ".join(f'<a href="{html.escape(one)}.{kind}">{kind.upper()}</a>'
+                       for kind in SUFFIXES) for one in found)
+        parts.append(f"<figure>{pictures}<figcaption>{caption}</figcaption></figure>")
+    table = html.escape(f"{stem.name}.md")
+    title = "The paper's figures, simulated"
+    text = (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" '
+        f'content="width=device-width"><title>{title}</title><style>{_STYLE}</style>'
+        f'<h1>{title}</h1><p>All methods in <a href="{table}">one table</a>.</p>'
+        + "\n".join(parts) + "</html>\n")
+    with write_beside(beside_stem(stem, ".html")) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def _of(settings: Settings) -> str:
+    """Say of which specimens the figures are."""
+    cameras = ", ".join(settings.cameras or ("nominal",))
+    return (f"Cameras {cameras}; specimens {', '.join(map(str, settings.seeds))}; "
+            f"start angles {', '.join(f'{a:g}' for a in settings.starts_deg)} degrees; "
+            f"an image every {settings.step_us} us; lines are medians, bands 5 to 95 % "
+            "of the specimens.")
