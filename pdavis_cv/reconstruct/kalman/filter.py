@@ -263,7 +263,7 @@ class KalmanFilter(Reconstructor):
         frames += frame / (frame[2] + least)
         frame[:] = 0
         self._tuning["motion_variance"], self._tuning["noise_per_event"] = event_noise(
-            frames, self._noise[2])
+            frames.tolist(), self._noise[2])
         normal = normal.tolist()
         kept *= math.exp(-1 / ADAPT_FRAMES)
         self._tuning["read_variance"], self._tuning["shot_variance"] = frame_noise(
