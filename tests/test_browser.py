@@ -88,6 +88,7 @@ def test_a_recording_plays_to_its_end_and_seeks_back(page):
     until(page, f"Number(document.body.dataset.t) === {first + round(3 * 1e6 / 60)}")
     page.click("#on")
     until(page, f"Number(document.body.dataset.t) === {first + round(4 * 1e6 / 60)}")
+    assert int(page.input_value("#seek")) == 4
 
 
 def test_pointing_tells_values_and_dragging_makes_a_trace(page):
@@ -115,6 +116,7 @@ def test_method_pictures_and_region_are_changed(page):
     until(page, "document.querySelector('#pane-uncertainty')?.width === 24")
     page.keyboard.press("z")
     until(page, "document.querySelector('#said').textContent === 'drag a region first'")
+    assert page.input_value("#method") == "frames"
 
 
 def test_two_pages_and_a_narrow_screen(page, browser, served):

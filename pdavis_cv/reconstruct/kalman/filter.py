@@ -29,11 +29,7 @@ from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import Smoother
 from pdavis_cv.reconstruct.kalman.waiting import WaitingFrame
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
-from pdavis_cv.reconstruct.model import (
-    NODE_DTYPE,
-    STATE_DTYPE,
-    TUNING_DTYPE,
-)
+from pdavis_cv.reconstruct.model import NODE_DTYPE, STATE_DTYPE, TUNING_DTYPE
 from pdavis_cv.reconstruct.stream_clock import (
     NEVER,
     StreamClock,
