@@ -26,7 +26,7 @@ SUBCOMMANDS = {
 CERTAIN = {"bench": ("no-such-case",), "demo": ("--bogus",), "train": ("--bogus",),
            "reproduce": ("fig2", "--recording", "none.aedat4"),
            "simulate": ("--seconds", "0"), "stream": ("--bogus",),
-           "view": ("--bogus",)}
+           "soak": ("--bogus",), "view": ("--bogus",)}
 
 
 class Hang(Exception):

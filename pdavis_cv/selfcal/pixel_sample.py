@@ -61,8 +61,9 @@ _CLAIM_SHARE, _SHOWN_SHARE, _CLAIM_SIGMAS, _CLAIM_EVENTS = 0.5, 0.25, 4.0, 3
 "Hot pixels")."""
 
 _HOT_SHARE = 0.5
-"""A pixel is hot whose frames contradict its events at least this often: of the
-intervals in which they make a claim."""
+"""A pixel is hot whose frames contradict its events in this part of the intervals that
+have any.  Thresholds whose ratio is not the stated one make a claim now and then: of
+the intervals with a claim, these pixels would be contradicted in all."""
 
 _MAX_BALANCE = 0.5
 """Greatest distance of ln(OFF / ON events) from the median.  A pixel whose thresholds
@@ -331,7 +332,7 @@ def contradicted_share(
     Returns
     -------
     ndarray of float64, shape (K,)
-        Part of the claims; 0 where there is none.
+        Part of the intervals with events; 0 where there is none.
     """
     light = np.array([np.fmax(each.dn, 1) for each in intervals], np.float64)
     good = np.array([each.usable for each in intervals])
@@ -340,11 +341,11 @@ def contradicted_share(
     fell, rose = theta_off * counts[1:, 0], theta_on * counts[1:, 1]
     claim, path = rose - fell, rose + fell
     shown = np.diff(np.log(light), axis=0) * np.sign(claim)
-    made = (good & (np.abs(claim) > _CLAIM_SHARE * path)
-            & (counts[1:].sum(1) >= _CLAIM_EVENTS))
+    eventful = good & (counts[1:].sum(1) >= _CLAIM_EVENTS)
     short = _SHOWN_SHARE * np.abs(claim) - shown
-    against = made & (short > _CLAIM_SIGMAS * np.sqrt(variance))
-    share: NDArray[np.float64] = against.sum(0) / np.maximum(made.sum(0), 1)
+    against = (eventful & (np.abs(claim) > _CLAIM_SHARE * path)
+               & (short > _CLAIM_SIGMAS * np.sqrt(variance)))
+    share: NDArray[np.float64] = against.sum(0) / np.maximum(eventful.sum(0), 1)
     return share
 
 
