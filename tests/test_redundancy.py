@@ -11,6 +11,7 @@ from pdavis_cv import (
     EVENT_DTYPE,
     Analyser,
     ApsFrame,
+    KalmanFilter,
     Layout,
     _kernels,
     fuse,
@@ -32,6 +33,7 @@ from pdavis_cv.reconstruct.redundancy import (
     null_of,
 )
 from pdavis_cv.simulation import (
+    FULL,
     Camera,
     Fan,
     FlatLight,
@@ -427,3 +429,30 @@ def test_at_the_end_of_a_recording_comparisons_go_on_up_to_the_time_read():
     ended.add_events(late)
     np.testing.assert_array_equal(ended.read(at + 1).log_intensity,
                                   expected.log_intensity)
+
+
+def test_a_late_first_frame_that_saturates_loses_no_event_since_its_exposure():
+    """Where frames say nothing, redundancy begins with the first, late or not."""
+    recording, _ = Camera.preset("nominal", seed=1, size=(4, 4)).record(
+        RotatingPolarizer(rpm=202.6, s0=300 * FULL), 0.6)
+    events = recording.events()
+    full = next(frame for packet in recording.packets() for frame in packet.frames)
+    assert not full.valid.any()
+    assert full.available_us > full.mid_us + 20_000
+
+    turn = 2 * np.deg2rad(np.array(Layout.PDAVIS.angles_deg))
+    response = np.stack([np.ones((2, 2)), np.cos(turn), np.sin(turn)], -1) / 2
+
+    def read(arrives, forget=False):
+        made = KalmanFilter((4, 4), theta_on=0.16, theta_off=0.18, mode="causal",
+                            response=response, bandwidth=(250, 0))
+        end = int(np.searchsorted(events["t"], arrives, "right"))
+        for part in np.array_split(events[:0 if forget else end], 5):
+            made.add_events(part)
+        made.add_frame(full)
+        made.add_events(events[end:])
+        return made.read(600_000).log_intensity
+
+    in_time = read(full.mid_us)
+    np.testing.assert_array_equal(read(full.available_us), in_time)
+    assert not np.array_equal(read(full.available_us, forget=True), in_time)

@@ -27,6 +27,10 @@ DIM_VARIANCE = 0.04
 """Variance (ln^2) of read and shot noise above which a sample is dim:
 20 %, at 11 DN."""
 
+EARLY_US = 500_000
+"""Events before the first frame that are kept: it may arrive so long after its
+mid-exposure.  Longer than any exposure and readout of these cameras."""
+
 PRIOR_SIGMA = 0.3
 """Of a log intensity, where the mean squares of a macropixel's four are taken equal."""
 
@@ -66,6 +70,7 @@ class Saturated:
         self._column = np.empty((0, 0), np.int32)
         self._bound = np.zeros(shape, np.float32)
         self._level: float | None = None    # log intensity that saturates
+        self._early: tuple[NDArray[Any], ...] = ()  # events before the first frame
         self._method: EventRedundancy | None = None
         # The pixels that `fill` was last told of, and what it made of them.
         self._filled: tuple[NDArray[np.intp], tuple[
@@ -121,9 +126,22 @@ class Saturated:
                 self._make(pixels, min(level, float(np.median(sample[poor]))))
             else:
                 self._level = level
+            self._begin_with(frame.mid_us)
+
+    def _begin_with(self, t_us: int) -> None:
+        """Take the events since the first frame's mid-exposure: it may be late."""
+        early, self._early = self._early, ()
+        if early:
+            since = max(t_us, int(early[-1]["t"][-1]) - EARLY_US)
+            for events in early:
+                self.add_events(events[events["t"] > since])
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events, after those and the frames before."""
+        if self._level is None and len(events):
+            since = int(events["t"][-1]) - EARLY_US
+            kept = [each for each in self._early if each["t"][-1] >= since]
+            self._early = (*kept, events.copy())
         if self._method is None:
             return
         column = self._column[events["y"], events["x"]]
@@ -191,6 +209,7 @@ class Saturated:
     def assign(self, other: Saturated) -> None:
         """Take over what an equal one holds."""
         self._bandwidth, self._bound = other._bandwidth, other._bound
+        self._early = other._early
         if other._method is None or other._level is None:
             self._level, self._method = other._level, None
             return
@@ -202,12 +221,13 @@ class Saturated:
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
         return {"bound": self._bound, "pixels": self._pixels, "level": self._level,
+                "early": self._early,
                 "method": None if self._method is None else self._method.snapshot()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `state` returned."""
         self._bound, self._level = state["bound"], state["level"]
-        self._method = None
+        self._early, self._method = state["early"], None
         if state["method"] is not None:
             self._make(state["pixels"], state["level"])
             assert self._method is not None
