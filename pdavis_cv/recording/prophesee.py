@@ -176,10 +176,10 @@ class PropheseeRecording(SequentialRecording):
         for high, wide in ((options.get("height"), options.get("width")),
                            (height, width), (facts.get("Height"), facts.get("Width")),
                            (facts.get("height"), facts.get("width"))):
-            if not (high or "").strip().isdecimal() or not (
-                    wide or "").strip().isdecimal():
+            sides = [(side or "").strip() for side in (high, wide)]
+            if not all(side.isdecimal() and len(side) < 10 for side in sides):
                 continue
-            size = int(high or 0), int(wide or 0)
+            size = int(sides[0]), int(sides[1])
             if not (0 < size[0] <= MAX_SIDE and 0 < size[1] <= MAX_SIDE):
                 raise RecordingError(
                     f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, the header "
