@@ -221,9 +221,23 @@ def test_a_thread_ends_at_its_time_too(three, tmp_path):
     assert row["error"] == "not done after 0.05 s"
 
 
+def test_a_thread_ends_though_its_first_alarm_is_swallowed(three, tmp_path):
+    with ThreadPoolExecutor(1) as executor:
+        row = run(three[:1], tmp_path / "out", work=_deaf_once, timeout_s=0.05,
+                  executor=executor)[0]
+    assert row["error"] == "not done after 0.05 s"
+
+
 def _spin(recording, options, folder):
     while True:
         pass
+
+
+def _deaf_once(recording, options, folder):
+    try:
+        _spin(recording, options, folder)
+    except BaseException:          # as in a finalizer, where it is printed and lost
+        _spin(recording, options, folder)
 
 
 def test_damage_is_told_in_the_row(data_dir, tmp_path):

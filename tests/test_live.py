@@ -5,6 +5,7 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -316,8 +317,10 @@ os.kill(os.getpid(), signal.SIGKILL)
     ended = subprocess.run([sys.executable, "-P", "-c", script], check=False)
     assert ended.returncode == -signal.SIGKILL
     left, = tmp_path.iterdir()
-    with pdavis_cv.open_recording(left, layout=Layout.PDAVIS) as written:
-        events = written.events()
+    with warnings.catch_warnings():   # the last packet may be half there
+        warnings.simplefilter("ignore", pdavis_cv.DamagedFileWarning)
+        with pdavis_cv.open_recording(left, layout=Layout.PDAVIS) as written:
+            events = written.events()
     with pdavis_cv.open_recording(example_recording(), layout=Layout.PDAVIS) as whole:
         np.testing.assert_array_equal(events, whole.events()[:len(events)])
     assert len(events) >= 2000

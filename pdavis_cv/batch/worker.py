@@ -188,16 +188,45 @@ def _deadline(seconds: float | None) -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
     else:
-        thread = ctypes.c_ulong(threading.get_ident())
-        timer = threading.Timer(
-            seconds, ctypes.pythonapi.PyThreadState_SetAsyncExc,
-            (thread, ctypes.py_object(_OutOfTimeError)))
-        timer.daemon = True
-        timer.start()
-        try:
+        with _alarm_of_thread(seconds):
             yield
-        finally:
-            timer.cancel()
+
+
+_RING_AGAIN_S = 1.0
+
+
+@contextlib.contextmanager
+def _alarm_of_thread(seconds: float) -> Iterator[None]:
+    """Raise `_OutOfTimeError` in this thread, again and again until the block ends.
+
+    Once is not enough: raised in a finalizer, an exception is printed and forgotten.
+    """
+    thread = ctypes.c_ulong(threading.get_ident())
+    raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
+    over, lock = threading.Event(), threading.Lock()
+
+    def ring() -> None:
+        wait = seconds
+        while not over.wait(wait):
+            with lock:
+                if not over.is_set():
+                    raise_in(thread, ctypes.py_object(_OutOfTimeError))
+            wait = _RING_AGAIN_S
+
+    def silence() -> None:
+        with lock:
+            over.set()
+            raise_in(thread, None)  # what was raised and not yet met
+
+    threading.Thread(target=ring, daemon=True).start()
+    try:
+        yield
+    finally:
+        try:
+            silence()
+        except _OutOfTimeError:  # raised on the way there
+            silence()
+            raise
 
 
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
