@@ -6,6 +6,7 @@ import pytest
 
 from pdavis_cv.tools import reproduce
 from pdavis_cv.tools.reproduce import print_style
+from pdavis_cv.tools.reproduce.bound import Bound
 from pdavis_cv.tools.reproduce.rotation import SCENES, Comparison, Spectrum, Trace
 from pdavis_cv.tools.reproduce.run import METHODS, Row
 
@@ -39,7 +40,9 @@ def result():
         spectra=[Spectrum(rpm, counts, 0.1, np.ones((2, 8), int), (3, 4),
                           (np.array([0.1, 0.4]), np.array([0, 1], np.uint8)))
                  for rpm in RPMS],
-        outside_hz=1.0, denoised_hz=0.01)
+        outside_hz=1.0, denoised_hz=0.01,
+        bounds=[(rpm, Bound(0.4, 0.007, 0.2, 0.004), Bound(0.2, 0.006, 0.0, 0.0))
+                for rpm in RPMS])
 
 
 @pytest.fixture(autouse=True)
@@ -93,6 +96,14 @@ def test_the_dolp_itself_is_drawn_beside_the_truth(result):
     lines = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
     assert set(lines["truth"]) == {1}
     np.testing.assert_allclose(lines["cf"], 0.9)
+
+
+@pytest.mark.gate
+def test_the_least_errors_are_lines_of_their_own(result):
+    axes = plots.rotation_figure("fig2", result).axes[0]
+    lines = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
+    np.testing.assert_allclose(lines["bound, PDAVIS not calibrated"], 0.4)
+    np.testing.assert_allclose(lines["bound, one frame, all known"], 0.2)
 
 
 @pytest.mark.gate

@@ -111,6 +111,7 @@ def rotation_figure(figure: str, result: Comparison) -> Figure:
     letters([*top, *bottom])
     errors(top[0], result.rows, "rpm", "aop_error_deg",
            label="AoP error of super-pixels (degrees)")
+    _bounds(top[0], result)
     paper: dict[str, Any] = {
         "color": "black", "linestyle": (0, (1, 1)), "linewidth": 0.8}
     if figure == "fig3":
@@ -133,6 +134,18 @@ def rotation_figure(figure: str, result: Comparison) -> Figure:
     _raster(bottom[2], result)
     drawing.suptitle(result.rotation.title)
     return drawing
+
+
+def _bounds(axes: Any, result: Comparison) -> None:
+    """Draw the least errors of AoP that the physics allows."""
+    if not result.bounds:
+        return
+    speeds, optics, frames = zip(*result.bounds, strict=True)
+    for bounds, dashes, colour, label in (
+            (optics, (0, (5, 1)), "black", "bound, PDAVIS not calibrated"),
+            (frames, (0, (4, 1, 1, 1, 1, 1)), "0.45", "bound, one frame, all known")):
+        axes.plot(speeds, [each.aop_deg for each in bounds], color=colour,
+                  linestyle=dashes, label=label)
 
 
 def traces_figure(result: Comparison) -> Figure:

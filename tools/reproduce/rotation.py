@@ -19,6 +19,7 @@ from pdavis_cv.simulation import (
     Scene,
 )
 
+from .bound import Bound, frame_bound, optics_bound
 from .page import mean, pivot, table
 from .run import (
     METHODS,
@@ -134,6 +135,8 @@ class Comparison:
     spectra: list[Spectrum] = field(default_factory=list)
     outside_hz: float = math.nan
     denoised_hz: float = math.nan
+    bounds: list[tuple[float, Bound, Bound]] = field(default_factory=list)
+    """Turns per minute; least errors of a camera that is not calibrated; of a frame."""
 
 
 def cases(
@@ -174,6 +177,7 @@ def compare(rotation: Rotation, settings: Settings, made: Sequence[Case],
             result.spectra.append(_spectrum(case, takes))
         tick()
     if made[0].existing is None:
+        result.bounds = [_bounds(case) for case in first]
         flat = Case(scene="constant light", rpm=0.0, camera=made[0].camera,
                     seed=made[0].seed, light=lambda s0: FlatLight(s0=s0), seconds=2.0)
         still = Takes(flat)(METHODS["frames"])
@@ -183,6 +187,12 @@ def compare(rotation: Rotation, settings: Settings, made: Sequence[Case],
         result.denoised_hz = len(
             EventDenoiser((height, width)).filter(noise)) / per_pixel_s
     return result
+
+
+def _bounds(case: Case) -> tuple[float, Bound, Bound]:
+    camera, scene = case.specimen(METHODS["frames"]), case.light(case.event_dn_per_ms)
+    return (case.rpm, optics_bound(camera.optics, scene, case.turn_us),
+            frame_bound(camera, scene, case.turn_us))
 
 
 def _traces(
@@ -263,7 +273,7 @@ def page(figure: str, results: Sequence[Comparison], settings: Settings,
                       "Part of the errors within one sigma (honest: 0.68): AoP / "
                       "DoLP.", "",
                       *pivot(rows, "rpm", ("aop_coverage", "dolp_coverage"))]
-        lines += _events_table(result)
+        lines += [*_bounds_table(result), *_events_table(result)]
     stated = _stated2(results[0]) if figure == "fig2" else _stated3(results)
     lines += ["## Beside the paper", "",
               *table(("quantity", "paper", "here"), stated),
@@ -274,6 +284,20 @@ def page(figure: str, results: Sequence[Comparison], settings: Settings,
               "cameras are simulated: 12 bits, extinction ratio 350, 20 ms exposure "
               "(13.3 ms at 75 fps), the same part of the converter's range.", ""]
     return lines
+
+
+def _bounds_table(result: Comparison) -> list[str]:
+    """Return the least errors of super-pixels, AoP in degrees / DoLP, by speed."""
+    if not result.bounds:
+        return []
+    speeds, optics, frames = zip(*result.bounds, strict=True)
+    return ["Least errors of super-pixels that the physics allows: AoP / DoLP "
+            "(docs/theory/limits.md).", "",
+            *table(("", *(f"{rpm:g}" for rpm in speeds)), [
+                (name, *(f"{each.aop_deg:.2f} / {each.dolp:.3f}" for each in bounds))
+                for name, bounds in (
+                    ("any method, camera not calibrated", optics),
+                    ("one frame's noise, all of the camera known", frames))])]
 
 
 def _events_table(result: Comparison) -> list[str]:
