@@ -22,7 +22,13 @@ from ._demosaic import (
 )
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, mismatch, reconcile
-from ._event_words import evt2_words, evt3_words, text_events
+from ._event_words import (
+    event_columns,
+    evt2_words,
+    evt3_words,
+    ros_events,
+    text_events,
+)
 from ._events import count, surface, voxel
 from ._floor import floor_sum
 from ._guided import guided
@@ -81,6 +87,7 @@ __all__ = [
     "denoise_events",
     "denoise_rates",
     "dolp",
+    "event_columns",
     "evt2_words",
     "evt3_words",
     "exp",
@@ -115,6 +122,7 @@ __all__ = [
     "redundancy_shown",
     "redundancy_solve",
     "rest_read",
+    "ros_events",
     "sample_innovations",
     "saturated_fill",
     "smooth_gap",

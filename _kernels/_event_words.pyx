@@ -1,9 +1,9 @@
-"""Words of event cameras' own streams: Prophesee's EVT2 and EVT3, and lines of text.
+"""Events as others store them: Prophesee's EVT2 and EVT3, lines of text, columns.
 
 Facts: the formats as Prophesee documents them.  State of time and checks of events are
 as in _check.pxd.
 """
-from libc.stdint cimport int64_t, uint8_t, uint16_t, uint32_t, uint64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t
 from libc.string cimport memchr, memcpy
 
 from _kernels._check cimport (
@@ -70,14 +70,6 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
     return i, why
 
 
-cdef inline int put(event_t[::1] out, Py_ssize_t i, int64_t x, int64_t p,
-                    int64_t* stream, Py_ssize_t height, Py_ssize_t width,
-                    int64_t* s) noexcept nogil:
-    """Take one event of the row and time that the stream is at."""
-    cdef int64_t t = stream[TIME] + s[2]
-    return take(&out[s[FILLED]], i, t, t, x, stream[ROW], p, height, width, s)
-
-
 def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
                int64_t[::1] state not None, event_t[::1] out not None):
@@ -87,34 +79,24 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0] - 12
     cdef uint32_t word, kind, bits
-    cdef int64_t high, low, x, p
-    cdef int why = FULL, count
-    cdef int64_t* s
-    cdef int64_t* at
+    cdef int64_t high, x, p, t
+    cdef int why = FULL, count, k
+    cdef int64_t[STATE] s
+    cdef int64_t[WORD_STATE] at
     if stream.shape[0] != WORD_STATE or state.shape[0] != STATE:
         raise ValueError("evt3_words: a state has the wrong length")
     if begin < 0 or begin > n or state[FILLED] < 0:
         raise ValueError("evt3_words: begin or state lies outside an array")
-    s, at = &state[0], &stream[0]
+    for k in range(STATE):     # local, so that writing events cannot change them
+        s[k] = state[k]
+    for k in range(WORD_STATE):
+        at[k] = stream[k]
     s[FIRST_BAD] = -1
     with nogil:
         while i < n and s[FILLED] <= room:
             word = words[i]
             kind = word >> 12
-            if kind == 0:
-                at[ROW] = word & 0x7FF
-            elif kind == 6:
-                low = word & 0xFFF
-                if at[HIGH] >= 0:
-                    at[TIME] = at[LOOPS] + (at[HIGH] << 12 | low)
-            elif kind == 8:
-                high = word & 0xFFF
-                if at[HIGH] - high > 1 << 11:
-                    at[LOOPS] += 1 << 24
-                if high != at[HIGH]:
-                    at[HIGH] = high
-                    at[TIME] = at[LOOPS] + (high << 12)
-            elif kind == 2 or kind == 4 or kind == 5:
+            if kind == 2 or kind == 4 or kind == 5:
                 if kind == 2:
                     bits, count, x, p = 1, 0, word & 0x7FF, word >> 11 & 1
                 else:
@@ -123,9 +105,10 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                 if at[HIGH] < 0:
                     at[UNTIMED] += 1
                     bits = 0
+                t = at[TIME] + s[OFFSET]
                 while bits:
-                    if bits & 1 and put(
-                            out, i, x, p, at, height, width, s) == FALLS:
+                    if bits & 1 and take(&out[s[FILLED]], i, t, t, x, at[ROW], p,
+                                         height, width, s) == FALLS:
                         why = JUMP     # before the first event of this word
                         break
                     bits >>= 1
@@ -133,10 +116,26 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                 if why == JUMP:
                     break
                 at[COLUMN] += count
+            elif kind == 6:
+                if at[HIGH] >= 0:
+                    at[TIME] = at[LOOPS] + (at[HIGH] << 12 | (word & 0xFFF))
+            elif kind == 0:
+                at[ROW] = word & 0x7FF
+            elif kind == 8:
+                high = word & 0xFFF
+                if at[HIGH] - high > 1 << 11:
+                    at[LOOPS] += 1 << 24
+                if high != at[HIGH]:
+                    at[HIGH] = high
+                    at[TIME] = at[LOOPS] + (high << 12)
             elif kind == 3:
                 at[COLUMN] = word & 0x7FF
                 at[POLARITY] = word >> 11 & 1
             i += 1
+    for k in range(STATE):
+        state[k] = s[k]
+    for k in range(WORD_STATE):
+        stream[k] = at[k]
     return i, why
 
 
@@ -153,47 +152,135 @@ cdef extern from *:
     static const int64_t powers[] = {
         1, 10, 100, 1000, 10000, 100000, 1000000, 10000000, 100000000, 1000000000};
     #if defined(__GNUC__)
-    #define zero_bytes(word) ((word) ? __builtin_ctzll(word) >> 3 : 8)
+    #define zero_bits(word) __builtin_ctzll(word)
     #else
-    static int zero_bytes(uint64_t word) {
+    static int zero_bits(uint64_t word) {
         int n = 0;
-        for (; n < 8 && !(word & 0xFF); word >>= 8) n++;
+        for (; !(word & 1); word >>= 1) n++;
         return n;
+    }
+    #endif
+    #if defined(__SSE2__) && !PDAVIS_CV_DEBUG   /* the debug flavour tests the other */
+    #include <emmintrin.h>
+    static uint32_t no_digits(const uint8_t *data) {
+        const __m128i zero = _mm_set1_epi8('0'), nine = _mm_set1_epi8(9);
+        __m128i a = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)data), zero);
+        __m128i b = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)(data + 16)), zero);
+        a = _mm_cmpeq_epi8(_mm_min_epu8(a, nine), a);
+        b = _mm_cmpeq_epi8(_mm_min_epu8(b, nine), b);
+        return ~((uint32_t)_mm_movemask_epi8(a)
+                 | (uint32_t)_mm_movemask_epi8(b) << 16);
+    }
+    #else
+    static uint32_t no_digits(const uint8_t *data) {
+        uint32_t found = 0;
+        for (int i = 0; i < 32; i++)
+            found |= (uint32_t)((uint8_t)(data[i] - '0') > 9) << i;
+        return found;
     }
     #endif
     """
     const int64_t[10] powers
-    int zero_bytes(uint64_t word) nogil      # below the lowest other one
+    int zero_bits(uint64_t word) nogil      # below the lowest 1; there must be one
+    # A bit for each of LINE bytes, the first the lowest: 1 where there is no digit.
+    uint32_t no_digits(const uint8_t* data) nogil
 
 cdef enum:
     FAR_S = 2305843009214       # beyond 1 << 61 us
+    LINE = 32                   # bytes in which a plain line ends
+    AHEAD = LINE + 8            # which reading it touches
+    NO_EVENT = -1               # an empty line, a comment, names
+    BAD = -2
+
+
+cdef inline bint blank(uint8_t c) noexcept nogil:
+    return c == c' ' or c == c',' or c == c';' or c == c'\t' or c == c'\r'
+
+
+cdef inline uint64_t others(uint64_t word) noexcept nogil:
+    """Return the highest bit of each byte of a word that is no digit.
+
+    The first byte is the lowest of the word.  No carry leaves a byte.
+    """
+    word ^= <uint64_t>0x3030303030303030
+    return (((word & <uint64_t>0x7F7F7F7F7F7F7F7F) + <uint64_t>0x7676767676767676)
+            | word) & <uint64_t>0x8080808080808080
+
+
+cdef inline int64_t value_of(uint64_t word, int count) noexcept nogil:
+    """Return the number that the first 1 to 8 bytes of a word, digits, stand for."""
+    word = (word << (64 - 8 * count)) & <uint64_t>0x0F0F0F0F0F0F0F0F
+    # Neighbours add up: to 4 numbers of 2 digits, 2 of 4, one of 8.
+    word = word * 2561 >> 8 & <uint64_t>0x00FF00FF00FF00FF
+    word = word * 6553601 >> 16 & <uint64_t>0x0000FFFF0000FFFF
+    return <int64_t>(word * <uint64_t>42949672960001 >> 32)
+
+
+cdef inline int64_t up_to_16(const uint8_t* data, int count) noexcept nogil:
+    """Return the number that 1 to 16 digits stand for; reads 8 bytes of each half."""
+    cdef uint64_t word
+    cdef int64_t high
+    memcpy(&word, data, 8)
+    if count <= 8:
+        return value_of(word, count)
+    high = value_of(word, 8)
+    memcpy(&word, data + 8, 8)
+    return high * powers[count - 8] + value_of(word, count - 8)
+
+
+cdef inline int plain_line(const uint8_t* data, const int* order, int64_t* row,
+                           int64_t* nano) noexcept nogil:
+    """Read a line as programs write it; return where it ends, or -1 for any other.
+
+    Four numbers of 1 to 16 digits, one separator between, of which the time may have
+    a fraction of up to 8.  The places of all separators are found before any number is
+    read: following one number to the next, each would wait for the one before.
+    """
+    cdef uint64_t word
+    cdef uint32_t marks = no_digits(data)
+    cdef int k, begin = 0, end = 0, count
+    cdef uint8_t after = 0
+    nano[0] = 0
+    for k in range(4):
+        if marks == 0:
+            return -1
+        end = zero_bits(marks)
+        marks &= marks - 1
+        count = end - begin
+        if count < 1 or count > 16:
+            return -1
+        row[order[k]] = (data[begin] - c'0' if count == 1 and order[k] == 3 else
+                         up_to_16(data + begin, count))
+        after = data[end]
+        if after == c'.' and order[k] == 0 and marks != 0:
+            begin, end = end + 1, zero_bits(marks)
+            marks &= marks - 1
+            count = end - begin
+            if count < 1 or count > 8:
+                return -1
+            memcpy(&word, data + begin, 8)
+            nano[0] = value_of(word, count) * powers[9 - count]
+            after = data[end]
+        if k < 3 and not blank(after):
+            return -1
+        begin = end + 1
+    if after == c'\r':
+        end += 1
+    return end if data[end] == c'\n' else -1
 
 
 cdef inline int eight_digits(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
                              int64_t* value) noexcept nogil:
     """Read up to 8 digits at once; return how many there are.
 
-    Digit by digit, the end of each number is a branch that no CPU foresees.  The first
-    byte is the lowest of the word.
+    Digit by digit, the end of each number is a branch that no CPU foresees.
     """
-    cdef uint64_t word = 0, other
+    cdef uint64_t word = 0, ends
     cdef int count
-    if i + 8 <= n:
-        memcpy(&word, data + i, 8)
-    else:
-        memcpy(&word, data + i, n - i)
-    word ^= <uint64_t>0x3030303030303030
-    # The high bit of each byte that is no digit; a carry reaches later bytes only.
-    other = ((word + <uint64_t>0x7676767676767676) | word) & (
-        <uint64_t>0x8080808080808080)
-    count = zero_bytes(other)
-    value[0] = 0
-    if count:
-        word <<= 64 - 8 * count
-        # Neighbours add up: to 4 numbers of 2 digits, 2 of 4, one of 8.
-        word = word * 2561 >> 8 & <uint64_t>0x00FF00FF00FF00FF
-        word = word * 6553601 >> 16 & <uint64_t>0x0000FFFF0000FFFF
-        value[0] = <int64_t>(word * <uint64_t>42949672960001 >> 32)
+    memcpy(&word, data + i, min(8, n - i))
+    ends = others(word)
+    count = zero_bits(ends) >> 3 if ends else 8
+    value[0] = value_of(word, count) if count else 0
     return count
 
 
@@ -252,10 +339,6 @@ cdef inline Py_ssize_t number(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,
     return i
 
 
-cdef inline bint blank(uint8_t c) noexcept nogil:
-    return c == c' ' or c == c',' or c == c';' or c == c'\t' or c == c'\r'
-
-
 cdef inline int64_t floored(int64_t a, int64_t b) noexcept nogil:
     """Divide by a positive number, downward, whatever cdivision says."""
     return a // b - (a % b < 0)
@@ -267,6 +350,32 @@ cdef inline int64_t in_us(int64_t whole, int64_t nano, int unit) noexcept nogil:
         whole = min(max(whole, -<int64_t>FAR_S), <int64_t>FAR_S)
         return whole * 1000000 + floored(nano + 500, 1000)
     return floored(whole, 1000) if unit == NANOSECONDS else whole
+
+
+cdef inline Py_ssize_t any_line(const uint8_t* source, Py_ssize_t at, Py_ssize_t n,
+                                const int* order, int64_t* row,
+                                int64_t* nano) noexcept nogil:
+    """Read the line at a place before n; return where it ends, or NO_EVENT, or BAD."""
+    cdef Py_ssize_t after
+    cdef int64_t fraction = 0
+    cdef int k
+    while blank(source[at]):
+        at += 1
+    if source[at] == c'#' or source[at] >= c'A' or source[at] == c'\n':
+        return NO_EVENT
+    for k in range(4):
+        after = number(source, at, n, &row[order[k]], &fraction)
+        # A fraction of a pixel is no event.
+        if after < 0 or (fraction != 0 and order[k] != 0):
+            return BAD
+        if order[k] == 0:
+            nano[0] = fraction
+        at = after
+        while blank(source[at]):
+            at += 1
+        if at == after and k < 3:
+            return BAD
+    return at if source[at] == c'\n' else BAD
 
 
 def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
@@ -281,18 +390,20 @@ def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
     or a letter; a negative p is OFF.  Why is 1 before a line whose time, t in us, lies
     more than a second before the last.
     """
-    cdef Py_ssize_t i = begin, n = data.shape[0], bad = 0, at, after, k
+    cdef Py_ssize_t i = begin, n = data.shape[0], bad = 0, at, k
     cdef Py_ssize_t room = out.shape[0]
     cdef const uint8_t* source
-    cdef int64_t whole = 0, fraction = 0, nano = 0, t = 0
+    cdef int64_t whole = 0, nano = 0, t = 0
     cdef int64_t[4] row
-    cdef int64_t* s
-    cdef int why = FULL
+    cdef int[4] places
+    cdef int64_t[STATE] s
+    cdef int why = FULL, end
     if order.shape[0] != 4 or state.shape[0] != STATE or begin < 0 or begin > n:
         raise ValueError("text_events: an array has the wrong shape")
     for k in range(4):
         if order[k] < 0 or order[k] > 3:
             raise ValueError("text_events: order must be of 0 .. 3")
+        places[k] = order[k]
     if unit < MICROSECONDS or unit > NANOSECONDS:
         raise ValueError("text_events: unit must be 0, 1 or 2")
     if state[FILLED] < 0 or state[FILLED] > room:
@@ -302,40 +413,121 @@ def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
         n -= 1
     if begin == n:
         return n, 0, FULL, 0
-    source, s = &data[0], &state[0]
+    source = &data[0]
+    for k in range(STATE):     # local, so that writing events cannot change them
+        s[k] = state[k]
     s[FIRST_BAD] = -1
     with nogil:
         while i < n and s[FILLED] < room:
-            at = i
-            while blank(source[at]):
-                at += 1
-            if source[at] == c'#' or source[at] >= c'A':
-                at = <const uint8_t*>memchr(source + at, c'\n', n - at) - source
-            elif source[at] != c'\n':
-                for k in range(4):
-                    after = number(source, at, n, &whole, &fraction)
-                    # A fraction of a pixel is no event.
-                    if after < 0 or (fraction != 0 and order[k] != 0):
-                        at = -1
-                        break
-                    row[order[k]] = whole
-                    if order[k] == 0:
-                        nano = fraction
-                    at = after
-                    while blank(source[at]):
-                        at += 1
-                    if at == after and k < 3:
-                        at = -1
-                        break
-                if at < 0 or source[at] != c'\n':
-                    bad += 1
-                    at = <const uint8_t*>memchr(source + i, c'\n', n - i) - source
-                else:
-                    t = in_us(row[0], nano, unit)
-                    whole = t if far(t) else t + s[OFFSET]
-                    if take(&out[s[FILLED]], i, whole, whole, row[1], row[2],
-                            max(row[3], 0), height, width, s) == FALLS:
-                        why = JUMP
-                        break
+            end = plain_line(source + i, places, row, &nano) if n - i >= AHEAD else -1
+            at = i + end if end >= 0 else any_line(source, i, n, places, row, &nano)
+            if at >= 0:
+                t = in_us(row[0], nano, unit)
+                whole = t if far(t) else t + s[OFFSET]
+                if take(&out[s[FILLED]], i, whole, whole, row[1], row[2],
+                        max(row[3], 0), height, width, s) == FALLS:
+                    why = JUMP
+                    break
+            else:
+                bad += at == BAD
+                at = <const uint8_t*>memchr(source + i, c'\n', n - i) - source
             i = at + 1
+    for k in range(STATE):
+        state[k] = s[k]
     return i, bad, why, t
+
+
+# ---- numbers ---------------------------------------------------------------------
+
+
+def event_columns(const int64_t[::1] t not None, const int32_t[::1] x not None,
+                  const int32_t[::1] y not None, const int32_t[::1] p not None,
+                  Py_ssize_t begin, Py_ssize_t height, Py_ssize_t width,
+                  int64_t[::1] state not None, event_t[::1] out not None):
+    """Take rows from begin on while out has room; return (how far, why, t).
+
+    t in us, a negative p is OFF.  Why is 1 before a row whose time lies more than a
+    second before the last; t is that of the row.
+    """
+    cdef Py_ssize_t i = begin, n = t.shape[0], room = out.shape[0]
+    cdef int64_t time = 0
+    cdef int why = FULL, k
+    cdef int64_t[STATE] s
+    if x.shape[0] != n or y.shape[0] != n or p.shape[0] != n or (
+            state.shape[0] != STATE or begin < 0 or begin > n):
+        raise ValueError("event_columns: an array has the wrong shape")
+    if state[FILLED] < 0 or state[FILLED] > room:
+        raise ValueError("event_columns: state lies outside an array")
+    for k in range(STATE):
+        s[k] = state[k]
+    s[FIRST_BAD] = -1
+    with nogil:
+        while i < n and s[FILLED] < room:
+            time = t[i] if far(t[i]) else t[i] + s[OFFSET]
+            if take(&out[s[FILLED]], i, time, time, x[i], y[i], max(p[i], 0), height,
+                    width, s) == FALLS:
+                why = JUMP
+                break
+            i += 1
+    for k in range(STATE):
+        state[k] = s[k]
+    return i, why, t[i] if i < n else 0
+
+
+# Places of an event's numbers in a message of ROS, bytes from its first.
+cdef enum:
+    ROS_X, ROS_Y, ROS_S, ROS_NS, ROS_P, ROS_PLACES
+
+
+def ros_events(const uint8_t[::1] data not None, Py_ssize_t start, Py_ssize_t stride,
+               Py_ssize_t count, const int64_t[::1] places not None, Py_ssize_t shift,
+               Py_ssize_t begin, Py_ssize_t height, Py_ssize_t width,
+               int64_t[::1] state not None, event_t[::1] out not None):
+    """Take events of a message from begin on; return (how far, why, t).
+
+    The first of count events is at byte start, the next stride bytes on; places are
+    those of x, y (uint16), seconds (int32), nanoseconds (uint32) and polarity (uint8).
+    x and y of the first lie shift bytes further on: CDR aligns nothing but times.  Why is 1 before an event whose time, t in us, lies more than a second before the
+    last.
+    """
+    cdef Py_ssize_t i = begin, room = out.shape[0], last = 0, further
+    cdef const uint8_t* row
+    cdef int64_t t = 0, time
+    cdef int32_t seconds
+    cdef uint32_t nano
+    cdef uint16_t x, y
+    cdef int why = FULL, k
+    cdef int64_t[STATE] s
+    if places.shape[0] != ROS_PLACES or state.shape[0] != STATE or (
+            state[FILLED] < 0 or state[FILLED] > room):
+        raise ValueError("ros_events: places or state is wrong")
+    for k in range(ROS_PLACES):
+        if places[k] < 0 or places[k] > stride or shift < 0 or shift > stride:
+            raise ValueError("ros_events: places must lie within an event")
+        last = max(last, places[k] + (4 if k == ROS_S or k == ROS_NS else (
+            1 if k == ROS_P else 2 + shift)))
+    if stride < 1 or start < 0 or count < 0 or begin < 0 or begin > count or (
+            count > 0 and ((count - 1) > (data.shape[0] - start) // stride
+                           or start + (count - 1) * stride + last > data.shape[0])):
+        raise ValueError("ros_events: events lie outside the data")
+    for k in range(STATE):
+        s[k] = state[k]
+    s[FIRST_BAD] = -1
+    with nogil:
+        while i < count and s[FILLED] < room:
+            row = &data[start + i * stride]
+            further = shift if i == 0 else 0
+            memcpy(&x, row + places[ROS_X] + further, 2)
+            memcpy(&y, row + places[ROS_Y] + further, 2)
+            memcpy(&seconds, row + places[ROS_S], 4)
+            memcpy(&nano, row + places[ROS_NS], 4)
+            t = <int64_t>seconds * 1000000 + nano // 1000
+            time = t + s[OFFSET]
+            if take(&out[s[FILLED]], i, time, time, x, y, row[places[ROS_P]], height,
+                    width, s) == FALLS:
+                why = JUMP
+                break
+            i += 1
+    for k in range(STATE):
+        state[k] = s[k]
+    return i, why, t

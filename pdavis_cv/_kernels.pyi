@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 _F32 = NDArray[np.float32]
 _Pair = tuple[NDArray[Any], NDArray[Any]]
 _F64 = NDArray[np.float64]
+_I32 = NDArray[np.int32]
 _I64 = NDArray[np.int64]
 _U8 = NDArray[np.uint8]
 _Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
@@ -106,6 +107,10 @@ def davis_words(
     down: int, state: _I64, reads: NDArray[np.uint16], times: _I64, out: NDArray[Any],
     imu: _I64, triggers: _I64,
 ) -> tuple[int, int]: ...
+def event_columns(
+    t: _I64, x: _I32, y: _I32, p: _I32, begin: int, height: int, width: int,
+    state: _I64, out: NDArray[Any],
+) -> tuple[int, int, int]: ...
 def evt2_words(
     words: NDArray[np.uint32], begin: int, height: int, width: int, stream: _I64,
     state: _I64, out: NDArray[Any],
@@ -114,6 +119,10 @@ def evt3_words(
     words: NDArray[np.uint16], begin: int, height: int, width: int, stream: _I64,
     state: _I64, out: NDArray[Any],
 ) -> tuple[int, int]: ...
+def ros_events(
+    data: _U8, start: int, stride: int, count: int, places: _I64, shift: int,
+    begin: int, height: int, width: int, state: _I64, out: NDArray[Any],
+) -> tuple[int, int, int]: ...
 def text_events(
     data: _U8, begin: int, order: _I64, unit: int, height: int, width: int,
     state: _I64, out: NDArray[Any],

@@ -135,3 +135,18 @@ def text_events(lines, order, unit, height, width):
             out.append((t, x, y, p))
             last = t
     return out, bad
+
+
+def event_rows(rows, height, width):
+    """Return those of rows of t, x, y, p that lie on the sensor and in order.
+
+    Where time falls by more than a second it is forgotten.
+    """
+    out, last = [], -2**61
+    for t, x, y, p in rows:
+        p = max(p, 0)
+        if (0 <= x < width and 0 <= y < height and p <= 1 and abs(t) <= 2**61
+                and (t < last - 10**6 or t >= last)):
+            out.append((t, x, y, p))
+            last = t
+    return out

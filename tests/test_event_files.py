@@ -208,6 +208,73 @@ def test_numbers_of_every_length_equal_their_twin():
                 lines, "txyp", unit, 300, 5000)
 
 
+def rows_taken(kernel, room=500):
+    """Return the events that a kernel takes, (begin, state, out) -> (done, why, t)."""
+    state = np.array([0, -2**61, 0, 0, 0, -1], np.int64)
+    out = np.zeros(room, EVENT_DTYPE)
+    done, more = 0, 1
+    while more:
+        done, more, _ = kernel(done, state, out)
+        if more:
+            state[1] = -2**61
+    return out[:state[0]].tolist()
+
+
+def some_rows(rng, times):
+    return np.stack([times, *(rng.integers(-1, top, len(times)) for top in (9, 7, 3))],
+                    1)
+
+
+def test_columns_equal_their_twin():
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.integers(-1, 3, 400))
+    times[200:] -= 5 * 10**6
+    times[[50, 60]] = 2**61 + 1, -2**61 - 1
+    rows = some_rows(rng, times)
+    t, *rest = rows.T.copy()
+    x, y, p = (column.astype(np.int32) for column in rest)
+    got = rows_taken(lambda begin, state, out: _kernels.event_columns(
+        t, x, y, p, begin, 6, 8, state, out))
+    assert got == reference.event_rows(rows.tolist(), 6, 8)
+    assert len(got) > 50
+    with pytest.raises(ValueError, match="event_columns: an array"):
+        _kernels.event_columns(t, x[1:], y, p, 0, 6, 8, np.zeros(6, np.int64),
+                               np.zeros(3, EVENT_DTYPE))
+
+
+@pytest.mark.parametrize(("size", "places"), [
+    (13, (0, 2, 4, 8, 12)), (16, (0, 2, 6, 10, 14)), (20, (18, 0, 4, 12, 9))])
+def test_messages_of_ros_equal_their_twin(size, places):
+    rng = np.random.default_rng(1)
+    times = np.abs(10**6 + np.cumsum(rng.integers(-1, 9000, 400)))
+    times[200:] -= 1_300_000
+    rows = np.abs(some_rows(rng, times))
+    names = dict(zip(("x", "y", "s", "ns", "p"), places, strict=True))
+    message = np.zeros(400, {"names": list(names), "offsets": list(names.values()),
+                             "formats": ["<u2", "<u2", "<i4", "<u4", "u1"],
+                             "itemsize": size})
+    message["s"], message["ns"] = rows[:, 0] // 10**6, rows[:, 0] % 10**6 * 1000 + 999
+    for name, column in zip("xyp", rows[:, 1:].T, strict=True):
+        message[name] = column
+    data = np.frombuffer(b"head!" + message.tobytes(), np.uint8)
+
+    def taken(count, begin, state, out, at=5, where=places, shift=0):
+        return _kernels.ros_events(data, at, size, count, np.array(where), shift,
+                                   begin, 6, 8, state, out)
+
+    got = rows_taken(lambda *rest: taken(400, *rest))
+    assert got == reference.event_rows(rows.tolist(), 6, 8)
+    assert len(got) > 50
+    state, out = np.zeros(6, np.int64), np.zeros(500, EVENT_DTYPE)
+    for wrong in ({"count": 401}, {"count": 2**62}, {"begin": 401}, {"begin": -1},
+                  {"at": -1}, {"at": 5 + size}, {"where": (0, 2, 4, 8, size + 1)},
+                  {"where": (0, 2, 4, 8)}, {"shift": -1}, {"shift": size + 1},
+                  {"state": state[:3]}, {"state": state - 1}):
+        given = {"count": 400, "begin": 0, "state": state, "out": out} | wrong
+        with pytest.raises(ValueError, match="ros_events"):
+            taken(**given)
+
+
 @pytest.mark.parametrize(("header", "size"), [
     (b"% evt 2.0\n% geometry 320x240\n", (240, 320)),
     (b"% Date 2020\n% evt 2.0\n% plugin_name hal_plugin_gen31_fx3\n", (480, 640)),

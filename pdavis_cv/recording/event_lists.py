@@ -14,6 +14,7 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.numpy_files import StoredArray, stored_arrays
+from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
@@ -101,6 +102,7 @@ class TextRecording(_EventList):
               sensor_size: tuple[int, int] | None = None,
               columns: str | None = None) -> RecordingInfo:
         self._reader = self._bytes()
+        self._end = self._reader.size
         start = self._reader.read(0, 4096)
         order = self._named(start) if columns is None else columns
         if sorted(order) != sorted("txyp"):
@@ -133,29 +135,31 @@ class TextRecording(_EventList):
 
     def _farthest(self) -> tuple[int, int]:
         events = self._lines(
-            self._begin, Clock(Timeline()), (MAX_SIDE, MAX_SIDE))[0]
+            self._begin, Clock(Timeline()), (MAX_SIDE, MAX_SIDE), Scratch())[0]
         return int(events["x"].max(initial=0)), int(events["y"].max(initial=0))
 
-    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
-        events, after, bad, jumps = self._lines(at, clock, self._info.sensor_size)
+    def _next(self, at: int, clock: Clock, state: Any, memory: Scratch
+              ) -> tuple[NDArray[Any], int]:
+        events, after, bad, jumps = self._lines(
+            at, clock, self._info.sensor_size, memory)
         self._count(at, "bad line", bad, "lines are not four numbers")
         self._dropped(clock, at, jumps)
         return events, after
 
-    def _lines(self, at: int, clock: Clock, size: tuple[int, int]
+    def _lines(self, at: int, clock: Clock, size: tuple[int, int], memory: Scratch
                ) -> tuple[NDArray[Any], int, int, int]:
         """Return the events of the piece at a byte, the next one, bad lines, jumps."""
-        data = self._reader.read(at, CHUNK)
-        if at + len(data) == self._reader.size and not data.endswith(b"\n") and data:
-            data += b"\n"  # the last line of a file need not end
+        data = memory.read(self._reader, at, CHUNK)
+        if len(data) and at + len(data) == self._reader.size and data[-1] != ord("\n"):
+            data = np.append(data, np.uint8(ord("\n")))  # of a last line that does not
         # A line is four digits and what parts them, at least.
-        events = np.empty(len(data) // 8 + 1, EVENT_DTYPE)
+        events = memory.room(len(data) // 8 + 1)
         clock.begin()
         done, bad, jumps, more = 0, 0, 0, 1
         while more:
             done, wrong, more, t = _kernels.text_events(
-                np.frombuffer(data, np.uint8), done, self._order, self._unit_of_time,
-                *size, clock.state, events)
+                data, done, self._order, self._unit_of_time, *size, clock.state,
+                events)
             bad += wrong
             if more:
                 clock.jump(t + int(clock.state[OFFSET]))
@@ -198,6 +202,7 @@ class NumpyRecording(_EventList):
             raise RecordingError(
                 f"{self._path}: not arrays that can be read: {error}") from None
         self._arrays_of = _events_of(found, str(self._path))
+        self._end = len(self._arrays_of[0])
         self._scale = self._time_unit()
         return self._facts("NumPy", layout, sensor_size)
 
@@ -211,12 +216,13 @@ class NumpyRecording(_EventList):
         _, x, y, _ = self._columns(0)
         return (int(max(x.max(initial=0), 0)), int(max(y.max(initial=0), 0)))
 
-    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
+    def _next(self, at: int, clock: Clock, state: Any, memory: Scratch
+              ) -> tuple[NDArray[Any], int]:
         columns = self._columns(at)
         after = at + len(columns[0])
         if after == at:
             return np.empty(0, EVENT_DTYPE), at
-        return self._checked(columns, clock, at, unit="row"), after
+        return self._checked(columns, clock, at, memory, unit="row"), after
 
     def _columns(self, at: int) -> tuple[NDArray[Any], ...]:
         """Return t in us, x, y, p of the rows at a place."""
@@ -231,7 +237,7 @@ class NumpyRecording(_EventList):
             with np.errstate(over="ignore"):
                 t = np.rint(t.astype(np.float64) * (
                     1e6 if self._scale == "s" else 1.0))
-            t = np.where(np.abs(t) < FAR, t, -FAR)  # dropped, and what is no number
+            t = np.where(np.abs(t) < FAR, t, -2 * FAR)  # dropped, and what is no number
         elif self._scale == "ns":
             t = t // 1000
         return t.astype(np.int64), _whole(x), _whole(y), _whole(p)

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
-from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
-from pdavis_cv.recording.timeline import BACKWARD, OUTSIDE, Clock
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.timeline import BACKWARD, FILLED, OFFSET, OUTSIDE, Clock
 from pdavis_cv.sensor import Layout
 
 __all__ = ["FileReader", "FileRecording", "ProblemLog", "clock_text"]
@@ -315,16 +316,18 @@ class FileRecording(Recording):
                  "time ran backward")):
             self._count(at, kind, int(count), message, unit=unit)
 
-    def _checked(self, columns: Sequence[NDArray[Any]], clock: Clock, at: int, *,
-                 unit: str = "byte") -> NDArray[Any]:
+    def _checked(self, columns: Sequence[NDArray[Any]], clock: Clock, at: int,
+                 memory: Scratch, *, unit: str = "byte") -> NDArray[Any]:
         """Return those events that lie on the sensor and in order; count the others.
 
         Parameters
         ----------
         columns : four of ndarray, shape (N,)
-            t in us, int64, which is changed in place; x, y; p, where negative is OFF.
+            t in us, int64; x, y; p, where negative is OFF; whole numbers.
         clock : Clock
             Time of the events before these.
+        memory : Scratch
+            Gives the room for them.
         at, unit
             As in `_count`.
 
@@ -332,30 +335,35 @@ class FileRecording(Recording):
         -------
         ndarray of EVENT_DTYPE, shape (M,)
         """
-        t, x, y, p = columns
-        height, width = self._info.sensor_size
-        if p.dtype.kind not in "bu":
-            p = np.where(p < 0, 0, p)  # some writers use -1 for OFF
-        inside = (x < width) & (y < height) & (p <= 1)
-        for side in (x, y):
-            if side.dtype.kind != "u":
-                inside &= side >= 0
-        keep, segments = clock.order(t)
-        if segments:
-            self._log.add("segment", at, "time jumped back by more than a second: a "
-                          "new segment, moved to follow the one before")
-        for kind, good, message in (
-                ("outside sensor", inside, "events outside the sensor were dropped"),
-                ("backward time", keep, "events were dropped because time ran "
-                 "backward")):
-            self._count(at, kind, len(good) - int(np.count_nonzero(good)), message,
-                        unit=unit)
-        good = inside & keep
-        count = int(np.count_nonzero(good))
-        events = np.empty(count, EVENT_DTYPE)
-        for name, column in zip("txyp", (t, x, y, p), strict=True):
-            events[name] = column if count == len(good) else column[good]
-        return events
+        t = np.ascontiguousarray(columns[0])
+        x, y, p = map(_narrow, columns[1:])
+        return self._taken(
+            lambda done, out: _kernels.event_columns(
+                t, x, y, p, done, *self._info.sensor_size, clock.state, out),
+            len(t), clock, at, memory, unit=unit)
+
+    def _taken(self, kernel: Callable[[int, NDArray[Any]], tuple[int, int, int]],
+                 count: int, clock: Clock, at: int, memory: Scratch, *, unit: str
+                 ) -> NDArray[Any]:
+        """Return what a kernel takes of count events; count what it leaves out.
+
+        Parameters
+        ----------
+        kernel : callable
+            (first, out) -> (how far, whether time jumps back there, the time there).
+        count, clock, at, memory, unit
+            As in `_checked`.
+        """
+        events = memory.room(count)
+        clock.begin()
+        done = jumps = 0
+        while done < count:
+            done, jump, t = kernel(done, events)
+            if jump:
+                clock.jump(t + int(clock.state[OFFSET]))
+                jumps += 1
+        self._dropped(clock, at, jumps, unit=unit)
+        return events[:int(clock.state[FILLED])]
 
     @property
     def path(self) -> Path:
@@ -378,6 +386,15 @@ class FileRecording(Recording):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _reopen, (type(self), os.fspath(self._path), self._arguments)
+
+
+def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
+    """Return whole numbers as int32; beyond that they lie outside any sensor."""
+    if column.dtype.kind == "u" and column.dtype.itemsize > 2:
+        column = np.minimum(column, column.dtype.type(1 << 30))
+    elif column.dtype.itemsize > 4:
+        column = np.clip(column, -1, 1 << 30)
+    return np.ascontiguousarray(column, np.int32)
 
 
 def _reopen(reader: Callable[..., FileRecording], path: str,

@@ -15,6 +15,7 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout
@@ -64,7 +65,8 @@ class WordStream:
         """Events that were skipped because no time came before them."""
         return int(self._stream[UNTIMED])
 
-    def events(self, words: NDArray[np.unsignedinteger], clock: Clock) -> NDArray[Any]:
+    def events(self, words: NDArray[np.unsignedinteger], clock: Clock,
+               memory: Scratch | None = None) -> NDArray[Any]:
         """Return the events of words that lie on the sensor and in order.
 
         Parameters
@@ -72,6 +74,8 @@ class WordStream:
         words : ndarray of uint32 (EVT2) or uint16 (EVT3), shape (N,)
         clock : Clock
             Its state counts what was dropped.
+        memory : Scratch, optional
+            Gives the room for them.
 
         Returns
         -------
@@ -80,7 +84,7 @@ class WordStream:
         two = self.version == 2
         kernel = _kernels.evt2_words if two else _kernels.evt3_words
         # What is never written costs no memory.
-        out = np.empty(len(words) if two else 12 * len(words) + 12, EVENT_DTYPE)
+        out = (memory or Scratch()).room(len(words) if two else 12 * len(words) + 12)
         clock.begin()
         done, self.jumps = 0, 0
         while done < len(words):
@@ -106,6 +110,7 @@ class PropheseeRecording(SequentialRecording):
 
     def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
         self._reader = self._bytes()
+        self._end = self._reader.size
         facts = self._header()
         name = " ".join(facts.get(key, "") for key in (
             "integrator_name", "camera_integrator_name", "plugin_name", "system_ID"
@@ -192,30 +197,30 @@ class PropheseeRecording(SequentialRecording):
     def _hull(self) -> tuple[int, int]:
         """Return a size that holds the first events."""
         if self._version == 0:
-            words = self._words(self._begin).reshape(-1, 2)[:, 1]
+            words = self._words(self._begin, Scratch()).reshape(-1, 2)[:, 1]
             x, y = words & 0x3FFF, words >> 14 & 0x3FFF
         else:
             stream = WordStream(self._version, (2048, 2048))
-            events = stream.events(self._words(self._begin), Clock(Timeline()))
+            events = stream.events(
+                self._words(self._begin, Scratch()), Clock(Timeline()))
             x, y = events["x"], events["y"]
         return likely_size(int(x.max(initial=0)), int(y.max(initial=0)))
 
-    def _words(self, at: int) -> NDArray[np.unsignedinteger]:
+    def _words(self, at: int, memory: Scratch) -> NDArray[np.unsignedinteger]:
         """Return the whole words of the piece at a byte."""
         dtype = np.dtype("<u2" if self._version == 3 else "<u4")
         size = 8 if self._version == 0 else dtype.itemsize
-        data = self._reader.read(at, CHUNK)
-        words: NDArray[np.unsignedinteger] = np.frombuffer(
-            data, dtype, len(data) // size * (size // dtype.itemsize))
+        data = memory.read(self._reader, at, CHUNK)
+        words: NDArray[np.unsignedinteger] = data[:len(data) // size * size].view(dtype)
         return words
 
     def _first(self) -> WordStream | None:
         return WordStream(self._version, self._info.sensor_size) if (
             self._version) else None
 
-    def _next(self, at: int, clock: Clock, state: WordStream | None
+    def _next(self, at: int, clock: Clock, state: WordStream | None, memory: Scratch
               ) -> tuple[NDArray[Any], int]:
-        words = self._words(at)
+        words = self._words(at, memory)
         if not len(words):
             if at < self._reader.size:
                 self._log.damage(
@@ -226,9 +231,9 @@ class PropheseeRecording(SequentialRecording):
             t, word = words.reshape(-1, 2).T
             return self._checked(
                 (t.astype(np.int64), word & 0x3FFF, word >> 14 & 0x3FFF, word >> 28),
-                clock, at), after
+                clock, at, memory), after
         before = state.untimed
-        events = state.events(words, clock)
+        events = state.events(words, clock, memory)
         self._dropped(clock, at, state.jumps)
         self._count(at, "untimed", state.untimed - before, "events before the first "
                     "time were skipped")

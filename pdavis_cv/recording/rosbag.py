@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.recording.prophesee import WordStream
+from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import NEVER, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
@@ -30,11 +32,11 @@ MAX_MESSAGE = 1 << 28
 EVENT_ARRAYS = "dvs_msgs/msg/EventArray"
 EVENT_PACKETS = "event_camera_msgs/msg/EventPacket"
 IMAGES = "sensor_msgs/msg/Image"
-_ROS1 = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])
-# In CDR numbers are aligned: the pattern repeats from the second event on.
-_ROS2 = np.dtype({"names": ["x", "y", "s", "ns", "p"], "itemsize": 16,
-                  "formats": ["<u2", "<u2", "<i4", "<u4", "u1"],
-                  "offsets": [0, 2, 6, 10, 14]})
+# Bytes of an event, and places in it of x, y, seconds, nanoseconds, polarity.
+_ROS1 = 13, np.array([0, 2, 4, 8, 12])
+# In CDR numbers are aligned: a gap before the seconds, but not in the first event.
+_ROS2 = 16, np.array([0, 2, 6, 10, 14])
+_GAP = 2
 _GREY = {"mono8": ("u1", 255), "8UC1": ("u1", 255), "mono16": ("u2", 65535),
          "16UC1": ("u2", 65535)}
 
@@ -94,28 +96,16 @@ class _Message:
             raise ValueError(f"a size of {width}x{height}")
         return height, width
 
-    def events(self) -> tuple[NDArray[Any], ...]:
-        """Return t in us, x, y, p of a sequence of dvs_msgs/Event."""
+    def events(self) -> tuple[NDArray[np.uint8], int, int, int, NDArray[np.int64], int]:
+        """Return where a sequence of dvs_msgs/Event lies, as `ros_events` takes it."""
         count, at, data = self.number("I"), self._at, self.data
-        if not self._cdr:
-            if count * _ROS1.itemsize > len(data) - at:
-                raise ValueError(f"{count} events in a message of {len(data)} bytes")
-            rows = np.frombuffer(data, _ROS1, count, at)
-        else:
-            # Of the first event the times follow the place at once.
-            aligned = at + -(at - 4) % 4
-            needed = 13 + 16 * (count - 1) if count else 0
-            if needed > len(data) - aligned:
-                raise ValueError(f"{count} events in a message of {len(data)} bytes")
-            whole = bytearray(16 * count)
-            if count:
-                whole[0:4] = data[aligned:aligned + 4]
-                whole[6:15] = data[aligned + 4:aligned + 13]
-                rest = data[aligned + 14:aligned + 14 + 16 * (count - 1)]
-                whole[16:16 + len(rest)] = rest
-            rows = np.frombuffer(whole, _ROS2, count)
-        t = rows["s"].astype(np.int64) * 1_000_000 + rows["ns"] // 1000
-        return t, rows["x"], rows["y"], rows["p"]
+        size, places = _ROS2 if self._cdr else _ROS1
+        shift = _GAP if self._cdr else 0
+        if self._cdr:
+            at += -(at - 4) % 4 - _GAP
+        if count and at + count * size - (1 if self._cdr else 0) > len(data):
+            raise ValueError(f"{count} events in a message of {len(data)} bytes")
+        return np.frombuffer(data, np.uint8), at, size, count, places, shift
 
 
 class RosRecording(FileRecording):
@@ -149,6 +139,9 @@ class RosRecording(FileRecording):
             with self._kind(self._path) as bag:
                 self._topics = self._choose(bag.connections, camera)
                 size = self._sensor_size(bag)
+                self._message_count = sum(
+                    c.msgcount for c in bag.connections
+                    if (c.topic, c.msgtype) in self._topics)
         except RecordingError:
             raise
         except Exception as error:  # rosbags and its database may raise anything
@@ -202,9 +195,23 @@ class RosRecording(FileRecording):
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
         if self._closed:
             raise ValueError(f"{self._path.name}: recording is closed")
-        return packetise(self._batches(), start_us, stop_us)
+        return packetise(self._batches(Scratch()), start_us, stop_us)
 
-    def _batches(self) -> Iterator[Batch]:
+    def events(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> NDArray[Any]:
+        """Return the events of start_us <= time < stop_us as one array."""
+        if self._closed:
+            raise ValueError(f"{self._path.name}: recording is closed")
+        memory = Gathering(start_us, stop_us)
+        for done, batch in enumerate(self._batches(memory), 1):
+            if batch.events is not None and memory.keep(batch.events):
+                break
+            if start_us is stop_us is None:
+                memory.expect(done / max(self._message_count, done))
+        return memory.events
+
+    def _batches(self, memory: Scratch) -> Iterator[Batch]:
         timeline = Timeline()
         clocks = {name: Clock(timeline) for name in ("events", "frames")}
         words = WordStream(3, self._info.sensor_size)
@@ -220,11 +227,11 @@ class RosRecording(FileRecording):
                 elif kind == EVENT_ARRAYS:
                     message.header()
                     message.size()
-                    batch.events = self._checked(
-                        message.events(), clocks["events"], number, unit="message")
+                    batch.events = self._array(
+                        message, clocks["events"], memory, number)
                 else:
                     batch.events = self._packet(
-                        message, clocks["events"], words, number)
+                        message, clocks["events"], words, memory, number)
             except (ValueError, struct.error) as error:
                 self._log.damage(number, f"message {number}, of {topic}, is damaged: "
                                  f"{error}", offset=0)
@@ -291,8 +298,17 @@ class RosRecording(FileRecording):
             return []
         return [ApsFrame(image, int(t[0]), int(t[0]), full_scale_dn=full)]
 
-    def _packet(self, message: _Message, clock: Clock, words: WordStream, number: int
-                ) -> NDArray[Any]:
+    def _array(self, message: _Message, clock: Clock, memory: Scratch, number: int
+               ) -> NDArray[Any]:
+        """Return the events of a dvs_msgs/EventArray."""
+        where = message.events()
+        return self._taken(
+            lambda done, out: _kernels.ros_events(
+                *where, done, *self._info.sensor_size, clock.state, out),
+            where[3], clock, number, memory, unit="message")
+
+    def _packet(self, message: _Message, clock: Clock, words: WordStream,
+                memory: Scratch, number: int) -> NDArray[Any]:
         """Return the events of an event_camera_msgs/EventPacket."""
         stamp = message.header() // 1000
         message.size()
@@ -309,12 +325,13 @@ class RosRecording(FileRecording):
             word = np.frombuffer(data, "<u8", len(data) // 8)
             t = ((word & 0xFFFFFFFF).astype(np.int64) + base) // 1000
             columns = t, word >> 32 & 0xFFFF, word >> 48 & 0x7FFF, word >> 63
-            return self._checked(columns, clock, number, unit="message")
+            return self._checked(columns, clock, number, memory, unit="message")
         if clock.last == NEVER:
             # The sensor counts from its own start; the stamp is of the first event.
             first = WordStream(3, words.size).events(
                 np.frombuffer(data, "<u2", len(data) // 2), Clock(Timeline()))
             clock.state[OFFSET] = stamp - int(first["t"][0]) if len(first) else 0
-        events = words.events(np.frombuffer(data, "<u2", len(data) // 2), clock)
+        events = words.events(
+            np.frombuffer(data, "<u2", len(data) // 2), clock, memory)
         self._dropped(clock, number, words.jumps, unit="message")
         return events

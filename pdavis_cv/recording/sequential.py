@@ -2,17 +2,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from bisect import bisect_left
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.recording.base import Packet, joined
+from pdavis_cv.recording.base import Packet
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import Clock, Marks, Timeline
 
 __all__ = ["SequentialRecording", "likely_size"]
@@ -37,17 +35,20 @@ def likely_size(x: int, y: int) -> tuple[int, int]:
 class SequentialRecording(FileRecording):
     """A file of events alone, in pieces; the first reading notes where they begin.
 
-    A format gives `_begin`, where the first piece is, and implements `_next`.
+    A format gives `_begin` and `_end`, the places of the first piece and of the file's
+    end, and implements `_next`.
     """
 
     _begin = 0
+    _end: int
 
     def _first(self) -> Any:
         """Return what decoding knows before the first piece."""
         return None
 
     @abstractmethod
-    def _next(self, at: int, clock: Clock, state: Any) -> tuple[NDArray[Any], int]:
+    def _next(self, at: int, clock: Clock, state: Any, memory: Scratch
+              ) -> tuple[NDArray[Any], int]:
         """Return the events of the piece at a place, and the next place.
 
         Parameters
@@ -58,6 +59,8 @@ class SequentialRecording(FileRecording):
             Time of the events before; goes on.
         state : object
             As `_first` made it; goes on.
+        memory : Scratch
+            Of this pass; events come to lie in its room.
 
         Returns
         -------
@@ -70,25 +73,25 @@ class SequentialRecording(FileRecording):
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        return packetise(self._batches(start_us), start_us, stop_us)
+        batches = (Batch(events, complete_us=last) for events, last, _ in
+                   self._pieces(start_us, Scratch()))
+        return packetise(batches, start_us, stop_us)
 
     def events(
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> NDArray[Any]:
         """Return the events of start_us <= time < stop_us as one array."""
-        parts = [np.empty(0, EVENT_DTYPE)]
-        for batch in self._batches(start_us):
-            events = batch.events
-            if events is None or not len(events):
-                continue
-            lo = 0 if start_us is None else bisect_left(events["t"], start_us)
-            hi = len(events) if stop_us is None else bisect_left(events["t"], stop_us)
-            parts.append(events[lo:hi])
-            if hi < len(events):
+        memory = Gathering(start_us, stop_us)
+        for events, _, after in self._pieces(start_us, memory):
+            if memory.keep(events):
                 break
-        return joined(parts)
+            if start_us is stop_us is None:
+                memory.expect((after - self._begin) / (self._end - self._begin))
+        return memory.events
 
-    def _batches(self, start_us: int | None) -> Iterator[Batch]:
+    def _pieces(self, start_us: int | None, memory: Scratch
+                ) -> Iterator[tuple[NDArray[Any], int, int]]:
+        """Give the events of each piece, the newest time so far, and the next place."""
         at, clock, state = self._begin, Clock(Timeline()), self._first()
         if start_us is not None:
             mark = self._marks.before(cell_start(start_us))
@@ -96,11 +99,11 @@ class SequentialRecording(FileRecording):
                 at, clock, state = mark
         while True:
             self._marks.note(at, clock.last, (at, clock, state))
-            events, after = self._next(at, clock, state)
+            events, after = self._next(at, clock, state, memory)
             if after == at:
                 return
             at = after
-            yield Batch(events, complete_us=clock.last)
+            yield events, clock.last, after
 
     @property
     def _marks(self) -> Marks:

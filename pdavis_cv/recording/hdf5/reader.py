@@ -28,6 +28,7 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
@@ -224,17 +225,31 @@ class Hdf5Recording(FileRecording):
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
         if not self._file:
             raise ValueError(f"{self._path.name}: recording is closed")
-        return packetise(self._batches(start_us), start_us, stop_us)
+        return packetise(self._batches(start_us, Scratch()), start_us, stop_us)
 
-    def _batches(self, start_us: int | None) -> Iterator[Batch]:
+    def events(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> NDArray[Any]:
+        """Return the events of start_us <= time < stop_us as one array."""
+        if not self._file:
+            raise ValueError(f"{self._path.name}: recording is closed")
+        memory, clock = Gathering(start_us, stop_us), Clock(Timeline())
+        if start_us is stop_us is None:
+            memory.reserve(self._length + CHUNK)
+        for row in range(self._row_before(start_us), self._length, CHUNK):
+            if memory.keep(self._events(
+                    row, min(row + CHUNK, self._length), clock, memory)):
+                break
+        return memory.events
+
+    def _batches(self, start_us: int | None, memory: Scratch) -> Iterator[Batch]:
         frames, taken = self._all_frames(), 0
         yield Batch(imu=self._table("imu", IMU_DTYPE),
                     triggers=self._table("triggers", TRIGGER_DTYPE),
                     complete_us=NEVER)
         clock, before = Clock(Timeline()), NEVER
-        first = 0 if start_us is None else self._chunk_before(cell_start(start_us))
-        for row in range(first, self._length, CHUNK):
-            events = self._events(row, min(row + CHUNK, self._length), clock)
+        for row in range(self._row_before(start_us), self._length, CHUNK):
+            events = self._events(row, min(row + CHUNK, self._length), clock, memory)
             now = clock.last
             ready: list[ApsFrame] = []
             while taken < len(frames) and frames[taken].ready <= max(now, before):
@@ -246,7 +261,10 @@ class Hdf5Recording(FileRecording):
         for place in frames[taken:]:
             yield Batch(frames=self._frame(place), complete_us=place.ready)
 
-    def _chunk_before(self, t_us: int) -> int:
+    def _row_before(self, start_us: int | None) -> int:
+        if start_us is None:
+            return 0
+        t_us = cell_start(start_us)
         lo, hi = 0, (self._length + CHUNK - 1) // CHUNK
         try:
             with _reading():
@@ -258,7 +276,8 @@ class Hdf5Recording(FileRecording):
             return 0
         return lo * CHUNK
 
-    def _events(self, row: int, stop: int, clock: Clock) -> NDArray[Any]:
+    def _events(self, row: int, stop: int, clock: Clock, memory: Scratch
+                ) -> NDArray[Any]:
         """Return the events of rows; those that cannot be read are left out."""
         try:
             with _reading():
@@ -266,11 +285,12 @@ class Hdf5Recording(FileRecording):
         except _LostError as error:
             step = max(self._piece, LEAST_PIECE)
             if stop - row > step:
-                return joined([self._events(at, min(at + step, stop), clock)
+                # of other memory: all of them would come to lie in the same room
+                return joined([self._events(at, min(at + step, stop), clock, Scratch())
                                for at in range(row, stop, step)])
             self._damage(row, f"events {row} .. {stop}", error)
             return np.empty(0, EVENT_DTYPE)
-        return self._checked(columns, clock, row, unit="row")
+        return self._checked(columns, clock, row, memory, unit="row")
 
     def _table(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
         """Return the IMU samples or triggers that our writer put beside the rest."""
@@ -423,4 +443,4 @@ def _microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
     with np.errstate(over="ignore"):
         t = np.rint(t.astype(np.float64) * unit)
     # What is no number, or beyond any time, is dropped as such later.
-    return np.where(np.abs(t) < FAR, t, -FAR).astype(np.int64)
+    return np.where(np.abs(t) < FAR, t, -2 * FAR).astype(np.int64)

@@ -1,0 +1,106 @@
+"""Memory of one pass over a file of events, which is used again for each piece.
+
+A system gives fresh memory page by page, at about the cost of decoding what is put
+there.
+"""
+from __future__ import annotations
+
+from bisect import bisect_left
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.events import EVENT_DTYPE
+
+if TYPE_CHECKING:
+    from pdavis_cv.recording.files import FileReader
+
+__all__ = ["Gathering", "Scratch"]
+
+_LEAST_ROOM = 1 << 16
+_SPARE = 1.05
+"""Of the room that the first piece lets one expect, so that it is seldom moved."""
+
+
+class Scratch:
+    """A buffer for a file's bytes; room for events is fresh each time."""
+
+    def __init__(self) -> None:
+        self._bytes = np.empty(0, np.uint8)
+
+    def read(self, reader: FileReader, at: int, size: int) -> NDArray[np.uint8]:
+        """Return up to size bytes of a file, valid until the next call.
+
+        Raises as `FileReader.read_into` does.
+        """
+        if len(self._bytes) < size:
+            self._bytes = np.empty(size, np.uint8)
+        return self._bytes[:reader.read_into(at, self._bytes[:size].data)]
+
+    def room(self, count: int) -> NDArray[Any]:
+        """Return an array of EVENT_DTYPE, shape (count,), to be filled."""
+        return np.empty(count, EVENT_DTYPE)
+
+
+class Gathering(Scratch):
+    """The same, but the events of all pieces come to lie in one array.
+
+    Parameters
+    ----------
+    start_us, stop_us : int, optional
+        Half-open interval of the events that are wanted.
+    """
+
+    def __init__(self, start_us: int | None, stop_us: int | None) -> None:
+        super().__init__()
+        self._start, self._stop = start_us, stop_us
+        self._all = np.empty(0, EVENT_DTYPE)
+        self._first = self._end = 0
+
+    def room(self, count: int) -> NDArray[Any]:
+        """Return the place behind the events that were kept."""
+        self.reserve(count)
+        return self._all[self._end:self._end + count]
+
+    def reserve(self, count: int) -> None:
+        """Have room for so many more events; what is never written costs no memory."""
+        if self._end + count > len(self._all):
+            more = np.empty(max(self._end + count, 2 * len(self._all), _LEAST_ROOM),
+                            EVENT_DTYPE)
+            _copy(self._all[:self._end], more[:self._end])
+            self._all = more
+
+    def expect(self, share: float) -> None:
+        """Make room for all that a file will give, of which a share was kept."""
+        self.reserve(int((_SPARE / share - 1) * self._end))
+
+    def keep(self, events: NDArray[Any]) -> bool:
+        """Keep the wanted ones of the next events; tell whether later ones are no use.
+
+        Parameters
+        ----------
+        events : ndarray of EVENT_DTYPE, shape (N,)
+            From `room`, or of other memory.
+        """
+        lo = 0 if self._start is None else bisect_left(events["t"], self._start)
+        hi = (len(events) if self._stop is None
+              else bisect_left(events["t"], self._stop))
+        if lo < hi:
+            self.reserve(hi)
+            if not np.may_share_memory(events, self._all):
+                _copy(events[:hi], self._all[self._end:self._end + hi])
+            if self._first == self._end:
+                self._first += lo
+            self._end += hi
+        return hi < len(events)
+
+    @property
+    def events(self) -> NDArray[Any]:
+        """What was kept, of EVENT_DTYPE, shape (N,)."""
+        return self._all[self._first:self._end]
+
+
+def _copy(events: NDArray[Any], out: NDArray[Any]) -> None:
+    # As bytes: NumPy copies packed structures one field of one element at a time.
+    out.view(np.uint8)[:] = events.view(np.uint8)
