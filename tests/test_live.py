@@ -145,6 +145,15 @@ def test_samples_that_come_late_are_dropped_and_counted():
     assert [(p.kind, p.count) for p in log.problems] == [("backward time", 50)]
 
 
+def test_a_stream_s_problems_are_counted_and_not_kept():
+    late = [Packet(random_events(20, (8, 8), seed=seed)) for seed in range(50)]
+    log = ProblemLog("test")
+    given = sum(len(packet.events) for packet in in_order(iter(late), log))
+    [problem] = log.problems
+    assert (problem.kind, problem.count) == ("backward time", 1000 - given)
+    assert not log._seen            # a stream may last for days
+
+
 def test_darkness_does_not_stop_images(recording):
     source = device(recording, speed=5, faults=LinkFaults(dark=0.4))
     with Session(source, **OPTIONS, method="cf") as session:

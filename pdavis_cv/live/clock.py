@@ -107,20 +107,20 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
     timeline = Timeline()
     jumps = offset = 0
     last: int | None = None
-    for number, packet in enumerate(packets):
+    for packet in packets:
         first = packet.until_us if packet.start_us is None else packet.start_us
         if first is None:
             continue
         if last is not None and last - first - offset > SEGMENT_US:
             offset += timeline.move(jumps, last - first - offset)
             jumps += 1
-            log.add("segment", number, "the device's clock was reset: what follows is "
+            log.add("segment", None, "the device's clock was reset: what follows is "
                     "moved to follow what came before", start_us=last)
         if offset:
             packet = moved(packet, offset)
         if last is not None and packet.start_us is not None and packet.start_us < last:
             packet, late = _after(packet, last)
-            log.add("backward time", number, "samples that came late were dropped",
+            log.add("backward time", None, "samples that came late were dropped",
                     count=late, start_us=last)
         ends = [t for t in (last, packet.until_us) if t is not None]
         if packet.stop_us is not None:

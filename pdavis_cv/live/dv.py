@@ -210,7 +210,7 @@ class DvSource(LiveSource):
                 yield from pieces(
                     Packet(triggers=_sorted(samples.triggers(data, table))))
         except (PayloadError, FlatBufferError, samples.UnknownFrameError) as error:
-            self._log.add("damage", object(), f"a packet could not be read: {error}")
+            self._log.add("damage", None, f"a packet could not be read: {error}")
 
     def _of_events(self, data: bytes, at: int, count: int) -> Iterator[Packet]:
         raw, state = np.frombuffer(data, np.uint8), self._state
@@ -223,7 +223,7 @@ class DvSource(LiveSource):
                 state, out)
             for number, what in ((3, "outside the sensor"), (4, "that came late")):
                 if state[number]:
-                    self._log.add(what, object(), f"events {what} were dropped",
+                    self._log.add(what, None, f"events {what} were dropped",
                                   count=int(state[number]))
             if state[0]:
                 yield from self._with_frames(out[:int(state[0])])

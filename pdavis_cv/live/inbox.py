@@ -84,7 +84,7 @@ class Inbox:
         self.dropped_events += dropped
         self.jumps += 1
         self._log.add(
-            "too slow", self.jumps, "events were dropped because fusing could not "
+            "too slow", None, "events were dropped because fusing could not "
             "follow: time jumped to now", count=dropped,
             start_us=first.until_us if first.start_us is None else first.start_us,
             stop_us=newest_us)

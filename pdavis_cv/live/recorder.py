@@ -87,7 +87,7 @@ class Recorder:
                     self._lossy and self._bytes + size > MOST_BYTES):
                 self.dropped_events += len(packet.events)
                 self._log.add(
-                    "not recorded", packet.start_us, "events could not be recorded: "
+                    "not recorded", None, "events could not be recorded: "
                     f"{self.error or 'the disk is too slow'}", count=len(packet.events),
                     start_us=packet.start_us, stop_us=packet.stop_us)
                 return
@@ -117,7 +117,7 @@ class Recorder:
                 self._bytes = 0
                 self._change.notify_all()
             self.dropped_events += lost
-            self._log.add("not recorded", "error", "events could not be recorded: "
+            self._log.add("not recorded", None, "events could not be recorded: "
                           f"{self.error}", count=lost)
             self._writer.leave()
 

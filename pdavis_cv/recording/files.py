@@ -171,19 +171,23 @@ class ProblemLog:
         self._seen: set[Hashable] = set()
         self._warned: set[type[Warning]] = set()
 
-    def add(self, kind: str, key: Hashable, message: str, *, count: int = 1,
+    def add(self, kind: str, key: Hashable | None, message: str, *, count: int = 1,
             offset: int | None = None, start_us: int | None = None,
             stop_us: int | None = None,
             warning: type[PdavisWarning] | None = None) -> None:
-        """Note a finding; key says which one it is.  Warns once per class of warning.
+        """Note a finding; key says which one it is, None that none comes twice.
+
+        A stream that may last for days gives None, so that no key is kept.  Warns once
+        per class of warning.
 
         The findings of one kind make one `Problem`: the message and the offset of
         the first, the sum of the counts, the hull of the time ranges.
         """
         with self._lock:
-            if (kind, key) in self._seen:
-                return
-            self._seen.add((kind, key))
+            if key is not None:
+                if (kind, key) in self._seen:
+                    return
+                self._seen.add((kind, key))
             old = self._found.get(kind)
             if old is None:
                 self._found[kind] = Problem(
