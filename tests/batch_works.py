@@ -87,6 +87,16 @@ def deadly(recording, options, folder):
     return count(recording, options, folder)
 
 
+def killed_once(recording, options, folder):
+    """Meet a kill -9 with half a file written, the first time, if so named."""
+    flag = recording.path.with_suffix(".flag")
+    if "unlucky" in recording.path.name and not flag.exists():
+        flag.touch()
+        (folder / "half.bin").write_bytes(b"1234")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return count(recording, options, folder)
+
+
 def slow(recording, options, folder):
     """Write half of a file, wait, write the other half."""
     with (folder / "events.txt").open("w") as file:

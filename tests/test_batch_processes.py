@@ -102,6 +102,21 @@ def test_a_worker_is_killed_and_a_file_is_damaged(many, tmp_path):
         [{"events": 200, "mean": None}] * 16)
 
 
+def test_among_18_a_worker_is_killed_once_and_a_file_is_damaged(many, tmp_path):
+    unlucky, hurt = tmp_path / "unlucky.aedat4", tmp_path / "hurt.aedat4"
+    unlucky.write_bytes(many[0].read_bytes() + b"\0")
+    hurt.write_bytes(many[1].read_bytes()[:40])
+    files = [*many[:8], unlucky, *many[8:15], hurt, many[15]]
+    out = tmp_path / "out"
+    table = run(files, out, work=batch_works.killed_once, executor=None, workers=2)
+    assert [Path(row["recording"]).stem for row in table.failed] == ["hurt"]
+    assert "hurt.aedat4" in table.failed[0]["error"]
+    right = [row for row in table if row["state"] == "done"]
+    assert len(right) == 17
+    assert {name.rpartition("/")[2] for name in files_in(out) if "/" in name} == {
+        "events.txt"}
+
+
 def test_a_parent_is_killed_and_called_again(started):
     start, out = started
     child = start()
