@@ -6,8 +6,8 @@ from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport (
-    REST_VARIANCE, ahead, at_rest, between, drift, part_t, quiet,
-    silence, start, step, still, walk_t)
+    REST_VARIANCE, ahead, at_rest, between, drift, moving, never, part_t,
+    quiet, silence, start, step, still, walk_t)
 
 cdef extern from *:
     """
@@ -33,21 +33,36 @@ cdef struct rest_t:
     float offset
 
 
+cdef inline bint holds(const state_t* s, const walk_t* walk,
+                       const tuning_t* tuning) noexcept nogil:
+    """Tell whether samples have come since the last event, and the part is kept."""
+    return (s != NULL and tuning.holds_part > 0.0 and s.samples > 0
+            and walk.t <= s.sampled_us and not never(walk.t))
+
+
 cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t known,
                            double on, double off, const lamp_t* lamp, double hz,
-                           const tuning_t* tuning, double t) noexcept nogil:
+                           const tuning_t* tuning, const state_t* s,
+                           double t) noexcept nogil:
     """Part crossed at t, between walk and its next event, if that is known.
 
     As far as the pixel moves: what silence says against that counts, see `silence`.
+    At rest it is what samples since the last event were taken with, if a filter, s,
+    keeps it (NULL: none does).
     """
     cdef part_t part
-    cdef double gap, rest
+    cdef double gap, rest, moves
+    cdef bint held = holds(s, walk, tuning)
     if walk.next >= 0 and store[walk.next].t <= known:
         part = between(walk, store[walk.next].t, store[walk.next].p, on, off, lamp,
                        hz, tuning.refractory_us, t)
         gap = <double>(store[walk.next].t - walk.t)
+        held = False
     elif at_rest(walk.t, <int64_t>t):
-        return still(walk, lamp, hz, t)
+        part = still(walk, lamp, hz, t)
+        if held and lamp.blocks == 0:
+            part.fraction = s.part
+        return part
     else:
         gap = max(<double>(walk.t - walk.t_prev), <double>known - <double>walk.t)
         if <double>known > t:
@@ -61,6 +76,12 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
     part.rate_var = (1.0 - rest) * (part.rate_var + rest * part.rate * part.rate)
     part.fraction *= 1.0 - rest
     part.rate *= 1.0 - rest
+    if held:
+        moves = moving(walk, <double>known - <double>walk.t, tuning.refractory_us)
+        if <double>known > t:       # `ahead` has done so
+            part.fraction *= moves
+            part.rate *= moves
+        part.fraction += (1.0 - (1.0 - rest) * moves) * s.part
     return part
 
 
@@ -118,7 +139,7 @@ cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
     if lamp.blocks > 0:
         hz = corner(tuning, s.base + s.theta_on * r.n_on - s.theta_off * r.n_off)
     r.part = part_at(&r.walk, store, known, s.theta_on, s.theta_off, lamp, hz,
-                     tuning, <double>t)
+                     tuning, s, <double>t)
     r.doubt = doubted(&r.walk, store, known, s.sampled_us, tuning)
     if r.walk.p:
         r.n_on -= r.doubt
@@ -170,6 +191,11 @@ cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
         n_on -= doubt
     else:
         n_off -= doubt
+    if not is_hot(s) and holds(s, walk, tuning):
+        if walk.p:
+            n_on += s.part
+        else:
+            n_off += s.part
     rest.level = <float>(s.base + s.theta_on * n_on - s.theta_off * n_off)
     rest.variance = -1.0
     rest.per_s = 0.0

@@ -9,7 +9,7 @@ docs/theory/kalman.md.
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._estimate cimport (
-    LEAST_VARIANCE, doubted, part_at, read_pixel, rest_of, rest_t,
+    LEAST_VARIANCE, doubted, holds, part_at, read_pixel, rest_of, rest_t,
     theta_squared)
 from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
 from _kernels._lag cimport corner, lead
@@ -51,6 +51,8 @@ cdef extern from "_measure.h" nogil:
         double prior_on[TOGETHER]
         double prior_off[TOGETHER]
         double pull[TOGETHER]
+        double held[TOGETHER]
+        double part[TOGETHER]
         double h_on[TOGETHER]
         double h_off[TOGETHER]
         double noise[TOGETHER]
@@ -101,7 +103,7 @@ cdef inline double at(const walk_t* walk, const stored_t* store, int64_t known,
     if lamp.blocks > 0:
         hz = corner(tuning, level + s.theta_on * walk.n_on - s.theta_off * walk.n_off)
     part = part_at(walk, store, known, s.theta_on, s.theta_off, lamp, hz,
-                   tuning, t)
+                   tuning, s, t)
     n_on[0] = walk.n_on
     n_off[0] = walk.n_off
     if part.p:
@@ -246,6 +248,7 @@ cdef inline void hand_over(const state_t* s, const sample_t* sample, group_t* gr
     group.prior_on[i] = s.prior_on
     group.prior_off[i] = s.prior_off
     group.pull[i] = s.pull
+    group.held[i] = s.part
     group.sample_per_dn[i] = sample.per_dn
 
 
@@ -261,7 +264,9 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     slot.node.level = sample.log
     slot.node.h_on = 0.0
     slot.node.h_off = 0.0
+    s.part = 0.0
     hand_over(s, sample, group, i)
+    group.part[i] = 0.0
     group.h_on[i] = 0.0
     group.h_off[i] = 0.0
     group.noise[i] = 0.0
@@ -378,6 +383,12 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     slot.node.h_off = <float>h_off
     slot.added = added
     slot.theta2 = theta2
+    group.part[i] = 0.0
+    if tuning.holds_part > 0.0 and lamp.blocks == 0:
+        group.part[i] = part_at(&at_mid, store, known, s.theta_on, s.theta_off, lamp,
+                                0.0, tuning, s, <double>mid).fraction
+        if not holds(s, &at_mid, tuning):
+            s.part = 0.0
     hand_over(s, sample, group, i)
     group.h_on[i] = h_on
     group.h_off[i] = h_off
@@ -412,6 +423,7 @@ cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
     s.cov_on_off = group.cov_on_off[i]
     s.var_off = group.var_off[i]
     s.pull = group.pull[i]
+    s.part = group.held[i]
     if is_hot(s):
         s.moves += (slot.change - s.moves) / HOT_SAMPLES
 

@@ -35,6 +35,8 @@ typedef struct {
     double var_base[TOGETHER], cov_base_on[TOGETHER], cov_base_off[TOGETHER];
     double var_on[TOGETHER], cov_on_off[TOGETHER], var_off[TOGETHER];
     double prior_on[TOGETHER], prior_off[TOGETHER], pull[TOGETHER];
+    /* Part of a threshold that a pixel at rest keeps, and that taken at this sample. */
+    double held[TOGETHER], part[TOGETHER];
     /* measured = base + h_on theta_on + h_off theta_off + noise; innovation; d(log) /
        d(DN), of the sample and where it is linearized.  noise is that of motion first. */
     double h_on[TOGETHER], h_off[TOGETHER], noise[TOGETHER], innovation[TOGETHER];
@@ -179,6 +181,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         k2 = learn * (g2 / v);
         g->base[i] += k0 * e;
         g->pull[i] += k0 * (g->sample_per_dn[i] - g->pull[i]);
+        g->held[i] += k0 * (g->part[i] - g->held[i]);
         g->var_base[i] = g->var_base[i] + jump - k0 * g0;
         g->cov_base_on[i] -= k0 * g1;
         g->cov_base_off[i] -= k0 * g2;

@@ -39,6 +39,7 @@ cdef packed struct state_t:
     int32_t samples         # used so far; 0: base and its variance mean nothing yet
     double seen_on          # all events up to sampled_us, with what was lost
     double seen_off
+    double part             # at rest, in thresholds: see `part_at`
 
 cdef packed struct tuning_t:
     double leak_per_s
@@ -56,6 +57,7 @@ cdef packed struct tuning_t:
     double doubt
     double still_us
     double refractory_us
+    double holds_part       # 1: at rest a pixel keeps its part; 0: it has none
 
 cdef packed struct sample_t:
     float log               # ln intensity

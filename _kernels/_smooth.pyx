@@ -254,7 +254,7 @@ cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     if lamp.blocks > 0:
         hz = corner(tuning, level)
     part = part_at(&walk, store, known, on, off, lamp, hz,
-                   tuning, <double>t)
+                   tuning, NULL, <double>t)
     resting = lamp.blocks == 0 and at_rest(walk.t, t) and (
         walk.next < 0 or store[walk.next].t > known)
     spread = theta2 * part.var

@@ -71,7 +71,7 @@ cdef extern from *:
     const double ROOM_MOST
 
 cdef extern from "_extrapolation.h":
-    const double AHEAD[][4]
+    const double AHEAD[][5]
     const int AHEAD_NODES
     const int AHEAD_KNEE
     const double AHEAD_FINE
@@ -320,6 +320,39 @@ cdef inline void add_deaf(part_t* part, double since, double gap, double first,
         part.fraction += first * refractory / gap
 
 
+cdef inline int node_of(double u, double* part) noexcept nogil:
+    """Return the last node of AHEAD at or before u, and how far on to the next."""
+    cdef int node
+    cdef double w
+    if u < AHEAD_KNEE * AHEAD_FINE:
+        w = u / AHEAD_FINE
+        node = <int>w
+        part[0] = w - node
+        return node
+    w = u / AHEAD_COARSE - AHEAD_KNEE * AHEAD_FINE / AHEAD_COARSE
+    w = w if w < AHEAD_NODES - 1 - AHEAD_KNEE else AHEAD_NODES - 1 - AHEAD_KNEE
+    node = <int>w
+    part[0] = w - node
+    return node + AHEAD_KNEE
+
+
+cdef inline double moving(const walk_t* walk, double gap,
+                          double refractory) noexcept nogil:
+    """Probability that light still moves if no event follows the last for a gap."""
+    cdef double before = <double>(walk.t - walk.t_prev) - refractory, w
+    cdef const double* low
+    cdef int node
+    if never(walk.t_prev):
+        return 1.0
+    before = before if before > AHEAD_LEAST_US else AHEAD_LEAST_US
+    gap = gap - refractory if gap > refractory else 0.0
+    node = node_of(gap / before, &w)
+    if node == AHEAD_NODES - 1:
+        return 0.0
+    low = AHEAD[node if walk.p_prev == walk.p else AHEAD_NODES + node]
+    return low[4] + w * (low[9] - low[4])
+
+
 cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
                          double hz, double refractory, double t) noexcept nogil:
     """Part crossed at t when no event follows up to the time known, which is > t.
@@ -399,24 +432,15 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     if gap < AHEAD_LEAST_US:
         gap = AHEAD_LEAST_US
     u = (since - refractory if since > refractory else 0.0) / (gap * room)
-    if u < AHEAD_KNEE * AHEAD_FINE:
-        w = u / AHEAD_FINE
-        node = <int>w
-        w -= node
-    else:
-        w = u / AHEAD_COARSE - AHEAD_KNEE * AHEAD_FINE / AHEAD_COARSE
-        w = w if w < AHEAD_NODES - 1 - AHEAD_KNEE else AHEAD_NODES - 1 - AHEAD_KNEE
-        node = <int>w
-        w -= node
-        node += AHEAD_KNEE
+    node = node_of(u, &w)
     if node == AHEAD_NODES - 1:
         add_ripple(&part, lamp, hz, walk.t, t)
         return part
     low = AHEAD[node if same else AHEAD_NODES + node]
-    part.fraction = low[0] + w * (low[4] - low[0])
-    part.rate = low[1] + w * (low[5] - low[1])
-    part.var = low[2] + w * (low[6] - low[2])
-    part.rate_var = low[3] + w * (low[7] - low[3])
+    part.fraction = low[0] + w * (low[5] - low[0])
+    part.rate = low[1] + w * (low[6] - low[1])
+    part.var = low[2] + w * (low[7] - low[2])
+    part.rate_var = low[3] + w * (low[8] - low[3])
     if same:
         part.fall = 0.0 if part.p else 1e6 / gap
     part.fraction *= room

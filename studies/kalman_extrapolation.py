@@ -47,7 +47,7 @@ REST_VARIANCE = 1 / 3               # uniform in -1..1 thresholds
 FINE, COARSE, LAST = 1 / 16, 1 / 2, 10.0
 NODES = np.concatenate([np.arange(0, 2, FINE), np.arange(2, LAST + COARSE, COARSE)])
 PHASES = 2048
-COLUMNS = ("fraction", "rate", "var", "rate_var")
+COLUMNS = ("fraction", "rate", "var", "rate_var", "moving")
 
 
 def shown(depth: float, corner: float) -> np.ndarray:
@@ -135,7 +135,8 @@ def table(draws: int = 600, seed: int = 1) -> np.ndarray:
     # Beyond the last node the light is at rest.
     mean[:, -1] = slope[:, -1] = rate_var[:, -1] = 0
     var[:, -1] = REST_VARIANCE
-    return np.stack([mean, slope, var, rate_var], -1)
+    share[:, -1] = 0
+    return np.stack([mean, slope, var, rate_var, share], -1)
 
 
 def header(values: np.ndarray) -> str:
@@ -150,16 +151,17 @@ def header(values: np.ndarray) -> str:
         "   last two events of one sign; of two) and node (u = time since the last",
         "   event over the gap before it, by AHEAD_FINE to 2, then by AHEAD_COARSE):",
         "   mean part in thresholds, its slope in thresholds per gap, variances of",
-        "   both. */",
+        "   both, probability that the light still moves. */",
         "#ifndef PDAVIS_CV_EXTRAPOLATION_H",
         "#define PDAVIS_CV_EXTRAPOLATION_H",
         "",
         f"#define AHEAD_NODES {half}",
+        f"#define AHEAD_COLUMNS {len(COLUMNS)}",
         f"#define AHEAD_FINE {FINE}",
         f"#define AHEAD_COARSE {COARSE}",
         f"#define AHEAD_KNEE {round(2 / FINE)}",
         "",
-        "static const double AHEAD[2 * AHEAD_NODES][4] = {",
+        "static const double AHEAD[2 * AHEAD_NODES][AHEAD_COLUMNS] = {",
         *rows[:half], "", *rows[half:], "};", "", "#endif", ""])
 
 

@@ -12,6 +12,7 @@ from reference_tracks import (
     lead,
     lead_variance,
     lost,
+    moving,
     quiet,
     ripple_of,
     silence,
@@ -98,6 +99,7 @@ class Pixel:
         self.prior, self.since, self.reference = np.array([on, off]), 0, None
         self.nodes, self.past, self.pull = [], None, 0.0
         self.odds, self.moves, self.seen = -6.91, 0.0, None
+        self.holds, self.held = False, 0.0      # the part at rest, in mode causal
 
     def part(self, i, t, known, log):
         """Thresholds crossed since event i - 1, which left log, at t; i is the next."""
@@ -109,12 +111,15 @@ class Pixel:
         def ripple(t):
             return self.ripple(t, hz)
 
+        held = self.kept(i)
         if i < len(self.events) and self.events[i][0] <= known:
+            held = None
             part = between(before, *last, *self.events[i], steps, ripple,
                            hasattr(self.ripple, "lit"), self.deaf, t)
             gap = self.events[i][0] - last[0] if i else np.inf
         elif last[0] is None or t - last[0] >= REST:
-            return (last[1], 0.0, 0.0, UNKNOWN, 0.0, 0.0,
+            kept = held if held and self.ripple is steady else 0.0
+            return (last[1], kept, 0.0, UNKNOWN, 0.0, 0.0,
                     *(after(last[0], ripple, t) if i else (0.0, 0.0)))
         else:
             part = (quiet(before, *last, known, ripple, self.deaf, t) if known > t
@@ -124,9 +129,23 @@ class Pixel:
             return part
         rest = silence(gap)
         p, fraction, rate, var, rate_var, fall, *rest_of = part
-        return (p, (1 - rest) * fraction, (1 - rest) * rate,
+        moves, kept = 1 - rest, 0.0
+        if held is not None and before:
+            moves *= moving(before, *last, known, self.deaf)
+            kept = (1 - moves) * held
+        elif held is not None:
+            kept = held
+        going = moves if known > t else 1 - rest
+        return (p, going * fraction + kept, going * rate,
                 (1 - rest) * (var + rest * fraction**2),
                 (1 - rest) * (rate_var + rest * rate**2), fall, *rest_of)
+
+    def kept(self, i):
+        """Part at rest after event i - 1, None where no sample has come since."""
+        if self.holds and self.reference is not None and i and (
+                self.events[i - 1][0] <= self.reference):
+            return self.held
+        return None
 
     def doubt(self, i, known):
         """Probability that the event before i is noise."""
@@ -205,6 +224,7 @@ class Pixel:
 
     def alone(self, sample, mid, at, per_dn):
         """Use a sample of a hot pixel, whose events have no weight."""
+        self.held = 0.0
         theta2, error = self.x[1:].mean()**2, sample - self.x[0]
         added = self.moves + theta2 * LEAK * US * (mid - self.reference)
         self.P[0, 0] += added
@@ -288,6 +308,10 @@ class Pixel:
         H = np.array([1.0, *(weighted / whole * (1, -1))])
         if fresh:
             self.x[0] = sample - blur
+        taken = (self.part(at, mid, known, 0.0)[1]
+                 if self.holds and self.ripple is steady else 0.0)
+        if self.holds and self.ripple is steady and self.kept(at) is None:
+            self.held = 0.0
         error = sample - self.x[0] - blur
         v = H @ self.P @ H + motion + self.learned.at(per_dn)
         error, noise, per_dn_seen = self.linearized(error, v, per_dn, motion)
@@ -313,6 +337,7 @@ class Pixel:
             K[1:] = 0
         self.x = self.x + K * error
         self.pull += K[0] * (per_dn - self.pull)
+        self.held += K[0] * (taken - self.held)
         self.P = self.P - np.outer(K, PH) - np.outer(PH, K) + v * np.outer(K, K)
         self.x[1:] = np.clip(self.x[1:], 0.3 * self.prior, 3 * self.prior)
         self.since, self.reference = at, mid
@@ -487,6 +512,7 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
         pixel = pixels[at] = Pixel(
             on[at], off[at], sigma, bandwidth, lamp, noise, offset_dn,
             refractory_us)
+        pixel.holds = wait_us == 0
         mine = events[(events["y"] == at[0]) & (events["x"] == at[1])]
         pixel.events = [(int(t), int(p)) for t, p in zip(mine["t"], mine["p"],
                                                         strict=True)]

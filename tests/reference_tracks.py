@@ -154,6 +154,13 @@ def prior():
             sys.modules.pop(name, None)
 
 
+def moving(before, t0, p0, known, deaf):
+    """Probability that light moves that was silent from t0 to the time known."""
+    u = max(known - t0 - deaf, 0) / max(t0 - before[0] - deaf, 200)
+    nodes, table = prior()
+    return np.interp(u, nodes, table[0 if before[1] == p0 else 1][:, 4])
+
+
 def ahead(before, t0, p0, steps, r, deaf, t):
     if before is None:
         return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
@@ -173,7 +180,7 @@ def ahead(before, t0, p0, steps, r, deaf, t):
     if u >= nodes[-1]:
         return p, 0.0, 0.0, UNKNOWN, 0.0, 0.0, *after(t0, r, t)
     fraction, rate, *spread = (
-        np.interp(u, nodes, column) for column in table[0 if same else 1].T)
+        np.interp(u, nodes, column) for column in table[0 if same else 1].T[:4])
     fall = 1e6 / gap if same and p == 0 else 0.0
     fraction, rate = fraction * room, rate * 1e6 / gap
     if deaf:

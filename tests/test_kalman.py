@@ -432,6 +432,21 @@ def test_light_that_has_stopped_is_shown_as_frames_have_it(mode):
         assert estimate.variance[0, 0] < (0.3 * theta) ** 2 + 0.1 * theta**2 * 5
 
 
+@pytest.mark.parametrize("t", [140_000, 340_000, 940_000, 1_140_000])
+def test_a_stream_shows_light_that_stopped_as_frames_have_it(t):
+    """Though frames are taken with more of a threshold crossed than silence leaves."""
+    method, theta = make((1, 1), 0.2, 0.2, mode="causal"), 0.2
+    events = np.zeros(8, EVENT_DTYPE)
+    events["t"], events["p"] = np.arange(1, 9) * 10_000, 1
+    # It stops .4 thresholds after the last event, before the exposure of 100 ms.
+    dn = np.full((1, 1), 200 * np.exp(8.4 * theta))
+    frames = [ApsFrame(np.full((1, 1), 200.0), -20_000, -10_000),
+              *(ApsFrame(dn, s, s + 10_000) for s in range(100_000, t, 50_000))]
+    feed(method, events, frames)
+    shown = method.read(t).log_intensity[0, 0]
+    assert abs(shown - np.log(dn / 10)) < 0.05 * theta
+
+
 def make_again(method):
     other = make(method.shape, offset_dn=0.5)
     other.assign(method)

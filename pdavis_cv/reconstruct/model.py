@@ -25,7 +25,7 @@ STATE_DTYPE = np.dtype([
     ("prior_on", "<f8"), ("prior_off", "<f8"), ("pull", "<f8"),
     ("frame_log", "<f8"), ("hot", "<f8"), ("moves", "<f8"),
     ("sampled_us", "<i8"), ("samples", "<i4"), ("seen_on", "<f8"),
-    ("seen_off", "<f8")])
+    ("seen_off", "<f8"), ("part", "<f8")])
 """State (base, theta_on, theta_off) of a pixel and its covariance, natural-log units.
 
 base is the log intensity (ln DN/ms) at the last event before ``sampled_us``, the middle
@@ -34,7 +34,8 @@ nothing), ``seen_on`` and ``seen_off`` all events up to then.  The priors are th
 thresholds started from; ``pull`` is d(base) / d(offset of all frames), ln per DN.
 ``frame_log`` is the last sample, as it was; ``hot`` the ln of the odds that the pixel
 is hot, less the prior's; ``moves`` the mean square of what log intensity changes by
-between two samples, ln^2, of a hot pixel.
+between two samples, ln^2, of a hot pixel.  ``part`` is what a pixel at rest has
+crossed of the last event's threshold, as samples since then were taken with it.
 """
 
 TUNING_DTYPE = np.dtype([
@@ -43,7 +44,7 @@ TUNING_DTYPE = np.dtype([
     ("frame_sigma", "<f8"), ("shot_share", "<f8"), ("read_variance", "<f8"),
     ("shot_variance", "<f8"), ("offset_dn", "<f8"), ("valid_variance", "<f8"),
     ("motion_variance", "<f8"), ("doubt", "<f8"), ("still_us", "<f8"),
-    ("refractory_us", "<f8")])
+    ("refractory_us", "<f8"), ("holds_part", "<f8")])
 """Process noise: variance of the sum of events, in thresholds^2, per second and per
 event.  Photoreceptor: corner frequency in Hz, what an intensity of 1 DN/ms adds to it,
 relative error of both.  Measurement noise: sigma of ln intensity that de-blurring
@@ -52,7 +53,8 @@ shot noise in DN^2 per DN, sigma in DN of an offset of all frames.  Variance (ln
 to which an estimate is valid.  Where events come: variance in thresholds^2 of what
 interpolation between them leaves; the probability that an event of a pixel at rest is
 noise; gap between two events of which half say rest, us, 0: all of them are
-interpolated; how long a pixel is held in reset after an event, us."""
+interpolated; how long a pixel is held in reset after an event, us; whether a pixel at
+rest keeps ``part`` (1) or has none (0)."""
 
 SAMPLE_DTYPE = np.dtype([("log", "<f4"), ("variance", "<f4"), ("per_dn", "<f4")])
 """A frame's ln intensity, variance of its read and shot noise (ln^2; 0: no usable

@@ -212,6 +212,7 @@ class KalmanFilter(Reconstructor):
         self._tuning["shot_variance"] = 1 / DN_PER_SHOT
         self._tuning["doubt"], self._tuning["motion_variance"] = DOUBT[0], MOTION[0]
         self._tuning["still_us"] = STILL_US
+        self._tuning["holds_part"] = mode == "causal"   # images know less than samples
         self._saturated = Saturated(
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
             self._bandwidth)
