@@ -487,7 +487,8 @@ def ros_events(const uint8_t[::1] data not None, Py_ssize_t start, Py_ssize_t st
 
     The first of count events is at byte start, the next stride bytes on; places are
     those of x, y (uint16), seconds (int32), nanoseconds (uint32) and polarity (uint8).
-    x and y of the first lie shift bytes further on: CDR aligns nothing but times.  Why is 1 before an event whose time, t in us, lies more than a second before the
+    x and y of the first lie shift bytes further on: CDR aligns nothing but times.
+    Why is 1 before an event whose time, t in us, lies more than a second before the
     last.
     """
     cdef Py_ssize_t i = begin, room = out.shape[0], last = 0, further
