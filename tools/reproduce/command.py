@@ -39,8 +39,9 @@ from . import (
     rotation,
     specification,
     transfer,
+    videos,
 )
-from .index import write_index
+from .index import write_html, write_index
 from .page import summary, write_page, write_rows
 from .print_style import beside_stem, journal, save_figure
 from .recording import fit_files, fits_page
@@ -215,6 +216,20 @@ def _fan_images(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, fan_images.fan_images_page(views)), []
 
 
+def _videos(figure: str, stem: Path, settings: Settings) -> Result:
+    """Supplementary Videos 1 to 5."""
+    facts, errors, sizes = _facts(figure, settings), {}, {}
+    for name in progress(videos.VIDEOS, len(videos.VIDEOS), "videos"):
+        path = beside_stem(stem, f"-{name}.webm")
+        errors[name] = videos.write_video(path, name, settings, facts)
+        sizes[name] = path.stat().st_size
+    write_csv(beside_stem(stem, ".csv"), videos.columns(),
+              ((name, *row) for name, rows in errors.items() for row in rows), facts)
+    write_html(stem, "The paper's videos, simulated",
+               videos.videos_html(stem.name, list(errors)))
+    return write_page(stem, videos.videos_page(stem.name, errors, sizes)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -256,6 +271,8 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "score": ("the score of pdavis score beside the score by the truth", _both_scores),
     "tables": ("the supplement's tables: specification, methods", _tables),
     "transfer": ("transfer functions, measured beside theory", _transfer),
+    "videos": ("the five supplementary videos, as STEM-1.webm and so on, truth beside, "
+               "and STEM.html that plays them", _videos),
     "network": ("networks on events alone, on these and on moving textures", _networks),
 }
 """Name -> what it is, and (name, stem, settings) -> the page written, and its rows."""

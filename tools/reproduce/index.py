@@ -12,7 +12,7 @@ from pdavis_cv.export import write_beside
 from .print_style import SUFFIXES, beside_stem
 from .run import Settings
 
-__all__ = ["write_index"]
+__all__ = ["write_html", "write_index"]
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
@@ -50,12 +50,24 @@ def write_index(stem: Path, figures: Sequence[tuple[str, str]], settings: Settin
                        for kind in SUFFIXES) for one in found)
         parts.append(f"<figure>{pictures}<figcaption>{caption}</figcaption></figure>")
     table = html.escape(f"{stem.name}.md")
-    title = "The paper's figures, simulated"
+    write_html(stem, "The paper's figures, simulated",
+               f'<p>All methods in <a href="{table}">one table</a>.</p>'
+               + "\n".join(parts))
+
+
+def write_html(stem: Path, title: str, body: str) -> None:
+    """Write STEM.html, a page on its own.
+
+    Parameters
+    ----------
+    stem : path
+    title, body : str
+        HTML.
+    """
     text = (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" '
         f'content="width=device-width"><title>{title}</title><style>{_STYLE}</style>'
-        f'<h1>{title}</h1><p>All methods in <a href="{table}">one table</a>.</p>'
-        + "\n".join(parts) + "</html>\n")
+        f"<h1>{title}</h1>{body}</html>\n")
     with write_beside(beside_stem(stem, ".html")) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
 
