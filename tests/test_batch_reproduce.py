@@ -7,7 +7,7 @@ from batch_works import Inline
 from pdavis_cv import FusionOptions, batch
 from pdavis_cv.tools.main import main
 from pdavis_cv.tools.reproduce import parts, robustness
-from pdavis_cv.tools.reproduce.page import write_rows
+from pdavis_cv.tools.reproduce.page import read_rows, write_rows
 from pdavis_cv.tools.reproduce.run import Row
 
 QUICK = parts.Part(quick=True, seconds=1.2)
@@ -46,7 +46,7 @@ def test_a_dry_run_lists_the_parts(tmp_path, capsys):
 def test_rows_come_back_as_they_were_written(tmp_path):
     written = [row(), row(seed=4, rpm=30.0, aop_error_deg=1 / 3)]
     write_rows(tmp_path / "rows", written, {})
-    assert list(map(repr, parts._read(tmp_path / "rows.csv"))) == list(
+    assert list(map(repr, read_rows(tmp_path / "rows.csv"))) == list(
         map(repr, written))
 
 

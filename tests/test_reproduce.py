@@ -140,9 +140,9 @@ def test_flicker_leaves_the_frames_alone(tmp_path):
 def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     stem = tmp_path / "all"
-    assert reproduce.main([
-        "all", "-o", str(stem), "--quick", "--rpm", "200", "--seconds", "1.3",
-        "--step-us", "20260", "--methods", "frames"]) == 0
+    asked = ["all", "-o", str(stem), "--quick", "--rpm", "200", "--seconds", "1.3",
+             "--step-us", "20260", "--methods", "frames"]
+    assert reproduce.main(asked) == 0
     page = (tmp_path / "all.html").read_text()
     links = set(re.findall(r'(?:src|href)="([^"]+)"', page))
     assert {"all.md", "all-fig3-rotating-plate.png", "all-fan.pdf"} <= links
@@ -159,6 +159,18 @@ def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
     halves = [f"{float(row['aop_error_deg']):.2f}" for row in mine
               if row["scene"] == "fan"]
     assert fan.strip() == " / ".join(halves)
+    # What is there is not made again; what is not as it was, is.
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    (tmp_path / "all-tables.md").write_text("cut")
+    assert reproduce.main(asked) == 0
+    said = capsys.readouterr().out
+    assert "fig2: kept" in said
+    assert "tables: kept" not in said
+    assert (tmp_path / "all-tables.md").stat().st_size > 1000
+    assert before[tmp_path / "all-fan.png"] == (
+        tmp_path / "all-fan.png").stat().st_mtime_ns
+    again = [row for row in rows_of(stem) if row["method"] == "frames"]
+    assert again == mine
 
 
 @pytest.mark.gate

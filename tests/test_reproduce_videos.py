@@ -69,7 +69,8 @@ def test_the_command_writes_videos_that_play_and_a_page(tmp_path, monkeypatch):
         capture.release()
         assert len(pictures) == 24
         assert np.std([p.mean() for p in pictures]) > 0.1     # it moves
-    rows = [line.split(",") for line in (tmp_path / "v.csv").read_text().splitlines()[1:]]
+    lines = (tmp_path / "v.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
     aop = {(name, method): float(error) for name, method, error, _ in rows}
     assert aop["1", "kalman"] < 1 < aop["1", "PDAVIS frames"] / 10
     assert aop["5-10Hz", "kalman"] < aop["5-10Hz", "frames"]

@@ -9,10 +9,12 @@ from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
 from typing import Any, ClassVar
 
-__all__ = ["AlwaysProgress", "own_progress", "progress", "progress_in_time", "stage"]
+__all__ = ["AlwaysProgress", "no_progress", "own_progress", "progress",
+           "progress_in_time", "stage"]
 
 _ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
 """Whether --progress was given to this command, or to one that runs it."""
+_NEVER: ContextVar[bool] = ContextVar("_NEVER", default=False)
 _EVERY_S = 4    # a choice: nobody waits longer for a sign of life
 
 
@@ -34,8 +36,20 @@ def own_progress() -> Iterator[None]:
         _ALWAYS.reset(before)
 
 
+@contextlib.contextmanager
+def no_progress() -> Iterator[None]:
+    """Show no stages and bars: the process that asked for the work shows its own."""
+    before = _NEVER.set(True)
+    try:
+        yield
+    finally:
+        _NEVER.reset(before)
+
+
 def _shown(**options: Any) -> dict[str, Any]:
     """Return tqdm's options: it shows itself on a terminal, or after --progress."""
+    if _NEVER.get():
+        return {"disable": True, **options}
     if _ALWAYS.get():
         return {"disable": False, "mininterval": 1.0, **options}
     return {"disable": None, **options}
@@ -97,6 +111,8 @@ class _Stage:
 def stage(what: str) -> None:
     """Say, where `progress` shows, what takes a while before it can."""
     _Stage.end()
+    if _NEVER.get():
+        return
     if _ALWAYS.get() or (sys.stderr is not None and sys.stderr.isatty()):
         print(f"pdavis: {what} ...", file=sys.stderr, flush=True)
         _Stage.now = _Stage(what)

@@ -9,7 +9,6 @@ import argparse
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -38,6 +37,7 @@ from . import (
     robustness,
     rotation,
     specification,
+    together,
     transfer,
     videos,
 )
@@ -241,14 +241,14 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 _IN_ALL = (*PAPER, "fan", "tables")
 
 
+def _experiment(name: str, stem: Path, settings: Settings) -> Result:
+    return EXPERIMENTS[name][1](name, stem, settings)
+
+
 def _all(figure: str, stem: Path, settings: Settings) -> Result:
-    """Everything, a table of it, and a page with the pictures."""
-    rows = {}
-    for name in _IN_ALL:
-        start = perf_counter()
-        _, rows[name] = EXPERIMENTS[name][1](
-            name, beside_stem(stem, f"-{name}"), settings)
-        print(f"{name}: {perf_counter() - start:.0f} s")
+    """Make everything, a table of it, and a page with the pictures."""
+    stems = {name: beside_stem(stem, f"-{name}") for name in _IN_ALL}
+    rows = together.made(stems, settings, _experiment)
     every = [row for each in rows.values() for row in each]
     write_rows(stem, every, _facts(figure, settings))
     write_index(stem, [(name, EXPERIMENTS[name][0]) for name in _IN_ALL], settings)

@@ -1,7 +1,9 @@
 """Tables and pages of `pdavis reproduce`: one writer for every experiment."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import csv
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,10 @@ from pdavis_cv.export import write_beside, write_csv
 from .print_style import beside_stem
 from .run import METHODS, Row
 
-__all__ = ["cell", "mean", "pivot", "summary", "table", "write_page", "write_rows"]
+__all__ = ["cell", "mean", "pivot", "read_rows", "summary", "table", "write_page",
+           "write_rows"]
+
+_KINDS = {"str": str, "int": int, "float": float}
 
 # Columns of the tables, and how their numbers are written.
 FORMATS = {
@@ -153,6 +158,17 @@ def write_rows(stem: Path, rows: Iterable[Row], facts: dict[str, Any]) -> None:
     """Write STEM.csv, one line per method, region and recording."""
     write_csv(beside_stem(stem, ".csv"), Row.columns(),
               (row.values() for row in rows), facts)
+
+
+def read_rows(path: Path) -> Iterator[Row]:
+    """Yield the rows that `write_rows` wrote into a file."""
+    kinds = {item.name: _KINDS[str(item.type)] for item in dataclasses.fields(Row)}
+    with path.open(newline="", encoding="utf-8") as file:
+        for line in csv.DictReader(file):
+            values: dict[str, Any] = {
+                name: kind(line[name] or "nan") if kind is float else kind(line[name])
+                for name, kind in kinds.items()}
+            yield Row(**values)
 
 
 def write_page(stem: Path, lines: Sequence[str]) -> str:

@@ -1,7 +1,6 @@
 """``pdavis batch --work reproduce``: the experiments as jobs, and their rows joined."""
 from __future__ import annotations
 
-import csv
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +13,12 @@ from pdavis_cv.batch import Table
 from .._common import UsageError
 from . import robustness
 from .command import EXPERIMENTS, PAPER, settings_of
-from .page import summary, write_page, write_rows
+from .page import read_rows, summary, write_page, write_rows
 from .robustness_page import robustness_page
 from .run import Row, Settings
 
 __all__ = ["Part", "join", "parts"]
 
-_KINDS = {"str": str, "int": int, "float": float}
 _TABLES = (*PAPER, "robustness")
 
 
@@ -108,7 +106,7 @@ def join(table: Table, out: Path) -> list[str]:
     for job in table:
         if job["files"]:
             found.setdefault(job["figures"]["figure"], []).extend(
-                _read(out / job["name"] / "rows.csv"))
+                read_rows(out / job["name"] / "rows.csv"))
     for figure, rows in found.items():
         write_rows(out / figure, rows, {"figure": figure})
     written = [f"{figure}.csv" for figure in found]
@@ -119,13 +117,3 @@ def join(table: Table, out: Path) -> list[str]:
         write_page(out / "figures", summary(found))
         written.append("figures.md")
     return written
-
-
-def _read(path: Path) -> Iterator[Row]:
-    kinds = {item.name: _KINDS[str(item.type)] for item in dataclasses.fields(Row)}
-    with path.open(newline="", encoding="utf-8") as file:
-        for line in csv.DictReader(file):
-            values: dict[str, Any] = {
-                name: kind(line[name] or "nan") if kind is float else kind(line[name])
-                for name, kind in kinds.items()}
-            yield Row(**values)
