@@ -25,6 +25,7 @@ from pdavis_cv.batch.processes import ProcessPool
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.render.colours import Picture
 
+from ._aop_events import SUFFIXES, export_aop_events
 from ._common import (
     Parser,
     UsageError,
@@ -66,6 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis export``."""
     args = _parser().parse_args(argv)
     suffix = args.out.suffix.lower()
+    if args.what == "aop-events":
+        return _aop_events(args, suffix)
     if suffix not in (*_COLOUR, ".png", ".npy", *_STACKS):
         raise UsageError(
             f"-o must end in {', '.join(_COLOUR)}, .png, .npy, {', '.join(_STACKS)}, "
@@ -133,6 +136,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _aop_events(args: argparse.Namespace, suffix: str) -> int:
+    if suffix not in SUFFIXES:
+        raise UsageError(
+            f"-o of AoP events must end in {', '.join(SUFFIXES)}, got {args.out}")
+    checked_out(args.out, args.file)
+    with opened(args) as recording:
+        lines, facts = export_aop_events(
+            args, recording, fuse_options(args, recording))
+    tell(args, lines, **facts)
+    return 0
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "export", __doc__ or "",
@@ -140,6 +155,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("file", help="a recording")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
+    parser.add_argument(
+        "--what", choices=("images", "aop-events"), default="images",
+        help="aop-events: an angle after each event instead of images, as .csv, .npy, "
+             "or a video in which events have the hue of their angle; with --set "
+             "cutoff_hz=, radius=, correct_phase=true; default images")
     parser.add_argument(
         "--at", type=seconds, metavar="S",
         help="one image, at so many seconds after the start of the recording")

@@ -34,6 +34,7 @@ from . import (
     fan_images,
     light,
     network,
+    overview,
     robustness,
     rotation,
     specification,
@@ -230,6 +231,19 @@ def _videos(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, videos.videos_page(stem.name, errors, sizes)), []
 
 
+def _overview(figure: str, stem: Path, settings: Settings) -> Result:
+    """Figure 1."""
+    step, cloud = overview.step_response(), overview.aop_cloud(settings)
+    frame, counts, views = overview.network_views(settings)
+    write_csv(beside_stem(stem, ".csv"), overview.CLOUD_COLUMNS,
+              overview.cloud_rows(cloud), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, overview.overview_figure(step, cloud))
+        save_figure(beside_stem(stem, "-networks"),
+                    overview.views_figure(frame, counts, views))
+    return write_page(stem, overview.overview_page(step, cloud, views)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -238,7 +252,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 }
 
 
-_IN_ALL = (*PAPER, "fan", "tables")
+_IN_ALL = ("fig1", *PAPER, "fan", "tables")
 
 
 def _experiment(name: str, stem: Path, settings: Settings) -> Result:
@@ -257,6 +271,8 @@ def _all(figure: str, stem: Path, settings: Settings) -> Result:
 
 Experiment = Callable[[str, Path, Settings], Result]
 EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
+    "fig1": ("layout and optics, a pixel's answer to a step, AoP events, networks",
+             _overview),
     "fig2": ("error against speed, rotating polarizer", _rotation),
     "fig3": ("error against speed, plate and polarizer, both ways round", _rotation),
     "fig4a": ("a fan of polarizers, one half lit 2000 times more", _range),
