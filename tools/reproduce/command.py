@@ -29,6 +29,7 @@ from .._values import (
 )
 from . import (
     both_scores,
+    correct_span,
     demosaic,
     denoise,
     fan_images,
@@ -244,6 +245,17 @@ def _overview(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, overview.overview_page(step, cloud, views)), []
 
 
+def _spans(figure: str, stem: Path, settings: Settings) -> Result:
+    """Follow the supplement's protocol of its dynamic range."""
+    lines = list(progress(correct_span.levels(settings), correct_span.count(settings),
+                          "levels"))
+    write_csv(beside_stem(stem, ".csv"), correct_span.columns(),
+              map(dataclasses.astuple, lines), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, correct_span.span_figure(lines))
+    return write_page(stem, correct_span.span_page(lines)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -252,7 +264,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 }
 
 
-_IN_ALL = ("fig1", *PAPER, "fan", "tables")
+_IN_ALL = ("fig1", *PAPER, "range", "fan", "tables")
 
 
 def _experiment(name: str, stem: Path, settings: Settings) -> Result:
@@ -278,6 +290,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "fig4a": ("a fan of polarizers, one half lit 2000 times more", _range),
     "fan": ("fig4a as pictures: what each method shows of the fan", _fan_images),
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
+    "range": ("of which angles, out of 180, AoP is right in that range", _spans),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
     "all": ("all of these and tables, as STEM-fig2 and so on, a table of them, and "
             "STEM.html with the pictures", _all),

@@ -23,7 +23,7 @@ SUFFIXES = ("png", "svg", "pdf")
 
 # Okabe and Ito's colours, which the colour-blind tell apart, two greys and a dark
 # blue; line and marker tell in grey what the colour does not.
-_LOOKS: dict[str, tuple[str, str, str]] = {
+_LOOKS: dict[str, tuple[str, Any, str]] = {
     "truth": ("#000000", "-", ""),
     "Sony 50 fps": ("#777777", "--", "s"),
     "Sony 75 fps": ("#AAAAAA", "--", "D"),
@@ -36,6 +36,8 @@ _LOOKS: dict[str, tuple[str, str, str]] = {
     "kalman causal": ("#56B4E9", "-", "d"),
     "kalman": ("#0072B2", "-", "o"),
     "kalman offline": ("#003A5C", "-", "."),
+    "firenet": ("#B15928", (0, (3, 1, 1, 1)), "*"),
+    "joint": ("#6A3D9A", (0, (3, 1, 1, 1)), "P"),
 }
 
 
