@@ -40,6 +40,7 @@ from . import (
     rotation,
     specification,
     together,
+    tendon_images,
     transfer,
     videos,
 )
@@ -256,6 +257,17 @@ def _spans(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, correct_span.span_page(lines)), []
 
 
+def _tendon(figure: str, stem: Path, settings: Settings) -> Result:
+    """Figure 4b: traces, spectra and lock-in maps of a tendon."""
+    count = tendon_images.count(settings)
+    made = list(progress(tendon_images.pulls(settings), count, "traces"))
+    write_csv(beside_stem(stem, ".csv"), tendon_images.columns(),
+              tendon_images.pull_rows(made), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, tendon_images.tendon_figure(made))
+    return write_page(stem, tendon_images.tendon_page(made)), []
+
+
 _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
                          Callable[[Sequence[Row], Settings], list[str]]]] = {
     "fig4a": (light.fan_cases, light.fan_page),
@@ -264,7 +276,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 }
 
 
-_IN_ALL = ("fig1", *PAPER, "range", "fan", "tables")
+_IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "tables")
 
 
 def _experiment(name: str, stem: Path, settings: Settings) -> Result:
@@ -289,6 +301,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "fig3": ("error against speed, plate and polarizer, both ways round", _rotation),
     "fig4a": ("a fan of polarizers, one half lit 2000 times more", _range),
     "fan": ("fig4a as pictures: what each method shows of the fan", _fan_images),
+    "tendon": ("a tendon that is pulled: traces, spectra, lock-in maps", _tendon),
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
     "range": ("of which angles, out of 180, AoP is right in that range", _spans),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
