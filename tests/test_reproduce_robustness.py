@@ -132,6 +132,7 @@ def test_the_picture_has_a_line_per_condition_and_frames_what_is_lost():
             for method, error in zip(("cf", "kalman"), errors, strict=True)]
     drawing = robustness_figure(rows)
     aop, dolp = drawing.axes[:2]
+    assert drawing.get_size_inches()[0] * 25.4 == pytest.approx(183)   # a page's width
     assert [len(axes.patches) for axes in (aop, dolp)] == [1, 0]
     assert [text.get_text() for text in aop.get_yticklabels()] == [
         "drift, 200 RPM (nominal)", "jitter, 200 RPM (nominal)"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .page import FORMATS, table
+from .print_style import PAGE_IN, new_figure
 from .robustness import CAUSAL, RECORDED
 from .run import Row
 
@@ -187,7 +188,6 @@ def robustness_figure(rows: Sequence[Row]) -> Figure:
 
     Framed: `kalman` is more than 10 % worse than the best other method.
     """
-    from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
     found = cells(rows)
@@ -195,7 +195,7 @@ def robustness_figure(rows: Sequence[Row]) -> Figure:
     names = [name for group in _GROUPS.values() for name in group
              if any(name in methods for methods in found.values())]
     divide = sum(name in CAUSAL for name in names)
-    drawing = Figure(figsize=(13, 2.5 + 0.21 * len(found)), layout="constrained")
+    drawing = new_figure(PAGE_IN, 1.9 + 0.126 * len(found))
     panels = drawing.subplots(1, 2, sharey=True)
     for axes, (column, title) in zip(panels, _COLUMNS.items(), strict=True):
         errors = np.array([[
@@ -213,20 +213,22 @@ def robustness_figure(rows: Sequence[Row]) -> Figure:
                 if np.isfinite(errors[y, x]):
                     dark = np.log10(ratio[y, x]) > 0.9
                     axes.text(x, y, _text(column, errors[y, x]), ha="center",
-                              va="center", fontsize=7,
+                              va="center", fontsize=5.5,
                               color="white" if dark else "black")
                 if (cell, column, name) in bold:
                     axes.add_patch(Rectangle((x - 0.47, y - 0.44), 0.94, 0.88,
                                              fill=False, edgecolor="tab:blue",
-                                             linewidth=1.8))
+                                             linewidth=0.9))
         axes.axvline(divide - 0.5, color="black", linewidth=1)
-        axes.set_title(title, fontsize=10)
-        axes.set_xticks(range(len(names)), names, rotation=40, ha="right", fontsize=8)
+        axes.set_title(title)
+        axes.grid(visible=False)
+        axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=6,
+                        rotation_mode="anchor")
         axes.set_yticks(range(len(found)), [
-            f"{cell.label} ({cell.camera})" for cell in found], fontsize=7)
-    bar = drawing.colorbar(picture, ax=panels, shrink=0.3, location="bottom",
+            f"{cell.label} ({cell.camera})" for cell in found], fontsize=5.5)
+    bar = drawing.colorbar(picture, ax=panels, shrink=0.5, aspect=40, location="bottom",
                            ticks=np.log10([1, 2, 5, 10, 30]))
     bar.ax.set_xticklabels(["1", "2", "5", "10", "30"])
-    bar.set_label("error over the least one of the same causality; framed: kalman "
-                  "more than 10 % worse than the best other method", fontsize=8)
+    bar.set_label("error over the least one of the same causality;\nframed: kalman "
+                  "more than 10 % worse than the best other method", fontsize=6.5)
     return drawing
