@@ -39,8 +39,8 @@ from . import (
     robustness,
     rotation,
     specification,
-    together,
     tendon_images,
+    together,
     transfer,
     videos,
 )

@@ -201,7 +201,8 @@ def tendon_figure(made: Sequence[Pull]) -> Figure:
     """Draw traces and spectra by speed, and lock-in maps of the fastest."""
     speeds = list(dict.fromkeys(pull.hz for pull in made))
     drawing = new_figure(PAGE_IN, 1.75 * len(speeds) + 2.0)
-    upper, lower = drawing.subfigures(2, 1, height_ratios=(1.75 * len(speeds), 1.6))
+    upper, lower = drawing.subfigures(
+        2, 1, squeeze=False, height_ratios=(1.75 * len(speeds), 1.6))[:, 0]
     grid = upper.subplots(len(speeds), 2, squeeze=False,
                           gridspec_kw={"width_ratios": (2, 1)})
     for (traces, spectra), hz in zip(grid, speeds, strict=True):
