@@ -35,6 +35,7 @@ from . import (
     fan_images,
     light,
     network,
+    optics_bench,
     overview,
     robustness,
     rotation,
@@ -257,6 +258,16 @@ def _spans(figure: str, stem: Path, settings: Settings) -> Result:
     return write_page(stem, correct_span.span_page(lines)), []
 
 
+def _optics(figure: str, stem: Path, settings: Settings) -> Result:
+    """Draw the extinction ratio by wavelength, and while an array is aligned."""
+    found = list(optics_bench.points(settings))
+    write_csv(beside_stem(stem, ".csv"), optics_bench.columns(),
+              map(dataclasses.astuple, found), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, optics_bench.bench_figure(found))
+    return write_page(stem, optics_bench.bench_page(found)), []
+
+
 def _tendon(figure: str, stem: Path, settings: Settings) -> Result:
     """Figure 4b: traces, spectra and lock-in maps of a tendon."""
     count = tendon_images.count(settings)
@@ -276,7 +287,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 }
 
 
-_IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "tables")
+_IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "optics", "tables")
 
 
 def _experiment(name: str, stem: Path, settings: Settings) -> Result:
@@ -310,6 +321,8 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
     "robustness": ("cameras and light that depart from what is assumed", _robustness),
+    "optics": ("extinction ratio by wavelength, and while an array is aligned",
+               _optics),
     "score": ("the score of pdavis score beside the score by the truth", _both_scores),
     "tables": ("the supplement's tables: specification, methods", _tables),
     "transfer": ("transfer functions, measured beside theory", _transfer),
