@@ -139,8 +139,9 @@ class BuildKernels(build_ext):
             self.build_lib = f"{BUILD}/lib.{version}"
             self.build_temp = f"{BUILD}/temp.{version}"
         super().finalize_options()
-        # not among OPTIONS: an editable install initialises its commands once more
-        self.parallel = self.parallel or CORES
+        # Not among OPTIONS: an editable install initialises its commands once more.
+        # One more than there are cores: one may wait for its turn to translate.
+        self.parallel = self.parallel or CORES + 1
         self.force = self.force or DEBUG
 
     def build_extension(self, ext):

@@ -1,4 +1,6 @@
 """pdavis calibrate: from simulated recordings of known chips to a calibration file."""
+import json
+
 import numpy as np
 import pytest
 from streams import opens_by
@@ -121,7 +123,12 @@ def test_mistakes_give_one_line_and_no_file(
 
 def test_another_camera_is_refused_by_name(files, tmp_path, capsys):
     out = tmp_path / "camera.npz"
-    assert main(["calibrate", "dark", "dark", "-o", str(out)]) == 0
+    assert main(
+        ["calibrate", "dark", "dark", "-o", str(out), "--json", "--progress"]) == 0
+    printed = capsys.readouterr()
+    assert "pdavis: measuring dark" in printed.err
+    told = json.loads(printed.out)
+    assert (told["wrote"], told["measured"]["dark"]["files"]) == ([str(out)], ["dark"])
     before = out.read_bytes()
     assert main(["calibrate", "dark", "other", "-o", str(out)]) == 2
     assert "calibration is of a (12, 12) sensor" in capsys.readouterr().err
@@ -133,3 +140,7 @@ def test_check_and_align_print_what_they_see(files, capsys):
     assert "orthogonal polarizers are diagonal" in capsys.readouterr().out
     assert main(["calibrate", "align", "slow"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 1 + 60
+    assert main(["calibrate", "check", "slow", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["findings"][0]["what"] == "orientation"
+    assert main(["calibrate", "align", "slow", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["frames"]) == 60

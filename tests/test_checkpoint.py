@@ -1,5 +1,6 @@
 """pdavis weights: checkpoints are read without torch and without being run."""
 import io
+import json
 import pickle
 import struct
 import sys
@@ -164,6 +165,9 @@ def test_a_checkpoint_becomes_weights_without_torch(checkpoint, tmp_path, capsys
         weights.arrays["r1.b.weight"], state["net.resblocks.0.conv.conv2.weight"])
     assert main(["weights", "show", str(out)]) == 0
     assert "firenet: 37777 weights" in capsys.readouterr().out
+    assert main(["weights", "show", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["network"], told["weights"]) == ("firenet", 37777)
 
 
 def test_what_torch_saves_is_read(tmp_path):

@@ -3,6 +3,7 @@ import argparse
 import dataclasses
 import inspect
 import pickle
+import typing
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ import pdavis_cv
 from pdavis_cv import Calibration, FusionOptions, Layout, VideoCapture, fuse
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import Fusion
+from pdavis_cv.fusion.options import FusionKeywords
+from pdavis_cv.live import Session
 from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.tools import _common, export, fan
 from pdavis_cv.tools.reproduce.recording import fit_files
@@ -41,6 +44,17 @@ def test_an_option_is_a_keyword_of_fuse_and_of_videocapture(name):
     with VideoCapture(example_recording(), layout=Layout.PDAVIS,
                       **({} if name == "layout" else {name: default})) as capture:
         assert capture.isOpened()
+
+
+@pytest.mark.parametrize("taker", [VideoCapture, Session])
+def test_type_checkers_see_the_options_of_a_class(taker):
+    types = {field.name: field.type for field in dataclasses.fields(FusionOptions)}
+    given = {name: told.__forward_arg__
+             for name, told in FusionKeywords.__annotations__.items()}
+    assert given == {name: types[name] for name in OPTIONS}
+    offered = [overload.__annotations__["fuse_parameters"]
+               for overload in typing.get_overloads(taker.__init__)]
+    assert offered == ["Unpack[FusionKeywords]", "Any"]
 
 
 @pytest.mark.parametrize("name", OPTIONS)

@@ -476,19 +476,21 @@ def test_demo_reports_small_errors_and_large_ones_for_frames(
         tmp_path, capsys, monkeypatch):
     shorter = [*demo._FAN[:-1], "0.3", "--scale", "1"]
     monkeypatch.setattr(demo, "_FAN", shorter)
-    assert run("demo", "-o", tmp_path) == 0
-    text = capsys.readouterr()
-    assert text.err == ""
-    aop = {line.split(", ")[1].split(":")[0]: float(line.split()[-2])
-           for line in text.out.splitlines() if line.startswith("polarizer")}
+    assert run("demo", "-o", tmp_path, "--json") == 0
+    printed = capsys.readouterr()
+    told = json.loads(printed.out)
+    aop = told["polarizer_aop_error_deg"]
     assert aop["frames"] > 25
     assert aop["kalman"] < 1
-    dolp = dict(re.findall(r"(frames|kalman) (\d\.\d+)", text.out))
-    assert float(dolp["kalman"]) < 0.03 < 0.1 < float(dolp["frames"])
+    dolp = told["tendon_dolp_error"]
+    assert dolp["kalman"] < 0.03 < 0.1 < dolp["frames"]
+    assert f"AoP error {aop['frames']:.1f} degrees" in printed.err
     assert only_files(tmp_path) == [
         "davis346_short.webm", "fan.aedat4", "fan.png", "fan.webm",
         "polarizer_1000rpm.png", "tendon.aedat4", "tendon.png"]
-    assert str(tmp_path) in text.out.splitlines()[-1]
+    assert sorted(told["wrote"]) == [
+        str(tmp_path / name) for name in only_files(tmp_path)]
+    assert str(tmp_path) in printed.err.splitlines()[-1]
     assert len(frames_of(tmp_path / "fan.webm")[0]) == 5
 
 

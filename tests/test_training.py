@@ -1,4 +1,6 @@
 """Training: what is simulated is what a camera gives, and it learns."""
+import json
+
 import numpy as np
 import pytest
 
@@ -57,8 +59,12 @@ def test_the_command_trains_and_goes_on(tmp_path, capsys):
     args = ["train", "joint", "-o", str(out), "--batch", "1", "--side", "6",
             "--every", "1"]
     assert main([*args, "--steps", "1"]) == 0
-    assert main([*args, "--steps", "2"]) == 0
-    assert "going on from step 1" in capsys.readouterr().out
+    capsys.readouterr()
+    assert main([*args, "--steps", "2", "--json", "--progress"]) == 0
+    printed = capsys.readouterr()
+    assert "going on from step 1" in printed.err
+    assert "steps/s" in printed.err
+    assert json.loads(printed.out)["step"] == 2
     weights = Weights.load(out)
     assert weights.about["step"] == 2
     assert weights.about["recipe"]["steps"] == 2

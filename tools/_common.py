@@ -49,6 +49,7 @@ __all__ = [
     "command",
     "covered",
     "ended_by_signals",
+    "for_people",
     "fuse_options",
     "fusion_given",
     "opened",
@@ -485,6 +486,15 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
         help="print what was done as JSON, for programs")
 
 
+def for_people(args: argparse.Namespace) -> contextlib.AbstractContextManager[object]:
+    """Send what is printed on the way to standard error after --json.
+
+    There a program may log it; standard output is for `tell`.
+    """
+    return (contextlib.redirect_stdout(sys.stderr) if args.json
+            else contextlib.nullcontext())
+
+
 def tell(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
     """Print what a command did: lines, or after --json an object of facts.
 
@@ -502,7 +512,8 @@ def tell(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
         text = json.dumps(facts, default=plain)
         print(json.dumps(json.loads(text, parse_constant=lambda _: None), indent=2))
     else:
-        print("\n".join(lines))
+        for line in lines:
+            print(line)
 
 
 _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {

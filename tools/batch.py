@@ -13,7 +13,7 @@ import argparse
 import importlib
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,15 @@ from pdavis_cv import FusionOptions, batch
 from pdavis_cv._remote import is_remote
 from pdavis_cv.batch.pools import EXECUTORS
 
-from ._common import Parser, UsageError, command, option_value
+from ._common import (
+    Parser,
+    UsageError,
+    add_json_option,
+    command,
+    for_people,
+    option_value,
+    tell,
+)
 from ._values import LAST_SEED, positive, within
 
 __all__ = ["main"]
@@ -35,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis batch``; return 1 if a job failed."""
     args = _parser().parse_args(argv)
     if args.files[0] == "status" and len(args.files) == 2 and args.out is None:
-        return _status(args.files[1])
+        return _status(args, args.files[1])
     if args.out is None:
         raise UsageError("the following arguments are required: -o/--out")
     work = _work(args.work, args.work_settings)
@@ -49,20 +57,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.files = list(_reproduce().parts(args.files, work))
     if args.dry_run:
         return _dry_run(args, work, options)
-    table = batch.run(
-        args.files, options, args.out, work=work, executor=args.executor,
-        workers=args.jobs, retries=args.retries, timeout_s=args.timeout)
-    if args.parquet:
-        table.write_parquet()
-    if reproduces:
-        print("wrote", *_reproduce().join(table, Path(args.out)))
+    with for_people(args):
+        table = batch.run(
+            args.files, options, args.out, work=work, executor=args.executor,
+            workers=args.jobs, retries=args.retries, timeout_s=args.timeout)
+        if args.parquet:
+            table.write_parquet()
+        if reproduces:
+            print("wrote", *_reproduce().join(table, Path(args.out)))
     failed = table.failed
-    for row in failed[:20]:
-        print(f"{row['recording']}: {row['error']}")
+    lines = [f"{row['recording']}: {row['error']}" for row in failed[:20]]
     if len(failed) > 20:
-        print(f"... and {len(failed) - 20} more")
-    print(f"wrote {args.out}/summary.csv and index.html: {len(table)} jobs, "
-          f"{len(failed)} failed")
+        lines.append(f"... and {len(failed) - 20} more")
+    lines.append(f"wrote {args.out}/summary.csv and index.html: {len(table)} jobs, "
+                 f"{len(failed)} failed")
+    tell(args, lines, out=args.out, jobs=len(table),
+         failed=[{name: row[name] for name in ("recording", "error")}
+                 for row in failed])
     return 1 if failed else 0
 
 
@@ -108,6 +119,7 @@ def _parser() -> argparse.ArgumentParser:
         "--dry-run", action="store_true", help="say what would be done")
     parser.add_argument(
         "--resume", action="store_true", help="goes without saying")
+    add_json_option(parser)
     return parser
 
 
@@ -177,22 +189,25 @@ def _work_values(
 def _dry_run(
     args: argparse.Namespace, work: batch.Work, options: Sequence[FusionOptions]
 ) -> int:
-    done = count = 0
-    for job, is_done in batch.plan(args.files, options, args.out, work=work):
-        print(f"{'done ' if is_done else 'to do'}  {job.name}  {job.source}")
-        done, count = done + is_done, count + 1
-    print(f"{count} jobs, {done} of them done")
+    jobs: list[dict[str, Any]] = []
+    with for_people(args):
+        for job, is_done in batch.plan(args.files, options, args.out, work=work):
+            print(f"{'done ' if is_done else 'to do'}  {job.name}  {job.source}")
+            jobs.append({"name": job.name, "recording": job.source, "done": is_done})
+    tell(args, [f"{len(jobs)} jobs, {sum(job['done'] for job in jobs)} of them done"],
+         jobs=jobs)
     return 0
 
 
-def _status(out: str) -> int:
+def _status(args: argparse.Namespace, out: str) -> int:
     found = batch.status(out)
     of = "" if found.total is None else f" of {found.total}"
-    print(f"{Path(out)}: {found.done} done{of}, {found.failed} failed, "
-          f"{found.running} running in {found.runs} runs"
-          + ("" if found.left_s is None else f", {_clock(found.left_s)} left"))
-    for error, count in found.errors.items():
-        print(f"{count} x {error}")
+    tell(args, [
+        f"{Path(out)}: {found.done} done{of}, {found.failed} failed, "
+        f"{found.running} running in {found.runs} runs"
+        + ("" if found.left_s is None else f", {_clock(found.left_s)} left"),
+        *(f"{count} x {error}" for error, count in found.errors.items())],
+        **asdict(found))
     return 0
 
 

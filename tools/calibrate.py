@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,18 @@ from pdavis_cv.selfcal import LEAK_HZ
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 
 from ._calibration_report import Page, write_report
-from ._common import Parser, UsageError, add_layout_option, command, opened, start_of
+from ._common import (
+    Parser,
+    UsageError,
+    add_json_option,
+    add_layout_option,
+    command,
+    for_people,
+    opened,
+    stage,
+    start_of,
+    tell,
+)
 from ._values import layout_option, number, numbers, positive, roi_option, within
 
 __all__ = ["main"]
@@ -42,18 +54,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     parts = _ALL if args.part == "all" else (args.part,)
     path = Path(args.out)
     known = Calibration.load(path) if path.exists() else None
-    done = 0
+    done = []
     for part in parts:
         files = getattr(args, f"{part}_files" if args.part == "all" else "files")
         if not files:
             continue
-        known = _measure(part, files, args, known)
-        known.save(path)
-        print(f"wrote {path}: {', '.join(known.parts)}")
-        done += 1
-    if not done:
+        stage(f"measuring {part}")
+        with for_people(args):
+            known = _measure(part, files, args, known)
+            known.save(path)
+            print(f"wrote {path}: {', '.join(known.parts)}")
+        done.append(part)
+    if known is None or not done:
         raise UsageError(
             "all needs a recording for at least one part (see --help)")
+    tell(args, (), wrote=[path], holds=known.parts,
+         measured={part: known.notes[part] for part in done})
     return 0
 
 
@@ -311,13 +327,14 @@ def _check(args: argparse.Namespace) -> int:
     with opened(args, args.files[0]) as recording:
         findings = check_recording(recording)
     words = {True: "ok", False: "WRONG", None: "unknown"}
-    for finding in findings:
-        print(f"  {finding.what:<12} {words[finding.ok]:<8} {finding.message}")
+    tell(args, [f"  {finding.what:<12} {words[finding.ok]:<8} {finding.message}"
+                for finding in findings], findings=[asdict(one) for one in findings])
     return 0 if all(finding.ok is not False for finding in findings) else 1
 
 
 def _align(args: argparse.Namespace) -> int:
-    with opened(args, args.files[0]) as recording:
+    rows = []
+    with opened(args, args.files[0]) as recording, for_people(args):
         layout = resolve_layout(args.layout, None, recording.info.layout)
         known: NDArray[np.float32] | None = None
         if args.camera:
@@ -330,6 +347,8 @@ def _align(args: argparse.Namespace) -> int:
             sd = " ".join(f"{value:5.1f}" for value in row.sd_dn)
             print(f"  {(row.t_us - origin) / 1e6:8.3f}   {mean}   {sd}   "
                   f"{row.ratio[0]:6.2f}  {row.ratio[1]:6.2f}", flush=True)
+            rows.append(row._asdict())
+    tell(args, (), start_us=origin, frames=rows)
     return 0
 
 
@@ -391,6 +410,7 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
                                 dest=f"{name}_files", help=f"recordings for {name}")
     else:
         parser.add_argument("files", nargs="+", metavar="FILE", help="a recording")
+    add_json_option(parser)
     add_layout_option(parser)
     parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
                         help="lit part of the sensor, in pixels")

@@ -7,9 +7,11 @@ a real recording, of a camera without polarizers.
 """
 from __future__ import annotations
 
+import argparse
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +24,15 @@ from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
 
 from . import export as export_tool
 from . import fan as fan_tool
-from ._common import Parser, command, opened, stage
+from ._common import (
+    Parser,
+    add_json_option,
+    command,
+    for_people,
+    opened,
+    stage,
+    tell,
+)
 
 __all__ = ["axial_difference", "main", "mean_aop"]
 
@@ -35,6 +45,8 @@ _STEP_US = 2000
 _SHOWN_US = 200_000     # of the polarizer, at the end
 _TENDON_HZ = 200
 _WINDOW_US = 20_000     # of the events shown beside it
+_FILES = ("fan.aedat4", "tendon.aedat4", "fan.webm", "fan.png", "tendon.png",
+          f"polarizer_{RPM}rpm.png", f"{example_recording().stem}.webm")
 _MOMENT = 0.7           # of the tendon that is shown, as a share of its time
 _COLOURS = {"truth": (255, 255, 255), "frames": (150, 150, 150),
             "kalman": (80, 220, 255)}  # BGR
@@ -47,7 +59,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "-o", "--out", type=Path, default=Path("demo"), metavar="FOLDER",
         help="where to write; default demo")
+    add_json_option(parser)
     args = parser.parse_args(argv)
+    with for_people(args):
+        code, facts = _shown(args)
+    if code == 0:
+        tell(args, (), wrote=[args.out / name for name in _FILES], **facts)
+    return code
+
+
+def _shown(args: argparse.Namespace) -> tuple[int, dict[str, Any]]:
+    """Write everything; return an exit code, and errors against the truth."""
     folder = args.out
     render.opencv()
     folder.mkdir(parents=True, exist_ok=True)
@@ -59,27 +81,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         str(kept["fan"]), "-o", str(folder / "fan.webm"),
         "--still", str(folder / "fan.png"), *_FAN])
     if code:
-        return code
+        return code, {}
     args.layout = None
     stage("the tendon, by its frames and fused")
     with opened(args, kept["tendon"]) as recording:
-        _tendon(folder / "tendon.png", recording)
+        dolp = _tendon(folder / "tendon.png", recording)
     stage(f"a polarizer at {RPM} RPM, simulated and fused")
-    _polarizer(folder / f"polarizer_{RPM}rpm.png")
+    aop_deg = _polarizer(folder / f"polarizer_{RPM}rpm.png")
     code = _real(folder)
     if code == 0:
         _say("More of one recording:\n"
              f"  pdavis export {kept['fan']} -o more.webm --fps 200 --slow 8\n"
              f"The results are in {folder.resolve()}")
-    return code
+    return code, {"tendon_dolp_error": dolp, "polarizer_aop_error_deg": aop_deg}
 
 
 def _say(line: str) -> None:
     print(line, flush=True)
 
 
-def _tendon(path: Path, recording: Recording) -> None:
-    """Show one moment of the tendon, and the DoLP of all of it over time."""
+def _tendon(path: Path, recording: Recording) -> dict[str, float]:
+    """Show one moment of the tendon, and the DoLP of all of it over time.
+
+    Returns the mean error of that DoLP, by method.
+    """
     height, width = recording.info.sensor_size
     whole = [Roi.from_rectangle(0, 0, width, height, "all")]
     images, traces = {}, {}
@@ -112,6 +137,7 @@ def _tendon(path: Path, recording: Recording) -> None:
         for name, trace in traces.items()}
     _say(f"wrote {path}: mean error of the tendon's DoLP "
          + ", ".join(f"{name} {value:.3f}" for name, value in error.items()))
+    return error
 
 
 def _mean_dolp(truth: Truth, times: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -120,15 +146,16 @@ def _mean_dolp(truth: Truth, times: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray(np.hypot(mean[:, 1], mean[:, 2]) / mean[:, 0])
 
 
-def _polarizer(path: Path) -> None:
+def _polarizer(path: Path) -> dict[str, float]:
     """Hold a polarizer's angle at 1000 RPM, where frames are stale, against the truth.
 
-    The error is that of one second; its last part is shown.
+    The error, returned in degrees by method, is that of one second; its last part is
+    shown.
     """
     recording, truth = Camera.preset("nominal").record(
         RotatingPolarizer(rpm=_TURNING), 1.0)
     times = np.arange(0, 1_000_000, _STEP_US)
-    strips = {"truth": truth.aop(times)}
+    strips, errors = {"truth": truth.aop(times)}, {}
     titles = {"truth": f"truth: {RPM} RPM, {_SHOWN_US / 1e6:g} s from left to right"}
     for method in METHODS:
         images = list(fuse(recording, method=method, times_us=times))
@@ -137,8 +164,8 @@ def _polarizer(path: Path) -> None:
         strips[method] = np.array([
             mean_aop(frame) if usable else np.nan
             for frame, usable in zip(images, seen, strict=True)])
-        error = np.rad2deg(np.mean(
-            axial_difference(strips[method], strips["truth"])[seen]))
+        errors[method] = error = float(np.rad2deg(np.mean(
+            axial_difference(strips[method], strips["truth"])[seen])))
         titles[method] = f"{method}: mean error {error:.1f} degrees"
         _say(f"polarizer at {RPM} RPM, {method}: AoP error {error:.1f} degrees")
     shown = -(_SHOWN_US // _STEP_US)
@@ -148,6 +175,7 @@ def _polarizer(path: Path) -> None:
         for name, strip in strips.items()]
     export.write_png(path, render.tile([render.stack(rows, gap=6)], columns=1))
     _say(f"wrote {path}: AoP over time")
+    return errors
 
 
 def _real(folder: Path) -> int:

@@ -8,7 +8,16 @@ from pathlib import Path
 
 from pdavis_cv.export import write_beside
 
-from ._common import Parser, UsageError, command
+from ._common import (
+    Parser,
+    UsageError,
+    add_json_option,
+    command,
+    for_people,
+    progress,
+    stage,
+    tell,
+)
 from ._values import LAST_SEED, positive, within
 
 __all__ = ["main"]
@@ -39,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="macropixels along a side of a clip")
     parser.add_argument("--half", action="store_true",
                         help="convolve in bfloat16: quicker on processors that have it")
+    add_json_option(parser)
     args = parser.parse_args(argv)
     out = Path(args.out)
     if out.suffix != ".npz":
@@ -50,6 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(f"--side must be at least 4, got {args.side}")
     if importlib.util.find_spec("torch") is None:
         raise UsageError("training needs torch: pip install torch")
+    stage("loading torch, and its first step")
     from pdavis_cv.training.trainer import Recipe, Trainer, train
 
     recipe = Recipe(args.network, args.seed, args.steps, args.rate, args.batch,
@@ -57,11 +68,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     checkpoint = out.with_suffix(".pt")
     if checkpoint.exists():
         trainer = Trainer.load(checkpoint, recipe)
-        print(f"{checkpoint}: going on from step {trainer.step}")
+        with for_people(args):
+            print(f"{checkpoint}: going on from step {trainer.step}")
     else:
         trainer = Trainer(recipe)
 
+    last: dict[str, float] = {}
+
     def told(scores: dict[str, float]) -> None:
+        last.update(scores)
         with write_beside(out) as path:
             trainer.weights(scores=scores).save(path)
         row = {"step": trainer.step, "pixel_steps": trainer.pixel_steps, **scores}
@@ -74,5 +89,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(" ".join(f"{name}={value:.4g}" for name, value in row.items()),
               flush=True)
 
-    train(trainer, checkpoint, every=args.every, told=told)
+    with for_people(args):
+        train(trainer, checkpoint, every=args.every, told=told,
+              shown=lambda steps: progress(steps, len(steps), "steps"))
+    tell(args, (), wrote=[out, checkpoint, out.with_suffix(".csv")],
+         step=trainer.step, pixel_steps=trainer.pixel_steps, scores=last)
     return 0

@@ -5,13 +5,13 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from pdavis_cv.export import write_beside
 from pdavis_cv.reconstruct.checkpoint import firenet_weights
 from pdavis_cv.reconstruct.weights import Weights
 
-from ._common import Parser, UsageError, command
+from ._common import Parser, UsageError, add_json_option, command, tell
 
 __all__ = ["main"]
 
@@ -37,23 +37,33 @@ def main(argv: Sequence[str] | None = None) -> int:
                          help="for fuse(method='firenet', weights=...)")
     show = actions.add_parser("show", help="say what an npz file of weights holds")
     show.add_argument("file", metavar="FILE.npz")
+    for action in (convert, show):
+        add_json_option(action)
     args = parser.parse_args(argv)
     if args.action == "show":
-        _show(Weights.load(args.file))
+        _show(args, Weights.load(args.file))
         return 0
     if Path(args.out).suffix != ".npz":
         raise UsageError(f"--out must end in .npz, got {args.out!r}")
     weights = firenet_weights(args.checkpoint)
     with write_beside(Path(args.out)) as path:
         weights.save(path)
-    print(f"{args.out}: {weights.parameters} weights, {weights.digest}")
+    tell(args, [f"{args.out}: {weights.parameters} weights, {weights.digest}"],
+         wrote=[args.out], **_facts(weights))
     return 0
 
 
-def _show(weights: Weights) -> None:
-    print(f"{weights.network}: {weights.parameters} weights, {weights.digest}")
+def _show(args: argparse.Namespace, weights: Weights) -> None:
     unit = ("counts events" if weights.unit is None
             else f"log intensity in units of {weights.unit:g}")
-    print(f"input: {unit}")
-    for name, value in weights.about.items():
-        print(f"{name}: {value if isinstance(value, str) else json.dumps(value)}")
+    tell(args, [
+        f"{weights.network}: {weights.parameters} weights, {weights.digest}",
+        f"input: {unit}",
+        *(f"{name}: {value if isinstance(value, str) else json.dumps(value)}"
+          for name, value in weights.about.items())], **_facts(weights))
+
+
+def _facts(weights: Weights) -> dict[str, Any]:
+    return {"network": weights.network, "weights": weights.parameters,
+            "digest": weights.digest, "unit": weights.unit,
+            "about": dict(weights.about)}

@@ -45,7 +45,7 @@ def run(
     workers: int | None = None,
     retries: int = 1,
     timeout_s: float | None = None,
-    progress: bool = True,
+    progress: bool | None = None,
 ) -> Table:
     """Do a work with every recording and every set of options.
 
@@ -81,8 +81,8 @@ def run(
         input will meet again, such as a damaged header.
     timeout_s : float, optional
         Of each job, seconds.
-    progress : bool
-        Show it, if standard error is a terminal.
+    progress : bool, optional
+        Show it on standard error; default: if that is a terminal.
 
     Returns
     -------
@@ -418,14 +418,17 @@ class _Told:
 
 
 @contextlib.contextmanager
-def _shown(total: int | None, wanted: bool) -> Iterator[Callable[[int, int], None]]:
+def _shown(
+    total: int | None, wanted: bool | None
+) -> Iterator[Callable[[int, int], None]]:
     from tqdm import tqdm
 
     with tqdm(total=total, unit=" jobs", leave=False,
-              disable=None if wanted else True) as bar:
+              disable=None if wanted is None else not wanted) as bar:
         def show(done: int, failed: int) -> None:
             bar.update(done + failed - bar.n)
             if failed:
-                bar.set_postfix_str(f"{failed} failed")
+                bar.set_postfix_str(f"{failed} failed", refresh=False)
+            bar.refresh()   # jobs may be long, and the clock shall go on
 
         yield show

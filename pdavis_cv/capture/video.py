@@ -6,7 +6,7 @@ import io
 import os
 import threading
 from collections.abc import Sequence
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn, Self, Unpack, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from pdavis_cv.capture.manners import (
 )
 from pdavis_cv.capture.session import FAILURES, Session, View
 from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
-from pdavis_cv.fusion.options import names_options
+from pdavis_cv.fusion.options import FusionKeywords, names_options
 from pdavis_cv.recording.base import Source
 
 __all__ = ["CaptureStatus", "VideoCapture"]
@@ -94,6 +94,36 @@ class VideoCapture:
     >>> picture.shape, dolp.dtype
     ((260, 346, 3), dtype('float32'))
     """
+
+    @overload
+    def __init__(
+        self,
+        filename: Openable = ...,
+        apiPreference: int = ...,
+        params: Sequence[float] = ...,
+        *,
+        index: int | None = ...,
+        output: int | str = ...,
+        gain: float = ...,
+        gamma: float = ...,
+        log: bool = ...,
+        **fuse_parameters: Unpack[FusionKeywords],
+    ) -> None: ...
+
+    @overload
+    def __init__(
+        self,
+        filename: Openable = ...,
+        apiPreference: int = ...,
+        params: Sequence[float] = ...,
+        *,
+        index: int | None = ...,
+        output: int | str = ...,
+        gain: float = ...,
+        gamma: float = ...,
+        log: bool = ...,
+        **fuse_parameters: Any,
+    ) -> None: ...
 
     def __init__(
         self,

@@ -14,7 +14,16 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from types import MappingProxyType
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, cast, overload
+from typing import (
+    Any,
+    Concatenate,
+    ParamSpec,
+    Protocol,
+    TypedDict,
+    TypeVar,
+    cast,
+    overload,
+)
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +36,8 @@ from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.reconstruct.methods import METHODS, factory_of
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 
-__all__ = ["FusionOptions", "OptionFacts", "names_options", "takes_options"]
+__all__ = ["FusionKeywords", "FusionOptions", "OptionFacts", "names_options",
+           "takes_options"]
 
 _MOST_FPS = 1_000_000
 _MOST_OFFSET_US = 1_000_000     # beyond, frames and events are not of one camera
@@ -253,6 +263,30 @@ class FusionOptions:
     def __reduce__(self) -> tuple[Any, ...]:
         values = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         return _restored, ({**values, "parameters": dict(self.parameters)},)
+
+
+class FusionKeywords(TypedDict, total=False):
+    """The fields of FusionOptions as keywords, for type checkers and editors.
+
+    These follow no decorator: a class that takes the options unpacks it in an overload.
+    """
+
+    method: str | Factory | None
+    fps: float | None
+    times_us: ArrayLike | None
+    start_us: int | None
+    stop_us: int | None
+    layout: Layout | str | None
+    calibration: Calibration | None
+    extinction_ratio: float | str | None
+    demosaic: str
+    roi: tuple[int, int, int, int] | None
+    causal: bool
+    thresholds: str | tuple[ArrayLike, ArrayLike] | None
+    nominal_thresholds: tuple[ArrayLike, ArrayLike]
+    clock_offset_us: float | str | None
+    denoise: bool | Mapping[str, Any]
+    threads: int
 
 
 _NAMES = frozenset(FusionOptions.facts())

@@ -8,14 +8,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, Unpack, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import Fusion, FusionOptions
-from pdavis_cv.fusion.options import names_options
+from pdavis_cv.fusion.options import FusionKeywords, names_options
 from pdavis_cv.live.address import open_source
 from pdavis_cv.live.base import endless
 from pdavis_cv.live.clock import HostClock
@@ -128,6 +128,19 @@ class Session:
     ...     session.read().dolp.shape
     (8, 8)
     """
+
+    @overload
+    def __init__(
+        self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
+        record: str | os.PathLike[str] | None = ...,
+        **fuse_parameters: Unpack[FusionKeywords],
+    ) -> None: ...
+
+    @overload
+    def __init__(
+        self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
+        record: str | os.PathLike[str] | None = ..., **fuse_parameters: Any,
+    ) -> None: ...
 
     def __init__(
         self, where: str | os.PathLike[str] | Source | RecordingInfo, *,

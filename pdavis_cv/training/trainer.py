@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -243,10 +243,14 @@ class Averages:
 def train(
     trainer: Trainer, path: Path, *, every: int = 200,
     told: Callable[[dict[str, float]], None] = lambda scores: None,
+    shown: Callable[[range], Iterable[int]] = iter,
 ) -> None:
-    """Train to the recipe's end, saving to path every so many steps."""
+    """Train to the recipe's end, saving to path every so many steps.
+
+    What passes the steps on in ``shown`` may show progress.
+    """
     averages = Averages()
-    while trainer.step < trainer.recipe.steps:
+    for _ in shown(range(trainer.step, trainer.recipe.steps)):
         averages.add(trainer.advance())
         if trainer.step % every == 0 or trainer.step == trainer.recipe.steps:
             trainer.save(path)
