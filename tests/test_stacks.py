@@ -72,6 +72,22 @@ def test_ome_tiff_returns_numbers_axes_names_sizes_and_times(tmp_path):
     assert facts["units"]["AoP"] == "rad"
 
 
+def test_the_ome_xml_is_of_the_published_schema(tmp_path):
+    """What Bio-Formats, and so Fiji and QuPath, parse (needs ome-types and lxml)."""
+    tifffile = pytest.importorskip("tifffile")
+    ome_types = pytest.importorskip("ome_types")
+    path = tmp_path / "stack.ome.tif"
+    write(OmeTiffFile, path, pixel_um=0.74)
+    with tifffile.TiffFile(path) as tiff:
+        told = tiff.ome_metadata
+    ome_types.validate_xml(told)
+    pixels = ome_types.from_xml(told).images[0].pixels
+    assert [channel.name for channel in pixels.channels] == list(NAMES)
+    assert (pixels.size_t, pixels.physical_size_x) == (5, 0.74)
+    with pytest.raises(ValueError, match="SizeT"):
+        ome_types.validate_xml(told.replace('SizeT="5"', 'SizeT="five"'))
+
+
 def test_a_big_tiff_reads_the_same(tmp_path, monkeypatch):
     tifffile = pytest.importorskip("tifffile")
     monkeypatch.setattr("pdavis_cv.export.ometiff._CLASSIC_END", 1000)

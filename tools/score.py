@@ -129,8 +129,8 @@ def _parser() -> argparse.ArgumentParser:
         help="writes STEM.csv, STEM.json and, with matplotlib, STEM.png")
     parser.add_argument(
         "--methods", nargs="+", choices=METHODS, metavar="NAME",
-        help=f"of {', '.join(map(repr, METHODS))}; default all that the recording "
-             "has what they need for")
+        help=f"of {', '.join(map(repr, METHODS))}; causal: from nothing but what had "
+             "arrived, as live; default all that the recording has what they need for")
     parser.add_argument(
         "--thresholds", nargs="+", type=_source, default=list(SOURCES), metavar="T",
         help=f"of {', '.join(SOURCES)} (by regression on the frames), or ON,OFF in "

@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--batch", type=within(1, 4096), default=8,
                         help="clips side by side")
     parser.add_argument("--side", type=within(4, 512), default=20,
-                        help="macropixels along a side of a clip")
+                        help="macropixels (2x2 pixels) along a side of a clip")
     parser.add_argument("--half", action="store_true",
                         help="convolve in bfloat16: quicker on processors that have it")
     add_json_option(parser)
