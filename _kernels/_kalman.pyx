@@ -53,6 +53,8 @@ cdef extern from "_measure.h" nogil:
         double pull[TOGETHER]
         double held[TOGETHER]
         double part[TOGETHER]
+        double n_on[TOGETHER]
+        double n_off[TOGETHER]
         double h_on[TOGETHER]
         double h_off[TOGETHER]
         double noise[TOGETHER]
@@ -267,6 +269,8 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     s.part = 0.0
     hand_over(s, sample, group, i)
     group.part[i] = 0.0
+    group.n_on[i] = 0.0
+    group.n_off[i] = 0.0
     group.h_on[i] = 0.0
     group.h_off[i] = 0.0
     group.noise[i] = 0.0
@@ -350,6 +354,9 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         else:
             n_off -= doubt
             worth = -s.theta_off
+        if learn:
+            s.var_on += tuning.threshold_drift * s.theta_on * s.theta_on
+            s.var_off += tuning.threshold_drift * s.theta_off * s.theta_off
         propagate(s, n_on, n_off)
         s.var_base += added
         level = s.base
@@ -390,6 +397,8 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         if not holds(s, &at_mid, tuning):
             s.part = 0.0
     hand_over(s, sample, group, i)
+    group.n_on[i] = n_on
+    group.n_off[i] = n_off
     group.h_on[i] = h_on
     group.h_off[i] = h_off
     group.noise[i] = noise

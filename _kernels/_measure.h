@@ -16,10 +16,12 @@ enum {
     /* Rows of `terms`, what a sample adds to the sums over all: e^2 / v; ln v; 1; the
        part of a doubted event that it denies, and 1 for each; normal equations of e^2
        by what motion and what each event add to v, relative to v without both; of e^2
-       by read and shot noise, where no event tells of motion. */
+       by read and shot noise, where no event tells of motion; of e by relative changes
+       of both thresholds since the sample before. */
     RATIO = 0, LOG, COUNT, DENIED, DOUBTED,
     MOTION, EVENTS, MOTION_MOTION, MOTION_EVENTS, EVENTS_EVENTS,
-    READ, SHOT, READ_READ, READ_SHOT, SHOT_SHOT, TERMS
+    READ, SHOT, READ_READ, READ_SHOT, SHOT_SHOT,
+    ON, OFF, ON_ON, ON_OFF, OFF_OFF, TERMS
 };
 
 typedef struct {
@@ -37,6 +39,7 @@ typedef struct {
     double prior_on[TOGETHER], prior_off[TOGETHER], pull[TOGETHER];
     /* Part of a threshold that a pixel at rest keeps, and that taken at this sample. */
     double held[TOGETHER], part[TOGETHER];
+    double n_on[TOGETHER], n_off[TOGETHER];     /* events since the sample before */
     /* measured = base + h_on theta_on + h_off theta_off + noise; innovation; d(log) /
        d(DN), of the sample and where it is linearized.  noise is that of motion first. */
     double h_on[TOGETHER], h_off[TOGETHER], noise[TOGETHER], innovation[TOGETHER];
@@ -166,9 +169,17 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         double g1 = g->cov_base_on[i] + on * g->var_on[i] + off * g->cov_on_off[i];
         double g2 = g->cov_base_off[i] + on * g->cov_on_off[i] + off * g->var_off[i];
         double v = g0 + on * g1 + off * g2 + g->noise[i], ratio = e * e / v, jump;
-        double k0, k1, k2, learn = g->learn[i];
+        double k0, k1, k2, learn = g->learn[i], told;
+        double by_on = g->theta_on[i] * (g->n_on[i] + on);
+        double by_off = g->theta_off[i] * (off - g->n_off[i]);
         /* Lost events or a wrong sample: the base may have jumped, thresholds not. */
         jump = ratio > most ? e * e : 0.0;
+        told = ratio > most ? 0.0 : learn / v;
+        g->terms[ON][i] = told * by_on * e;
+        g->terms[OFF][i] = told * by_off * e;
+        g->terms[ON_ON][i] = told * by_on * by_on;
+        g->terms[ON_OFF][i] = told * by_on * by_off;
+        g->terms[OFF_OFF][i] = told * by_off * by_off;
         g->v[i] = v;
         g->narrow[i] = (float)v;
         g->jump[i] = jump;

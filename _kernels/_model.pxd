@@ -57,6 +57,7 @@ cdef packed struct tuning_t:
     double doubt
     double still_us
     double refractory_us
+    double threshold_drift  # relative, a variance from frame to frame
     double holds_part       # 1: at rest a pixel keeps its part; 0: it has none
 
 cdef packed struct sample_t:

@@ -38,6 +38,25 @@ class Noise:
     of_frames: np.ndarray = field(default_factory=lambda: np.array([4.0, 0.1]))
     known: np.ndarray = 0.0     # of both, normal equations: matrix and right-hand side
     told: np.ndarray = 0.0
+    drift: float = 0.0          # variance of thresholds from frame to frame, relative
+    product_of_drift: float = 0.0
+    weight_of_drift: float = 0.0
+    change: tuple = ()          # what the frame before said
+
+    def follow(self, sums):
+        """Drift by what two frames say of a common change of the thresholds."""
+        known, told = np.eye(2) / 0.1**2, np.zeros(2)
+        for _, _, _, _, (by, e, v), *_ in sums:
+            known, told = known + np.outer(by, by) / v, told + by * e / v
+        change = np.linalg.solve(known, told)
+        spread = np.trace(np.linalg.inv(known)) + 2 * 0.002**2
+        if self.change:
+            weight = 1 / (spread * self.change[1])
+            self.product_of_drift += weight * change @ self.change[0]
+            self.weight_of_drift += 2 * weight
+        self.change = change, spread
+        self.drift = max(self.product_of_drift, 0) / (
+            self.weight_of_drift + 0.005**-4)
 
     def at(self, per_dn):
         """Variance of a sample in light of 1 / per_dn DN."""
@@ -70,7 +89,9 @@ class Noise:
             x[k] = np.clip((told[k] - known[k, 1 - k] * x[1 - k]) / known[k, k],
                            (0, PER_EVENT)[k], (1, 0.5)[k])
         self.motion, self.per_event = x
-        for name in ("denied", "doubted", "matrix", "product", "known", "told"):
+        self.follow(sums)
+        for name in ("denied", "doubted", "matrix", "product", "known", "told",
+                     "product_of_drift", "weight_of_drift"):
             setattr(self, name, getattr(self, name) * np.exp(-1 / 20))
 
 
@@ -286,6 +307,8 @@ class Pixel:
             n_on, n_off = n
             F = np.eye(3)
             F[0, 1:] = n_on, -n_off
+            if learn:
+                self.P[[1, 2], [1, 2]] += self.learned.drift * self.x[1:]**2
             self.x = F @ self.x
             self.P = F @ self.P @ F.T
             added = theta2 * (drift + doubt * (1 - doubt))
@@ -322,6 +345,8 @@ class Pixel:
         still -= events * self.learned.per_event
         sums = (doubt * np.clip(doubt - error / worth, 0, 1), doubt,
                 np.array([unit, events]) / still, min(error**2, 16 * v) / still - 1,
+                (learn * (error**2 <= 16 * v) * self.x[1:] * (
+                    H[1:] + (0 if fresh else n * (1, -1))), error, v),
                 (0 if fresh or unit or noise > 0.04 else 1)
                 * np.array([per_dn_seen**2, per_dn_seen]) / v,
                 min(error**2 / v, 16) - 1)

@@ -4,6 +4,11 @@ import pytest
 
 from pdavis_cv import EVENT_DTYPE, ApsFrame, KalmanFilter
 from pdavis_cv.reconstruct.kalman.event_noise import event_noise
+from pdavis_cv.reconstruct.kalman.threshold_drift import (
+    drift_product,
+    drift_variance,
+    frame_drift,
+)
 
 
 @pytest.mark.parametrize(("motion", "each"), [(0.3, 0.1), (0.0, 0.2), (0.5, 0.0003)])
@@ -46,3 +51,58 @@ def test_lost_events_are_learned(lost, low, high):
     assert low <= (1 - lost) * 60 * tuning["noise_per_event"] + 2 * tuning[
         "motion_variance"] < high
     assert tuning["noise_per_event"] > 0.03 or not lost
+
+
+def drifting(per_frame, frames=30, shape=(12, 12), theta=0.2):
+    """A filter after frames with 20 events up and 10 down between two, and in turn.
+
+    Half of the pixels begin with more down.  ON thresholds change by ``per_frame``,
+    relatively, from one frame to the next.
+    """
+    method = KalmanFilter(shape, theta_on=theta, theta_off=theta, mode="causal",
+                          threshold_sigma=0.01)
+    n, rng = shape[0] * shape[1], np.random.default_rng(1)
+    y, x = np.divmod(np.arange(n), shape[1])
+    level = np.where(y % 2, 1.0, 3.0)
+    for k in range(frames):
+        t, on = 50_000 * k, theta * (1 + per_frame * k)
+        dn = 10 * np.exp(level).reshape(shape) + 2 * rng.normal(size=shape)
+        method.add_frame(ApsFrame(dn.astype(np.float32), t, t + 100))
+        up = np.where((y + k) % 2, 20, 10)
+        events = np.zeros((30, n), EVENT_DTYPE)
+        events["t"] = t + 1000 + 1500 * np.arange(30)[:, None]
+        events["y"], events["x"] = y, x
+        events["p"] = np.arange(30)[:, None] < up
+        method.add_events(events.ravel())
+        level += up * on - (30 - up) * theta
+    method.settle(50_000 * frames)
+    return method, on / theta
+
+
+def test_thresholds_that_drift_are_followed():
+    """15 % in 1.5 s; without process noise they lag behind."""
+    method, ratio = drifting(0.005)
+    learned = method._states["theta_on"] / method._states["theta_off"]
+    assert np.mean(learned) == pytest.approx(ratio, abs=0.02)
+    assert method._tuning["threshold_drift"][0] > 0.003**2
+
+
+def test_thresholds_that_stay_have_no_process_noise():
+    method, _ = drifting(0.0)
+    assert method._tuning["threshold_drift"][0] < 0.001**2
+
+
+def test_a_common_change_of_thresholds_is_told_from_noise():
+    rng = np.random.default_rng(2)
+    by, v = rng.uniform(1, 5, (2, 4000)) * [[1], [-1]], 0.01
+    e = np.array([0.02, -0.01]) @ by + rng.normal(0, v**0.5, 4000)
+    normal = [*(by @ e / v), *(np.array([by[0] @ by[0], by[0] @ by[1],
+                                         by[1] @ by[1]]) / v)]
+    on, off, spread = frame_drift(normal)
+    assert (on, off) == pytest.approx((0.02, -0.01), abs=0.003)
+    assert spread == pytest.approx(2 * 0.002**2, rel=0.5)
+    same, other = (0.01, 0.01, 1e-5), (-0.01, -0.01, 1e-5)
+    assert drift_variance(drift_product(same, other)) == 0
+    assert drift_variance(np.multiply(20, drift_product(same, same))) == pytest.approx(
+        0.01**2, rel=0.01)
+    assert drift_product(same, (0.0, 0.0, 0.0)) == (0, 0)

@@ -44,7 +44,8 @@ TUNING_DTYPE = np.dtype([
     ("frame_sigma", "<f8"), ("shot_share", "<f8"), ("read_variance", "<f8"),
     ("shot_variance", "<f8"), ("offset_dn", "<f8"), ("valid_variance", "<f8"),
     ("motion_variance", "<f8"), ("doubt", "<f8"), ("still_us", "<f8"),
-    ("refractory_us", "<f8"), ("holds_part", "<f8")])
+    ("refractory_us", "<f8"), ("threshold_drift", "<f8"),
+    ("holds_part", "<f8")])
 """Process noise: variance of the sum of events, in thresholds^2, per second and per
 event.  Photoreceptor: corner frequency in Hz, what an intensity of 1 DN/ms adds to it,
 relative error of both.  Measurement noise: sigma of ln intensity that de-blurring
@@ -53,8 +54,9 @@ shot noise in DN^2 per DN, sigma in DN of an offset of all frames.  Variance (ln
 to which an estimate is valid.  Where events come: variance in thresholds^2 of what
 interpolation between them leaves; the probability that an event of a pixel at rest is
 noise; gap between two events of which half say rest, us, 0: all of them are
-interpolated; how long a pixel is held in reset after an event, us; whether a pixel at
-rest keeps ``part`` (1) or has none (0)."""
+interpolated; how long a pixel is held in reset after an event, us; variance of the
+thresholds' relative change from one frame to the next; whether a pixel at rest keeps
+``part`` (1) or has none (0)."""
 
 SAMPLE_DTYPE = np.dtype([("log", "<f4"), ("variance", "<f4"), ("per_dn", "<f4")])
 """A frame's ln intensity, variance of its read and shot noise (ln^2; 0: no usable

@@ -19,12 +19,9 @@ from pdavis_cv.reconstruct.base import (
     Needs,
     Reconstructor,
 )
-from pdavis_cv.reconstruct.kalman.event_noise import MOTION, event_noise
-from pdavis_cv.reconstruct.kalman.frame_noise import (
-    DN_PER_SHOT,
-    READ_NOISE_DN,
-    frame_noise,
-)
+from pdavis_cv.reconstruct.kalman.adaptation import DOUBT, KEPT, MISFIT, SUMS, adapt
+from pdavis_cv.reconstruct.kalman.event_noise import MOTION
+from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import Smoother
 from pdavis_cv.reconstruct.kalman.waiting import WaitingFrame
@@ -67,17 +64,10 @@ CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.33)
 """The same where a calibration takes the pixels' differences out: much less is left in
 frames, and a third of what is assumed of read and shot noise."""
 
-DOUBT = (0.5, 50.0)
-"""Prior probability that an event of a pixel at rest is noise, and how many such events
-it counts for beside those that frames confirm or deny.  Engineering choice: even."""
 STILL_US = 250_000.0
 """Gap between two events (us) at which rest and motion are as likely.  Engineering
 choice: five frames of the paper's cameras; a threshold of .2 in it is .04 from frame to
 frame, which frames tell better than interpolation."""
-ADAPT_FRAMES = 20.0
-"""Frames for which the innovations that tell the first two are remembered, by 1/e;
-engineering choice, a second of the paper's cameras."""
-
 # Committed events are kept this long, and at least twice the longest exposure; before
 # the first frame tells how late frames arrive, for exposures of half a second.
 KEEP_US, _FIRST_KEEP_US = 100_000, 500_000
@@ -86,10 +76,6 @@ _DIM_SHARE = 0.12
 changes fastest where light is dim: weighed by the squared slope of 1 + .9 cos, the mean
 square of the lag is that at .12 of the brightest."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
-# Sums over samples that kalman_frame collects, terms in _measure.h, the first three
-# being `misfit`; beside them, sums over frames of what they say of motion and events.
-_SUMS, _MISFIT, _OF_EVENTS = 15, 3, 5
-_KEPT = _SUMS + _OF_EVENTS
 # Rows that a frame is used by at a time.
 _BAND = 32
 _NO_NODES = np.zeros((0, 0), NODE_DTYPE)
@@ -235,7 +221,7 @@ class KalmanFilter(Reconstructor):
         self._lamp = Lamplight()
         self._frames: tuple[WaitingFrame, ...] = ()
         self._unsampled: NDArray[np.intp] | None = None
-        self._innovations = np.zeros(_KEPT)
+        self._innovations = np.zeros(KEPT)
         self._fed = 0           # how often anything was
         self._scratch: tuple[KalmanFilter, int, int] | None = None
 
@@ -249,22 +235,7 @@ class KalmanFilter(Reconstructor):
 
     def _adapt(self) -> None:
         """Take the noise of events, motion and reads for what innovations say it is."""
-        kept = self._innovations[_MISFIT:]
-        (denied, doubted), normal = kept[:2], kept[2 + _OF_EVENTS:-_OF_EVENTS]
-        share, weight = DOUBT
-        self._tuning["doubt"] = (share * weight + denied) / (weight + doubted)
-        # By least squares in each frame, and no frame outweighs the others: the first
-        # ones come before thresholds and bandwidth are known.
-        least = 2 / MOTION[1]**2     # the variance of e^2 / v is 2
-        frame, frames = kept[2:2 + _OF_EVENTS], kept[-_OF_EVENTS:]
-        frames += frame / (frame[2] + least)
-        frame[:] = 0
-        self._tuning["motion_variance"], self._tuning["noise_per_event"] = event_noise(
-            frames.tolist(), self._noise[2])
-        normal = normal.tolist()
-        kept *= math.exp(-1 / ADAPT_FRAMES)
-        self._tuning["read_variance"], self._tuning["shot_variance"] = frame_noise(
-            normal)
+        adapt(self._innovations, self._tuning, self._noise[2])
 
     def _begin_thresholds(self) -> None:
         """Set the thresholds of the states to their prior, whatever they were."""
@@ -303,7 +274,7 @@ class KalmanFilter(Reconstructor):
             self._give_up(np.abs(self._lags() - before + 1e-6 * moved_us))
         if moved_us:
             self._doubt_bases(1e-6 * moved_us)
-            self._innovations[_MISFIT:] = 0
+            self._innovations[MISFIT:] = 0
             self._adapt()
             self._frames = ()   # what waits has the stamps of before
         if "refractory_us" in learned:
@@ -401,7 +372,7 @@ class KalmanFilter(Reconstructor):
         -------
         ndarray of float64, shape (3,)
         """
-        return self._innovations[:_MISFIT].copy()
+        return self._innovations[:MISFIT].copy()
 
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events (see `Reconstructor.add_events`)."""
@@ -533,7 +504,7 @@ class KalmanFilter(Reconstructor):
         recent = self._tracks
         # Sums are formed by bands that do not depend on the number of threads.
         bands = range(0, self.shape[0], _BAND)
-        innovations = np.zeros((len(bands), _SUMS))
+        innovations = np.zeros((len(bands), SUMS))
 
         def work(first: int, last: int) -> None:
             for band in range(first, last):
@@ -546,7 +517,7 @@ class KalmanFilter(Reconstructor):
 
         self.workers.rows(len(bands), work, least=1)
         for sums in innovations:
-            self._innovations[:_SUMS] += sums
+            self._innovations[:SUMS] += sums
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal filter (see `Reconstructor.assign`)."""
