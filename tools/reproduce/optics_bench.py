@@ -118,13 +118,13 @@ def _camera(preset: str, seed: int, optics: Optics) -> Camera:
 
 
 def _angles() -> FloatArray:
-    return np.deg2rad(np.arange(0.0, 180.0, _STEP_DEG))
+    return np.asarray(np.deg2rad(np.arange(0.0, 180.0, _STEP_DEG)), np.float64)
 
 
 def _dark(camera: Camera) -> NDArray[np.float32]:
     recording, _ = camera.record(FlatLight(s0=0.0), _DARK_SECONDS)
     frames = [frame.dn for p in recording.packets() for frame in p.frames]
-    return np.mean(frames, 0, dtype=np.float32)
+    return np.asarray(np.mean(frames, 0), np.float32)
 
 
 def _by_sweep(camera: Camera, nm: float) -> Iterator[Point]:
