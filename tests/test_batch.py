@@ -430,9 +430,10 @@ def test_the_command_sets_every_value_with_every_other(three, tmp_path, capsys):
     assert not out.exists()
     assert main(words) == 0
     assert "12 jobs, 0 failed" in capsys.readouterr().out
-    assert main([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
-        "out": str(out), "jobs": 12, "failed": []}
+    assert main([*words, "--json", "--progress"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out) == {"out": str(out), "jobs": 12, "failed": []}
+    assert "12/12" in printed.err
     assert main([*words, "--dry-run", "--json"]) == 0
     assert all(job["done"] for job in json.loads(capsys.readouterr().out)["jobs"])
     assert main(["batch", "status", str(out), "--json"]) == 0

@@ -1,4 +1,5 @@
 import csv
+import json
 import re
 
 import numpy as np
@@ -211,9 +212,13 @@ def test_a_recording_of_which_no_pixel_is_valid_is_told_with_the_reason(
     assert reproduce.main([
         "fig2", "-o", str(tmp_path / "x"), "--recording", str(path), "--step-us",
         "50000", "--layout", "pdavis", "--methods", "frames", "cf", "--calibration",
-        clips]) == 0
+        clips, "--json"]) == 0
     # `frames` is compared as it comes, without a calibration.
-    [line] = capsys.readouterr().err.splitlines()
+    printed = capsys.readouterr()
+    told = json.loads(printed.out)
+    assert told["wrote"] == [str(tmp_path / "x.csv"), str(tmp_path / "x.md")]
+    assert {row["method"] for row in told["rows"]} == {"frames", "cf"}
+    [line] = printed.err.splitlines()
     assert line.startswith("pdavis: warning: no image has a valid pixel: 100% of")
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
 from typing import Any, ClassVar
 
-__all__ = ["AlwaysProgress", "no_progress", "own_progress", "progress",
+__all__ = ["AlwaysProgress", "asked_for", "no_progress", "own_progress", "progress",
            "progress_in_time", "stage"]
 
 _ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
@@ -44,6 +44,11 @@ def no_progress() -> Iterator[None]:
         yield
     finally:
         _NEVER.reset(before)
+
+
+def asked_for() -> bool:
+    """Return whether --progress was given."""
+    return _ALWAYS.get()
 
 
 def _shown(**options: Any) -> dict[str, Any]:

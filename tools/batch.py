@@ -30,6 +30,7 @@ from ._common import (
     option_value,
     tell,
 )
+from ._progress import asked_for
 from ._values import LAST_SEED, positive, within
 
 __all__ = ["main"]
@@ -60,7 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     with for_people(args):
         table = batch.run(
             args.files, options, args.out, work=work, executor=args.executor,
-            workers=args.jobs, retries=args.retries, timeout_s=args.timeout)
+            workers=args.jobs, retries=args.retries, timeout_s=args.timeout,
+            progress=asked_for() or None)
         if args.parquet:
             table.write_parquet()
         if reproduces:

@@ -17,7 +17,17 @@ from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
 from pdavis_cv.simulation import PRESETS
 
-from .._common import Parser, UsageError, calibration_of, can_draw, command, progress
+from .._common import (
+    Parser,
+    UsageError,
+    add_json_option,
+    calibration_of,
+    can_draw,
+    command,
+    for_people,
+    progress,
+    tell,
+)
 from .._values import (
     LAST_SEED,
     layout_option,
@@ -342,12 +352,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(f"-o must name what files begin with, got '{args.out}'")
     if args.recording is not None and args.figure != "fig2":
         raise UsageError(f"--recording belongs to fig2, not to {args.figure}")
-    with journal():
+    with journal(), for_people(args):
         if args.recording is None:
-            page, _ = EXPERIMENTS[args.figure][1](args.figure, args.out, settings)
+            page, rows = EXPERIMENTS[args.figure][1](args.figure, args.out, settings)
         else:
-            page, _ = _recorded(args.out, settings, args)
-    print(page)
+            page, rows = _recorded(args.out, settings, args)
+    tell(args, [page], wrote=[beside_stem(args.out, end) for end in (".csv", ".md")],
+         rows=list(map(dataclasses.asdict, rows)))
     return 0
 
 
@@ -396,6 +407,7 @@ def _parser() -> argparse.ArgumentParser:
                  *robustness.STEPS_US))
     parser.add_argument(
         "--quick", action="store_true", help="fewer and shorter cases, a first look")
+    add_json_option(parser)
     group = parser.add_argument_group(
         "a recording of your own, of a polarizer turning at constant speed (fig2)")
     group.add_argument(
