@@ -29,7 +29,7 @@ from pdavis_cv.reconstruct.model import (
     TUNING_DTYPE,
     WAVE_DTYPE,
 )
-from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer, ideal
+from pdavis_cv.simulation import Camera, RotatingPolarizer, ideal
 
 SHAPE = (3, 4)
 MAPS = np.random.default_rng(9).uniform(0.1, 0.3, (2, *SHAPE))
@@ -387,66 +387,6 @@ def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
         kernel(*{**arguments, **changes}.values())
 
 
-def test_a_pixel_at_rest_is_read_as_if_it_were_listed():
-    """Which pixels the reader has found at rest changes no bit."""
-    events, frames = long_stream(n=3000)
-    shape = (4, 6)
-    often, once = make(shape, offset_dn=0.5), make(shape, offset_dn=0.5)
-    for stop in range(0, 3_000_000, 20_000):
-        part = (events["t"] >= stop) & (events["t"] < stop + 20_000)
-        for method in (often, once):
-            feed(method, events[part],
-                 [f for f in frames if stop <= f.mid_us < stop + 20_000])
-        if often._clock.last_us > 0:
-            often.read(often._clock.last_us)
-    last = events[:1].copy()
-    last["t"] = 4_400_000
-    for method in (often, once):
-        method.add_events(last)
-    for t in (4_500_000, 9_000_000, 4_360_000):
-        assert same(often.read(t), once.read(t))
-        assert same(often.read(t), make_again(often).read(t))
-    assert often._reader.n == 1
-
-
-@pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])
-def test_light_that_has_stopped_is_shown_as_frames_have_it(mode):
-    """Part of a threshold after the last event; frames then say where the light is."""
-    method, theta, gap = make((1, 1), 0.2, 0.2, mode=mode), 0.2, 5_000
-    events = np.zeros(8, EVENT_DTYPE)
-    events["t"], events["p"] = np.arange(1, 9) * gap, 1
-    stopped = 8.4 * gap     # .4 thresholds after the last event
-
-    def log(t):
-        return np.log(20) + theta * np.minimum(t, stopped) / gap
-
-    frames = []
-    for start in range(0, 2_000_000, 50_000):
-        dn = 10 * np.exp(log(start + np.arange(50, 10_000, 100))).mean()
-        frames.append(ApsFrame(np.full((1, 1), dn), start, start + 10_000))
-    feed(method, events, frames)
-    last = frames[-1].mid_us
-    for t in (last + 10_000, last + 5_000_000):
-        estimate = method.read(t)
-        assert abs(estimate.log_intensity[0, 0] - log(t)) < 0.1 * theta
-        assert estimate.variance[0, 0] < (0.3 * theta) ** 2 + 0.1 * theta**2 * 5
-
-
-@pytest.mark.parametrize("t", [140_000, 340_000, 940_000, 1_140_000])
-def test_a_stream_shows_light_that_stopped_as_frames_have_it(t):
-    """Though frames are taken with more of a threshold crossed than silence leaves."""
-    method, theta = make((1, 1), 0.2, 0.2, mode="causal"), 0.2
-    events = np.zeros(8, EVENT_DTYPE)
-    events["t"], events["p"] = np.arange(1, 9) * 10_000, 1
-    # It stops .4 thresholds after the last event, before the exposure of 100 ms.
-    dn = np.full((1, 1), 200 * np.exp(8.4 * theta))
-    frames = [ApsFrame(np.full((1, 1), 200.0), -20_000, -10_000),
-              *(ApsFrame(dn, s, s + 10_000) for s in range(100_000, t, 50_000))]
-    feed(method, events, frames)
-    shown = method.read(t).log_intensity[0, 0]
-    assert abs(shown - np.log(dn / 10)) < 0.05 * theta
-
-
 def make_again(method):
     other = make(method.shape, offset_dn=0.5)
     other.assign(method)
@@ -554,24 +494,6 @@ def test_lone_events_are_doubted_as_far_as_frames_deny_them(worth, low, high):
     assert low < method._tuning["doubt"][0] < high
 
 
-def test_light_at_rest_is_as_good_as_frames():
-    """Noise events do not move it, and more than one frame tells of it."""
-    recording, truth = Camera.preset("nominal", seed=4, size=(12, 12)).record(
-        FlatLight(dolp=0.3, aop=0.5), 2.0)
-
-    def error(**options):
-        times = range(1_000_000, 1_900_000, 9_000)
-        scorer = Scorer(truth, (6, 6))
-        for image in fuse(recording, times_us=times, demosaic="superpixel",
-                          nominal_thresholds=(0.16, 0.18), **options):
-            scorer.add(image)
-        return np.array([scorer.score.aop_error, scorer.score.dolp_error])
-
-    frames = error(method="frames")
-    assert np.all(error(method="kalman") < 1.1 * frames)
-    assert np.all(error(method="kalman", causal=True) < 1.2 * frames)
-
-
 @pytest.mark.parametrize("read_dn", [3.0, 6.0])
 def test_the_noise_of_frames_is_learned_and_biases_nothing(read_dn):
     rng = np.random.default_rng(1)
@@ -587,17 +509,3 @@ def test_the_noise_of_frames_is_learned_and_biases_nothing(read_dn):
     assert read_dn / 1.3 < learned < 1.3 * read_dn
     assert abs(off.mean()) < 0.1 * off.std()    # weighed by their own DN: .12, .15
     assert off.std() < 0.4 * np.mean(read_dn / light[light < 100])  # else .7 at 6 DN
-
-
-def test_a_pixel_that_stopped_is_shown_at_rest():
-    """Silence says so: what is extrapolated goes back to nothing."""
-    method = make((1, 1), 0.2, 0.2, mode="causal")
-    method.add_frame(ApsFrame(np.full((1, 1), 400.0), 0, 10_000))
-    events = np.zeros(5, EVENT_DTYPE)
-    events["t"], events["p"] = np.arange(20_000, 120_000, 20_000), 1
-    method.add_events(events)
-    shown = [float(method.read(t).log_intensity[0, 0])
-             for t in (110_000, 400_000, 800_000)]
-    at_event = shown[-1]
-    assert shown[0] - at_event > 0.05
-    assert abs(shown[1] - at_event) < 0.02

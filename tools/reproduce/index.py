@@ -77,5 +77,6 @@ def _of(settings: Settings) -> str:
     cameras = ", ".join(settings.cameras or ("nominal",))
     return (f"Cameras {cameras}; specimens {', '.join(map(str, settings.seeds))}; "
             f"start angles {', '.join(f'{a:g}' for a in settings.starts_deg)} degrees; "
-            f"an image every {settings.step_us} us; lines are medians, bands 5 to 95 % "
-            "of the specimens.")
+            f"an image every {settings.step_us} us"
+            + ("; lines are medians, bands 5 to 95 % of the specimens."
+               if len(settings.specimens) > 1 else "."))
