@@ -101,6 +101,14 @@ class CameraEstimate:
         return self.covariance
 
 
+class _ConstantThresholds(KalmanFilter):
+    """A filter whose thresholds do not drift: a calibration tells one pair of them."""
+
+    def _adapt(self) -> None:
+        super()._adapt()
+        self._tuning["threshold_drift"] = 0
+
+
 class SelfCalibration:
     """Estimates a camera's thresholds, bandwidth and event noise from passing data.
 
@@ -277,7 +285,7 @@ class SelfCalibration:
         ordered = _in_order(whole.items, clock_us)
         frames = sum(isinstance(item, ApsFrame) for item in whole.items)
         on, off = nominal
-        method = KalmanFilter(
+        method = _ConstantThresholds(
             self.shape, theta_on=on, theta_off=off, threshold_sigma=self._sigma,
             bandwidth=law, noise=FILTER_NOISE,
             refractory_us=0.0 if sample is None else sample.refractory_us)
