@@ -63,6 +63,7 @@ SHARED = (
     "_hot.pxd",
     "_lag.pxd",
     "_lamp.pxd",
+    "_line.h",
     "_math.h",
     "_math.pxd",
     "_measure.h",

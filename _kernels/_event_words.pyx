@@ -147,54 +147,19 @@ cdef enum:
     SECONDS = 1
     NANOSECONDS = 2
 
-cdef extern from *:
-    """
-    static const int64_t powers[] = {
-        1, 10, 100, 1000, 10000, 100000, 1000000, 10000000, 100000000, 1000000000};
-    #if defined(__GNUC__)
-    #define zero_bits(word) __builtin_ctzll(word)
-    #else
-    static int zero_bits(uint64_t word) {
-        int n = 0;
-        for (; !(word & 1); word >>= 1) n++;
-        return n;
-    }
-    #endif
-    #if defined(__SSE2__) && !PDAVIS_CV_DEBUG   /* the debug flavour tests the other */
-    #include <emmintrin.h>
-    static uint32_t no_digits(const uint8_t *data) {
-        const __m128i zero = _mm_set1_epi8('0'), nine = _mm_set1_epi8(9);
-        __m128i a = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)data), zero);
-        __m128i b = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)(data + 16)), zero);
-        a = _mm_cmpeq_epi8(_mm_min_epu8(a, nine), a);
-        b = _mm_cmpeq_epi8(_mm_min_epu8(b, nine), b);
-        return ~((uint32_t)_mm_movemask_epi8(a)
-                 | (uint32_t)_mm_movemask_epi8(b) << 16);
-    }
-    #else
-    static uint32_t no_digits(const uint8_t *data) {
-        uint32_t found = 0;
-        for (int i = 0; i < 32; i++)
-            found |= (uint32_t)((uint8_t)(data[i] - '0') > 9) << i;
-        return found;
-    }
-    #endif
-    """
+cdef extern from "_line.h":
     const int64_t[10] powers
-    int zero_bits(uint64_t word) nogil      # below the lowest 1; there must be one
-    # A bit for each of LINE bytes, the first the lowest: 1 where there is no digit.
-    uint32_t no_digits(const uint8_t* data) nogil
+    int AHEAD
+    int zero_bits(uint64_t word) nogil
+    int64_t value_of(uint64_t word, int count) nogil
+    bint blank(uint8_t c) nogil
+    int plain_line(const uint8_t* data, const int* order, int64_t* row,
+                   int64_t* nano) nogil
 
 cdef enum:
     FAR_S = 2305843009214       # beyond 1 << 61 us
-    LINE = 32                   # bytes in which a plain line ends
-    AHEAD = LINE + 8            # which reading it touches
     NO_EVENT = -1               # an empty line, a comment, names
     BAD = -2
-
-
-cdef inline bint blank(uint8_t c) noexcept nogil:
-    return c == c' ' or c == c',' or c == c';' or c == c'\t' or c == c'\r'
 
 
 cdef inline uint64_t others(uint64_t word) noexcept nogil:
@@ -205,68 +170,6 @@ cdef inline uint64_t others(uint64_t word) noexcept nogil:
     word ^= <uint64_t>0x3030303030303030
     return (((word & <uint64_t>0x7F7F7F7F7F7F7F7F) + <uint64_t>0x7676767676767676)
             | word) & <uint64_t>0x8080808080808080
-
-
-cdef inline int64_t value_of(uint64_t word, int count) noexcept nogil:
-    """Return the number that the first 1 to 8 bytes of a word, digits, stand for."""
-    word = (word << (64 - 8 * count)) & <uint64_t>0x0F0F0F0F0F0F0F0F
-    # Neighbours add up: to 4 numbers of 2 digits, 2 of 4, one of 8.
-    word = word * 2561 >> 8 & <uint64_t>0x00FF00FF00FF00FF
-    word = word * 6553601 >> 16 & <uint64_t>0x0000FFFF0000FFFF
-    return <int64_t>(word * <uint64_t>42949672960001 >> 32)
-
-
-cdef inline int64_t up_to_16(const uint8_t* data, int count) noexcept nogil:
-    """Return the number that 1 to 16 digits stand for; reads 8 bytes of each half."""
-    cdef uint64_t word
-    cdef int64_t high
-    memcpy(&word, data, 8)
-    if count <= 8:
-        return value_of(word, count)
-    high = value_of(word, 8)
-    memcpy(&word, data + 8, 8)
-    return high * powers[count - 8] + value_of(word, count - 8)
-
-
-cdef inline int plain_line(const uint8_t* data, const int* order, int64_t* row,
-                           int64_t* nano) noexcept nogil:
-    """Read a line as programs write it; return where it ends, or -1 for any other.
-
-    Four numbers of 1 to 16 digits, one separator between, of which the time may have
-    a fraction of up to 8.  The places of all separators are found before any number is
-    read: following one number to the next, each would wait for the one before.
-    """
-    cdef uint64_t word
-    cdef uint32_t marks = no_digits(data)
-    cdef int k, begin = 0, end = 0, count
-    cdef uint8_t after = 0
-    nano[0] = 0
-    for k in range(4):
-        if marks == 0:
-            return -1
-        end = zero_bits(marks)
-        marks &= marks - 1
-        count = end - begin
-        if count < 1 or count > 16:
-            return -1
-        row[order[k]] = (data[begin] - c'0' if count == 1 and order[k] == 3 else
-                         up_to_16(data + begin, count))
-        after = data[end]
-        if after == c'.' and order[k] == 0 and marks != 0:
-            begin, end = end + 1, zero_bits(marks)
-            marks &= marks - 1
-            count = end - begin
-            if count < 1 or count > 8:
-                return -1
-            memcpy(&word, data + begin, 8)
-            nano[0] = value_of(word, count) * powers[9 - count]
-            after = data[end]
-        if k < 3 and not blank(after):
-            return -1
-        begin = end + 1
-    if after == c'\r':
-        end += 1
-    return end if data[end] == c'\n' else -1
 
 
 cdef inline int eight_digits(const uint8_t* data, Py_ssize_t i, Py_ssize_t n,

@@ -216,6 +216,7 @@ def test_tendon_takes_the_usual_bandwidth_where_frames_are_locked_to_the_load(
     assert error["stated"] < error["usual"]  # more lag is taken out
 
 
+@pytest.mark.gate
 def test_tendon_takes_the_clock_from_triggers(tmp_path, pulled, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     recording, _, scene = pulled

@@ -87,6 +87,7 @@ def test_random_seeks_equal_sequential_reading(ideal, method, grid, n):
         check_random_seeks(cap, n)
 
 
+@pytest.mark.gate
 @CASES_OF_A_FILE
 def test_random_seeks_in_a_real_recording(data_dir, method):
     method, n = quick(method, 100)
@@ -98,6 +99,7 @@ def test_random_seeks_in_a_real_recording(data_dir, method):
         assert len(cap._session.cursor.kept) >= 5
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("suffix", [
     ".aedat", pytest.param(".aedat2", marks=pytest.mark.gate)])
 def test_random_seeks_in_an_aedat2_file(tmp_path, suffix):

@@ -125,6 +125,7 @@ def scored(recording, truth, start_us, **options):
     return np.rad2deg(scorer.score.aop_error), last.provenance["clock_offset_us"]
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("causal", [False, True])
 def test_stamps_that_are_off_no_longer_turn_the_angle(early, causal):
     found, us = aop_error(*early, causal=causal)
@@ -136,6 +137,7 @@ def test_stamps_that_are_off_no_longer_turn_the_angle(early, causal):
     assert without > 1.5 * found
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(("rpm", "us"), [
     (202.6, -10_000), pytest.param(1013.0, 5_000, marks=pytest.mark.gate)])
 def test_a_stream_recovers_from_what_wrong_stamps_taught(rpm, us):

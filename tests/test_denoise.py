@@ -67,11 +67,12 @@ def test_noise_and_hot_pixels_go_and_true_events_stay():
         assert kept[order < len(true)].mean() > 0.95
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("options", [
     {"method": "events"}, {"method": "events", "offsets": "redundancy"},
     {"method": "cf"},
-    pytest.param({"method": "kalman", "bandwidth": None}, marks=pytest.mark.gate),
-    pytest.param({"method": "kalman", "causal": True}, marks=pytest.mark.gate)])
+    {"method": "kalman", "bandwidth": None},
+    {"method": "kalman", "causal": True}])
 def test_every_method_takes_it_and_regions_and_seeks_stay_exact(options):
     camera = Camera.preset("nominal", seed=2, size=(24, 26),
                            origin=(54, 190), dvs={"hot_fraction": 0.02})

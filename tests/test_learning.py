@@ -114,6 +114,7 @@ def test_without_frames_or_change_the_usual_bandwidth_stays():
     assert in_force(blind, 10**9)["bandwidth"] == TYPICAL_BANDWIDTH
 
 
+@pytest.mark.gate
 def test_the_state_goes_on_with_what_is_learned(realistic):
     """Images soon are what the law known from the beginning gives, and as right."""
     recording, truth = realistic

@@ -60,6 +60,7 @@ def test_kalman_is_accurate_on_pixels_that_no_constant_was_chosen_on(pixel, rpm)
     assert got["frames"][0] > 10
 
 
+@pytest.mark.gate
 def test_redundancy_finds_thresholds_that_are_far_from_equal():
     made = recording(v2e_events, 202.6, dolp=DOLP)   # ON and OFF differ by 21 % rms
     aop, dolp, _, _ = errors(made, 202.6, step_us=5077, **METHODS["events, redundancy"])

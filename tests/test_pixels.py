@@ -448,6 +448,7 @@ def test_saturated_preset_is_the_full_chip_and_loses_events():
     assert truth.bus_lost.sum() > 1000
 
 
+@pytest.mark.gate
 def test_long_streams_stay_flat_in_memory():
     camera = Camera.preset("nominal", size=(16, 16))
     packets = camera.stream(RotatingPolarizer(rpm=30.0), 3600.0).packets()

@@ -258,6 +258,7 @@ def test_a_region_equals_the_crop_of_the_whole(options, roi):
     assert some > 0
 
 
+@pytest.mark.gate
 def test_light_that_saturates_every_frame_is_measured_by_its_events():
     camera = Camera.preset("nominal", seed=3, size=(8, 12), origin=(54, 156))
     scene = Fan(rpm=203)

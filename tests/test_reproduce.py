@@ -64,6 +64,7 @@ def test_pictures_are_drawn_for_both_geometries(tmp_path):
             200 / 60, rel=0.1)
 
 
+@pytest.mark.gate
 def test_the_score_of_the_kalman_method_is_below_the_goal_on_nominal_cameras():
     recording, truth = Camera.preset("nominal", seed=5).record(
         RotatingPolarizer(rpm=506.5), 2.0)
@@ -201,6 +202,7 @@ def test_a_recording_without_truth_is_scored_against_its_own_fit(tmp_path, capsy
         0.020 * 60.78 * 6, rel=0.1)  # half a frame of 20 ms, and half an exposure
 
 
+@pytest.mark.gate
 def test_a_recording_of_which_no_pixel_is_valid_is_told_with_the_reason(
         tmp_path, capsys):
     path = tmp_path / "in.aedat4"

@@ -70,6 +70,7 @@ def test_colour_and_16_bit_images_are_scaled_to_one(tmp_path):
     np.testing.assert_array_equal(quad, 1)
 
 
+@pytest.mark.gate
 def test_the_command_writes_table_page_and_picture(tmp_path, capsys):
     for angle in (0, 45, 90, 135):
         cv2.imwrite(str(tmp_path / f"a_{angle}.png"),

@@ -61,6 +61,7 @@ def test_textures_cross_less_than_an_eighth_of_a_wave_per_window():
         assert moved < scene.shortest / 8
 
 
+@pytest.mark.gate
 def test_methods_are_scored_at_ends_of_windows_after_they_settled(rows):
     window = network.window_us(PERIOD_US)
     assert {row.window_us for row in rows.values()} == {window}

@@ -8,7 +8,8 @@ __all__ = ["drift_product", "drift_variance", "frame_drift"]
 DRIFT = 0.005
 """Relative change of thresholds from frame to frame that its variance's prior is as
 wide as.  Engineering choice: 10 % in a second of the paper's cameras is far more than
-temperature does to bias currents; more must be seen in many pixels."""
+temperature does to bias currents; more must be seen in many pixels.  What it was
+compared with, and on which cameras, is in docs/theory/priors.md."""
 
 CHANGE, SYSTEMATIC = 0.1, 0.002
 """Relative, standard deviations: of a change that one frame alone is believed, an
