@@ -137,6 +137,7 @@ def test_reads_of_a_file_are_kept(tmp_path):
     np.testing.assert_array_equal(got.signal, signal)
 
 
+@pytest.mark.gate
 def test_unix_times_survive(data_dir, tmp_path):
     with open_recording(data_dir / "davis346.aedat4") as source:
         write_aedat2(tmp_path / "x.aedat2", source)

@@ -87,6 +87,7 @@ def test_of_equal_cycles_the_widest_overlap_is_taken():
     assert abs(middle / 1e6 - 3.03) < 0.002
 
 
+@pytest.mark.gate
 def test_a_load_in_another_unit_of_time_is_refused():
     own = np.arange(0, 6, 0.001)
     load = LoadTrace(own * 1000, np.sin(2 * np.pi * 5 * own))

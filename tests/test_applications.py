@@ -56,7 +56,8 @@ def opener(recordings):
     return lambda path, **options: recordings[str(path)]
 
 
-@pytest.mark.parametrize(("rpm", "method"), [(200.0, "cf"), (1000.0, "kalman")])
+@pytest.mark.parametrize(("rpm", "method"), [
+    (200.0, "cf"), pytest.param(1000.0, "kalman", marks=pytest.mark.gate)])
 def test_fan_measures_what_the_images_say_and_writes_the_video(
         tmp_path, wheel, monkeypatch, capsys, rpm, method):
     recording, (x, y) = wheel if rpm == 200 else wheel_at(rpm)

@@ -39,6 +39,7 @@ def files(bench, monkeypatch):
     return bench[0]
 
 
+@pytest.mark.gate
 def test_all_parts_go_into_one_file_with_a_report_each(files, tmp_path, capsys):
     out = tmp_path / "camera.npz"
     assert main([

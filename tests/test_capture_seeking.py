@@ -79,8 +79,9 @@ def check_random_seeks(cap, n, seed=0):
 
 
 @CASES
-@pytest.mark.parametrize(("grid", "n"), [({}, 20), ({"fps": 37.5}, 100)],
-                         ids=["per frame", "37.5 fps"])
+@pytest.mark.parametrize(("grid", "n"), [
+    pytest.param({}, 20, marks=pytest.mark.gate, id="per frame"),
+    pytest.param({"fps": 37.5}, 100, id="37.5 fps")])
 def test_random_seeks_equal_sequential_reading(ideal, method, grid, n):
     method, n = quick(method, n)
     with VideoCapture(ideal, **method, **grid) as cap:
@@ -119,6 +120,7 @@ def test_seeks_with_given_times_equal_sequential_reading(ideal):
         check_random_seeks(cap, 40)
 
 
+@pytest.mark.gate
 @CASES
 def test_a_pickled_copy_goes_on_with_the_same_images(ideal, method):
     with VideoCapture(ideal, **method, fps=40) as cap:
@@ -131,6 +133,7 @@ def test_a_pickled_copy_goes_on_with_the_same_images(ideal, method):
         copy.release()
 
 
+@pytest.mark.gate
 def test_a_pickled_copy_of_a_file_opens_it_again(data_dir):
     cap = VideoCapture(data_dir / "davis346.aedat4", fps=50, layout=Layout.PDAVIS,
                        gain=2.0, output=p.CAP_PDAVIS_DOLP_BGR)
@@ -174,6 +177,7 @@ class _Counted:
         return self.bytes
 
 
+@pytest.mark.gate
 @CASES_OF_A_FILE
 def test_a_backward_seek_reads_at_most_two_snapshot_spacings(
         data_dir, monkeypatch, method):

@@ -214,6 +214,7 @@ def test_images_do_not_depend_on_how_one_got_there(early, us, causal):
             np.testing.assert_array_equal(image.quad, expected.quad)
 
 
+@pytest.mark.gate
 def test_info_warns(early, tmp_path, capsys):
     path = tmp_path / "early.aedat4"
     pdavis_cv.write_aedat4(path, early[0])

@@ -373,6 +373,7 @@ def test_arrays_of_several_forms_are_read(tmp_path):
         open_recording(tmp_path / "z.npy")
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("compressed", [False, True])
 @pytest.mark.parametrize("form", ["fields", "rows", "columns", "apart"])
 def test_arrays_in_npz_are_not_read_whole(tmp_path, compressed, form):

@@ -399,6 +399,7 @@ def test_a_calibration_s_bandwidth_with_an_uncertainty_is_learned_onwards(
     assert used(still, bandwidth_hz=200.0, bandwidth_sigma=0.1) == (200, 0, 0.1)
 
 
+@pytest.mark.gate
 def test_on_and_off_thresholds_of_a_calibration_err_together(nominal):
     """Of independent errors the scale would have 1 / sqrt(2) of the stated one."""
     thresholds = dict.fromkeys(("theta_on", "theta_off"), np.full((8, 8), 0.17))

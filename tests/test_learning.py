@@ -56,6 +56,7 @@ def test_the_law_is_found_as_the_stream_passes(realistic):
     assert sigma < 0.2
 
 
+@pytest.mark.gate
 def test_a_calibration_s_bandwidth_holds_until_the_stream_tells_more(realistic):
     recording, _ = realistic
     known = Calibration(sensor_size=(8, 8), bandwidth_hz_per_dn=10.0,
@@ -221,6 +222,7 @@ def test_nothing_is_read_or_learned_before_the_first_image(realistic, monkeypatc
     assert (len(made), len(read)) == (1, 2)
 
 
+@pytest.mark.gate
 def test_each_pixel_s_uncertainty_reaches_the_filter(realistic):
     recording, _ = realistic
     image, = fuse(recording, times_us=[900_000], thresholds="in-situ",

@@ -253,6 +253,7 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.gate
 def test_the_command_writes_a_table_json_and_a_picture(file, tmp_path, capsys):
     stem = tmp_path / "out"
     assert score.main([

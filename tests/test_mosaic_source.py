@@ -182,6 +182,7 @@ def test_a_missing_layout_is_asked_for(tmp_path):
         open_recording(path)
 
 
+@pytest.mark.gate
 def test_a_camera_image_agrees_with_an_independent_computation(data_dir):
     """Bilinear interpolation by correlation with the classical kernels, in float64."""
     path = data_dir / "camera_IMX250MZR.png"

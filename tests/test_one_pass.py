@@ -71,7 +71,8 @@ def assert_same(images, others):
             np.testing.assert_array_equal(one.variance, two.variance)
 
 
-@pytest.mark.parametrize("grid", [{"fps": 47}, {}])
+@pytest.mark.parametrize("grid", [
+    {"fps": 47}, pytest.param({}, marks=pytest.mark.gate)])
 @pytest.mark.parametrize("options", METHODS, ids=str)
 @pytest.mark.parametrize("causal", [True, False])
 def test_one_pass_gives_the_bits_of_the_recording(recording, options, grid, causal):

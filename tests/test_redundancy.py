@@ -240,7 +240,8 @@ def test_light_that_only_flickers_tells_nothing_about_the_gains():
     {"method": "events", "offsets": "redundancy"},
     {"method": "events", "offsets": "redundancy", "causal": True},
     {"method": "kalman", "bandwidth": (250, 0)}])
-@pytest.mark.parametrize("roi", [(0, 0, 6, 5), (9, 3, 7, 4)])
+@pytest.mark.parametrize("roi", [
+    pytest.param((0, 0, 6, 5), marks=pytest.mark.gate), (9, 3, 7, 4)])
 def test_a_region_equals_the_crop_of_the_whole(options, roi):
     camera = Camera.preset("nominal", seed=3, size=(8, 20), origin=(54, 162))
     recording, _ = camera.record(Fan(rpm=203), 0.7)
