@@ -107,3 +107,17 @@ def test_a_camera_s_reset_of_time_is_no_damage(tmp_path):
     (events, *_), problems = read(tmp_path / "x")
     assert len(events) == 18
     assert [p.kind for p in problems] == ["segment"]
+
+
+@pytest.mark.parametrize("overflow", [2**31 - 1, 2**30])
+def test_a_frame_of_a_time_that_no_clock_reaches_is_dropped(tmp_path, overflow):
+    pixels = np.full((260, 346), 100 << 6, "<u2").tobytes()
+    frame = struct.pack("<i4i4i", 1, 10, 40, 10, 30, 346, 260, 0, 0) + pixels
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n"
+        + packet(2, len(frame), 8, 0, [frame])
+        + packet(2, len(frame), 8, overflow, [frame]))
+    with open_recording(tmp_path / "x") as recording:
+        assert [f.mid_us for f in joined(recording.packets())[1]] == [20]
+        [problem] = recording.problems
+        assert (problem.kind, problem.count) == ("backward time", 1)

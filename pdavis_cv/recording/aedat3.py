@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.aedat2.header import CHIP_SIZES
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
@@ -302,6 +302,10 @@ class Aedat3Recording(FileRecording):
         if not 0 <= end - start <= 60_000_000:
             start = end = base + sof
         ready = base + eof
+        if max(abs(start), abs(end), abs(ready)) >= FAR:
+            self._count(at, "backward time", 1, "frames were dropped because no clock "
+                        "reaches their time")
+            return None
         return ApsFrame(dn, start, end, valid=None if valid.all() else valid,
                         available_us=ready if 0 <= ready - end <= 60_000_000 else end)
 
