@@ -73,7 +73,8 @@ class Gathering(Scratch):
 
     def expect(self, share: float) -> None:
         """Make room for all that a file will give, of which a share was kept."""
-        self.reserve(int((_SPARE / share - 1) * self._end))
+        if self._end > share * len(self._all):  # else a little more moves it all again
+            self.reserve(int((_SPARE / share - 1) * self._end))
 
     def keep(self, events: NDArray[Any]) -> bool:
         """Keep the wanted ones of the next events; tell whether later ones are no use.
