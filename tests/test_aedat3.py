@@ -99,6 +99,24 @@ def test_a_wild_time_costs_its_sample_or_packet_only(tmp_path, damaged):
     assert np.isin(events["t"], 100 * np.arange(200)).all()
 
 
+def test_a_wild_time_of_the_last_imu_sample_costs_no_event(tmp_path):
+    parts = [imu_packet(10_000), *(event_packets([t]) for t in (11_000, 12_000)),
+             imu_packet(600_000), *(event_packets([t]) for t in (13_000, 14_000))]
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n" + b"".join(parts))
+    (events, _, imu, _), problems = read(tmp_path / "x")
+    assert events["t"].tolist() == [11_000, 12_000, 13_000, 14_000]
+    assert imu["t"].tolist() == [10_000]
+    assert [(p.kind, p.count) for p in problems] == [("wild time", 1)]
+
+
+def test_a_header_s_line_that_begins_with_a_colon_says_nothing(tmp_path):
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n:Format RAW\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n"
+        + event_packets([5]))
+    assert read(tmp_path / "x")[0][0]["t"].tolist() == [5]
+
+
 def test_a_camera_s_reset_of_time_is_no_damage(tmp_path):
     parts = [event_packets([t, t + 10, t + 20])
              for t in (9_000_000, 9_001_000, 9_002_000, 0, 1_000, 2_000)]

@@ -55,17 +55,23 @@ def test_every_mutator_makes_another_file(name):
 
 
 @pytest.mark.parametrize("name", WITH_PACKETS)
-@pytest.mark.parametrize("kind", ["longer", "shorter", "swallows"])
+@pytest.mark.parametrize("kind", ["longer", "shorter", "swallows", "hides"])
 def test_packets_beside_a_damaged_one_are_delivered(name, kind, tmp_path):
     from targets import whole_parts
-    size_at = {"aedat4": 4, "aedat31": 20}[name]
+    size_at, head = {"aedat4": (4, 24), "aedat31": (20, 28)}[name]
+    done = 0
     for data, packets in whole_parts(name):
         for i, (start, stop, _) in enumerate(packets[:-1]):
             packet = bytearray(data[start:stop])
+            following = packets[i + 1][1] - stop
             if kind == "longer":
                 packet += bytes(100_000)
             elif kind == "shorter":
                 del packet[-5:]
+            elif kind == "hides":    # it seems to end where the next one does
+                if len(packet) < head + following:
+                    continue
+                del packet[-following:]
             else:
                 told, = struct.unpack_from("<i", packet, size_at)
                 struct.pack_into("<ii" if name == "aedat31" else "<i", packet, size_at,
@@ -74,6 +80,21 @@ def test_packets_beside_a_damaged_one_are_delivered(name, kind, tmp_path):
             for j, (*_, places) in enumerate(packets):
                 if j != i:
                     assert np.isin(places, found).all(), (i, j)
+            done += 1
+    assert done > 2
+
+
+@pytest.mark.parametrize("shift", [1, 30])
+def test_packets_between_a_cut_and_as_long_an_insertion_are_delivered(shift, tmp_path):
+    # The index is where it should be, and adds up to the file.
+    from targets import whole_parts
+    for data, packets in whole_parts("aedat4"):
+        (_, cut, _), *between, (insertion, *_) = packets
+        broken = data[:cut - shift] + data[cut:insertion] + bytes(shift)
+        broken += data[insertion:]
+        found = fuzz_one("aedat4", broken, tmp_path)
+        for *_, places in between:
+            assert np.isin(places, found).all()
 
 
 def test_a_flipped_byte_in_a_packet_costs_that_packet(tmp_path):

@@ -28,12 +28,15 @@ from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import (
     MAX_HEADER,
     MAX_PAYLOAD,
-    PayloadError,
     Stream,
     decompressed,
     parsed_header,
 )
-from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, root_table
+from pdavis_cv.recording.aedat4.flatbuffer import (
+    FlatBufferError,
+    PayloadError,
+    root_table,
+)
 from pdavis_cv.recording.aedat4.reader import MAX_SIDE
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.timeline import NEVER

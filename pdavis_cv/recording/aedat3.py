@@ -26,7 +26,6 @@ from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import (
     NEVER,
-    SEGMENT_US,
     SPIKE_US,
     Clock,
     Marks,
@@ -38,6 +37,8 @@ from pdavis_cv.sensor import Layout, Sensor
 __all__ = ["Aedat3Recording"]
 
 MAX_PACKET = 64 << 20
+_BEGINNINGS = 4
+"""Of false beginnings of packets inside another so many are tried, no more."""
 _AHEAD = 8
 """Packets among which the next of the same kind is looked for, to judge times by."""
 _END = b"#!END-HEADER\r\n"
@@ -46,6 +47,9 @@ _BEGIN = re.compile(rb"(?=[\x00-\x04]\x00..(?:[\x08\x24\x30]\x00\x00\x00\x04|...
                     rb"\x00\x08)\x00\x00\x00)", re.DOTALL)
 """Kind, source, bytes per event, and where in it the time is: 8 in a frame, else 4."""
 _SIZES = {0: 8, 1: 8, 3: 36, 4: 48}
+_SIZE = struct.Struct("<ii")
+_MARKS = tuple(_SIZE.pack(size, 4) for size in sorted(set(_SIZES.values())))
+"""Bytes per event and the place of its time, as headers have them."""
 SPECIAL, POLARITY, FRAME, IMU6, IMU9 = range(5)
 _ANY = -1
 Decoded = tuple[int, int, Any, NDArray[np.int64]]
@@ -85,7 +89,7 @@ class Aedat3Recording(FileRecording):
                 f"{self.path}: byte 0: no {_END.strip().decode()} within 1 MiB")
         self._start = end + len(_END)
         lines = head[:end].decode("latin-1").splitlines()
-        facts = dict(line[1:].split(":", 1) for line in lines if ":" in line)
+        facts = dict(line[1:].split(":", 1) for line in lines if ":" in line[1:])
         source = next((value.strip() for name, value in facts.items()
                        if name.startswith("Source")), "")
         if camera is not None and camera.lower() not in source.lower():
@@ -146,16 +150,20 @@ class Aedat3Recording(FileRecording):
             kind, size, overflow, count = found
             after = at + _HEAD.size + size * count
             following = self._plausible(after)
+            data = self._reader.read(at + _HEAD.size, size * count)
+            inside = None
             if following is None and after < end:
                 # Its size is wrong, or bytes are missing: the next may begin inside.
                 inside = self._resync(at + 1, after)
-                if inside is not None:
-                    if not quiet:
-                        self._log.damage(at, f"byte {at}: a packet that should end at "
-                                         f"byte {after} ends at {inside}", offset=at)
-                    count = max(inside - at - _HEAD.size, 0) // size
-                    after, following = inside, self._plausible(inside)
-            data = self._reader.read(at + _HEAD.size, size * count)
+            elif _looks_torn(kind, size, data):
+                inside = self._hidden(at + 1, after)
+            if inside is not None:
+                if not quiet:
+                    self._log.damage(at, f"byte {at}: a packet that should end at "
+                                     f"byte {after} ends at {inside}", offset=at)
+                count = max(inside - at - _HEAD.size, 0) // size
+                after, following = inside, self._plausible(inside)
+                data = data[:size * count]
             if len(data) < size * count:
                 if not quiet:
                     self._log.damage(
@@ -187,6 +195,20 @@ class Aedat3Recording(FileRecording):
                 start = base + found.start()
                 if start < until and self._plausible(start) is not None:
                     return start
+        return None
+
+    def _hidden(self, at: int, until: int) -> int | None:
+        """Return where packets begin that end where one that lost bytes seems to."""
+        for _ in range(_BEGINNINGS):
+            inside = self._resync(at, until)
+            if inside is None:
+                return None
+            after = inside
+            while after < until and (found := self._plausible(after)) is not None:
+                after += _HEAD.size + found[1] * found[3]
+            if after == until:
+                return inside
+            at = inside + 1
         return None
 
     # Reading -------------------------------------------------------------------
@@ -310,6 +332,19 @@ class Aedat3Recording(FileRecording):
                         available_us=ready if 0 <= ready - end <= 60_000_000 else end)
 
 
+def _looks_torn(kind: int, size: int, data: bytes) -> bool:
+    """Tell whether a packet may have lost bytes and hold the next packet instead.
+
+    As many as that has: it ends where it should then.  Its times are not in order, or
+    too few to tell, and there is what a packet's header says of its events.
+    """
+    if kind != FRAME and kind in _SIZES and len(data) > size:
+        times = np.ndarray((len(data) // size,), "<i4", data, 4, (size,))
+        if np.all(times[1:] >= times[:-1]):
+            return False
+    return any(data.find(mark) >= 0 for mark in (*_MARKS, _SIZE.pack(size, 8)))
+
+
 def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
           ahead: Iterable[Decoded]) -> NDArray[np.bool_]:
     """Return which times a damaged word must have made.
@@ -323,7 +358,8 @@ def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
     nexts = [_middle(one[3][:3]) for one in ahead if one[1] == kind][:2]
     limit = SPIKE_US
     if not nexts or (kind not in before and len(nexts) < 2):
-        kind, limit = _ANY, SEGMENT_US
+        # Samples before `promised` are dropped: what passes must not raise it so far.
+        kind, limit = _ANY, HORIZON_US // 2
         nexts = nexts or [_middle(one[3][:3]) for one in ahead][:1]
     if not nexts:
         return np.zeros(len(times), np.bool_)

@@ -16,11 +16,17 @@ import numpy as np
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, Table, root_table
+from pdavis_cv.recording.aedat4 import samples
+from pdavis_cv.recording.aedat4.flatbuffer import (
+    FlatBufferError,
+    PayloadError,
+    Table,
+    root_table,
+)
 from pdavis_cv.recording.files import FileReader, ProblemLog, clock_text
 
-__all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "PayloadError",
-           "Stream", "decompressed", "parsed_header"]
+__all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "Stream",
+           "decompressed", "parsed_header"]
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 COMPRESSIONS = ("none", "LZ4", "LZ4_HIGH", "ZSTD", "ZSTD_HIGH")
@@ -30,12 +36,11 @@ MAX_HEADER = 16 << 20
 _LZ4_MAGIC = b"\x04\x22\x4d\x18"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PACKET = struct.Struct("<ii")
+_NEAR, _TRIES = 1 << 16, 8
+"""A packet that is not where the index says is sought so many bytes around, among so
+many with its stream and size."""
 _HEAD = 24
 """Bytes that tell a packet: its header, and the beginning of its payload."""
-
-
-class PayloadError(ValueError):
-    """Raised when a payload cannot be decompressed or decoded."""
 
 
 @dataclass(slots=True)
@@ -185,7 +190,7 @@ class Aedat4File:
     # Packets -------------------------------------------------------------------
 
     def _walk(self) -> Iterator[Entry]:
-        """Find packets from their headers alone, looking for the next after damage."""
+        """Find packets by their headers, also where damage moved or hides them."""
         at, limit = self.data_start, self.reader.size
         # Damage that moved the packets moved the index away from its place.
         if at <= self.table_position < limit and self._is_index(self.table_position):
@@ -204,16 +209,16 @@ class Aedat4File:
                 at, entry = found, self._plausible(found, limit)
                 continue
             after = entry.offset + entry.size
+            # Data look like the beginning of a packet by chance once in 10**19 bytes:
+            # where one begins inside another, the other lost bytes, or its size is
+            # wrong.
+            inside = self._resync(at + 1, after, limit)
+            if inside is not None:
+                self.log.damage(
+                    at, f"byte {at}: a packet that should end at byte {after} "
+                    f"ends at {inside}", offset=at)
+                entry.size, after = max(inside - entry.offset, 0), inside
             following = self._plausible(after, limit)
-            if following is None and after < limit and not self._is_index(after):
-                # Its size is wrong, or bytes are missing: the next may begin inside.
-                inside = self._resync(at + 1, after, limit)
-                if inside is not None:
-                    self.log.damage(
-                        at, f"byte {at}: a packet that should end at byte {after} "
-                        f"ends at {inside}", offset=at)
-                    entry.size, after = max(inside - entry.offset, 0), inside
-                    following = self._plausible(after, limit)
             yield entry
             at, entry = after, following
 
@@ -256,7 +261,7 @@ class Aedat4File:
             marks, before = [_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC], 8
         step, overlap = 1 << 20, 32
         for base in range(at, until, step):
-            block = self.reader.read(base, step + overlap)
+            block = self.reader.read(base, min(step, until - base) + overlap)
             places = sorted({i for mark in set(marks) for i in _find_all(block, mark)})
             for i in places:
                 start = base + i - before
@@ -264,34 +269,51 @@ class Aedat4File:
                     return start
         return None
 
-    def payload(self, entry: Entry) -> bytes:
-        """Return the FlatBuffer of a packet.
-
-        Raises
-        ------
-        PayloadError
-            If it cannot be decompressed, or the header is not the index's.
-        """
-        raw = self.reader.read(entry.offset - 8, entry.size + 8)
-        if len(raw) < entry.size + 8:
-            raise PayloadError("the file ends inside it")
-        if self.indexed and _PACKET.unpack_from(raw) != (entry.stream, entry.size):
-            raise PayloadError("its header is not what the index says")
-        return decompressed(memoryview(raw)[8:], self.compression)
-
-    def table(self, entry: Entry, kind: str) -> tuple[bytes, Table]:
+    def table(self, entry: Entry) -> tuple[bytes, Table]:
         """Return the FlatBuffer of a packet and its root table.
 
         Raises
         ------
         PayloadError
-            If it cannot be decompressed, or is of another kind.
+            If it cannot be decompressed, or is of another kind than its stream.
         """
-        data = self.payload(entry)
+        raw = self.reader.read(entry.offset - 8, entry.size + 8)
+        if len(raw) < entry.size + 8:
+            raise PayloadError("the file ends inside it")
+        if self.indexed and _PACKET.unpack_from(raw) != (entry.stream, entry.size):
+            return self._moved(entry)
+        return self._decoded(entry.stream, raw)
+
+    def _decoded(self, stream: int, raw: bytes) -> tuple[bytes, Table]:
+        data = decompressed(memoryview(raw)[8:], self.compression)
         try:
-            return data, root_table(data, kind.encode())
+            return data, root_table(data, self.streams[stream].kind.encode())
         except FlatBufferError as error:
             raise PayloadError(str(error)) from error
+
+    def _moved(self, entry: Entry) -> tuple[bytes, Table]:
+        """Return the packet that the index means, from near the place that it gives.
+
+        Damage that takes as many bytes here as it adds there moves what is between.
+        """
+        wanted = entry.offset - 8
+        begin = max(self.data_start, wanted - _NEAR)
+        block = self.reader.read(begin, wanted - begin + _NEAR + entry.size)
+        found = [begin + i for i in _find_all(
+            block, _PACKET.pack(entry.stream, entry.size))]
+        for at in sorted(found, key=lambda at: abs(at - wanted))[:_TRIES]:
+            try:
+                data, table = self._decoded(
+                    entry.stream, self.reader.read(at, entry.size + 8))
+                times = samples.span(self.streams[entry.stream].kind, data, table)
+            except (PayloadError, samples.UnknownFrameError):
+                continue
+            if times == (entry.start_us, entry.stop_us):
+                self.log.damage(
+                    wanted, f"byte {wanted}: the packet that the index places here is "
+                    f"at byte {at}", offset=wanted)
+                return data, table
+        raise PayloadError("its header is not what the index says")
 
     def lost(self, entry: Entry, error: Exception) -> None:
         """Note that a packet could not be read."""

@@ -11,7 +11,8 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.aedat4 import samples
-from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, PayloadError
+from pdavis_cv.recording.aedat4.container import Aedat4File, Entry
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError
 from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.recording.timeline import (
     NEVER,
@@ -99,7 +100,7 @@ class Cursor:
         for number in rest:
             entry, self._next = self._entries[number], number + 1
             try:
-                data, table = self._file.table(entry, "EVTS")
+                data, table = self._file.table(entry)
                 at, count = samples.event_vector(table)
             except PayloadError as error:
                 self._file.lost(entry, error)
@@ -115,7 +116,7 @@ class Cursor:
         return out[:int(state[0])]
 
     def _events(self, entry: Entry) -> NDArray[Any]:
-        data, table = self._file.table(entry, "EVTS")
+        data, table = self._file.table(entry)
         at, count = samples.event_vector(table)
         out = np.empty(count, EVENT_DTYPE)
         self.clock.state[0] = 0
@@ -179,14 +180,14 @@ class Cursor:
         """Return the middle time of the next packet that can be read."""
         for entry in self._entries[self._next:self._next + 2]:
             with contextlib.suppress(PayloadError):
-                data, table = self._file.table(entry, "EVTS")
+                data, table = self._file.table(entry)
                 at, count = samples.event_vector(table)
                 if count:
                     return int(np.median(np.ndarray((count,), "<i8", data, at, (16,))))
         return None
 
     def _frames(self, entry: Entry) -> list[ApsFrame]:
-        data, table = self._file.table(entry, "FRME")
+        data, table = self._file.table(entry)
         try:
             raw = samples.raw_frame(data, table)
         except samples.UnknownFrameError as error:
@@ -226,7 +227,7 @@ class Cursor:
 
     def _samples(self, entry: Entry) -> NDArray[Any]:
         read = samples.imu_samples if self.kind == "IMUS" else samples.triggers
-        got = read(*self._file.table(entry, self.kind))
+        got = read(*self._file.table(entry))
         times = got["t"].astype(np.int64)
         if not self._file.indexed and (wild := _wild(times)).any():
             self._count(entry, "wild time", int(np.count_nonzero(wild)), "samples were "

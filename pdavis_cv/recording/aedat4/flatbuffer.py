@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import struct
 
-__all__ = ["FlatBufferError", "Table", "root_table"]
+__all__ = ["FlatBufferError", "PayloadError", "Table", "root_table"]
 
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
@@ -13,6 +13,10 @@ _SCALARS = {code: struct.Struct("<" + code) for code in "bBhHiIqQf"}
 
 class FlatBufferError(ValueError):
     """Raised when a buffer does not hold what its offsets say."""
+
+
+class PayloadError(ValueError):
+    """Raised when a payload cannot be decompressed or decoded."""
 
 
 class Table:

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.recording.aedat4 import samples
-from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, PayloadError, Stream
+from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, Stream
 from pdavis_cv.recording.aedat4.cursor import Cursor
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError
 from pdavis_cv.recording.base import Packet, RecordingInfo
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import (
@@ -114,7 +115,7 @@ class Aedat4Recording(FileRecording):
             return samples.TEN_BIT
         for entry in stream.entries[:8] if stream else ():
             try:
-                raw = samples.raw_frame(*self._file.table(entry, "FRME"))
+                raw = samples.raw_frame(*self._file.table(entry))
             except (PayloadError, samples.UnknownFrameError):
                 continue
             return samples.scale_of(raw.pixels)
@@ -187,7 +188,7 @@ class Aedat4Recording(FileRecording):
 
     def _frame_time(self, entry: Entry) -> int | None:
         try:
-            raw = samples.raw_frame(*self._file.table(entry, "FRME"))
+            raw = samples.raw_frame(*self._file.table(entry))
         except (PayloadError, samples.UnknownFrameError):
             return entry.start_us
         return samples.exposure_times(raw.times, jaer=self._jaer)[2]
@@ -303,7 +304,7 @@ class Aedat4Recording(FileRecording):
         for kind, stream in self._streams.items():
             for entry in stream.entries:
                 try:
-                    times = self._times(kind, entry)
+                    times = samples.span(kind, *self._file.table(entry))
                 except (PayloadError, samples.UnknownFrameError):
                     times = None  # told when it is read
                 if times:
@@ -315,21 +316,6 @@ class Aedat4Recording(FileRecording):
                 if entry.start_us is None or entry.stop_us is None:
                     entry.start_us = entry.stop_us = last
                 last = entry.stop_us
-
-    def _times(self, kind: str, entry: Entry) -> tuple[int, int] | None:
-        data, table = self._file.table(entry, kind)
-        if kind == "FRME":
-            time = samples.raw_frame(data, table).times[0]
-            return time, time
-        if kind == "EVTS":
-            at, count = samples.event_vector(table)
-            if not count:
-                return None
-            return (int.from_bytes(data[at:at + 8], "little", signed=True),
-                    int.from_bytes(data[at + 16 * count - 16:][:8], "little",
-                                   signed=True))
-        got = (samples.imu_samples if kind == "IMUS" else samples.triggers)(data, table)
-        return (int(got["t"][0]), int(got["t"][-1])) if len(got) else None
 
 
 _FIELDS = {"EVTS": "events", "FRME": "frames", "IMUS": "imu", "TRIG": "triggers"}

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.events import FAR
-from pdavis_cv.recording.aedat4.container import PayloadError
-from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, Table
+from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, PayloadError, Table
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 
 __all__ = [
@@ -23,6 +22,7 @@ __all__ = [
     "imu_samples",
     "raw_frame",
     "scale_of",
+    "span",
     "triggers",
 ]
 
@@ -234,6 +234,31 @@ def triggers(data: bytes, table: Table) -> NDArray[Any]:
         raise PayloadError("a trigger lies outside its packet")
     samples["t"], samples["type"] = times, kinds
     return samples
+
+
+def span(kind: str, data: bytes, table: Table) -> tuple[int, int] | None:
+    """Return the times of the first and last sample of a packet, as an index has them.
+
+    None for a packet without samples.  A frame's is its timestamp.
+
+    Raises
+    ------
+    PayloadError
+        If it cannot be decoded.
+    UnknownFrameError
+        For a frame whose pixels no event camera gives.
+    """
+    if kind == "FRME":
+        time = raw_frame(data, table).times[0]
+        return time, time
+    if kind == "EVTS":
+        at, count = event_vector(table)
+        if not count:
+            return None
+        return (int.from_bytes(data[at:at + 8], "little", signed=True),
+                int.from_bytes(data[at + 16 * count - 16:][:8], "little", signed=True))
+    got = (imu_samples if kind == "IMUS" else triggers)(data, table)
+    return (int(got["t"][0]), int(got["t"][-1])) if len(got) else None
 
 
 def _vector(table: Table) -> tuple[int, int]:
