@@ -89,6 +89,17 @@ def test_a_lag_that_depends_on_the_light_is_no_offset(rpm):
     assert abs(found.us) < 2000
 
 
+@pytest.mark.parametrize(("hz", "counts"), [(90.0, False), (40.0, True)])
+def test_a_delay_that_a_usual_lag_makes_is_no_offset(hz, counts):
+    """90 Hz delay by 1.8 ms, 2.4 sigmas of ln 300 Hz; 40 Hz by 4.0 ms, 4.0 sigmas."""
+    sample = sample_of(recorded(RotatingPolarizer(rpm=202.6, start_angle=0.5),
+                                "nominal", dvs={"cutoff_hz": hz})[0])
+    found = fit_clock_offset(sample)
+    assert found.us == pytest.approx(1e6 / (2 * np.pi) * (1 / hz - 1 / 300), rel=0.25)
+    assert found.counts == counts
+    assert not found.ambiguous
+
+
 def test_at_rest_nothing_is_told():
     found = clock_offset_in_situ(recorded(FlatLight())[0], nominal=NOMINAL)
     assert found is None or (not found.counts and found.sigma_us > 1000)

@@ -61,6 +61,15 @@ def test_kalman_is_accurate_on_pixels_that_no_constant_was_chosen_on(pixel, rpm)
 
 
 @pytest.mark.gate
+@pytest.mark.parametrize(("method", "rpm", "goal"), [
+    ("kalman", 506.5, 0.9), ("kalman causal", 506.5, 2.6), ("kalman causal", 1013, 4)])
+def test_a_lag_is_not_taken_for_stamps_that_are_off(method, rpm, goal):
+    """Dim v2e pixels lag by milliseconds; a clock 1 ms off is 3 degrees at 506 RPM."""
+    made = recording(v2e_events, rpm, seconds=2.5, dolp=DOLP)
+    assert errors(made, rpm, step_us=5077, **METHODS[method])[0] < goal
+
+
+@pytest.mark.gate
 def test_redundancy_finds_thresholds_that_are_far_from_equal():
     made = recording(v2e_events, 202.6, dolp=DOLP)   # ON and OFF differ by 21 % rms
     aop, dolp, _, _ = errors(made, 202.6, step_us=5077, **METHODS["events, redundancy"])
