@@ -30,7 +30,6 @@ from ._event_words import (
     text_events,
 )
 from ._events import count, surface, voxel
-from ._floor import floor_sum
 from ._guided import guided
 from ._kalman import kalman_frame, kalman_read, kalman_rest, rest_read
 from ._lamp import lamp_push, lamp_wave
@@ -92,7 +91,6 @@ __all__ = [
     "evt3_words",
     "exp",
     "fade_bgr",
-    "floor_sum",
     "guided",
     "hue_bgr",
     "kalman_frame",

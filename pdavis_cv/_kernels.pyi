@@ -38,7 +38,6 @@ __all__ = [
     "dolp",
     "exp",
     "fade_bgr",
-    "floor_sum",
     "guided",
     "hue_bgr",
     "kalman_frame",
@@ -184,7 +183,6 @@ def count(
 def fade_bgr(
     weight: _F32, valid: _U8, scale: float, ground: int, out: _U8
 ) -> None: ...
-def floor_sum(events: NDArray[Any], step: _F32, out: _F32) -> int: ...
 def guided(
     mosaic: NDArray[_Pixel], clean: _U8, variance: _F32, places: NDArray[np.intp],
     constants: NDArray[Any], scratch: _F32, out: _F32,

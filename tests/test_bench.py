@@ -7,30 +7,42 @@ import pytest
 import reference
 from streams import random_events
 
-from pdavis_cv import _kernels, open_recording
+from pdavis_cv import open_recording
 from pdavis_cv.tools import bench
 from pdavis_cv.tools.bench import event_files
 from pdavis_cv.tools.bench.cases import CASES, Case, Comparison, event_input
 
 
+@pytest.fixture
+def floor_sum():
+    return pytest.importorskip("pdavis_cv._kernels._floor").floor_sum
+
+
+def test_without_the_sources_a_case_says_what_it_lacks(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pdavis_cv._kernels._floor", None)
+    assert bench.main(["cf", "kalman", "usb", "simulate", "aop-events"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("skipped: its floor is compiled only where the sources are") == 5
+
+
 @pytest.mark.parametrize("n", [0, 1, 1000])
-def test_floor_sum_matches_reference(n):
+def test_floor_sum_matches_reference(n, floor_sum):
     events, step = random_events(n, (5, 7)), np.array([-0.2, 0.3], np.float32)
     out, want = np.zeros((2, 5, 7), np.float32)
-    assert _kernels.floor_sum(events, step, out) == n
+    assert floor_sum(events, step, out) == n
     reference.floor_sum(events, step, want)
     np.testing.assert_array_equal(out, want)
 
 
-def test_floor_sum_stops_at_an_event_outside():
+def test_floor_sum_stops_at_an_event_outside(floor_sum):
     events = random_events(9, (5, 7), read_only=False)
     events["x"][4] = 7
     step, out = np.ones(2, np.float32), np.zeros((5, 7), np.float32)
-    assert _kernels.floor_sum(events, step, out) == 4
+    assert floor_sum(events, step, out) == 4
     assert out.sum() == 4
 
 
-def test_the_cf_case_runs_and_reports_both_inputs(capsys):
+def test_the_cf_case_runs_and_reports_both_inputs(floor_sum, capsys):
     assert bench.main(["cf", "--pairs", "2", "--json"]) in (0, 1)
     report = json.loads(capsys.readouterr().out)
     assert [r["input"] for r in report["results"]] == ["uniform", "clustered"]
@@ -50,7 +62,7 @@ def test_the_guided_case_runs_for_both_sensors(capsys):
     assert all(r["ratio"] > 0 and r["goal"] == 8 for r in report["results"])
 
 
-def test_the_usb_case_runs_with_and_without_frames(capsys):
+def test_the_usb_case_runs_with_and_without_frames(floor_sum, capsys):
     assert bench.main(["usb", "--pairs", "2", "--json"]) in (0, 1)
     report = json.loads(capsys.readouterr().out)
     assert [r["input"] for r in report["results"]] == [

@@ -6,6 +6,7 @@ import sys
 import tomllib
 from importlib.metadata import files as installed_files
 from importlib.resources import files
+from pathlib import Path
 
 import pytest
 
@@ -28,10 +29,18 @@ def test_the_flavour_under_test_is_the_one_asked_for():
 
 def test_every_kernel_source_is_compiled(root):
     setup = ast.parse((root / "setup.py").read_text())
-    listed = next(ast.literal_eval(n.value) for n in setup.body
-                  if isinstance(n, ast.Assign) and n.targets[0].id == "KERNELS")
-    sources = {path.stem for path in (root / "_kernels").glob("*.pyx")}
-    assert sources == set(listed)
+    listed = {n.targets[0].id: n.value for n in setup.body if isinstance(n, ast.Assign)}
+    names = [name for which in ("KERNELS", "SOURCE_TREE_ONLY")
+             for name in ast.literal_eval(listed[which])]
+    sources = [path.stem for path in (root / "_kernels").glob("*.pyx")]
+    assert sorted(sources) == sorted(names)
+
+
+def test_what_benchmarks_compare_with_is_in_no_wheel():
+    compiled = {path.name.partition(".")[0] for path in Path(_kernels.__file__).parent
+                .iterdir() if path.suffix in (".so", ".pyd")}
+    assert "_kalman" in compiled
+    assert ("_floor" in compiled) == ("site-packages" not in pdavis_cv.__file__)
 
 
 def test_every_folder_with_code_is_packaged(root):

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.cf import ComplementaryFilter
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Layout
+
+from .floor import compiled_floor
 
 __all__ = ["CASES", "Case", "Comparison", "case", "event_input"]
 
@@ -124,7 +125,7 @@ def event_input(kind: str) -> NDArray[Any]:
 
 @case("cf", "cf.add_events, adaptive gain, against floor_sum", 0.12)
 def _cf() -> Iterator[Comparison]:
-    theta = 0.2
+    floor_sum, theta = compiled_floor(), 0.2
     step = np.array([-theta, theta], np.float32)
     dn = np.random.default_rng(2).uniform(1, 1023, SHAPE)
     frame = ApsFrame(dn, 0, 2_000)
@@ -146,7 +147,7 @@ def _cf() -> Iterator[Comparison]:
         def floor(packets: list[NDArray[Any]] = packets) -> float:
             start = perf_counter()
             for packet in packets:
-                _kernels.floor_sum(packet, step, plane)
+                floor_sum(packet, step, plane)
             return perf_counter() - start
 
         def check(

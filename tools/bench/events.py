@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.reconstruct.aop_events import AopEvents
 from pdavis_cv.sensor import Layout
 
@@ -20,6 +19,7 @@ from .cases import (
     case,
     event_input,
 )
+from .floor import compiled_floor
 
 __all__: list[str] = []
 
@@ -28,6 +28,7 @@ _THETA = 0.2
 
 @case("aop-events", "AoP of each event, its macropixel and four neighbours", 0.012)
 def _aop_events() -> Iterator[Comparison]:
+    floor_sum = compiled_floor()
     step = np.array([-_THETA, _THETA], np.float32)
     plane = np.zeros(SHAPE, np.float32)
     for kind in ("uniform", "clustered"):
@@ -45,7 +46,7 @@ def _aop_events() -> Iterator[Comparison]:
         def floor(packets: list[NDArray[Any]] = packets) -> float:
             start = perf_counter()
             for packet in packets:
-                _kernels.floor_sum(packet, step, plane)
+                floor_sum(packet, step, plane)
             return perf_counter() - start
 
         def check(events: NDArray[Any] = events) -> None:

@@ -1,7 +1,7 @@
 """What `pdavis bench` times of the Kalman method."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.fusion import thresholds_in_situ
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.recording.base import ApsFrame
@@ -24,6 +23,7 @@ from .cases import (
     case,
     event_input,
 )
+from .floor import compiled_floor
 
 __all__: list[str] = []
 
@@ -31,12 +31,14 @@ THETA = 0.2
 KINDS = ("uniform", "clustered")
 
 
-def _floor(packets: list[NDArray[Any]]) -> float:
+def _floor(
+    floor_sum: Callable[..., int], packets: list[NDArray[Any]]
+) -> float:
     plane = np.zeros(SHAPE, np.float32)
     step = np.array([-THETA, THETA], np.float32)
     start = perf_counter()
     for packet in packets:
-        _kernels.floor_sum(packet, step, plane)
+        floor_sum(packet, step, plane)
     return perf_counter() - start
 
 
@@ -45,6 +47,7 @@ def _packets(events: NDArray[Any]) -> list[NDArray[Any]]:
 
 
 def _add_events(mode: str) -> Iterator[Comparison]:
+    floor = partial(_floor, compiled_floor())
     method = KalmanFilter(SHAPE, theta_on=THETA, theta_off=THETA, mode=mode)
     sample = np.random.default_rng(2).uniform(50, 900, SHAPE)
     method.add_frame(ApsFrame(sample, -90_000, -80_000))
@@ -75,7 +78,7 @@ def _add_events(mode: str) -> Iterator[Comparison]:
             # What is read beyond the last event is less than a threshold.
             assert np.abs(log - total.reshape(SHAPE)).max() < THETA
 
-        yield Comparison(kind, check, candidate, partial(_floor, packets),
+        yield Comparison(kind, check, candidate, partial(floor, packets),
                          lambda s: EVENTS / s / 1e6, "Mev/s")
 
 
@@ -92,6 +95,7 @@ def _buffered() -> Iterator[Comparison]:
 @case("in-situ", "thresholds in situ at 20 frames/s, against floor_sum", 150,
       by_time=True)
 def _in_situ() -> Iterator[Comparison]:
+    floor = partial(_floor, compiled_floor())
     rng = np.random.default_rng(2)
     frames = [ApsFrame(rng.uniform(50, 900, SHAPE), start, start + 20_000,
                        available_us=start + 32_000)
@@ -112,5 +116,5 @@ def _in_situ() -> Iterator[Comparison]:
             assert np.all(np.isfinite(found.theta_on) & (found.theta_on > 0))
             assert np.all(np.linalg.eigvalsh(found.covariance) > 0)
 
-        yield Comparison(kind, check, candidate, partial(_floor, _packets(events)),
+        yield Comparison(kind, check, candidate, partial(floor, _packets(events)),
                          lambda s: 1e3 * s, "ms")

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.simulation import (
     Camera,
     Fan,
@@ -30,6 +29,7 @@ from .cases import (
     Comparison,
     event_input,
 )
+from .floor import compiled_floor
 
 __all__ = ["CLOSED_FORM", "texture_video"]
 
@@ -61,6 +61,7 @@ def _check_polarizer() -> None:
 
 
 def _closed_form() -> Iterator[Comparison]:
+    floor_sum = compiled_floor()
     step = np.array([-0.2, 0.2], np.float32)
     plane = np.zeros(SHAPE, np.float32)
     events = event_input("clustered")
@@ -69,7 +70,7 @@ def _closed_form() -> Iterator[Comparison]:
     def floor() -> float:
         start = perf_counter()
         for packet in packets:
-            _kernels.floor_sum(packet, step, plane)
+            floor_sum(packet, step, plane)
         return perf_counter() - start
 
     for name, (scene, size, seconds) in [*CLOSED_FORM.items(),

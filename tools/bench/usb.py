@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.live.davis_words import DavisEncoder
 from pdavis_cv.recording.base import ApsFrame, Packet, joined
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
@@ -16,6 +15,7 @@ from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.memory import recording_from_arrays
 
 from .cases import EVENTS, PACKET, SHAPE, Comparison, case, event_input
+from .floor import compiled_floor
 
 __all__: list[str] = []
 
@@ -31,6 +31,7 @@ def _words(events: NDArray[Any], frames: list[ApsFrame]) -> bytes:
 
 @case("usb", "words of a DAVIS346 to packets, against floor_sum", 0.25)
 def _usb() -> Iterator[Comparison]:
+    floor_sum = compiled_floor()
     step, plane = np.array([-0.2, 0.2], np.float32), np.zeros(SHAPE, np.float32)
     reads = np.random.default_rng(3).integers(400, 1000, (2, *SHAPE), np.uint16)
     for rate in (1, 10):
@@ -60,7 +61,7 @@ def _usb() -> Iterator[Comparison]:
             def floor(events: NDArray[Any] = events) -> float:
                 start = perf_counter()
                 for i in range(0, EVENTS, PACKET):
-                    _kernels.floor_sum(events[i:i + PACKET], step, plane)
+                    floor_sum(events[i:i + PACKET], step, plane)
                 return perf_counter() - start
 
             def check(events: NDArray[Any] = events, images: list[ApsFrame] = images,
