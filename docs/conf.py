@@ -30,7 +30,7 @@ html_theme = "furo"
 html_title = f"pdavis_cv {version}"
 html_math_renderer = "mathml"
 html_copy_source = False
-html_extra_path = ["fan.mp4", "tendon.mp4"]
+html_extra_path = ["fan.webm", "tendon.webm"]
 
 PARTS = {
     "Start": ["start/opencv", "start/notebook", "start/microscopy", "start/robotics"],

@@ -10,6 +10,7 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import Calibration, FusionOptions, Layout, VideoCapture, fuse
+from pdavis_cv.capture.video import CaptureKeywords
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.options import FusionKeywords
@@ -46,15 +47,26 @@ def test_an_option_is_a_keyword_of_fuse_and_of_videocapture(name):
         assert capture.isOpened()
 
 
-@pytest.mark.parametrize("taker", [VideoCapture, Session])
-def test_type_checkers_see_the_options_of_a_class(taker):
+def offered_to_type_checkers(taker):
+    return [list(overload.__annotations__.values())[-2]     # the last is of the return
+            for overload in typing.get_overloads(taker.__init__)]
+
+
+def test_type_checkers_see_the_options_of_a_class():
     types = {field.name: field.type for field in dataclasses.fields(FusionOptions)}
     given = {name: told.__forward_arg__
              for name, told in FusionKeywords.__annotations__.items()}
     assert given == {name: types[name] for name in OPTIONS}
-    offered = [overload.__annotations__["fuse_parameters"]
-               for overload in typing.get_overloads(taker.__init__)]
-    assert offered == ["Unpack[FusionKeywords]", "Any"]
+    assert offered_to_type_checkers(Session) == ["Unpack[FusionKeywords]", "Any"]
+
+
+def test_type_checkers_see_the_keywords_of_videocapture():
+    given = {name: told.__forward_arg__
+             for name, told in CaptureKeywords.__annotations__.items()
+             if name not in OPTIONS}
+    own = VideoCapture.__init__
+    assert given == {name: own.__annotations__[name] for name in own.__kwdefaults__}
+    assert offered_to_type_checkers(VideoCapture) == ["Unpack[CaptureKeywords]", "Any"]
 
 
 @pytest.mark.parametrize("name", OPTIONS)

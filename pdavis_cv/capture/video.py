@@ -41,6 +41,16 @@ class CaptureStatus(enum.StrEnum):
     ERROR = "error"
 
 
+class CaptureKeywords(FusionKeywords, total=False):
+    """What `VideoCapture` takes by name, for type checkers and editors."""
+
+    index: int | None
+    output: int | str
+    gain: float
+    gamma: float
+    log: bool
+
+
 @names_options
 class VideoCapture:
     """A recording as a sequence of images, with the manners of cv2.VideoCapture.
@@ -101,13 +111,7 @@ class VideoCapture:
         filename: Openable = ...,
         apiPreference: int = ...,
         params: Sequence[float] = ...,
-        *,
-        index: int | None = ...,
-        output: int | str = ...,
-        gain: float = ...,
-        gamma: float = ...,
-        log: bool = ...,
-        **fuse_parameters: Unpack[FusionKeywords],
+        **keywords: Unpack[CaptureKeywords],
     ) -> None: ...
 
     @overload
@@ -116,13 +120,7 @@ class VideoCapture:
         filename: Openable = ...,
         apiPreference: int = ...,
         params: Sequence[float] = ...,
-        *,
-        index: int | None = ...,
-        output: int | str = ...,
-        gain: float = ...,
-        gamma: float = ...,
-        log: bool = ...,
-        **fuse_parameters: Any,
+        **keywords: Any,
     ) -> None: ...
 
     def __init__(
