@@ -68,8 +68,7 @@ cdef extern from "_measure.h" nogil:
         double worth[TOGETHER]
         double noted[TOGETHER]
         double jump[TOGETHER]
-        double terms[TERMS][TOGETHER]
-    void measure(group_t*, const policy_t*, Py_ssize_t)
+    void measure(group_t*, const policy_t*, Py_ssize_t, double* sums)
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
@@ -180,7 +179,7 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     cdef policy_t policy
     cdef group_t group
     cdef slot_t[TOGETHER] slots
-    cdef Py_ssize_t n, i, k
+    cdef Py_ssize_t n, i
     cdef bint keep = nodes.shape[0] > 0
     check_given((*frame, *chain, *model))
     samples, exposures, known = frame
@@ -203,6 +202,8 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
             for x in range(w):
                 if samples[y, x].variance > 0:
                     slots[n].x = x
+                    if x + AHEAD < w and old[y, x + AHEAD].first >= 0:
+                        prefetch(&store[old[y, x + AHEAD].first])
                     prepare(&samples[y, x], &exposures[x], known, &store[0], &old[y, x],
                             <int32_t>committed, &tuning[0], &lamp, &tracks[y, x],
                             &states[y, x], &group, n, &slots[n])
@@ -210,13 +211,11 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
                 elif keep:
                     nodes[y, x].noise = 0.0
                 if n == TOGETHER or x == w - 1:
-                    measure(&group, &policy, n)
+                    measure(&group, &policy, n, &innovations[0])
                     for i in range(n):
                         finish(&group, i, &slots[i], &states[y, slots[i].x])
                         if keep:
                             nodes[y, slots[i].x] = slots[i].node
-                        for k in range(TERMS):
-                            innovations[k] += group.terms[k][i]
                     n = 0
 
 
@@ -290,26 +289,27 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
                   state_t* s, group_t* group, Py_ssize_t i,
                   slot_t* slot) noexcept nogil:
     """Predict a sample: de-blur it, move the state to it, hand both to the group."""
-    cdef walk_t walk, at_mid
+    cdef walk_t walk, at_mid, later
     cdef sum_t total
     cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0, events = 0.0
     cdef double theta2 = theta_squared(s)
     cdef double at_on, at_off, all_on, all_off
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
-    cdef double n_on, n_off, h_on, h_off, blur, level, added = 0.0
+    cdef double n_on, n_off, h_on, h_off, blur, fraction, level, added = 0.0
     cdef double noise = 0.0
     cdef bint fresh = s.samples == 0, learn = False
     # Counts from the start of exposure to the middle and to the last committed.
-    start(&walk, old)
-    while walk.next >= 0 and store[walk.next].t <= mid:
-        step(&walk, store, tuning.refractory_us)
-    at_on = walk.n_on
-    at_off = walk.n_off
-    at_mid = walk
-    while walk.next >= 0 and walk.next < committed:
-        step(&walk, store, tuning.refractory_us)
-    all_on = walk.n_on
-    all_off = walk.n_off
+    start(&at_mid, old)
+    while at_mid.next >= 0 and store[at_mid.next].t <= mid:
+        step(&at_mid, store, tuning.refractory_us)
+    at_on = all_on = at_mid.n_on
+    at_off = all_off = at_mid.n_off
+    if at_mid.next >= 0 and at_mid.next < committed:
+        later = at_mid
+        while later.next >= 0 and later.next < committed:
+            step(&later, store, tuning.refractory_us)
+        all_on = later.n_on
+        all_off = later.n_off
     n_on = track.n_on - (all_on - at_on)
     n_off = track.n_off - (all_off - at_off)
     s.seen_on += n_on
@@ -361,20 +361,22 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         s.var_base += added
         level = s.base
     # The double integral, relative to the level at the last event before mid.
-    start(&walk, old)
-    walk.n_on = -at_on
-    walk.n_off = -at_off
     if end <= begin:
         end = begin + 1
-    while walk.next >= 0 and store[walk.next].t <= begin:
-        step(&walk, store, tuning.refractory_us)
-    if (walk.next < 0 or store[walk.next].t >= end) and not lit(
-            lamp, <double>begin, <double>end):
+    if at_mid.t <= begin and (at_mid.next < 0 or store[at_mid.next].t >= end) and not (
+            lit(lamp, <double>begin, <double>end)):
         # Less than a threshold over the whole exposure: its middle says it all.
-        blur = at(&walk, store, known, 0.5 * (<double>begin + <double>end), s, level,
-                  tuning, lamp, &h_on, &h_off)
+        at_mid.n_on = at_mid.n_off = 0.0
+        blur = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp, &h_on,
+                  &h_off)
         h_off = -h_off
+        fraction = h_on - h_off
     else:
+        start(&walk, old)
+        walk.n_on = -at_on
+        walk.n_off = -at_off
+        while walk.next >= 0 and store[walk.next].t <= begin:
+            step(&walk, store, tuning.refractory_us)
         total.whole = 0.0
         total.on = 0.0
         total.off = 0.0
@@ -382,6 +384,8 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         blur = log_f(<float>(total.whole / <double>(end - begin)))
         h_on = total.on / total.whole
         h_off = -total.off / total.whole
+        fraction = part_at(&at_mid, store, known, s.theta_on, s.theta_off, lamp, 0.0,
+                           tuning, s, <double>mid).fraction
     if fresh:
         s.base = sample.log - blur
     slot.node.level = <float>(
@@ -390,13 +394,10 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     slot.node.h_off = <float>h_off
     slot.added = added
     slot.theta2 = theta2
-    group.part[i] = 0.0
-    if tuning.holds_part > 0.0 and lamp.blocks == 0:
-        group.part[i] = part_at(&at_mid, store, known, s.theta_on, s.theta_off, lamp,
-                                0.0, tuning, s, <double>mid).fraction
-        if not holds(s, &at_mid, tuning):
-            s.part = 0.0
+    if lamp.blocks == 0 and not holds(s, &at_mid, tuning):
+        s.part = 0.0
     hand_over(s, sample, group, i)
+    group.part[i] = fraction if tuning.holds_part > 0.0 and lamp.blocks == 0 else 0.0
     group.n_on[i] = n_on
     group.n_off[i] = n_off
     group.h_on[i] = h_on

@@ -85,6 +85,8 @@ cdef inline double lead(double slope, double shown,
     cdef double hz = tuning.bandwidth_hz
     cdef double hz_per_level = tuning.bandwidth_hz_per_intensity, c, u, e, f, g, level
     cdef int _
+    if slope == 0.0:
+        return 0.0
     if hz_per_level <= 0.0:
         if hz <= 0.0:
             return 0.0

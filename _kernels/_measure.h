@@ -1,7 +1,7 @@
 /* The measurement update of the Kalman method for some pixels at once: see _kalman.pyx.
 
    Every quantity has a row of its own, so that a processor takes several pixels in one
-   instruction.  The bits are those of one pixel after the other: nothing is summed. */
+   instruction.  The bits of the states are those of one pixel after the other. */
 #ifndef PDAVIS_CV_MEASURE_H
 #define PDAVIS_CV_MEASURE_H
 
@@ -13,6 +13,7 @@
 
 enum {
     TOGETHER = 64,              /* pixels per call of measure */
+    LANES = 8,                  /* sums are formed in so many parts, on every CPU */
     /* Rows of `terms`, what a sample adds to the sums over all: e^2 / v; ln v; 1; the
        part of a doubted event that it denies, and 1 for each; normal equations of e^2
        by what motion and what each event add to v, relative to v without both; of e^2
@@ -156,9 +157,26 @@ PDAVIS_INLINE double limited(double theta, double prior, const policy_t *p)
     return theta > most ? most : theta;
 }
 
-/* Update n <= TOGETHER states by a sample each. */
+/* Add the terms of n pixels to the sums over all. */
+PDAVIS_INLINE void add_up(const group_t *restrict g, ptrdiff_t n,
+                          double *restrict sums)
+{
+    ptrdiff_t i, j, k;
+    for (k = 0; k < TERMS; k++) {
+        double lane[LANES] = {0.0};
+        for (i = 0; i + LANES <= n; i += LANES)
+            for (j = 0; j < LANES; j++)
+                lane[j] += g->terms[k][i + j];
+        for (; i < n; i++)
+            lane[0] += g->terms[k][i];
+        for (j = 0; j < LANES; j++)
+            sums[k] += lane[j];
+    }
+}
+
+/* Update n <= TOGETHER states by a sample each; add to sums what it says of noise. */
 PDAVIS_CLONES PDAVIS_UNUSED static void measure(
-    group_t *restrict g, const policy_t *restrict p, ptrdiff_t n)
+    group_t *restrict g, const policy_t *restrict p, ptrdiff_t n, double *restrict sums)
 {
     double most = p->jump_sigmas * p->jump_sigmas;
     ptrdiff_t i;
@@ -203,6 +221,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         g->var_off[i] -= k2 * g2;
     }
     note(g, p, n);
+    add_up(g, n, sums);
 }
 
 #endif

@@ -323,7 +323,7 @@ class Pixel:
         whole, weighted = 0.0, np.zeros(2)
         for a, b in itertools.pairwise(cuts):
             for node in (-1, 1) if inner or lit else (0, 0):
-                t = (a + b) / 2 + node * (b - a) / np.sqrt(12)
+                t = (a + b) / 2 + node * (b - a) / np.sqrt(12) if node else mid
                 n, y, u, *_ = self.value(t, known, at, level)
                 whole += (b - a) / 2 * np.exp(y + u)
                 weighted += (b - a) / 2 * np.exp(y + u) * n
