@@ -52,7 +52,12 @@ def test_ome_tiff_returns_numbers_axes_names_sizes_and_times(tmp_path):
         assert (series.axes, series.shape) == ("TCYX", (5, 7, 13, 17))
         data = series.asarray()
         ome = ET.fromstring(tiff.ome_metadata)
+        tags = tiff.pages[0].tags
     assert data.dtype == np.float32
+    for axis in "XY":       # per cm: what ImageJ takes a pixel size from
+        above, below = tags[f"{axis}Resolution"].value
+        assert below / above * 1e4 == pytest.approx(0.74, rel=1e-6)
+    assert tags["ResolutionUnit"].value == 3
     for c, name in enumerate(NAMES):
         np.testing.assert_array_equal(data[:, c], expected(name, 5))
     space = {"o": "http://www.openmicroscopy.org/Schemas/OME/2016-06"}

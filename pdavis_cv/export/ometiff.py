@@ -13,6 +13,7 @@ from pdavis_cv.export.stacks import HEADER, StackFile
 __all__ = ["OmeTiffFile"]
 
 _CLASSIC_END = 2**32 - 2**24
+_UM_PER_CM = 1e4
 _LEVEL = 1  # of zlib; noise gets hardly smaller by a higher one, which takes longer
 
 
@@ -51,7 +52,7 @@ class OmeTiffFile(StackFile):
                      for c in range(shape[1])),
                     shape=shape, dtype="<f4", photometric="minisblack",
                     compression="zlib", compressionargs={"level": _LEVEL},
-                    metadata=self._metadata())
+                    metadata=self._metadata(), **self._resolution())
         except BaseException:
             part.unlink(missing_ok=True)
             raise
@@ -59,6 +60,13 @@ class OmeTiffFile(StackFile):
             # Before the file goes; an array of it would hold it open.
             stack._mmap.close()  # type: ignore[attr-defined]
         return part
+
+    def _resolution(self) -> dict[str, Any]:
+        """Return the TIFF tags of the pixel size: ImageJ alone reads no OME-XML."""
+        if self.pixel_um is None:
+            return {}
+        return {"resolution": 2 * (_UM_PER_CM / self.pixel_um,),
+                "resolutionunit": "CENTIMETER"}
 
     def _metadata(self) -> dict[str, Any]:
         first, channels = self.times_us[0], len(self.quantities)
