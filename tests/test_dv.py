@@ -1,5 +1,6 @@
 """dv's network protocol, in and out, against dv_processing in a process of its own."""
 import contextlib
+import json
 import socket
 import stat
 import struct
@@ -228,7 +229,9 @@ def test_we_read_what_dv_processing_sends(tmp_path):
     np.testing.assert_array_equal(np.concatenate(got), events)
 
 
-def test_the_command_sends_a_recording(recording, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("for_programs", [False, True])
+def test_the_command_sends_a_recording(
+        recording, tmp_path, capsys, monkeypatch, for_programs):
     from pdavis_cv import write_aedat4
     write_aedat4(tmp_path / "x.aedat4", recording)
     got = []
@@ -240,6 +243,13 @@ def test_the_command_sends_a_recording(recording, tmp_path, capsys, monkeypatch)
 
     monkeypatch.setattr(DvServer, "wait_for_clients", connect)
     assert main(["stream", str(tmp_path / "x.aedat4"), "--port", "0",
-                 "--no-frames"]) == 0
+                 "--no-frames", *["--json"][:for_programs]]) == 0
     np.testing.assert_array_equal(arrived(got[0])[0], recording.events())
-    assert capsys.readouterr().out.startswith("events: ")
+    said = capsys.readouterr().out.splitlines()
+    if for_programs:
+        places, end = map(json.loads, said)
+        assert places["events"] > 0
+        assert end == {"dropped": 0}
+    else:
+        assert len(said) == 1
+        assert said[0].startswith("events: ")

@@ -1,5 +1,6 @@
 """`pdavis soak`: what it follows, and what it calls growth."""
 import csv
+import json
 import sys
 
 import numpy as np
@@ -17,16 +18,25 @@ def sample(stream_s, rss_mb, handles=6, threads=1):
 @pytest.mark.parametrize(("late", "code"), [
     ({"rss_mb": 109}, 0), ({"rss_mb": 111}, 1), ({"rss_mb": 100, "handles": 7}, 1),
     ({"rss_mb": 100, "threads": 2}, 1)])
-def test_growth_counts_from_ten_minutes_on(late, code, capsys):
+def test_growth_counts_from_ten_minutes_on(late, code):
     samples = [sample(60, 50), sample(600, 100), sample(1200, 90), sample(1800, **late)]
-    assert soak._told(samples, 1, 10.0) == code
-    assert "from 10 min on: memory +" in capsys.readouterr().out
+    lines, facts = soak._grown(samples, 1)
+    assert "from 10 min on: memory +" in lines[-1]
+    assert soak._too_much(facts, 10.0) == code
 
 
-def test_a_turn_of_all_ways_comes_before_growth_counts(capsys):
+def test_a_turn_of_all_ways_comes_before_growth_counts():
     samples = [sample(600, 50), sample(1200, 100), sample(1800, 105)]
-    assert soak._told(samples, 2, 10.0) == 0
-    assert "from 20 min on: memory +5.0 MB" in capsys.readouterr().out
+    assert "from 20 min on: memory +5.0 MB" in soak._grown(samples, 2)[0][-1]
+
+
+def test_it_tells_programs_each_sample_and_what_grew(monkeypatch, capsys):
+    samples = [sample(60, 50), sample(600, 100), sample(1200, 101)]
+    monkeypatch.setattr(soak, "_stream", lambda *_: iter(samples))
+    assert soak.main(["--methods", "cf", "--parts", "fuse", "--json"]) == 0
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [one["rss_mb"] for one in told[:-1]] == [50, 100, 101]
+    assert (told[-1]["since_s"], told[-1]["memory_mb"]) == (600, 1)
 
 
 @pytest.mark.gate

@@ -374,6 +374,9 @@ def test_the_command_serves_until_it_is_told_to_end(monkeypatch, capsys):
     assert main(["view", where, "--layout", "pdavis", "--port", "0", "--no-browser",
                  "--method", "cf"]) == 0
     assert capsys.readouterr().out.startswith("http://127.0.0.1:")
+    assert main(["view", where, "--layout", "pdavis", "--port", "0", "--no-browser",
+                 "--method", "cf", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["url"].startswith("http://127.0.0.1:")
     assert main(["view", where, "--layout", "pdavis", "--start", "1",
                  "--no-browser"]) == 2
     assert "--start and --stop need a recording" in capsys.readouterr().err

@@ -61,6 +61,7 @@ __all__ = [
     "stage",
     "start_of",
     "tell",
+    "tell_now",
 ]
 
 
@@ -508,12 +509,26 @@ def tell(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
         For programs; arrays and paths as JSON can hold them, NaN as null.
     """
     if args.json:
-        from pdavis_cv.export.files import plain
-        text = json.dumps(facts, default=plain)
-        print(json.dumps(json.loads(text, parse_constant=lambda _: None), indent=2))
+        print(_as_json(facts, indent=2))
     else:
         for line in lines:
             print(line)
+
+
+def tell_now(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
+    """Print, as `tell` does, what a command says that then goes on.
+
+    After --json each time it is an object in one line, which a program can read before
+    the command ends.
+    """
+    for line in [_as_json(facts)] if args.json else lines:
+        print(line, flush=True)
+
+
+def _as_json(facts: dict[str, Any], indent: int | None = None) -> str:
+    from pdavis_cv.export.files import plain
+    text = json.dumps(facts, default=plain)
+    return json.dumps(json.loads(text, parse_constant=lambda _: None), indent=indent)
 
 
 _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {

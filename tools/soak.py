@@ -16,13 +16,13 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._common import Parser, UsageError, command
+from ._common import Parser, UsageError, add_json_option, command, tell_now
 from ._values import positive
 
 if TYPE_CHECKING:
@@ -74,32 +74,43 @@ def main(argv: Sequence[str] | None = None) -> int:
     for sample in _stream(args.parts or list(PARTS), methods, wanted_s, args.size,
                           args.paced):
         samples.append(sample)
-        print(f"{sample.stream_s / 3600:7.3f} h  {sample.way:6} {sample.method:7} "
-              f"{sample.rss_mb:7.1f} MB  {sample.handles} handles  "
-              f"{sample.threads} threads  drift {sample.drift:.1e}", flush=True)
-    if args.output is not None:
-        _write(args.output, samples)
+        tell_now(args, [
+            f"{sample.stream_s / 3600:7.3f} h  {sample.way:6} {sample.method:7} "
+            f"{sample.rss_mb:7.1f} MB  {sample.handles} handles  "
+            f"{sample.threads} threads  drift {sample.drift:.1e}"], **asdict(sample))
+    if args.out is not None:
+        _write(args.out, samples)
     turn = len(methods) * len(args.parts or PARTS)
-    return _told(samples, turn, args.most_mb)
+    lines, facts = _grown(samples, turn)
+    tell_now(args, lines, **facts)
+    return int(_too_much(facts, args.most_mb))
 
 
-def _told(samples: list[Sample], turn: int, most_mb: float) -> int:
-    """Print what grew; return 1 if it is too much."""
+def _grown(samples: list[Sample], turn: int) -> tuple[list[str], dict[str, Any]]:
+    """Return what grew since everything was loaded, in words and by name."""
     after = [s for i, s in enumerate(samples) if s.stream_s >= WARM_S and i >= turn - 1]
     stream, wall = samples[-1].stream_s, samples[-1].wall_s
-    print(f"{stream / 3600:.2f} h of stream in {wall / 3600:.2f} h: "
-          f"{sum(s.images for s in samples)} images")
+    images = sum(s.images for s in samples)
+    lines = [f"{stream / 3600:.2f} h of stream in {wall / 3600:.2f} h: {images} images"]
+    facts = {"stream_s": stream, "wall_s": wall, "images": images, "since_s": math.nan,
+             "memory_mb": math.nan, "handles": 0, "threads": 0, "drift": math.nan}
     if len(after) < 2:
-        print("too short to tell growth")
-        return 0
+        return [*lines, "too short to tell growth"], facts
     first = after[0]
     grown = max(s.rss_mb for s in after) - first.rss_mb
     handles = max(s.handles for s in after) - first.handles
     threads = max(s.threads for s in after) - first.threads
     drift = max((s.drift for s in after if math.isfinite(s.drift)), default=math.nan)
-    print(f"from {first.stream_s / 60:.0f} min on: memory +{grown:.1f} MB, handles "
-          f"+{handles}, threads +{threads}, drift at most {drift:.1e} of S0")
-    return int(grown > most_mb or handles > 0 or threads > 0)
+    lines.append(
+        f"from {first.stream_s / 60:.0f} min on: memory +{grown:.1f} MB, handles "
+        f"+{handles}, threads +{threads}, drift at most {drift:.1e} of S0")
+    return lines, facts | {"since_s": first.stream_s, "memory_mb": grown,
+                           "handles": handles, "threads": threads, "drift": drift}
+
+
+def _too_much(grown: dict[str, Any], most_mb: float) -> bool:
+    return bool(grown["memory_mb"] > most_mb or grown["handles"] > 0
+                or grown["threads"] > 0)
 
 
 def _stream(
@@ -235,5 +246,7 @@ def _parser() -> argparse.ArgumentParser:
                         help="pixels of a side, default 8")
     parser.add_argument("--most-mb", type=positive, default=10.0,
                         help="growth of memory that is a failure, default 10")
-    parser.add_argument("-o", "--output", type=Path, help="table of samples, CSV")
+    parser.add_argument("-o", "--out", type=Path, metavar="CSV",
+                        help="table of samples")
+    add_json_option(parser)
     return parser

@@ -8,7 +8,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from ._common import Parser, add_layout_option, command, ended_by_signals, source_of
+from ._common import (
+    Parser,
+    add_json_option,
+    add_layout_option,
+    command,
+    ended_by_signals,
+    progress_in_time,
+    source_of,
+    stage,
+    tell_now,
+)
 
 __all__ = ["main"]
 
@@ -26,14 +36,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         with DvServer(source.info, args.unix or args.port,
                       f"{args.unix}.frames" if args.unix and frames is not None
                       else frames, compression=args.compression) as server:
-            for name, place in server.places.items():
-                print(f"{name}: {place}", flush=True)
+            places = server.places
+            tell_now(args, [f"{name}: {place}" for name, place in places.items()],
+                     **places)
+            stage("waiting for a client of each")
             while not server.wait_for_clients(1):
                 pass
-            for packet in source.packets():
+            for packet in progress_in_time(
+                    source.packets(), source.info.start_us, None):
                 server.add(packet)
-        if server.dropped:
-            print(f"slow clients did not get {server.dropped} packets")
+        tell_now(args, [f"slow clients did not get {server.dropped} packets"]
+                 if server.dropped else [], dropped=server.dropped)
     return 0
 
 
@@ -52,4 +65,5 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--compression", choices=("none", "lz4", "zstd"),
                         default="none", help="default none")
     add_layout_option(parser)
+    add_json_option(parser)
     return parser

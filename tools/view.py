@@ -15,11 +15,13 @@ from ._common import (
     Parser,
     UsageError,
     add_fuse_options,
+    add_json_option,
     command,
     ended_by_signals,
     fusion_given,
     source_of,
     start_of,
+    tell_now,
 )
 
 __all__ = ["main"]
@@ -52,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 shown, host=args.host, port=args.port, record_to=args.record_to,
                 **options))
             with ended_by_signals():
-                print(server.url, flush=True)
+                tell_now(args, [server.url], url=server.url)
                 if not args.no_browser:
                     webbrowser.open(server.url)
                 server.wait()
@@ -76,5 +78,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--record-to", type=Path, default=Path(), metavar="FOLDER",
         help="where the page's record button writes, default the current folder")
+    add_json_option(parser)
     add_fuse_options(parser)
     return parser
