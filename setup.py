@@ -50,6 +50,8 @@ KERNELS = (
 )
 SOURCE_TREE_ONLY = ("_floor",)  # what `pdavis bench` compares with: no user needs it
 SHARED = (
+    "_ahead.h",
+    "_ahead.pxd",
     "_check.pxd",
     "_channels.h",
     "_clones.h",
@@ -66,6 +68,7 @@ SHARED = (
     "_math.h",
     "_math.pxd",
     "_measure.h",
+    "_measure.pxd",
     "_model.pxd",
     "_picture.h",
     "_pixel.pxd",

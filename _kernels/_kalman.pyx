@@ -8,6 +8,8 @@ docs/theory/kalman.md.
 """
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
+from _kernels._ahead cimport (
+    AT_ONCE, ahead_t, collect, is_plain, reader_of, reader_t, show_ahead)
 from _kernels._estimate cimport (
     LEAST_VARIANCE, doubted, holds, part_at, read_pixel, rest_of, rest_t,
     theta_squared)
@@ -15,60 +17,14 @@ from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
 from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_of, lamp_t, lit
 from _kernels._math cimport exp_f, log_f
+from _kernels._measure cimport (
+    TERMS, TOGETHER, group_t, hand_over, measure, policy_of, policy_t)
 from _kernels._model cimport (
     check_given, exposure_t, node_t, sample_t, state_t, stored_t, track_t, tuning_t,
     wave_t)
 from _kernels._tracks cimport at_rest, drift, part_t, start, step, walk_t
 from _kernels._update cimport (
-    FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST,
-    propagate)
-
-cdef extern from "_measure.h" nogil:
-    enum:
-        TOGETHER
-        TERMS
-    ctypedef struct policy_t:
-        double frame_sigma
-        double shot_share
-        double read_variance
-        double shot_variance
-        double offset_dn
-        double motion_variance
-        double noise_per_event
-        double jump_sigmas
-        double theta_least
-        double theta_most
-    ctypedef struct group_t:
-        double base[TOGETHER]
-        double theta_on[TOGETHER]
-        double theta_off[TOGETHER]
-        double var_base[TOGETHER]
-        double cov_base_on[TOGETHER]
-        double cov_base_off[TOGETHER]
-        double var_on[TOGETHER]
-        double cov_on_off[TOGETHER]
-        double var_off[TOGETHER]
-        double prior_on[TOGETHER]
-        double prior_off[TOGETHER]
-        double pull[TOGETHER]
-        double held[TOGETHER]
-        double part[TOGETHER]
-        double n_on[TOGETHER]
-        double n_off[TOGETHER]
-        double h_on[TOGETHER]
-        double h_off[TOGETHER]
-        double noise[TOGETHER]
-        double innovation[TOGETHER]
-        double sample_per_dn[TOGETHER]
-        double learn[TOGETHER]
-        double rests[TOGETHER]
-        double unit[TOGETHER]
-        double events[TOGETHER]
-        double doubt[TOGETHER]
-        double worth[TOGETHER]
-        double noted[TOGETHER]
-        double jump[TOGETHER]
-    void measure(group_t*, const policy_t*, Py_ssize_t, double* sums)
+    FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, propagate)
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
@@ -217,40 +173,6 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
                         if keep:
                             nodes[y, slots[i].x] = slots[i].node
                     n = 0
-
-
-cdef inline policy_t policy_of(const tuning_t* tuning) noexcept nogil:
-    cdef policy_t policy
-    policy.frame_sigma = tuning.frame_sigma
-    policy.shot_share = tuning.shot_share
-    policy.read_variance = tuning.read_variance
-    policy.shot_variance = tuning.shot_variance
-    policy.offset_dn = tuning.offset_dn
-    policy.motion_variance = tuning.motion_variance
-    policy.noise_per_event = tuning.noise_per_event
-    policy.jump_sigmas = JUMP_SIGMAS
-    policy.theta_least = THETA_LEAST
-    policy.theta_most = THETA_MOST
-    return policy
-
-
-cdef inline void hand_over(const state_t* s, const sample_t* sample, group_t* group,
-                           Py_ssize_t i) noexcept nogil:
-    """Copy to the group what `measure` updates, and by what."""
-    group.base[i] = s.base
-    group.theta_on[i] = s.theta_on
-    group.theta_off[i] = s.theta_off
-    group.var_base[i] = s.var_base
-    group.cov_base_on[i] = s.cov_base_on
-    group.cov_base_off[i] = s.cov_base_off
-    group.var_on[i] = s.var_on
-    group.cov_on_off[i] = s.cov_on_off
-    group.var_off[i] = s.var_off
-    group.prior_on[i] = s.prior_on
-    group.prior_off[i] = s.prior_off
-    group.pull[i] = s.pull
-    group.held[i] = s.part
-    group.sample_per_dn[i] = sample.per_dn
 
 
 cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
@@ -447,6 +369,18 @@ cdef inline void ask(Py_ssize_t at, const track_t* tracks, const state_t* states
         prefetch(&states[at].prior_on)
 
 
+cdef void show_group(ahead_t* group, const reader_t* reader, Py_ssize_t n,
+                     const int32_t* places, float* out, float* variance,
+                     uint8_t* valid) noexcept nogil:
+    """Write what the n pixels of a group show to their places."""
+    cdef Py_ssize_t i
+    show_ahead(group, reader, n)
+    for i in range(n):
+        out[places[i]] = group.log[i]
+        variance[places[i]] = group.variance[i]
+        valid[places[i]] = group.valid[i]
+
+
 def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
                 model not None, const state_t[:, ::1] states not None,
                 const int32_t[::1] pixels not None, rows not None, shown not None):
@@ -465,9 +399,18 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
     cdef const wave_t[::1] waves
     cdef float[:, ::1] out, variance
     cdef uint8_t[:, ::1] valid
-    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, y, x
-    cdef Py_ssize_t first, last
+    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, first, last, n = 0
+    cdef int32_t at
+    cdef const track_t* track
+    cdef const state_t* state
+    cdef float* log
+    cdef float* var
+    cdef uint8_t* good
     cdef lamp_t lamp
+    cdef ahead_t group
+    cdef reader_t reader
+    cdef int32_t[AT_ONCE] places
+    cdef bint plain
     first, last = rows
     check_given((*chain, *model, *shown))
     store, tracks = chain
@@ -480,20 +423,36 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
     if tuning.shape[0] != 1 or store.shape[0] == 0:
         raise ValueError("kalman_read: tuning or store has a wrong length")
     lamp = lamp_of(waves)
+    reader = reader_of(&tuning[0])
+    plain = known == t and lamp.blocks == 0 and is_plain(&tuning[0])
+    if pixels.shape[0] == 0:
+        return
+    if h * w == 0:
+        raise ValueError("kalman_read: pixels must lie in the image")
+    track, state = &tracks[0, 0], &states[0, 0]
+    log, var, good = &out[0, 0], &variance[0, 0], &valid[0, 0]
     with nogil:
         for i in range(pixels.shape[0]):
-            if pixels[i] < 0 or pixels[i] >= h * w:
+            at = pixels[i]
+            if at < 0 or at >= h * w:
                 break
-            if pixels[i] < first * w or pixels[i] >= last * w:
+            if at < first * w or at >= last * w:
                 continue
             if i + AHEAD < pixels.shape[0]:
-                ask(pixels[i + AHEAD], &tracks[0, 0], &states[0, 0], h * w)
-            y = pixels[i] // w
-            x = pixels[i] - y * w
-            read_pixel(t, known, epoch, &store[0], &tuning[0], &lamp, &tracks[y, x],
-                       &states[y, x], &out[y, x], &variance[y, x], &valid[y, x])
+                ask(pixels[i + AHEAD], track, state, h * w)
+            if plain and collect(t, &store[0], &track[at], &state[at], &tuning[0],
+                                 &group, n):
+                places[n] = at
+                n += 1
+            else:
+                read_pixel(t, known, epoch, &store[0], &tuning[0], &lamp, &track[at],
+                           &state[at], &log[at], &var[at], &good[at])
+            if n == AT_ONCE:
+                show_group(&group, &reader, n, &places[0], log, var, good)
+                n = 0
         else:
             i = pixels.shape[0]
+        show_group(&group, &reader, n, &places[0], log, var, good)
     if i < pixels.shape[0]:
         raise ValueError("kalman_read: pixels must lie in the image")
 

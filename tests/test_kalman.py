@@ -164,6 +164,24 @@ def test_a_frame_that_comes_late_acts_as_one_that_came_in_time(n):
         waiting.add_frame(frames[0])
 
 
+@pytest.mark.parametrize("bandwidth", BANDWIDTHS)
+def test_pixels_read_at_once_show_what_they_show_one_by_one(bandwidth):
+    # A dead time of 1e-6 us changes nothing, but takes the other way through the code.
+    shape, log = (9, 17), []
+    for refractory_us in (0.0, 1e-6):
+        method = make(shape, mode="causal", bandwidth=bandwidth,
+                      refractory_us=refractory_us, offset_dn=2.0)
+        method.add_events(random_events(1500, shape, stop_us=300_000, seed=3))
+        for k in range(2):
+            method.add_frame(random_frame(shape, 100_000 * (k + 1), seed=k))
+        method.add_events(random_events(
+            700, shape, start_us=300_000, stop_us=450_000, seed=4))
+        log.append(method.read(450_000))
+    np.testing.assert_allclose(*(each.log_intensity for each in log), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(*(each.variance for each in log), rtol=1e-5)
+    np.testing.assert_array_equal(*(each.valid for each in log))
+
+
 def test_thresholds_are_learned_from_frames():
     on, off = 0.12, 0.21
     recording, _ = ideal.rotating_polarizer(
