@@ -60,7 +60,7 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t be
     cdef int64_t* s
     cdef bint ordinary = 0 < height <= 1 << 15 and 0 < width <= 1 << 15
     if state.shape[0] != STATE:
-        raise ValueError("aedat4_events: state must hold 6 numbers")
+        raise ValueError("aedat4_events: state must hold 7 numbers")
     if (begin < 0 or n < begin or at < 0 or at > data.shape[0]
             or n > (data.shape[0] - at) // STRIDE):
         raise ValueError("aedat4_events: events lie outside data")

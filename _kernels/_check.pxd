@@ -11,7 +11,8 @@ cdef enum:
     OUTSIDE = 3     # events dropped because they lie outside the sensor
     BACKWARD = 4    # events dropped because their time runs backward
     FIRST_BAD = 5   # index of the first event dropped in this call, or -1
-    STATE = 6
+    BEFORE = 6      # time of the last event before the first of the output
+    STATE = 7
 
 cdef enum:
     TAKEN = 0
@@ -59,3 +60,26 @@ cdef inline int take(event_t* out, Py_ssize_t i, int64_t t, int64_t following,
     state[LAST] = t
     state[FILLED] += 1
     return TAKEN
+
+
+cdef inline int add(event_t* out, Py_ssize_t i, int64_t t, int64_t x, int64_t y,
+                    int64_t p, int64_t height, int64_t width, Py_ssize_t group,
+                    int64_t* state) noexcept nogil:
+    """Append one event behind those in out, drop it, or report a jump before it.
+
+    As take, for formats where reading the next event first costs much: if this one
+    is earlier than the last, but not than the one before, the last was ahead of both
+    and is taken back.  A word of time may have put up to group events there.
+    """
+    cdef Py_ssize_t n = state[FILLED], k = n
+    cdef int64_t last = state[LAST], before
+    if t < last and not far(t) and 0 <= x < width and 0 <= y < height and 0 <= p <= 1:
+        while k > 0 and n - k < group and out[k - 1].t == last:
+            k -= 1
+        before = out[k - 1].t if k else state[BEFORE]
+        if k < n and before <= t:
+            state[BACKWARD] += n - k
+            if state[FIRST_BAD] < 0:
+                state[FIRST_BAD] = i
+            state[FILLED], state[LAST] = k, before
+    return take(out + state[FILLED], i, t, t, x, y, p, height, width, state)

@@ -7,7 +7,7 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t
 from libc.string cimport memchr, memcpy
 
 from _kernels._check cimport (
-    FILLED, FIRST_BAD, JUMP as FALLS, OFFSET, STATE, far, take)
+    BACKWARD, FILLED, FIRST_BAD, JUMP as FALLS, LAST, OFFSET, STATE, add, far)
 from _kernels._types cimport event_t
 
 # Places in the state of a stream of words.
@@ -22,8 +22,45 @@ cdef enum:
     WORD_STATE = 7
 
 cdef enum:
+    NEAR = 4096     # words among which the next upper bits of time are looked for,
+    HIGHS = 3       # and so many of those, of which one may be damaged too
+    GROUP = 64      # events of one time that one damaged word of EVT3 may have put off
+
+cdef enum:
     FULL = 0        # the words, or the room for events, are at their end
     JUMP = 1        # time falls by more than a second before this word
+
+
+ctypedef fused word_t:
+    uint16_t
+    uint32_t
+
+
+cdef inline Py_ssize_t after_wrong_time(const word_t* words, Py_ssize_t i, Py_ssize_t n,
+                                        int64_t before) noexcept nogil:
+    """Return where upper bits of time come next if those at i are damaged, else 0.
+
+    They fall, or rise by more than 1, and most of the next ones go on from those
+    before.
+    """
+    cdef int shift = 12 if word_t is uint16_t else 28
+    cdef word_t mask = (<word_t>1 << shift) - 1
+    cdef int64_t high = words[i] & mask, following
+    cdef Py_ssize_t k, first = 0
+    cdef int seen = 0, going_on = 0
+    if before < 0 or before <= high <= before + 1:
+        return 0
+    for k in range(i + 1, min(n, i + NEAR)):
+        if words[k] >> shift == 8:
+            following = words[k] & mask
+            seen += 1
+            if before <= following and (following < high or high < before):
+                going_on += 1
+                if not first:
+                    first = k
+            if seen == HIGHS:
+                break
+    return first if 2 * going_on > seen else 0
 
 
 def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
@@ -34,7 +71,7 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
     Why is 1 before a word whose time, stream[1], lies more than a second before the
     last.  stream and state go on from call to call.
     """
-    cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0]
+    cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0], after
     cdef uint32_t word, kind
     cdef int64_t high, t
     cdef int why = FULL, took
@@ -50,6 +87,12 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
             word = words[i]
             kind = word >> 28
             if kind == 8:
+                after = after_wrong_time(&words[0], i, n, stream[HIGH])
+                if after:
+                    for i in range(i + 1, after):
+                        stream[UNTIMED] += words[i] >> 28 <= 1
+                    i = after
+                    continue
                 high = word & 0xFFFFFFF
                 if stream[HIGH] - high > 1 << 27:
                     stream[LOOPS] += <int64_t>1 << 34
@@ -61,8 +104,8 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                     t = stream[LOOPS] + (stream[HIGH] << 6 | (word >> 22 & 0x3F))
                     stream[TIME] = t
                     t += s[2]
-                    took = take(&out[s[FILLED]], i, t, t, word >> 11 & 0x7FF,
-                                word & 0x7FF, kind, height, width, s)
+                    took = add(&out[0], i, t, word >> 11 & 0x7FF, word & 0x7FF, kind,
+                               height, width, 1, s)
                     if took == FALLS:
                         why = JUMP
                         break
@@ -77,7 +120,7 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
 
     As `evt2_words`.
     """
-    cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0] - 12
+    cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0] - 12, after
     cdef uint32_t word, kind, bits
     cdef int64_t high, x, p, t
     cdef int why = FULL, count, k
@@ -107,8 +150,8 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                     bits = 0
                 t = at[TIME] + s[OFFSET]
                 while bits:
-                    if bits & 1 and take(&out[s[FILLED]], i, t, t, x, at[ROW], p,
-                                         height, width, s) == FALLS:
+                    if bits & 1 and add(&out[0], i, t, x, at[ROW], p, height, width,
+                                        GROUP, s) == FALLS:
                         why = JUMP     # before the first event of this word
                         break
                     bits >>= 1
@@ -122,6 +165,13 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
             elif kind == 0:
                 at[ROW] = word & 0x7FF
             elif kind == 8:
+                after = after_wrong_time(&words[0], i, n, at[HIGH])
+                if after:
+                    for i in range(i + 1, after):
+                        kind = words[i] >> 12
+                        at[UNTIMED] += kind == 2 or kind == 4 or kind == 5
+                    i = after
+                    continue
                 high = word & 0xFFF
                 if at[HIGH] - high > 1 << 11:
                     at[LOOPS] += 1 << 24
@@ -281,6 +331,17 @@ cdef inline Py_ssize_t any_line(const uint8_t* source, Py_ssize_t at, Py_ssize_t
     return at if source[at] == c'\n' else BAD
 
 
+cdef inline bint goes_on(const uint8_t* source, Py_ssize_t at, Py_ssize_t n,
+                         const int* order, int unit, const int64_t* s) noexcept nogil:
+    """Tell whether the line at a place is an event that is later than the last."""
+    cdef int64_t[4] row
+    cdef int64_t nano = 0, t
+    if at >= n or any_line(source, at, n, order, row, &nano) < 0:
+        return False
+    t = in_us(row[0], nano, unit)
+    return not far(t) and t + s[OFFSET] >= s[LAST]
+
+
 def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
                 const int64_t[::1] order not None, int unit, Py_ssize_t height,
                 Py_ssize_t width, int64_t[::1] state not None,
@@ -327,10 +388,12 @@ def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
             if at >= 0:
                 t = in_us(row[0], nano, unit)
                 whole = t if far(t) else t + s[OFFSET]
-                if take(&out[s[FILLED]], i, whole, whole, row[1], row[2],
-                        max(row[3], 0), height, width, s) == FALLS:
-                    why = JUMP
-                    break
+                if add(&out[0], i, whole, row[1], row[2], max(row[3], 0), height,
+                       width, 1, s) == FALLS:
+                    if not goes_on(source, at + 1, n, places, unit, s):
+                        why = JUMP
+                        break
+                    s[BACKWARD] += 1
             else:
                 bad += at == BAD
                 at = <const uint8_t*>memchr(source + i, c'\n', n - i) - source
@@ -367,10 +430,12 @@ def event_columns(const int64_t[::1] t not None, const int32_t[::1] x not None,
     with nogil:
         while i < n and s[FILLED] < room:
             time = t[i] if far(t[i]) else t[i] + s[OFFSET]
-            if take(&out[s[FILLED]], i, time, time, x[i], y[i], max(p[i], 0), height,
-                    width, s) == FALLS:
-                why = JUMP
-                break
+            if add(&out[0], i, time, x[i], y[i], max(p[i], 0), height, width, 1,
+                   s) == FALLS:
+                if i + 1 == n or far(t[i + 1]) or t[i + 1] + s[OFFSET] < s[LAST]:
+                    why = JUMP
+                    break
+                s[BACKWARD] += 1    # the next goes on: one damaged time is no jump
             i += 1
     for k in range(STATE):
         state[k] = s[k]
@@ -380,6 +445,15 @@ def event_columns(const int64_t[::1] t not None, const int32_t[::1] x not None,
 # Places of an event's numbers in a message of ROS, bytes from its first.
 cdef enum:
     ROS_X, ROS_Y, ROS_S, ROS_NS, ROS_P, ROS_PLACES
+
+
+cdef inline int64_t ros_time(const uint8_t* seconds_at, const uint8_t* nano_at
+                             ) noexcept nogil:
+    cdef int32_t seconds
+    cdef uint32_t nano
+    memcpy(&seconds, seconds_at, 4)
+    memcpy(&nano, nano_at, 4)
+    return <int64_t>seconds * 1000000 + nano // 1000
 
 
 def ros_events(const uint8_t[::1] data not None, Py_ssize_t start, Py_ssize_t stride,
@@ -396,9 +470,7 @@ def ros_events(const uint8_t[::1] data not None, Py_ssize_t start, Py_ssize_t st
     """
     cdef Py_ssize_t i = begin, room = out.shape[0], last = 0, further
     cdef const uint8_t* row
-    cdef int64_t t = 0, time
-    cdef int32_t seconds
-    cdef uint32_t nano
+    cdef int64_t t = 0
     cdef uint16_t x, y
     cdef int why = FULL, k
     cdef int64_t[STATE] s
@@ -423,14 +495,15 @@ def ros_events(const uint8_t[::1] data not None, Py_ssize_t start, Py_ssize_t st
             further = shift if i == 0 else 0
             memcpy(&x, row + places[ROS_X] + further, 2)
             memcpy(&y, row + places[ROS_Y] + further, 2)
-            memcpy(&seconds, row + places[ROS_S], 4)
-            memcpy(&nano, row + places[ROS_NS], 4)
-            t = <int64_t>seconds * 1000000 + nano // 1000
-            time = t + s[OFFSET]
-            if take(&out[s[FILLED]], i, time, time, x, y, row[places[ROS_P]], height,
-                    width, s) == FALLS:
-                why = JUMP
-                break
+            t = ros_time(row + places[ROS_S], row + places[ROS_NS])
+            if add(&out[0], i, t + s[OFFSET], x, y, row[places[ROS_P]], height, width,
+                   1, s) == FALLS:
+                if i + 1 == count or s[OFFSET] + ros_time(
+                        row + stride + places[ROS_S], row + stride + places[ROS_NS]
+                        ) < s[LAST]:
+                    why = JUMP
+                    break
+                s[BACKWARD] += 1    # as above
             i += 1
     for k in range(STATE):
         state[k] = s[k]

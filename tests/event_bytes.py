@@ -1,5 +1,6 @@
 """Files of events byte by byte, from the formats' descriptions, not our readers."""
 import io
+import struct
 
 import numpy as np
 
@@ -107,7 +108,6 @@ ROS2_DATABASE = "bag.db3"
 
 def ros2_bytes(events, size):
     """Return metadata.yaml and database of a ROS 2 bag, one after the other."""
-    import struct
     import tempfile
     from pathlib import Path
 
@@ -120,24 +120,14 @@ def ros2_bytes(events, size):
                 msgdef="std_msgs/Header header\nuint32 height\nuint32 width\n"
                        "dvs_msgs/Event[] events\n",
                 rihs01="RIHS01_" + "0" * 64)
-            for part in np.array_split(events, 4):
-                # CDR, little endian: after four bytes of its own every number is
-                # aligned to its size; an empty frame name is a length of 1 and a 0
-                data = bytearray(struct.pack(
-                    "<iII4xIII", 0, 0, 1, *size, len(part)))
-                for t, x, y, on in part[["t", "x", "y", "p"]].tolist():
-                    data += bytes(-len(data) % 2) + struct.pack("<HH", x, y)
-                    data += bytes(-len(data) % 4) + struct.pack(
-                        "<iIB", t // 10**6, t % 10**6 * 1000, on)
-                bag.write(topic, int(part["t"][-1]) * 1000, b"\0\1\0\0" + data)
+            for part in ros_parts(events):
+                bag.write(topic, int(part["t"][-1]) * 1000, ros2_message(part, size))
         return ((path / "metadata.yaml").read_bytes()
                 + (path / ROS2_DATABASE).read_bytes())
 
 
 def ros1_file(path, events, size):
     """Write a ROS 1 bag of dvs_msgs/EventArray, its messages packed by hand."""
-    import struct
-
     from rosbags import rosbag1
     definition = ("std_msgs/Header header\nuint32 height\nuint32 width\n"
                   "dvs_msgs/Event[] events\n")
@@ -145,11 +135,34 @@ def ros1_file(path, events, size):
     with rosbag1.Writer(path) as bag:
         topic = bag.add_connection("/dvs/events", "dvs_msgs/msg/EventArray",
                                    msgdef=definition, md5sum="0" * 32)
-        for part in np.array_split(events, max(len(events) // 20_000, 4)):
-            rows = np.zeros(len(part), [("x", "<u2"), ("y", "<u2"), ("s", "<u4"),
-                                        ("n", "<u4"), ("p", "u1")])
-            rows["x"], rows["y"], rows["p"] = part["x"], part["y"], part["p"]
-            rows["s"], rows["n"] = part["t"] // 10**6, part["t"] % 10**6 * 1000
-            head = struct.pack("<IIII", 0, 0, 0, 0) + struct.pack(
-                "<III", *size, len(part))
-            bag.write(topic, int(part["t"][-1]) * 1000, head + rows.tobytes())
+        for part in ros_parts(events):
+            bag.write(topic, int(part["t"][-1]) * 1000, ros1_message(part, size))
+
+
+def ros_parts(events):
+    """Return the events of each message of a bag."""
+    return np.array_split(events, max(len(events) // 20_000, 4))
+
+
+def ros1_message(events, size):
+    """Return a dvs_msgs/EventArray of ROS 1."""
+    rows = np.zeros(len(events), [("x", "<u2"), ("y", "<u2"), ("s", "<u4"),
+                                  ("n", "<u4"), ("p", "u1")])
+    rows["x"], rows["y"], rows["p"] = events["x"], events["y"], events["p"]
+    rows["s"], rows["n"] = events["t"] // 10**6, events["t"] % 10**6 * 1000
+    head = struct.pack("<IIII", 0, 0, 0, 0) + struct.pack("<III", *size, len(events))
+    return head + rows.tobytes()
+
+
+def ros2_message(events, size):
+    """Return a dvs_msgs/EventArray of ROS 2.
+
+    CDR, little endian: after four bytes of its own every number is aligned to its
+    size; an empty frame name is a length of 1 and a 0.
+    """
+    data = bytearray(struct.pack("<iII4xIII", 0, 0, 1, *size, len(events)))
+    for t, x, y, on in events[["t", "x", "y", "p"]].tolist():
+        data += bytes(-len(data) % 2) + struct.pack("<HH", x, y)
+        data += bytes(-len(data) % 4) + struct.pack(
+            "<iIB", t // 10**6, t % 10**6 * 1000, on)
+    return b"\0\1\0\0" + data

@@ -57,44 +57,99 @@ def aedat2_words(data, height, width):
     return out
 
 
-def words(data, version, height, width):
-    """Decode words of EVT2 or EVT3, one by one; times never jump by a second."""
-    out, last, loops, high, low = [], -(1 << 61), 0, None, 0
+class _Taken:
+    """Events in order: what is late is dropped, and what was ahead of the next.
+
+    Where time falls by more than a second and stays there it is forgotten.
+    """
+
+    def __init__(self, height, width, group=1):
+        self.out, self.size, self.group = [], (height, width), group
+        self.last = -2**61
+        self.begin()
+
+    def begin(self):
+        """Begin another piece: earlier ones have been handed out."""
+        self.first, self.before = len(self.out), self.last
+
+    def add(self, t, x, y, p, following=None):
+        """Take an event or drop it; following is the time of the next one."""
+        if not (0 <= y < self.size[0] and 0 <= x < self.size[1] and 0 <= p <= 1
+                and abs(t) <= 2**61):
+            return
+        if t < self.last:
+            ahead = [k for k in range(max(self.first, len(self.out) - self.group),
+                                      len(self.out)) if self.out[k][0] == self.last]
+            before = self.before if not ahead or ahead[0] == self.first else (
+                self.out[ahead[0] - 1][0])
+            if ahead and before <= t:
+                del self.out[ahead[0]:]
+            elif t >= self.last - 10**6 or (
+                    following is not None and self.last <= following <= 2**61):
+                return
+        self.out.append((t, x, y, p))
+        self.last = t
+
+
+def right_times(words, version, before):
+    """Return words without those from damaged upper bits of time to the next ones."""
+    shift, kept, i = (28 if version == 2 else 12), [], 0
+    values = words.tolist()
+    while i < len(values):
+        high = values[i] & (1 << shift) - 1
+        if values[i] >> shift == 8:
+            if before is not None and not before <= high <= before + 1:
+                later = [k for k in range(i + 1, min(i + 4096, len(values)))
+                         if values[k] >> shift == 8][:3]
+                highs = [values[k] & (1 << shift) - 1 for k in later]
+                going_on = [k for k, following in zip(later, highs, strict=True)
+                            if before <= following < high
+                            or high < before <= following]
+                if 2 * len(going_on) > len(later):
+                    i = going_on[0]
+                    continue
+            before = high
+        kept.append(values[i])
+        i += 1
+    return kept, before
+
+
+def words(pieces, version, height, width):
+    """Decode pieces of words of EVT2 or EVT3; times never jump by a second."""
+    loops, high, low, before = 0, None, 0, None
     row = column = polarity = 0
-
-    def put(t, x, y, p):
-        nonlocal last
-        if x < width and y < height and t >= last:
-            out.append((t, x, y, p))
-            last = t
-
-    for word in data.tolist():
-        kind = word >> (28 if version == 2 else 12)
-        value = word & (0xFFFFFFF if version == 2 else 0xFFF)
-        if kind == 8:
-            span = 28 if version == 2 else 12
-            if high is not None and high - value > 1 << (span - 1):
-                loops += 1
-            low = 0 if value != high else low
-            high = value
-            base = (loops << span) + value << (6 if version == 2 else 12)
-        elif version == 2 and kind in (0, 1) and high is not None:
-            put(base + (word >> 22 & 63), word >> 11 & 2047, word & 2047, kind)
-        elif version == 3 and kind == 0:
-            row = value & 2047
-        elif version == 3 and kind == 6:
-            low = value
-        elif version == 3 and kind == 2 and high is not None:
-            put(base + low, value & 2047, row, value >> 11)
-        elif version == 3 and kind == 3:
-            column, polarity = value & 2047, value >> 11
-        elif version == 3 and kind in (4, 5):
-            bits = 12 if kind == 4 else 8
-            for i in range(bits):
-                if word >> i & 1 and high is not None:
-                    put(base + low, column + i, row, polarity)
-            column += bits
-    return out
+    taken = _Taken(height, width, 1 if version == 2 else 64)
+    for piece in pieces:
+        taken.begin()
+        kept, before = right_times(piece, version, before)
+        for word in kept:
+            kind = word >> (28 if version == 2 else 12)
+            value = word & (0xFFFFFFF if version == 2 else 0xFFF)
+            if kind == 8:
+                span = 28 if version == 2 else 12
+                if high is not None and high - value > 1 << (span - 1):
+                    loops += 1
+                low = 0 if value != high else low
+                high = value
+                base = (loops << span) + value << (6 if version == 2 else 12)
+            elif version == 2 and kind in (0, 1) and high is not None:
+                taken.add(base + (word >> 22 & 63), word >> 11 & 2047, word & 2047,
+                          kind)
+            elif version == 3 and kind == 0:
+                row = value & 2047
+            elif version == 3 and kind == 6:
+                low = value
+            elif version == 3 and kind == 2 and high is not None:
+                taken.add(base + low, value & 2047, row, value >> 11)
+            elif version == 3 and kind == 3:
+                column, polarity = value & 2047, value >> 11
+            elif version == 3 and kind in (4, 5):
+                bits = 12 if kind == 4 else 8
+                for i in range(bits):
+                    if word >> i & 1 and high is not None:
+                        taken.add(base + low, column + i, row, polarity)
+                column += bits
+    return taken.out
 
 
 def text_rows(lines, order):
@@ -119,34 +174,28 @@ def text_rows(lines, order):
 
 
 def text_events(lines, order, unit, height, width):
-    """Return events of lines of text, and how many lines are bad.
+    """Return events of lines of text, and how many lines are bad."""
+    taken, bad = _Taken(height, width), 0
 
-    Where time falls by more than a second it is forgotten.
-    """
-    rows, bad = text_rows(lines, order)
-    out, last = [], -2**61
-    for whole, x, y, p, nano in rows:
-        t = {"us": whole, "ns": whole // 1000,
-             "s": whole * 10**6 + (nano + 500) // 1000}[unit]
-        p = max(p, 0)
-        if not (0 <= x < width and 0 <= y < height and p <= 1 and abs(t) <= 2**61):
-            continue
-        if t < last - 10**6 or t >= last:
-            out.append((t, x, y, p))
-            last = t
-    return out, bad
+    def read(line):
+        rows, wrong = text_rows([line], order)
+        for whole, x, y, p, nano in rows:
+            return ({"us": whole, "ns": whole // 1000,
+                     "s": whole * 10**6 + (nano + 500) // 1000}[unit], x, y, p), wrong
+        return None, wrong
+
+    found = [read(line) for line in lines]
+    for (row, wrong), (after, _) in zip(found, [*found[1:], (None, 0)], strict=True):
+        bad += wrong
+        if row is not None:
+            t, x, y, p = row
+            taken.add(t, x, y, max(p, 0), None if after is None else after[0])
+    return taken.out, bad
 
 
 def event_rows(rows, height, width):
-    """Return those of rows of t, x, y, p that lie on the sensor and in order.
-
-    Where time falls by more than a second it is forgotten.
-    """
-    out, last = [], -2**61
-    for t, x, y, p in rows:
-        p = max(p, 0)
-        if (0 <= x < width and 0 <= y < height and p <= 1 and abs(t) <= 2**61
-                and (t < last - 10**6 or t >= last)):
-            out.append((t, x, y, p))
-            last = t
-    return out
+    """Return those of rows of t, x, y, p that lie on the sensor and in order."""
+    taken = _Taken(height, width)
+    for i, (t, x, y, p) in enumerate(rows):
+        taken.add(t, x, y, max(p, 0), rows[i + 1][0] if i + 1 < len(rows) else None)
+    return taken.out

@@ -126,18 +126,21 @@ def test_words_equal_their_twin(version):
     kinds = (0, 1, 10, 14) if version == 2 else (0, 2, 3, 4, 5, 6, 7, 10, 14)
     words = (rng.choice(kinds, 20_000) << bits | rng.integers(0, 1 << bits, 20_000)
              ).astype(np.uint32 if version == 2 else np.uint16)
-    words[7::50] = (8 << bits | np.arange(400)).astype(words.dtype)
+    times = np.arange(400)
+    times[9::20] += 100     # damaged: ahead, and behind
+    times[19::20] -= 9
+    words[7::50] = (8 << bits | times).astype(words.dtype)
+    pieces = np.array_split(words, 7)
     for size in (SIZE, (12, 16)):
         clock, stream = Clock(Timeline()), WordStream(version, size)
-        got = np.concatenate([stream.events(part, clock) for part in np.array_split(
-            words, 7)])
-        expected = reference.words(words, version, *size)
+        got = np.concatenate([stream.events(piece, clock) for piece in pieces])
+        expected = reference.words(pieces, version, *size)
         assert got.tolist() == expected
         assert len(expected) > (10 if size == SIZE else -1)
 
 
 def test_kernels_refuse_arrays_of_the_wrong_shape():
-    out, state = np.empty(50, EVENT_DTYPE), np.zeros(6, np.int64)
+    out, state = np.empty(50, EVENT_DTYPE), np.zeros(7, np.int64)
     stream = np.zeros(7, np.int64)
     for kernel, dtype in ((_kernels.evt2_words, np.uint32),
                           (_kernels.evt3_words, np.uint16)):
@@ -170,7 +173,7 @@ LINES = ["1 2 3 1", "-5,6;7\t0", "  8 9 10 1  ", "", "# words", "1 2 3", "1 2 3 
 
 def lines_read(data, order, unit, size, room=40):
     """Return the events, the bad lines, and what the kernel left of the data."""
-    state = np.array([0, -2**61, 0, 0, 0, -1], np.int64)
+    state = np.array([0, -2**61, 0, 0, 0, -1, -2**61], np.int64)
     out, bad, done, more = np.zeros(room, EVENT_DTYPE), 0, 0, 1
     while more:
         done, wrong, more, _ = _kernels.text_events(
@@ -210,7 +213,7 @@ def test_numbers_of_every_length_equal_their_twin():
 
 def rows_taken(kernel, room=500):
     """Return the events that a kernel takes, (begin, state, out) -> (done, why, t)."""
-    state = np.array([0, -2**61, 0, 0, 0, -1], np.int64)
+    state = np.array([0, -2**61, 0, 0, 0, -1, -2**61], np.int64)
     out = np.zeros(room, EVENT_DTYPE)
     done, more = 0, 1
     while more:
@@ -238,7 +241,7 @@ def test_columns_equal_their_twin():
     assert got == reference.event_rows(rows.tolist(), 6, 8)
     assert len(got) > 50
     with pytest.raises(ValueError, match="event_columns: an array"):
-        _kernels.event_columns(t, x[1:], y, p, 0, 6, 8, np.zeros(6, np.int64),
+        _kernels.event_columns(t, x[1:], y, p, 0, 6, 8, np.zeros(7, np.int64),
                                np.zeros(3, EVENT_DTYPE))
 
 
@@ -265,7 +268,7 @@ def test_messages_of_ros_equal_their_twin(size, places):
     got = rows_taken(lambda *rest: taken(400, *rest))
     assert got == reference.event_rows(rows.tolist(), 6, 8)
     assert len(got) > 50
-    state, out = np.zeros(6, np.int64), np.zeros(500, EVENT_DTYPE)
+    state, out = np.zeros(7, np.int64), np.zeros(500, EVENT_DTYPE)
     for wrong in ({"count": 401}, {"count": 2**62}, {"begin": 401}, {"begin": -1},
                   {"at": -1}, {"at": 5 + size}, {"where": (0, 2, 4, 8, size + 1)},
                   {"where": (0, 2, 4, 8)}, {"shift": -1}, {"shift": size + 1},
@@ -435,3 +438,34 @@ def test_rpg_files_are_read(tmp_path):
     assert [f.mid_us for f in frames] == [f.mid_us + 100_000_000 for f in images]
     np.testing.assert_array_equal(frames[0].dn, 4 * np.floor(images[0].dn / 4))
     assert image.t_us == frames[0].mid_us
+
+
+FORMATS = {
+    "text": text_file, "npy": npy_file, "dat": lambda e: dat_file(e, SIZE),
+    "evt2": lambda e: evt2_file(e, SIZE), "evt3": lambda e: evt3_file(e, SIZE)}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("by_us", [400_000, 5_000_000, -5_000_000])
+def test_one_damaged_time_costs_its_events_only(tmp_path, name, by_us):
+    events = some_events(1000)
+    events["t"] = 6_000_000 + 5000 * (np.arange(1000) // 5)  # a time word for each 5
+    damaged = events.copy()
+    hit = np.s_[500:505] if name[:3] == "evt" else np.s_[502:503]
+    damaged["t"][hit] += by_us
+    (tmp_path / "x").write_bytes(FORMATS[name](damaged))
+    with open_recording(tmp_path / "x") as recording:
+        found = recording.events()
+        assert {p.kind for p in recording.problems} <= {
+            "backward time", "untimed", "unknown size"}
+    np.testing.assert_array_equal(
+        found[["t", "x", "y", "p"]], np.delete(events, hit)[["t", "x", "y", "p"]])
+
+
+def test_an_array_with_a_pixel_on_no_sensor_is_read(tmp_path):
+    events = some_events(200, (200, 300))
+    events["x"][40] = 65535
+    (tmp_path / "x.npy").write_bytes(npy_file(events))
+    with open_recording(tmp_path / "x.npy") as recording:
+        assert recording.info.sensor_size == (260, 346)
+        assert len(recording.events()) == 199

@@ -12,7 +12,7 @@ SIZE = (260, 346)
 
 
 def state4():
-    return np.array([0, -(1 << 61), 0, 0, 0, -1], np.int64)
+    return np.array([0, -(1 << 61), 0, 0, 0, -1, -(1 << 61)], np.int64)
 
 
 def decode4(data, at, n, *, flip=False):

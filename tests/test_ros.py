@@ -1,8 +1,10 @@
 """ROS 1 and ROS 2 bags; messages are written by the library rosbags, not by us."""
 import pickle
+import warnings
 
 import numpy as np
 import pytest
+from event_bytes import ros1_file, ros1_message
 from test_aedat4 import joined
 
 import pdavis_cv
@@ -211,3 +213,28 @@ def test_without_the_library_one_line_says_what_to_install(
     assert main(["info", str(tmp_path / "x.bag")]) == 2
     assert capsys.readouterr().err == (
         "pdavis: ROS bags need a package: pip install rosbags\n")
+
+
+@pytest.mark.parametrize("damage", ["size", "first count", "last time"])
+def test_a_damaged_message_costs_itself_only(tmp_path, damage):
+    events = np.zeros(40, EVENT_DTYPE)
+    events["t"], events["x"] = 1000 * np.arange(40), np.arange(40)
+    ros1_file(tmp_path / "x.bag", events, (260, 346))
+    data = bytearray((tmp_path / "x.bag").read_bytes())
+    at = data.index(ros1_message(events[:10], (260, 346)))
+    if damage == "size":
+        data[at + 16] ^= 1
+        left = np.s_[:]
+    elif damage == "first count":
+        data[at + 24:at + 28] = b"\xff" * 4
+        left = np.s_[10:]
+    else:       # by .26 s
+        data[at + 28 + 9 * 13 + 8 + 3] += 15
+        left = np.delete(np.arange(40), 9)
+    (tmp_path / "x.bag").write_bytes(data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pdavis_cv.DamagedFileWarning)
+        with open_recording(tmp_path / "x.bag") as recording:
+            assert recording.info.sensor_size == (260, 346)
+            np.testing.assert_array_equal(recording.events(), events[left])
+            assert damage == "size" or recording.problems

@@ -142,7 +142,7 @@ class DvSource(LiveSource):
     ) -> None:
         self._connections = [_Connection(link, name) for link in connections]
         super().__init__(self._facts(name, layout), name)
-        self._state = np.array([0, NEVER, 0, 0, 0, -1], np.int64)
+        self._state = np.array([0, NEVER, 0, 0, 0, -1, NEVER], np.int64)
         self._scale: samples.FrameScale | None = None
         self._last_us: int | None = None
         self._held: deque[ApsFrame] = deque()   # until events reach their time

@@ -213,8 +213,10 @@ class NumpyRecording(_EventList):
         return "ns" if len(t) and t[0] > NANOSECONDS_FROM else "us"
 
     def _farthest(self) -> tuple[int, int]:
-        _, x, y, _ = self._columns(0)
-        return (int(max(x.max(initial=0), 0)), int(max(y.max(initial=0), 0)))
+        # What lies on no sensor at all is damage.
+        x, y = (column[(column >= 0) & (column < MAX_SIDE)]
+                for column in self._columns(0)[1:3])
+        return int(x.max(initial=0)), int(y.max(initial=0))
 
     def _next(self, at: int, clock: Clock, state: Any, memory: Scratch
               ) -> tuple[NDArray[Any], int]:

@@ -62,7 +62,7 @@ class WordStream:
 
     @property
     def untimed(self) -> int:
-        """Events that were skipped because no time came before them."""
+        """Words of events that were skipped: before the first time, or a wrong one."""
         return int(self._stream[UNTIMED])
 
     def events(self, words: NDArray[np.unsignedinteger], clock: Clock,
@@ -235,6 +235,6 @@ class PropheseeRecording(SequentialRecording):
         before = state.untimed
         events = state.events(words, clock, memory)
         self._dropped(clock, at, state.jumps)
-        self._count(at, "untimed", state.untimed - before, "events before the first "
-                    "time were skipped")
+        self._count(at, "untimed", state.untimed - before, "events were skipped "
+                    "whose time is not known, or damaged")
         return events, after

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.recording.prophesee import WordStream
 from pdavis_cv.recording.scratch import Gathering, Scratch
-from pdavis_cv.recording.timeline import NEVER, OFFSET, Clock, Timeline
+from pdavis_cv.recording.timeline import LAST, NEVER, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["RosRecording"]
@@ -28,6 +29,8 @@ __all__ = ["RosRecording"]
 HORIZON_US = 500_000
 """How far events and images of a bag may interleave imperfectly in time."""
 MAX_SIDE = 8192
+SIZES = 3
+"""Of so many messages one may be damaged, and the sensor's size is still known."""
 MAX_MESSAGE = 1 << 28
 EVENT_ARRAYS = "dvs_msgs/msg/EventArray"
 EVENT_PACKETS = "event_camera_msgs/msg/EventPacket"
@@ -107,6 +110,19 @@ class _Message:
             raise ValueError(f"{count} events in a message of {len(data)} bytes")
         return np.frombuffer(data, np.uint8), at, size, count, places, shift
 
+    def first_time(self) -> int:
+        """Return the time of the first event of a dvs_msgs/EventArray in us."""
+        self.header()
+        self.size()
+        _, at, _, count, places, _ = self.events()
+        if not count:
+            raise ValueError("no events")
+        seconds, nanoseconds = (
+            struct.unpack_from("<" + code, self.data, at + int(places[i]))[0]
+            for code, i in (("i", 2), ("I", 3)))
+        time: int = seconds * 1_000_000 + nanoseconds // 1000
+        return time
+
 
 class RosRecording(FileRecording):
     """A recording in a ROS bag; see `open_recording`.
@@ -183,11 +199,20 @@ class RosRecording(FileRecording):
             yield connection.topic, connection.msgtype, data
 
     def _sensor_size(self, bag: Any) -> tuple[int, int]:
-        for _, _, data in self._of(bag):
-            message = _Message(data, self._cdr)
-            message.header()
-            return message.size()
-        raise RecordingError(f"{self._path}: neither events nor images in its topics")
+        """Return the size that most of the first messages give."""
+        sizes: list[tuple[int, int]] = []
+        seen = False
+        for _, _, data in islice(self._of(bag), SIZES):
+            seen = True
+            with suppress(ValueError, struct.error):
+                message = _Message(data, self._cdr)
+                message.header()
+                sizes.append(message.size())
+        if not sizes:
+            raise RecordingError(
+                f"{self._path}: neither events nor images in its topics" if not seen
+                else f"{self._path}: the first messages give no size of the sensor")
+        return max(sizes, key=sizes.count)
 
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None
@@ -217,7 +242,12 @@ class RosRecording(FileRecording):
         words = WordStream(3, self._info.sensor_size)
         promised = NEVER
         both = len(self._topics) > 1
-        for number, (topic, kind, data) in enumerate(self._messages()):
+        messages = self._messages()
+        ahead = next(messages, None)
+        for number in count():
+            if ahead is None:
+                return
+            (topic, kind, data), ahead = ahead, next(messages, None)
             batch = Batch()
             try:
                 message = _Message(data, self._cdr)
@@ -228,7 +258,7 @@ class RosRecording(FileRecording):
                     message.header()
                     message.size()
                     batch.events = self._array(
-                        message, clocks["events"], memory, number)
+                        message, clocks["events"], memory, number, ahead)
                 else:
                     batch.events = self._packet(
                         message, clocks["events"], words, memory, number)
@@ -298,14 +328,25 @@ class RosRecording(FileRecording):
             return []
         return [ApsFrame(image, int(t[0]), int(t[0]), full_scale_dn=full)]
 
-    def _array(self, message: _Message, clock: Clock, memory: Scratch, number: int
-               ) -> NDArray[Any]:
-        """Return the events of a dvs_msgs/EventArray."""
-        where = message.events()
-        return self._taken(
+    def _array(self, message: _Message, clock: Clock, memory: Scratch, number: int,
+               ahead: tuple[str, str, bytes] | None) -> NDArray[Any]:
+        """Return the events of a dvs_msgs/EventArray; ahead is the next message."""
+        where, before = message.events(), clock.last
+        events = self._taken(
             lambda done, out: _kernels.ros_events(
                 *where, done, *self._info.sensor_size, clock.state, out),
             where[3], clock, number, memory, unit="message")
+        if len(events) and ahead is not None and ahead[1] == EVENT_ARRAYS:
+            # A last event that is ahead of both its neighbours, as in the kernel.
+            before = int(events["t"][-2]) if len(events) > 1 else before
+            with suppress(ValueError, struct.error):
+                following = _Message(ahead[2], self._cdr).first_time()
+                if before <= following + int(clock.state[OFFSET]) < clock.last:
+                    self._count(number, "backward time", 1, "events were dropped "
+                                "because time ran backward", unit="message")
+                    clock.state[LAST] = before
+                    events = events[:-1]
+        return events
 
     def _packet(self, message: _Message, clock: Clock, words: WordStream,
                 memory: Scratch, number: int) -> NDArray[Any]:

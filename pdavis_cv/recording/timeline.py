@@ -25,7 +25,7 @@ WRAP_US = 1 << 32
 """A 32-bit microsecond counter that was not unwrapped jumps back by this."""
 
 # Places in the state of a Clock.
-FILLED, OFFSET, OUTSIDE, BACKWARD = 0, 2, 3, 4
+FILLED, LAST, OFFSET, OUTSIDE, BACKWARD, BEFORE = 0, 1, 2, 3, 4, 6
 
 
 class Timeline:
@@ -59,15 +59,15 @@ class Clock:
 
     Attributes
     ----------
-    state : ndarray of int64, shape (6,)
+    state : ndarray of int64, shape (7,)
         As in ``_kernels/_check.pxd``: filled, last, offset, outside, backward,
-        first bad.
+        first bad, before.
     """
 
     def __init__(self, timeline: Timeline, last: int = NEVER) -> None:
         self._timeline = timeline
         self._jumps = 0
-        self.state = np.array([0, last, 0, 0, 0, -1], np.int64)
+        self.state = np.array([0, last, 0, 0, 0, -1, last], np.int64)
 
     @property
     def last(self) -> int:
@@ -77,6 +77,7 @@ class Clock:
     def begin(self) -> None:
         """Begin to count anew what is taken and dropped."""
         self.state[[FILLED, OUTSIDE, BACKWARD]] = 0
+        self.state[BEFORE] = self.last
 
     def jump(self, t_us: int) -> int:
         """Begin a new segment before a sample at t_us; return how far it was moved."""

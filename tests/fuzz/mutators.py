@@ -100,6 +100,23 @@ def damaged(data, rng):
     return data or b"\0"
 
 
+def overwritten(data, rng):
+    """Return a copy of the same length: bits, bytes or numbers that others replaced."""
+    out = bytearray(data)
+    for _ in range(int(rng.integers(1, 4))):
+        at, count = int(rng.integers(len(out))), int(rng.integers(1, 17))
+        kind = int(rng.integers(4))
+        if kind == 0:
+            out[at] ^= 1 << int(rng.integers(8))
+        elif kind == 1:
+            out[at:at + count] = rng.bytes(len(out[at:at + count]))
+        elif kind == 2:
+            out[at:at + count] = bytes(len(out[at:at + count]))
+        elif len(out) >= 8:
+            out = bytearray(words(bytes(out), rng))
+    return bytes(out)
+
+
 def mutant(data, grammar, rng):
     """Return a copy that is damaged, half of the time by its grammar."""
     if grammar and rng.integers(2):

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import corpus
 import mutators
 import numpy as np
+import records
 
 import pdavis_cv
 from pdavis_cv import open_recording
@@ -201,6 +202,11 @@ class Target:
     parts : callable, optional
         From a whole file to the (first byte, byte after the last) of its packets: an
         event of a packet that is not touched must be delivered.
+    records : callable, optional
+        The same of records, whose bytes may be overwritten, but not moved (`records`);
+        with the places of their events where leaving a record out breaks the file.
+    spread : int
+        So many records after a damaged one may suffer with it.
     """
 
     whole: Callable
@@ -208,19 +214,27 @@ class Target:
     grammar: tuple = ()
     allowed: tuple = field(default=(pdavis_cv.RecordingError,))
     parts: Callable | None = None
+    records: Callable | None = None
+    spread: int = 0
+
+    @property
+    def divided(self):
+        """Whether a file has parts that others do not depend on."""
+        return bool(self.parts or self.records)
 
 
 RECORDINGS = {
     "aedat4": Target(corpus.aedat4, grammar=mutators.AEDAT4,
                      parts=corpus.aedat4_packets),
-    "aedat2": Target(corpus.aedat2),
+    "aedat2": Target(corpus.aedat2, records=records.aedat2),
     "aedat31": Target(corpus.aedat31, parts=corpus.aedat31_packets),
     "hdf5": Target(corpus.hdf5, grammar=mutators.HDF5),
-    "prophesee": Target(corpus.prophesee),
-    "lists": Target(corpus.lists, grammar=mutators.ARRAYS + mutators.TABLES),
+    "prophesee": Target(corpus.prophesee, records=records.prophesee, spread=1),
+    "lists": Target(corpus.lists, grammar=mutators.ARRAYS + mutators.TABLES,
+                    records=records.lists),
     "rpg": Target(corpus.rpg, grammar=mutators.HDF5),
-    "ros1": Target(corpus.ros1),
-    "ros2": Target(corpus.ros2),
+    "ros1": Target(corpus.ros1, records=records.bags),
+    "ros2": Target(corpus.ros2, records=records.bags),
     "usb": Target(corpus.usb),
 }
 """Formats of recordings, by name."""
@@ -261,32 +275,43 @@ def fuzz_one(name, data, folder):
 
 @functools.cache
 def whole_parts(name):
-    """Return for each file of a corpus its bytes, and its packets with their events.
+    """Return for each file of a corpus its bytes, and its parts with their events.
 
-    Packets are (first byte, byte after the last, places of their events, which tell
+    Parts are (first byte, byte after the last, places of their events, which tell
     each).  Which events a packet holds is found by leaving it out.
     """
     target, found = TARGETS[name], []
     with tempfile.TemporaryDirectory() as folder:
         for data in target.whole(corpus.small):
             every = target.read(data, Path(folder))
-            packets = []
-            for start, stop in target.parts(data):
-                rest = fuzz_one(name, data[:start] + data[stop:], Path(folder))
-                packets.append((start, stop, np.setdiff1d(every, rest)))
-            held = sum(len(times) for *_, times in packets)
-            assert held == len(every), (name, held, len(every))
-            found.append((data, packets))
+            parts = []
+            for start, stop, *places in (target.parts or target.records)(data):
+                if not places:
+                    rest = fuzz_one(name, data[:start] + data[stop:], Path(folder))
+                    places = [np.setdiff1d(every, rest)]
+                parts.append((start, stop, places[0]))
+            held = sum(len(places) for *_, places in parts)
+            assert target.records or held == len(every), (name, held, len(every))
+            if parts:
+                found.append((data, parts))
     return found
 
 
-def packet_mutant(name, number, rng):
-    """Return a whole file with packets damaged, and the events of the other packets."""
-    files = whole_parts(name)
-    data, packets = files[number % len(files)]
-    hit = {int(i) for i in rng.integers(len(packets), size=rng.integers(1, 3))}
+def part_mutant(name, number, rng):
+    """Return a file with parts damaged, the events of the others, and a number.
+
+    So many of those may be missing.
+    """
+    files, records_ = whole_parts(name), TARGETS[name].records is not None
+    data, parts = files[number % len(files)]
+    hit = {int(i) for i in rng.integers(len(parts), size=rng.integers(1, 3))}
+    if records_ and max(hit) - min(hit) < 2:    # two beside each other are like one
+        hit = {min(hit)}
     for i in sorted(hit, reverse=True):
-        start, stop, _ = packets[i]
-        data = data[:start] + mutators.damaged(data[start:stop], rng) + data[stop:]
+        start, stop, _ = parts[i]
+        change = mutators.overwritten if records_ else mutators.damaged
+        data = data[:start] + change(data[start:stop], rng) + data[stop:]
+    spoilt = {i + k for i in hit for k in range(1 + TARGETS[name].spread)}
     return data, np.concatenate([np.zeros(0, np.int64), *(
-        times for i, (*_, times) in enumerate(packets) if i not in hit)])
+        places for i, (*_, places) in enumerate(parts) if i not in spoilt)]), (
+            len(hit) if records_ else 0)
