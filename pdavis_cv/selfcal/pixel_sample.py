@@ -334,18 +334,23 @@ def contradicted_share(
     ndarray of float64, shape (K,)
         Part of the intervals with events; 0 where there is none.
     """
-    light = np.array([np.fmax(each.dn, 1) for each in intervals], np.float64)
+    # Of all pixels and intervals only those with events are looked at.
     good = np.array([each.usable for each in intervals])
-    variance = (READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2
-    variance, good = variance[1:] + variance[:-1], good[1:] & good[:-1]
-    fell, rose = theta_off * counts[1:, 0], theta_on * counts[1:, 1]
+    eventful = good[1:] & good[:-1] & (counts[1:].sum(1) >= _CLAIM_EVENTS)
+    k, pixel = np.nonzero(eventful)
+    dn = np.array([each.dn for each in intervals])
+    before, after = (np.fmax(dn[at, pixel], 1).astype(np.float64) for at in (k, k + 1))
+    fell, rose = theta_off[pixel] * counts[k + 1, 0, pixel], (
+        theta_on[pixel] * counts[k + 1, 1, pixel])
     claim, path = rose - fell, rose + fell
-    shown = np.diff(np.log(light), axis=0) * np.sign(claim)
-    eventful = good & (counts[1:].sum(1) >= _CLAIM_EVENTS)
-    short = _SHOWN_SHARE * np.abs(claim) - shown
-    against = (eventful & (np.abs(claim) > _CLAIM_SHARE * path)
-               & (short > _CLAIM_SIGMAS * np.sqrt(variance)))
-    share: NDArray[np.float64] = against.sum(0) / np.maximum(eventful.sum(0), 1)
+    shown = (np.log(after) - np.log(before)) * np.sign(claim)
+    variance = sum((READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2
+                   for light in (after, before))
+    against = ((np.abs(claim) > _CLAIM_SHARE * path)
+               & (_SHOWN_SHARE * np.abs(claim) - shown
+                  > _CLAIM_SIGMAS * np.sqrt(variance)))
+    share: NDArray[np.float64] = np.bincount(
+        pixel[against], minlength=len(theta_on)) / np.maximum(eventful.sum(0), 1)
     return share
 
 
