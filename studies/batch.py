@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import pickle
 import resource
 import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from pdavis_cv import (
 from pdavis_cv.data import example_recording
 from pdavis_cv.simulation import Camera, named_scene
 
+TURNS = 7       # interleaved; odd, for the median
 SIZE, SECONDS, RPM = (32, 32), 1.0, 300.0   # of each simulated recording
 KALMAN = FusionOptions(method="kalman", fps=100, layout="pdavis")
 
@@ -92,27 +92,14 @@ class Nothing:
 
 
 class Inline(Executor):
-    """Does everything at once, so that all memory and CPU time is the parent's.
-
-    Parameters
-    ----------
-    pickles : bool
-        Send everything there and back as to a process.
-    """
-
-    def __init__(self, pickles: bool = False) -> None:
-        self._pickles = pickles
+    """Does everything at once, so that all memory is the parent's."""
 
     def submit(  # type: ignore[override]
         self, function: Callable[..., Any], /, *args: Any, **kwargs: Any
     ) -> Future[Any]:
         """Do it."""
         future: Future[Any] = Future()
-        if not self._pickles:
-            future.set_result(function(*args, **kwargs))
-            return future
-        args, kwargs = pickle.loads(pickle.dumps((args, kwargs)))
-        future.set_result(pickle.loads(pickle.dumps(function(*args, **kwargs))))
+        future.set_result(function(*args, **kwargs))
         return future
 
 
@@ -152,28 +139,43 @@ def warmup(folder: Path) -> None:
 
 
 def tiles(path: Path) -> None:
-    """Print the CPU time of a recording as a whole and as two stripes."""
-    with open_recording(path) as recording:
+    """Print the CPU time of a recording by this process, and by it and two more."""
+    with open_recording(path) as recording, ProcessPoolExecutor(2) as pool:
         for method in ("cf", "events", "frames", "kalman"):
             options = FusionOptions(method=method, fps=100, layout="pdavis")
-            spent: dict[str, list[float]] = {"whole": [], "stripes": []}
+            ways: dict[str, dict[str, Any]] = {
+                "whole": {}, "stripes": {"executor": pool, "tiles": 2}}
+            cpu: dict[str, list[float]] = {way: [] for way in ways}
+            wall: dict[str, list[float]] = {way: [] for way in ways}
             differing = 0
-            for _ in range(5):
-                start = time.process_time()
-                whole = _measured(fuse(recording, options))
-                spent["whole"].append(time.process_time() - start)
-                start = time.process_time()
-                striped = _measured(fuse(
-                    recording, options, executor=Inline(pickles=True), tiles=2))
-                spent["stripes"].append(time.process_time() - start)
+            for turn in range(TURNS + 1):
+                found = []
+                for way, more in ways.items():
+                    start, busy = time.perf_counter(), _busy(pool)
+                    found.append(_measured(fuse(recording, options, **more)))
+                    if turn:        # before, the pool starts and imports
+                        cpu[way].append(_busy(pool) - busy)
+                        wall[way].append(time.perf_counter() - start)
                 differing += sum(
                     a.quad.tobytes() != b.quad.tobytes()
                     or a.valid.tobytes() != b.valid.tobytes()
-                    for a, b in zip(whole, striped, strict=True))
-            first, second = (statistics.median(times) for times in spent.values())
-            print(f"{method}: {first:.2f} s as a whole, {second:.2f} s as stripes "
-                  f"({second / first - 1:+.0%}), {len(whole)} images, {differing} "
-                  "of them differ")
+                    for a, b in zip(*found, strict=True))
+            overheads = [two / one - 1 for one, two in zip(
+                cpu["whole"], cpu["stripes"], strict=True)]
+            low, high = np.quantile(overheads, (0.25, 0.75))
+            print(f"{method}: CPU {statistics.median(cpu['whole']):.2f} s as a whole, "
+                  f"{statistics.median(cpu['stripes']):.2f} s by two workers "
+                  f"({statistics.median(overheads):+.0%}, quartiles {low:+.0%} to "
+                  f"{high:+.0%}); wall {statistics.median(wall['whole']):.2f} and "
+                  f"{statistics.median(wall['stripes']):.2f} s; {len(found[0])} "
+                  f"images, {differing} of them differ; load {os.getloadavg()[0]:.1f}")
+
+
+def _busy(pool: ProcessPoolExecutor) -> float:
+    """Return the CPU time of this process and of a pool's so far, s (Linux)."""
+    return time.process_time() + sum(
+        int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
+        for pid in pool._processes)
 
 
 def _measured(images: Iterable[PolarFrame]) -> list[PolarFrame]:

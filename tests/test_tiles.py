@@ -78,7 +78,7 @@ def test_stripes_are_the_same_bits(options, recording, monkeypatch):
     assert sent == 3 * (count // 5 + (count % 5 > 0))   # the state was handed on
 
 
-def test_where_all_pixels_count_time_is_divided_to_the_same_bits(
+def test_where_all_pixels_count_one_worker_is_ahead_to_the_same_bits(
         tmp_path, monkeypatch):
     with open_recording(write(tmp_path / "run.aedat4")) as small:
         count, sent = assert_same_images(
@@ -87,7 +87,8 @@ def test_where_all_pixels_count_time_is_divided_to_the_same_bits(
 
 
 @pytest.mark.parametrize("options", [
-    {"method": "frames"}, {"method": "cf"}, {"method": "cf", "causal": True}],
+    {"method": "frames"}, {"method": "cf"}, {"method": "cf", "causal": True},
+    {"method": "kalman"}],
     ids=lambda options: " ".join(map(str, options.values())))
 def test_pieces_of_time_of_any_method_are_the_same_bits(options, tmp_path, monkeypatch):
     with open_recording(write(tmp_path / "run.aedat4")) as small:
@@ -99,8 +100,10 @@ def test_pieces_of_time_of_any_method_are_the_same_bits(options, tmp_path, monke
 @pytest.mark.gate
 @pytest.mark.parametrize("options", [{}, {"causal": True}, {"mode": "offline"}],
                          ids=lambda options: " ".join(options) or "buffered")
-def test_pieces_of_time_of_a_camera_are_the_same_bits(options, recording, monkeypatch):
-    assert_same_images({"method": "kalman", **options}, recording, monkeypatch)
+@pytest.mark.parametrize("by_time", [False, True])
+def test_a_camera_s_images_are_the_same_bits(options, recording, monkeypatch, by_time):
+    assert_same_images({"method": "kalman", **options}, recording, monkeypatch,
+                       by_time=by_time)
 
 
 @pytest.mark.parametrize("shape", [(260, 346), (7, 5), (2, 2), (1, 4)])

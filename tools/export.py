@@ -184,11 +184,11 @@ def _parser() -> argparse.ArgumentParser:
         help="keep what an interruption leaves of a stack, and continue it")
     parser.add_argument(
         "--jobs", type=within(1, 1024), default=1, metavar="N",
-        help="processes that share the sensor's rows, or the time where pixels depend "
-             "on all others, as with kalman; default 1")
+        help="processes that share the sensor's rows; of kalman one works ahead; "
+             "default 1")
     parser.add_argument(
         "--by-time", action="store_true",
-        help="--jobs share the time in any case")
+        help="--jobs share the time instead of rows")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",

@@ -73,11 +73,11 @@ def fuse(
         What to begin with; the keywords below change it.
     executor : concurrent.futures.Executor, optional
         Works on stripes of the sensor, to the same bits; the recording is read here.
+        Where pixels depend on all others, as with ``kalman``, one worker has all.
     tiles : int, optional
         How many stripes, or pieces at a time; default one per core.
     by_time : bool
-        Divide time: states are followed here, images made there.  It always is where
-        pixels depend on all others, as with ``kalman``.
+        Divide time instead: states are followed here, and again by the workers.
     {options}
     **method_parameters
         Passed to the method, e.g. ``cutoff_hz`` for ``cf``.

@@ -5,6 +5,8 @@ workers tell it to states of stripes, or of pieces of time.
 """
 from __future__ import annotations
 
+import itertools
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._workers import Workers
 from pdavis_cv.fusion.engine import Fusion
+from pdavis_cv.fusion.handover import Handed, hand_over, memory_for, taken
 from pdavis_cv.fusion.images import Samples, samples_of
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.states import AsItArrives, Held, InOrder, Script, Told, states_of
@@ -126,23 +129,28 @@ class _Piece:
     stripe : _Stripe
     told : sequence of Told
         To its states, and when they are read.
-    before : Held or None
+    before : Handed, Held or None
         What they held before.
     hand_on : bool
         Whether what they hold afterwards is wanted.
+    slot : str or None
+        Where to hand over; of the state, with ".state" behind.
     """
 
     stripe: _Stripe
     told: Sequence[Told]
-    before: Held | None
+    before: Handed | Held | None
     hand_on: bool
+    slot: str | None
 
 
-def _work(piece: _Piece) -> tuple[list[Samples | None], Held | None]:
-    """Return the samples of a piece, None for those of the image before."""
+def _work(handed: Handed | _Piece) -> Any:
+    """Hand over the samples of each image, None for the one before's, and the state."""
+    piece: _Piece = taken(handed)
     states = piece.stripe.states()
-    if piece.before is not None:
-        states.take(piece.before)
+    before = taken(piece.before)
+    if before is not None:
+        states.take(before)
     found: list[Samples | None] = []
     last: object | None = None
     valid: NDArray[np.bool_] | None = None
@@ -159,7 +167,9 @@ def _work(piece: _Piece) -> tuple[list[Samples | None], Held | None]:
             valid = samples.valid
         found.append(samples._replace(valid=valid))     # one object is sent once
         last = shown
-    return found, states.held() if piece.hand_on else None
+    held = (hand_over(states.held(), piece.slot and f"{piece.slot}.state")
+            if piece.hand_on else None)
+    return hand_over((found, held), piece.slot)
 
 
 class _Leader(Fusion):
@@ -177,7 +187,7 @@ class _Leader(Fusion):
         self, recording: Source, options: FusionOptions, by_time: bool
     ) -> None:
         super().__init__(recording, options)
-        self.by_time = by_time or self.margin >= WHOLE_SENSOR
+        self.by_time = by_time
 
     def _start(self) -> None:
         super()._start()
@@ -227,8 +237,8 @@ def fuse_tiles(
     """Yield what `fuse` yields, made by an executor from n stripes.
 
     The recording is read here, once, and what must be learned of it is learned here.
-    Where the method's pixels depend on all others, the executor gets pieces of time,
-    n at once: what the method holds at their beginnings comes from following it here.
+    Where the method's pixels depend on all others there is one stripe, and one worker:
+    it is ahead by some images of what is made of its samples here.
 
     Parameters
     ----------
@@ -238,60 +248,84 @@ def fuse_tiles(
     n : int
         How many stripes, or pieces at a time.
     by_time : bool
-        Pieces of time in any case.
+        Pieces of time, whose states at their beginnings come from following them here.
     """
     whole = _Leader(recording, options, by_time)
     rows, columns = whole.window.rows, whole.window.columns
     height, width = whole.window.shape
-    regions = _stripes((columns.start, rows.start, width, height), n)
-    if whole.by_time:
-        return _by_time(whole, executor, len(regions))
-    return _by_stripes(whole, executor, regions)
+    regions = _stripes(
+        (columns.start, rows.start, width, height),
+        1 if whole.margin >= WHOLE_SENSOR and not by_time else n)
+    return _shared(whole, executor, regions)
+
+
+def _shared(
+    whole: _Leader, executor: Executor, regions: Sequence[Roi]
+) -> Iterator[PolarFrame]:
+    waiting = deque[Future[Any]]()
+    count = itertools.count()
+
+    def submit(
+        stripe: _Stripe, told: Sequence[Told], before: Handed | Held | None,
+        hand_on: bool,
+    ) -> None:
+        # Of a stripe, or of so many pieces, the one before may still be in use.
+        slot = folder and os.path.join(folder, str(next(count) % (2 * len(regions))))
+        waiting.append(executor.submit(_work, hand_over(
+            _Piece(stripe, stripe.seen(told), before, hand_on, slot),
+            slot and f"{slot}.told")))
+
+    with memory_for(executor) as folder:
+        make = _by_time if whole.by_time else _by_stripes
+        try:
+            yield from make(whole, regions, waiting, submit)
+        finally:
+            for future in waiting:
+                future.cancel()
 
 
 def _by_stripes(
-    whole: _Leader, executor: Executor, regions: Sequence[Roi]
+    whole: _Leader, regions: Sequence[Roi], waiting: deque[Future[Any]],
+    submit: Callable[..., None],
 ) -> Iterator[PolarFrame]:
     stripes = [whole.stripe(region) for region in regions]
-    held: list[Held | None] = [None] * len(stripes)
-    join, waiting = _Joined(whole), deque[Future[Any]]()
-    try:
-        now = whole.round()
-        while now.images:
-            waiting.extend(
-                executor.submit(_work, _Piece(one, one.seen(now.told), before, True))
-                for one, before in zip(stripes, held, strict=True))
-            after = whole.round()       # is read while they work
-            pieces = [waiting.popleft().result() for _ in stripes]
-            held = [one for _, one in pieces]
-            yield from join(now, [samples for samples, _ in pieces])
-            now = after
-    finally:
-        for future in waiting:
-            future.cancel()
+
+    def begin(now: _Round, held: Sequence[Handed | Held | None]) -> None:
+        for stripe, before in zip(stripes, held, strict=True):
+            submit(stripe, now.told, before, True)
+
+    join = _Joined(whole)
+    now = whole.round()
+    if now.images:
+        begin(now, [None] * len(stripes))
+    while now.images:
+        after = whole.round()       # is read while they work
+        pieces = [taken(waiting.popleft().result()) for _ in stripes]
+        if after.images:            # they work on while images are made and used here
+            begin(after, [held for _, held in pieces])
+        yield from join(now, [samples for samples, _ in pieces])
+        now = after
 
 
-def _by_time(whole: _Leader, executor: Executor, n: int) -> Iterator[PolarFrame]:
+def _by_time(
+    whole: _Leader, regions: Sequence[Roi], waiting: deque[Future[Any]],
+    submit: Callable[..., None],
+) -> Iterator[PolarFrame]:
     rows, columns = whole.window.rows, whole.window.columns
     stripe = whole.stripe((columns.start, rows.start,
                            columns.stop - columns.start, rows.stop - rows.start))
-    join, waiting = _Joined(whole), deque[tuple[_Round, Future[Any]]]()
-    try:
-        while True:
-            while len(waiting) < n:
-                before = whole.held()
-                now = whole.round()
-                if not now.images:
-                    break
-                waiting.append((now, executor.submit(_work, _Piece(
-                    stripe, stripe.seen(now.told), before, False))))
-            if not waiting:
-                return
-            now, future = waiting.popleft()
-            yield from join(now, [future.result()[0]])
-    finally:
-        for _, future in waiting:
-            future.cancel()
+    join, rounds = _Joined(whole), deque[_Round]()
+    while True:
+        while len(waiting) < len(regions):
+            before = whole.held()
+            now = whole.round()
+            if not now.images:
+                break
+            rounds.append(now)
+            submit(stripe, now.told, before, False)
+        if not waiting:
+            return
+        yield from join(rounds.popleft(), [taken(waiting.popleft().result())[0]])
 
 
 class _Joined:
