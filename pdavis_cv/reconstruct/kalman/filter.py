@@ -493,7 +493,9 @@ class KalmanFilter(Reconstructor):
             self._interval_us = middle - self._epoch_us if self._epoch_us else 0
             self._epoch_us = max(self._epoch_us, middle)
             self._reader.forget()
-            self._unsampled = None
+            if self._unsampled is not None:     # a pixel with a sample keeps one
+                samples = self._states["samples"].reshape(-1).take(self._unsampled)
+                self._unsampled = self._unsampled[samples == 0]
             if smoother is not None:
                 smoother.pass_until(
                     frame.known_us - self.lookahead_us, self._states)
