@@ -58,8 +58,8 @@ error 52 where the model holds (studies/selfcal_clock_offset.py); a refractory p
 
 _SIGMAS, _LEAST_US = 3.0, 1000.0
 """An offset counts beyond so many sigmas, and so many us: less is taken for lag, which
-nearly does the same.  A delay that the lag of the usual bandwidth makes within so many
-sigmas of its ln, up to 4.5 times 530 us, is that lag: clocks agree."""
+nearly does the same.  A delay less than 3 sigmas beyond what a photoreceptor makes
+within so many sigmas of the ln of its bandwidth, .1 to 2.4 ms, is its lag."""
 
 
 @dataclass(frozen=True)
@@ -139,9 +139,10 @@ def fit_clock_offset(
         steady = clean.between_like_events(start + lag_us)
         found = _minimum(steady, start, law)
         start = found.us
-    found = found._replace(sigma_us=math.hypot(found.sigma_us, ln_sigma * lag_us))
     delay_us = found.us + lag_us
-    usual = delay_us > 0 and abs(math.log(delay_us / lag_us)) < _SIGMAS * ln_sigma
+    usual = delay_us > 0 and abs(math.log(delay_us / lag_us)) < _SIGMAS * (
+        ln_sigma + math.hypot(found.sigma_us, _MODEL_US) / delay_us)
+    found = found._replace(sigma_us=math.hypot(found.sigma_us, ln_sigma * lag_us))
     told = agree = False
     if bandwidth is None:
         by_light, without = _in_proportion(steady, start)
