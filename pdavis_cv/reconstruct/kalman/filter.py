@@ -76,7 +76,7 @@ _DIM_SHARE = 0.12
 changes fastest where light is dim: weighed by the squared slope of 1 + .9 cos, the mean
 square of the lag is that at .12 of the brightest."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
-# Rows that a frame is used by at a time.
+# Rows that a frame is used by at a time, and what changes all states.
 _BAND = 32
 _NO_NODES = np.zeros((0, 0), NODE_DTYPE)
 
@@ -239,14 +239,18 @@ class KalmanFilter(Reconstructor):
 
     def _begin_thresholds(self) -> None:
         """Set the thresholds of the states to their prior, whatever they were."""
-        for part, theta, sigma in zip(
-                ("on", "off"), (self._theta_on, self._theta_off), self._sigma,
-                strict=True):
-            for name in (f"theta_{part}", f"prior_{part}"):
-                self._states[name] = theta
-            self._states[f"var_{part}"] = sigma**2
-            self._states[f"cov_base_{part}"] = 0
-        self._states["cov_on_off"] = 0
+        on, off, *sigmas = (np.broadcast_to(each, self.shape) for each in (
+            self._theta_on, self._theta_off, *self._sigma))
+        for first in range(0, self.shape[0], _BAND):    # as in `_give_up`
+            rows = slice(first, first + _BAND)
+            states = self._states[rows]
+            for part, theta, sigma in zip(
+                    ("on", "off"), (on, off), sigmas, strict=True):
+                for name in (f"theta_{part}", f"prior_{part}"):
+                    states[name] = theta[rows]
+                states[f"var_{part}"] = sigma[rows]**2
+                states[f"cov_base_{part}"] = 0
+            states["cov_on_off"] = 0
 
     def retune(self, **learned: Any) -> None:
         """Go on with another bandwidth, noise or thresholds (see `Reconstructor`).
@@ -310,19 +314,25 @@ class KalmanFilter(Reconstructor):
         """
         if not self._interval_us:
             return                      # nothing has been learned
-        states = self._states
-        relative = 2 * lag_error_s / (1e-6 * self._interval_us)
-        for name, sigma in zip(("on", "off"), self._sigma, strict=True):
-            prior = states[f"prior_{name}"]
-            share = np.divide(relative * prior, sigma, where=sigma > 0,
-                              out=np.zeros(self.shape))
-            part = np.minimum(share**2, 1)
-            kept = np.sqrt(1 - part)
-            states[f"theta_{name}"] = prior + kept * (states[f"theta_{name}"] - prior)
-            states[f"var_{name}"] = (
-                (1 - part) * states[f"var_{name}"] + part * sigma**2)
-            states[f"cov_base_{name}"] *= kept
-            states["cov_on_off"] *= kept
+        errors = 2 * lag_error_s / (1e-6 * self._interval_us)
+        sigmas = [np.broadcast_to(sigma, self.shape) for sigma in self._sigma]
+        # By bands whose records stay in a processor's cache.
+        for first in range(0, self.shape[0], _BAND):
+            rows = slice(first, first + _BAND)
+            states, relative = self._states[rows], errors[rows]
+            for name, sigma in zip(("on", "off"), (each[rows] for each in sigmas),
+                                   strict=True):
+                prior = states[f"prior_{name}"].copy()
+                share = np.divide(relative * prior, sigma, where=sigma > 0,
+                                  out=np.zeros_like(prior))
+                part = np.minimum(share**2, 1)
+                kept = np.sqrt(1 - part)
+                states[f"theta_{name}"] = prior + kept * (
+                    states[f"theta_{name}"] - prior)
+                states[f"var_{name}"] = (
+                    (1 - part) * states[f"var_{name}"] + part * sigma**2)
+                states[f"cov_base_{name}"] *= kept
+                states["cov_on_off"] *= kept
 
     def _doubt_bases(self, error_s: float) -> None:
         """Add to the variance of the bases what frames that far off did to them.
