@@ -2,6 +2,7 @@
 # make test: the tests, on all cores; make test ALL=1: with those that take long.
 # make docs: the site into build/docs/, warnings are errors.
 # make asan: the tests under the address and undefined-behaviour sanitizers.
+# make tsan: the tests of eight threads under the thread sanitizer.
 # make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
 # make soak MINUTES=40: stream simulated data, watch memory, handles and drift.
 # make twice: the wheel, built twice, is the same to the bit.
@@ -15,7 +16,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
 	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
 
-.PHONY: demo test docs asan bits fuzz soak twice clean
+.PHONY: demo test docs asan tsan bits fuzz soak twice clean
 
 # One more than there are cores: some tests wait for time to pass.
 WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
@@ -42,8 +43,8 @@ soak: $(VENV)/.with-test
 twice:
 	.ci/twice
 
-asan: $(SOURCES)
-	.ci/asan
+asan tsan: $(SOURCES)
+	.ci/sanitize $@
 
 bits: $(VENV)/.with-test
 	.ci/bits

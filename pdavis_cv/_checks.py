@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["MOST_SIDE", "checked_threshold", "output", "outputs", "positive",
-           "sensor_shape", "whole_number"]
+__all__ = ["MOST_SIDE", "checked_threshold", "output", "outputs", "plain",
+           "positive", "sensor_shape", "whole_number"]
 
 MOST_SIDE = 65_536
 """Of a sensor, pixels: coordinates of events have 16 bits."""
@@ -116,6 +116,11 @@ def positive(name: str, value: float) -> float:
     if not (np.isfinite(number) and number > 0):
         raise ValueError(f"{name} must be positive and finite, got {value!r}")
     return number
+
+
+def plain(value: Any) -> Any:
+    """Return Python's number for one of NumPy's, whose small integers overflow."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def whole_number(name: str, value: float, low: int, high: int) -> int:

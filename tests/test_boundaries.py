@@ -3,8 +3,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from boundaries import table
+
+from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.simulation.ideal import rotating_polarizer
 
 HERE = Path(__file__).parent
 
@@ -24,3 +28,14 @@ def test_the_table_calls_everything_rightly():
     for name, function, good in table():
         function(**good)
         assert name
+
+
+def test_small_integers_of_numpy_are_taken_for_numbers():
+    # In int8, 22 + 20000 is an OverflowError.
+    options = FusionOptions(fps=np.uint8(163), start_us=np.int8(22))
+    assert (options.fps, options.start_us) == (163, 22)
+    assert {type(options.fps), type(options.start_us)} == {int}
+    plain, small = (rotating_polarizer(
+        rpm=60.0, seconds=0.3, size=(2, 2), theta=(0.2, 0.2), dn=600.0, fps=kind(20),
+        exposure_us=20_000, readout_us=100)[0].events() for kind in (int, np.uint8))
+    np.testing.assert_array_equal(small, plain)

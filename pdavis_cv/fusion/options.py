@@ -28,6 +28,7 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import plain
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import checked_choice
 from pdavis_cv.events import checked_time
@@ -209,6 +210,8 @@ class FusionOptions:
             factory_of(self.method)
         put("times_us", _checked_times(self))
         _check_rate(self.fps)
+        for name in ("fps", "start_us", "stop_us"):
+            put(name, plain(getattr(self, name)))
         if self.layout is not None:
             put("layout", Layout.of(self.layout))
         if not isinstance(self.calibration, Calibration | None):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import sensor_shape, whole_number
+from pdavis_cv._checks import plain, sensor_shape, whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.recording.memory import recording_from_arrays
@@ -80,6 +80,8 @@ def rotating_polarizer(
         If a parameter is impossible; the message names it.
     """
     size = sensor_shape(size, "size")
+    rpm, seconds, dn, fps, dolp, extinction_ratio = map(
+        plain, (rpm, seconds, dn, fps, dolp, extinction_ratio))
     start_angle = float(start_angle)
     _require("start_angle", start_angle, abs(start_angle) <= MOST_ANGLE,
              f"must lie within {MOST_ANGLE:g} of 0")

@@ -3,8 +3,8 @@
 A record is the least that a format lets one tell apart: a line, a row, a word, in EVT2
 and EVT3 the words from one time to the next, in a bag a message.  Bytes that are
 overwritten there cost the events of that record, and at most one beside it: of two
-events whose times are not in order nothing says which is wrong.  A time of EVT2 and
-EVT3 that is ahead may also cost those of the next, which seem late.
+events whose times are not in order nothing says which is wrong.  An upper time of EVT2
+or EVT3 that is a little ahead may also cost those of the next two, which seem late.
 """
 import re
 

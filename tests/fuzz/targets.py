@@ -229,7 +229,7 @@ RECORDINGS = {
     "aedat2": Target(corpus.aedat2, records=records.aedat2),
     "aedat31": Target(corpus.aedat31, parts=corpus.aedat31_packets),
     "hdf5": Target(corpus.hdf5, grammar=mutators.HDF5),
-    "prophesee": Target(corpus.prophesee, records=records.prophesee, spread=1),
+    "prophesee": Target(corpus.prophesee, records=records.prophesee, spread=2),
     "lists": Target(corpus.lists, grammar=mutators.ARRAYS + mutators.TABLES,
                     records=records.lists),
     "rpg": Target(corpus.rpg, grammar=mutators.HDF5),
