@@ -186,3 +186,14 @@ def test_the_writer_refuses_what_it_must(tmp_path):
                              ({"frame_bits": 12}, "frame_bits must be 8 or 16")):
         with pytest.raises(ValueError, match=match):
             Aedat4Writer(tmp_path / "y.aedat4", sensor_size=SIZE, **arguments)
+
+
+def test_a_full_scale_that_no_frame_has_is_left_out(tmp_path):
+    path = tmp_path / "x.aedat4"
+    write_aedat4(path, small())
+    whole = path.read_bytes()
+    at = whole.index(b"fullScaleDN")
+    stated = whole.index(b">1023<", at)
+    path.write_bytes(whole[:stated] + b">0000<" + whole[stated + 6:])
+    with open_recording(path) as recording:
+        assert len(joined(recording.packets())[1]) == 3

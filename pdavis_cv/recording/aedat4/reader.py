@@ -108,8 +108,9 @@ class Aedat4Recording(FileRecording):
     def _frame_scale(self) -> samples.FrameScale | None:
         """Judge 16-bit frames by the first: one scale holds for the whole file."""
         stream = self._streams.get("FRME")
-        if stream is not None and stream.attributes.get("fullScaleDN", "").isdecimal():
-            scale = int(stream.attributes["fullScaleDN"])
+        stated = "" if stream is None else stream.attributes.get("fullScaleDN", "")
+        if stated.isdecimal() and len(stated) < 10 and int(stated) > 0:
+            scale = int(stated)
             return samples.FrameScale(1.0, scale, scale)
         if self._jaer:
             return samples.TEN_BIT
