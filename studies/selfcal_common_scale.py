@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 import sys
-from unittest.mock import patch
 
 import numpy as np
 from common import Found, main
@@ -40,9 +39,7 @@ def scale_of(preset, rpm, seed):
             watch.add_frame(frame)
     sample = select_busy_pixels(watch._window, nominal, LEAK_HZ)
     law = fit_bandwidth(sample).law
-    with patch.multiple(common_scale, _EVIDENCE=-math.inf, _MIN_CHANGE=-1.0,
-                        _MAX_SIGMA=math.inf, _MAX_NOISE_SHARE=math.inf):
-        found = common_scale.fit_common_scale(sample, law)
+    found = common_scale.fit_common_scale(sample, law)
     scale, ratio = math.log(found.on * found.off) / 2, math.log(found.on / found.off)
     return found.evidence, scale, ratio
 

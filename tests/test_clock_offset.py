@@ -18,6 +18,7 @@ from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion, clock_offset_in_situ
 from pdavis_cv.selfcal import ClockOffset, SelfCalibration
 from pdavis_cv.selfcal.clock_offset import fit_clock_offset
+from pdavis_cv.selfcal.estimator import QUANTITIES
 from pdavis_cv.selfcal.pixel_sample import select_busy_pixels
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer, Texture
 from pdavis_cv.tools import info
@@ -79,6 +80,23 @@ def test_offsets_of_cameras_of_another_family_lie_within_their_sigma(rpm):
         assert found.counts
         # 3.2 sigma were seen at 1000 RPM: the common scale is off there too.
         assert abs(found.us - true) < 3.5 * found.sigma_us < 3100
+
+
+@pytest.mark.gate
+def test_thresholds_and_stamps_that_are_both_wrong_are_told_together():
+    """With the stamps that suit thresholds of .2, the true ones are not likelier."""
+    scene = RotatingPolarizer(rpm=1013.0, start_angle=np.deg2rad(59.4))
+    recording, _ = recorded(scene, "davis346", 2, seconds=1.5, size=(12, 12))
+    watch = SelfCalibration(recording.info.sensor_size, every_pixel=False)
+    for packet in recording.packets():
+        watch.add_events(packet.events)
+        for frame in packet.frames:
+            watch.add_frame(frame)
+    found = watch.estimate(wanted=QUANTITIES - {"thresholds"})
+    camera = Camera.preset("davis346", seed=2)
+    offset_us = -camera.faults.frame_offset_us
+    assert found.clock_offset.us == pytest.approx(offset_us, abs=1000)
+    assert found.theta_on.mean() == pytest.approx(camera.dvs.theta_on, rel=0.2)
 
 
 @pytest.mark.parametrize("rpm", [30.4, 202.6])

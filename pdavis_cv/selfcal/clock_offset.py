@@ -58,8 +58,9 @@ error 52 where the model holds (studies/selfcal_clock_offset.py); a refractory p
 
 _SIGMAS, _LEAST_US = 3.0, 1000.0
 """An offset counts beyond so many sigmas, and so many us: less is taken for lag, which
-nearly does the same.  A delay less than 3 sigmas beyond what a photoreceptor makes
-within so many sigmas of the ln of its bandwidth, .1 to 2.4 ms, is its lag."""
+nearly does the same.  A delay that the lag of the usual bandwidth makes within so many
+sigmas of its ln, up to 4.5 times 530 us, is that lag; one that lies beyond by less than
+as many sigmas of its own may be either."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +141,8 @@ def fit_clock_offset(
         found = _minimum(steady, start, law)
         start = found.us
     delay_us = found.us + lag_us
-    usual = delay_us > 0 and abs(math.log(delay_us / lag_us)) < _SIGMAS * (
-        ln_sigma + math.hypot(found.sigma_us, _MODEL_US) / delay_us)
+    beyond = _sigmas_beyond(
+        delay_us, math.hypot(found.sigma_us, _MODEL_US), lag_us, ln_sigma)
     found = found._replace(sigma_us=math.hypot(found.sigma_us, ln_sigma * lag_us))
     told = agree = False
     if bandwidth is None:
@@ -151,9 +152,20 @@ def fit_clock_offset(
             found = by_light._replace(sigma_us=math.hypot(
                 by_light.sigma_us, _LAG_SHARE * (delay_us - by_light.us)))
         agree = without < found.cost + _EVIDENCE
-    if usual or agree:
+    agree = agree or beyond < _SIGMAS
+    if agree:
         found = found._replace(sigma_us=math.hypot(found.sigma_us, found.us))
-    return _offset(found, agree and not (told or usual))
+    return _offset(found, agree and not told and beyond > 0)
+
+
+def _sigmas_beyond(
+    delay_us: float, sigma_us: float, lag_us: float, ln_sigma: float
+) -> float:
+    """Return by how many of its sigmas a delay lies beyond the lags that are usual."""
+    if delay_us <= 0:
+        return math.inf
+    beyond = abs(math.log(delay_us / lag_us)) - _SIGMAS * ln_sigma
+    return beyond * delay_us / sigma_us
 
 
 def _offset(found: _Fit, or_lag: bool = False) -> ClockOffset:

@@ -49,6 +49,9 @@ _MODEL_SIGMA = 0.03
 """What the models of frames and interpolation have wrong in the scale (ln): rms error
 where thresholds are stated right (studies/selfcal_common_scale.py)."""
 
+_LEAST_BEND = 1.0
+"""Least curvature, as of a prior of a factor of e."""
+
 _MIN_CHANGE = 0.08
 """A scale nearer to 1 (in ln) is not told from what de-blurring and offsets of the
 frames make of it (up to .07, studies/selfcal_common_scale.py), and is what
@@ -70,18 +73,28 @@ class CommonScale(NamedTuple):
         Standard deviation of the ln of both.
     evidence : float
         By how much -ln L falls.
+    counts : bool
+        Whether that suffices to give up the nominal thresholds.
     """
 
     on: float
     off: float
     sigma: float
     evidence: float
+    counts: bool
+
+    @property
+    def differs(self) -> bool:
+        """Whether the factors are other ones than errors of the models make."""
+        return max(abs(math.log(self.on * self.off)) / 2,
+                   abs(math.log(self.on / self.off))) > _MIN_CHANGE
 
 
 def fit_common_scale(
-    sample: PixelSample, law: tuple[float, float], *, learn_bandwidth: bool = True
-) -> CommonScale | None:
-    """Return the factors at which the innovations are likeliest, None for the nominal.
+    sample: PixelSample, law: tuple[float, float], *, learn_bandwidth: bool = True,
+    clock_us: int = 0,
+) -> CommonScale:
+    """Return the factors at which the innovations are likeliest.
 
     Parameters
     ----------
@@ -92,6 +105,8 @@ def fit_common_scale(
     learn_bandwidth : bool
         Whether another bandwidth may belong to another scale.  The search then begins
         at the usual one too: what fits wrong thresholds best may be far off.
+    clock_us : int
+        By how much frames must be moved for nominal thresholds to fit best.
     """
     clean = sample.without_dim_samples().with_leak_in_frames()
     # Elsewhere interpolation errs by as much as a threshold, and attenuates the scale.
@@ -111,30 +126,33 @@ def fit_common_scale(
         tried.append((least, scale, ratio, bend, cost))
     found, scale, ratio, bend, cost = min(tried, key=lambda each: each[0])
     without, = cost(np.array([_NO_EVENTS]), np.zeros(1))
-    nominal, = _Cost(steady, law)(np.zeros(1), np.zeros(1))
-    if not (nominal - found > _EVIDENCE and without - found > _EVIDENCE
-            and bend * _MAX_SIGMA**2 > 1
-            and max(abs(scale), abs(ratio)) > _MIN_CHANGE):
-        return None
+    nominal, = _Cost(steady, law, clock_us)(np.zeros(1), np.zeros(1))
     on, off = _factors(scale, ratio)
+    result = CommonScale(
+        on, off, math.hypot(max(bend, _LEAST_BEND)**-0.5, _MODEL_SIGMA),
+        float(nominal - found), False)
+    if not (result.evidence > _EVIDENCE and without - found > _EVIDENCE
+            and bend * _MAX_SIGMA**2 > 1 and result.differs):
+        return result
     noise = fit_event_noise(clean.with_thresholds_scaled(on, off), cost.law)
-    if noise > _MAX_NOISE_SHARE * sample.events_per_s:
-        return None
-    return CommonScale(
-        on, off, math.hypot(bend**-0.5, _MODEL_SIGMA), float(nominal - found))
+    return result._replace(
+        counts=bool(noise <= _MAX_NOISE_SHARE * sample.events_per_s))
 
 
 class _Cost:
     """-ln L of ln(on off) / 2 and ln(on / off), the factors' scale and ratio."""
 
-    def __init__(self, sample: PixelSample, law: tuple[float, float]) -> None:
-        self._sample, self.law = sample, law
+    def __init__(
+        self, sample: PixelSample, law: tuple[float, float], clock_us: int = 0
+    ) -> None:
+        self._sample, self.law, self._clock_us = sample, law, clock_us
 
     def __call__(
         self, scale: NDArray[np.float64], ratio: NDArray[np.float64], every: int = 1
     ) -> NDArray[np.float64]:
         """Return -ln L, shape (C,), by one in `every` pixels."""
         candidates = candidates_of([self.law] * len(scale))
+        candidates["clock_us"] = self._clock_us
         candidates["scale_on"] = np.exp(scale + ratio / 2)
         candidates["scale_off"] = np.exp(scale - ratio / 2)
         return negative_log_likelihood(self._sample.innovations(candidates, every))

@@ -242,13 +242,11 @@ class SelfCalibration:
                 found = fit_bandwidth(sample)
                 law = found.law
             if not {"scale", "thresholds"}.isdisjoint(wanted):
-                scale = fit_common_scale(
-                    sample, law, learn_bandwidth=found is not None)
+                scale = _scale_of(stamped, law, clock, known, found is not None)
             if scale is not None:
                 stamped = stamped.with_thresholds_scaled(scale.on, scale.off)
                 sample = stamped
             if clock is not None:
-                # Wrong thresholds and wrong stamps each make the other hard to tell.
                 if scale is not None:
                     clock = fit_clock_offset(stamped, known)
                 sample = stamped.with_frames_moved(clock.applied_us)
@@ -322,6 +320,28 @@ class SelfCalibration:
         self._window.restore(state["window"])
         if self._whole is not None:
             self._whole.restore(state["whole"])
+
+
+def _scale_of(
+    stamped: PixelSample, law: tuple[float, float], clock: ClockOffset | None,
+    known: tuple[float, float, float] | None, learn_bandwidth: bool,
+) -> CommonScale | None:
+    """Return the scale of a sample whose stamps are as stated, None for the nominal.
+
+    Wrong thresholds and wrong stamps each make the other hard to tell: a scale that is
+    likelier, but not by enough, is looked for again with the stamps that suit it.
+    """
+    applied_us = 0 if clock is None else clock.applied_us
+    scale = fit_common_scale(stamped.with_frames_moved(applied_us), law,
+                             learn_bandwidth=learn_bandwidth)
+    if clock is not None and not scale.counts and scale.differs:
+        there_us = fit_clock_offset(stamped.with_thresholds_scaled(
+            scale.on, scale.off), known).applied_us
+        if there_us != applied_us:
+            scale = fit_common_scale(
+                stamped.with_frames_moved(there_us), law,
+                learn_bandwidth=learn_bandwidth, clock_us=applied_us - there_us)
+    return scale if scale.counts else None
 
 
 def _in_order(items: Sequence[Item], clock_us: int) -> Iterator[Item]:
