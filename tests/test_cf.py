@@ -233,6 +233,22 @@ def test_events_have_one_unit_whatever_their_field_names():
                                   two.read(1_000_000).log_intensity)
 
 
+def test_other_thresholds_hold_for_the_events_to_come():
+    method = make(adaptive_gain=False, cutoff_hz=1e-6)
+    method.add_frame(frames_of([1000])[0])
+    events = np.zeros(2, pdavis_cv.EVENT_DTYPE)
+    events["t"], events["p"] = (2000, 3000), 1
+    method.add_events(events[:1])
+    before = method.read(2500).log_intensity[0, 0]
+    method.retune(theta_on=np.full(SHAPE, 0.5))
+    assert method.read(2500).log_intensity[0, 0] == before
+    method.add_events(events[1:])
+    after = method.read(3000).log_intensity[0, 0]
+    assert after - before == pytest.approx(0.5, abs=1e-6)
+    with pytest.raises(TypeError, match="takes theta_on and theta_off, got bandwidth"):
+        method.retune(bandwidth=(1, 0))
+
+
 def test_inputs_are_not_changed_and_strides_do_not_matter():
     events = random_events(100, SHAPE, read_only=False)
     kept, frame = events.copy(), random_frame(SHAPE, 500_000)

@@ -240,6 +240,17 @@ def test_each_pixel_s_uncertainty_reaches_the_filter(realistic):
     np.testing.assert_allclose(sigma[1], np.sqrt(8) * spread, rtol=1e-6)
 
 
+def test_cf_learns_thresholds_as_the_stream_passes():
+    """Stated too low by half.  cf has no bandwidth, which is learned with them."""
+    made, _ = Camera.preset("nominal", seed=4, size=(8, 8)).record(
+        RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.2)
+    fusion = Fusion(made, method="cf", causal=True, thresholds="in-situ",
+                    nominal_thresholds=(0.08, 0.09), times_us=[1_150_000])
+    next(fusion)
+    found = fusion._states.method.parameters["theta_on"]
+    assert found.mean() == pytest.approx(0.16, rel=0.1)
+
+
 def test_the_stream_is_looked_at_ever_more_rarely(realistic):
     recording, _ = realistic
     online = OnlineLearning(Learning(

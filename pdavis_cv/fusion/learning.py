@@ -349,8 +349,9 @@ class OnlineLearning:
             estimate = dataclasses.replace(estimate, refractory=None)
         moved = clock is not None and clock.applied_us != before.clock_us
         # What was found of the lag with other stamps holds no more.
-        if estimate.bandwidth is not None and not moved and not _is_news(
-                estimate.bandwidth, checked_bandwidth(before.parameters["bandwidth"])):
+        known = before.parameters.get("bandwidth")
+        if (estimate.bandwidth is not None and known is not None and not moved
+                and not _is_news(estimate.bandwidth, checked_bandwidth(known))):
             estimate = dataclasses.replace(estimate, bandwidth=None)
         self.tuning = self._learning.tuned(before, estimate)
         self._looks += 1

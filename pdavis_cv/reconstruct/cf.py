@@ -78,14 +78,10 @@ class ComplementaryFilter(Reconstructor):
         cutoff_hz: float = CUTOFF_HZ, adaptive_gain: bool = True, literal: bool = False,
     ) -> None:
         self.shape = sensor_shape(shape)
-        self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
-        self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
+        self._set_thresholds(theta_on, theta_off)
         self._cutoff_hz = positive("cutoff_hz", cutoff_hz)
         self._adaptive_gain = bool(adaptive_gain)
         self._literal = bool(literal)
-        self._steps = steps(self._theta_on, self._theta_off)
-        self._leak = (
-            _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
         self._rate = 1e-6 * math.tau * self._cutoff_hz
         self._floor = GAIN_FLOOR if self._adaptive_gain else 1.0
         self._clock = StreamClock(self.shape)
@@ -95,6 +91,21 @@ class ComplementaryFilter(Reconstructor):
         self._held = np.zeros(self.shape, np.float32)
         self._exposure = np.zeros(self.shape[1], np.float32)
         self._valid = np.zeros(self.shape, np.bool_)
+
+    def _set_thresholds(self, theta_on: ArrayLike, theta_off: ArrayLike) -> None:
+        self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
+        self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
+        self._steps = steps(self._theta_on, self._theta_off)
+        self._leak = (
+            _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
+
+    def retune(self, **learned: Any) -> None:
+        """Go on with other thresholds, of the events to come (see `Reconstructor`)."""
+        if learned.keys() - {"theta_on", "theta_off"}:
+            raise TypeError("retune takes theta_on and theta_off, got "
+                            f"{', '.join(sorted(learned))}")
+        self._set_thresholds(learned.get("theta_on", self._theta_on),
+                             learned.get("theta_off", self._theta_off))
 
     @property
     def parameters(self) -> Mapping[str, Any]:
