@@ -45,9 +45,9 @@ cdef extern from *:
     """
     /* A line through N periods is wrong by up to 3 / (2 N)^2 (see rebalance). */
     #define LINE_ERROR 3.0
-    /* By so many of these errors a line is wrong, rms, in the first period of light
-       that moves fast and slowly at once; else by .84 (studies/redundancy_far.py). */
-    #define FAR_ERRORS 1.4
+    /* Beyond so many of these errors a pixel is far from the prior: two sigma.  In its
+       first period light that moves fast and slowly at once makes errors of 1.4 rms. */
+    #define FAR_ERRORS 2.0
     #define PART_LEAST 0.05         /* of a pixel's events are ON, or OFF, at least */
     #define GAIN_LEAST 0.02         /* of the unit vector of gains: not positive else */
     #define ROUNDED 1e-14           /* an off-diagonal element that is 0 */
