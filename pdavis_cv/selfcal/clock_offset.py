@@ -59,8 +59,7 @@ error 52 where the model holds (studies/selfcal_clock_offset.py); a refractory p
 _SIGMAS, _LEAST_US = 3.0, 1000.0
 """An offset counts beyond so many sigmas, and so many us: less is taken for lag, which
 nearly does the same.  A delay that the lag of the usual bandwidth makes within so many
-sigmas of its ln, up to 4.5 times 530 us, is that lag; one that lies beyond by less than
-as many sigmas of its own may be either."""
+sigmas of its ln, up to 4.5 times 530 us, is that lag: clocks agree."""
 
 
 @dataclass(frozen=True)
@@ -140,10 +139,9 @@ def fit_clock_offset(
         steady = clean.between_like_events(start + lag_us)
         found = _minimum(steady, start, law)
         start = found.us
-    delay_us = found.us + lag_us
-    beyond = _sigmas_beyond(
-        delay_us, math.hypot(found.sigma_us, _MODEL_US), lag_us, ln_sigma)
     found = found._replace(sigma_us=math.hypot(found.sigma_us, ln_sigma * lag_us))
+    delay_us = found.us + lag_us
+    usual = delay_us > 0 and abs(math.log(delay_us / lag_us)) < _SIGMAS * ln_sigma
     told = agree = False
     if bandwidth is None:
         by_light, without = _in_proportion(steady, start)
@@ -152,20 +150,9 @@ def fit_clock_offset(
             found = by_light._replace(sigma_us=math.hypot(
                 by_light.sigma_us, _LAG_SHARE * (delay_us - by_light.us)))
         agree = without < found.cost + _EVIDENCE
-    agree = agree or beyond < _SIGMAS
-    if agree:
+    if usual or agree:
         found = found._replace(sigma_us=math.hypot(found.sigma_us, found.us))
-    return _offset(found, agree and not told and beyond > 0)
-
-
-def _sigmas_beyond(
-    delay_us: float, sigma_us: float, lag_us: float, ln_sigma: float
-) -> float:
-    """Return by how many of its sigmas a delay lies beyond the lags that are usual."""
-    if delay_us <= 0:
-        return math.inf
-    beyond = abs(math.log(delay_us / lag_us)) - _SIGMAS * ln_sigma
-    return beyond * delay_us / sigma_us
+    return _offset(found, agree and not (told or usual))
 
 
 def _offset(found: _Fit, or_lag: bool = False) -> ClockOffset:
