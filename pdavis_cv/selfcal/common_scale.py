@@ -50,7 +50,8 @@ _MODEL_SIGMA = 0.03
 where thresholds are stated right (studies/selfcal_common_scale.py)."""
 
 _LEAST_BEND = 1.0
-"""Least curvature, as of a prior of a factor of e."""
+"""Least second derivative of -ln L by the ln of the scale, so that a flat minimum has a
+sigma too: a factor of e; numerical."""
 
 _MIN_CHANGE = 0.08
 """A scale nearer to 1 (in ln) is not told from what de-blurring and offsets of the

@@ -168,6 +168,7 @@ def main(argv=None):
     parser.add_argument("--seed", type=int, default=None)
     parser.add_argument("--first", type=int, default=0, help="number to begin with")
     parser.add_argument("--target", choices=TARGETS, default=None)
+    parser.add_argument("--without", choices=TARGETS, nargs="+", default=())
     parser.add_argument("--keep", type=Path, default=Path("."),
                         help="folder for files that broke something")
     parser.add_argument("--most-mb", type=float, default=MOST_MB,
@@ -176,7 +177,7 @@ def main(argv=None):
     seed = int.from_bytes(os.urandom(4)) if args.seed is None else args.seed
     # Without h5py, rosbags or roifile there is nothing to damage.
     names = [name for name in ([args.target] if args.target else TARGETS)
-             if corpora(name)]
+             if name not in args.without and corpora(name)]
     for name in names:      # load what reading takes, once
         with tempfile.TemporaryDirectory() as folder:
             if name != "http":      # whose threads would not survive a fork
