@@ -159,10 +159,15 @@ def test_nobody_there_is_a_device_error(tmp_path):
 # ---- with dv_processing ------------------------------------------------------------
 
 READER = """
+import os
 reader = dv.io.NetworkReader("127.0.0.1", int(sys.argv[1]))
 frames = dv.io.NetworkReader("127.0.0.1", int(sys.argv[2]))
 events, images = [], []
+end = time.monotonic() + 15
 while sum(map(len, events)) < int(sys.argv[3]) or len(images) < int(sys.argv[4]):
+    if time.monotonic() > end:      # on a busy machine its reader can lose a packet
+        print(sum(map(len, events)), "events and", len(images), "images", flush=True)
+        os._exit(1)
     batch = reader.getNextEventBatch()
     if batch is not None and len(batch):
         events.append(batch.numpy().copy())
@@ -170,7 +175,6 @@ while sum(map(len, events)) < int(sys.argv[3]) or len(images) < int(sys.argv[4])
     if frame is not None:
         images.append(frame.image.copy())
 np.savez(sys.argv[5], events=np.concatenate(events), images=np.stack(images))
-import os
 os._exit(0)
 """
 
@@ -178,13 +182,13 @@ os._exit(0)
 @pytest.mark.parametrize("compression", ["none", "lz4"])
 def test_dv_processing_reads_what_we_send(recording, tmp_path, compression):
     frames = frames_of(recording)
-    server = DvServer(recording.info, 0, 0, compression=compression)
-    with sending(recording, server):
-        process = theirs(READER, *server.places.values(), len(recording.events()),
-                         len(frames), tmp_path / "got.npz")
-        assert process.wait(PATIENCE_S) == 0
-        process.stdin.close()
-        process.stdout.close()
+    for _ in range(3):
+        server = DvServer(recording.info, 0, 0, compression=compression)
+        with sending(recording, server), theirs(
+                READER, *server.places.values(), len(recording.events()),
+                len(frames), tmp_path / "got.npz") as process:
+            if process.wait(PATIENCE_S) == 0:
+                break
     with np.load(tmp_path / "got.npz") as got:
         for name, other in (
                 ("t", "timestamp"), ("x", "x"), ("y", "y"), ("p", "polarity")):
