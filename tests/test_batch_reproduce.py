@@ -24,7 +24,8 @@ def test_parts_are_specimens_of_figures_and_cases_of_the_table():
     assert list(parts.parts(["fig2", "dr"], work)) == [
         "fig2-1", "fig2-4", "dr-1", "dr-4"]
     assert list(parts.parts(["all"], parts.Part())) == [
-        "fig2-1", "fig3-1", "fig4a-1", "dr-1", "flicker-1"]
+        *(f"{figure}-{seed}" for figure in ("fig2", "fig3") for seed in range(1, 11)),
+        "fig4a-1", "dr-1", "flicker-1"]
     count = len(robustness.robustness_cases(work.settings("robustness")))
     assert list(parts.parts(["robustness"], work)) == [
         f"robustness-{i}" for i in range(count)]

@@ -8,7 +8,7 @@ from pdavis_cv.tools import reproduce
 from pdavis_cv.tools.reproduce import print_style
 from pdavis_cv.tools.reproduce.bound import Bound
 from pdavis_cv.tools.reproduce.rotation import SCENES, Comparison, Spectrum, Trace
-from pdavis_cv.tools.reproduce.run import METHODS, Row
+from pdavis_cv.tools.reproduce.run import SHOWN, Row
 
 pytest.importorskip("matplotlib")
 
@@ -33,10 +33,10 @@ def result():
     counts = np.arange(60)
     return Comparison(
         SCENES["fig2"][0],
-        rows=[a_row(method, rpm, seed, seed * 0.1 * rpm) for method in METHODS
+        rows=[a_row(method, rpm, seed, seed * 0.1 * rpm) for method in SHOWN
               for rpm in RPMS for seed in range(1, 12)],
         traces=[Trace(rpm, name, t, aop, flat) for rpm in RPMS
-                for name in ("truth", *METHODS) if "own times" not in name],
+                for name in ("truth", *SHOWN) if "own times" not in name],
         spectra=[Spectrum(rpm, counts, 0.1, np.ones((2, 8), int), (3, 4),
                           (np.array([0.1, 0.4]), np.array([0, 1], np.uint8)))
                  for rpm in RPMS],
@@ -92,7 +92,7 @@ def test_growth_begins_at_zero_for_each_specimen(result):
 @pytest.mark.gate
 def test_the_dolp_itself_is_drawn_beside_the_truth(result):
     drawing = plots.rotation_figure("fig2", result)
-    axes, = (each for each in drawing.axes if each.get_ylabel() == "DoLP of the region")
+    axes, = (each for each in drawing.axes if each.get_ylabel() == "DoLP")
     lines = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
     assert set(lines["truth"]) == {1}
     np.testing.assert_allclose(lines["cf"], 0.9)
@@ -100,24 +100,36 @@ def test_the_dolp_itself_is_drawn_beside_the_truth(result):
 
 @pytest.mark.gate
 def test_the_least_errors_are_lines_of_their_own(result):
-    axes = plots.rotation_figure("fig2", result).axes[0]
-    lines = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
-    np.testing.assert_allclose(lines["bound, PDAVIS not calibrated"], 0.4)
-    np.testing.assert_allclose(lines["bound, one frame, all known"], 0.2)
+    for panel, calibrated, frame in ((0, 0.4, 0.2), (1, 0.007, 0.006)):
+        axes = plots.rotation_figure("fig3", result).axes[panel]
+        lines = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
+        np.testing.assert_allclose(lines["bound, not calibrated"], calibrated)
+        np.testing.assert_allclose(lines["bound, one frame"], frame)
+
+
+@pytest.mark.gate
+def test_networks_and_the_papers_limits_are_drawn_and_the_legend_is_whole(result):
+    drawing = plots.rotation_figure("fig2", result)
+    drawing.canvas.draw()
+    lines = {line.get_label() for line in drawing.axes[1].get_lines()}
+    assert {"firenet", "joint", "paper, with events: less"} <= lines
+    box = drawing.legends[0].get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= drawing.bbox.x1
 
 
 @pytest.mark.gate
 def test_a_trace_per_method_has_the_truth_behind_it(result):
     drawing = plots.traces_figure(result)
     lines = [axes.get_lines() for axes in drawing.axes]
-    assert len(lines) == 4 * sum("own times" not in name for name in METHODS)
+    assert len(lines) == 4 * sum("own times" not in name for name in SHOWN)
     for behind, line in lines:
         np.testing.assert_array_equal(behind.get_ydata(), line.get_ydata())
         assert behind.get_linewidth() > line.get_linewidth()
 
 
 def test_methods_differ_in_line_or_marker_where_there_is_no_colour():
-    looks = [print_style.look(name) for name in METHODS]
+    looks = [print_style.look(name) for name in SHOWN]
     assert len({(look["linestyle"], look["marker"]) for look in looks}) == len(looks)
     assert print_style.look("a method of someone else") == {}
 

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
+from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.simulation import PRESETS
 
 from .._common import (
@@ -49,6 +51,7 @@ from . import (
     overview,
     robustness,
     rotation,
+    rotation_networks,
     specification,
     tendon_images,
     together,
@@ -77,7 +80,8 @@ def _rotation(figure: str, stem: Path, settings: Settings) -> Result:
     """Figures 2 and 3."""
     scenes = rotation.SCENES[figure]
     made = [rotation.cases(scene, settings) for scene in scenes]
-    return _compared(figure, stem, settings, scenes, made, None)
+    return _compared(figure, stem, settings, scenes, made, None,
+                     network.all_weights(settings.weights))
 
 
 def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> Result:
@@ -94,11 +98,18 @@ def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> Resul
 def _compared(
     figure: str, stem: Path, settings: Settings, scenes: Sequence[rotation.Rotation],
     made: Sequence[Sequence[Case]], head: Sequence[str] | None,
+    weights: Mapping[str, Weights] = MappingProxyType({}),
 ) -> Result:
-    shown = iter(progress(range(sum(map(len, made))), sum(map(len, made)), "cases"))
+    count = (2 if weights else 1) * sum(map(len, made))
+    shown = iter(progress(range(count), count, "cases"))
     next(shown)
-    results = [rotation.compare(scene, settings, each, lambda: next(shown, None))
-               for scene, each in zip(scenes, made, strict=True)]
+    results = []
+    for scene, each in zip(scenes, made, strict=True):
+        result = rotation.compare(scene, settings, each, lambda: next(shown, None))
+        if weights:
+            rotation_networks.add_networks(
+                result, settings, each, weights, lambda: next(shown, None))
+        results.append(result)
     rows = [row for result in results for row in result.rows]
     write_rows(stem, rows, _facts(figure, settings))
     write_csv(
@@ -300,8 +311,31 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 _IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "optics", "tables")
 
 
+# Of figures 2 and 3 ten specimens, each at its own start angle, make up for fewer
+# images of each: 380 of a recording, at 5.077 ms.
+_MANY = tuple(range(1, 11))
+_STEPS_US = 1013, 5077  # no frame clock divides them
+
+
+def _own(name: str, settings: Settings) -> Settings:
+    """Fill in what was left to a figure: specimens, start angles, interval."""
+    seeds: tuple[int, ...] = (1,)
+    steps, starts = _STEPS_US, Settings.starts_deg
+    if name in rotation.SCENES:
+        starts = ()
+        if not settings.quick:
+            seeds, steps = _MANY, _STEPS_US[1:] * 2
+    elif name == "robustness":
+        seeds = robustness.QUICK_SEEDS if settings.quick else robustness.SEEDS
+        steps = robustness.STEPS_US
+    return dataclasses.replace(
+        settings, seeds=settings.seeds or seeds,
+        starts_deg=settings.starts_deg or starts,
+        step_us=settings.step_us or steps[settings.quick])
+
+
 def _experiment(name: str, stem: Path, settings: Settings) -> Result:
-    return EXPERIMENTS[name][1](name, stem, settings)
+    return EXPERIMENTS[name][1](name, stem, _own(name, settings))
 
 
 def _all(figure: str, stem: Path, settings: Settings) -> Result:
@@ -310,7 +344,8 @@ def _all(figure: str, stem: Path, settings: Settings) -> Result:
     rows = together.made(stems, settings, _experiment)
     every = [row for each in rows.values() for row in each]
     write_rows(stem, every, _facts(figure, settings))
-    write_index(stem, [(name, EXPERIMENTS[name][0]) for name in _IN_ALL], settings)
+    write_index(stem, [(name, EXPERIMENTS[name][0], _own(name, settings))
+                       for name in _IN_ALL])
     return write_page(stem, summary(rows)), every
 
 
@@ -354,9 +389,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(f"--recording belongs to fig2, not to {args.figure}")
     with journal(), for_people(args):
         if args.recording is None:
-            page, rows = EXPERIMENTS[args.figure][1](args.figure, args.out, settings)
+            page, rows = _experiment(args.figure, args.out, settings)
         else:
-            page, rows = _recorded(args.out, settings, args)
+            page, rows = _recorded(
+                args.out, _own(args.figure, settings), args)
     tell(args, [page], wrote=[beside_stem(args.out, end) for end in (".csv", ".md")],
          rows=list(map(dataclasses.asdict, rows)))
     return 0
@@ -392,19 +428,21 @@ def _parser() -> argparse.ArgumentParser:
         "--rpm", type=positive, nargs="+", help="turns per minute")
     parser.add_argument(
         "--seeds", type=within(0, LAST_SEED), nargs="+",
-        help="which specimens; default 1, of robustness "
+        help="which specimens; default 1, of fig2 and fig3 without --quick "
+             f"{_MANY[0]} to {_MANY[-1]}, of robustness "
              f"{' '.join(map(str, robustness.SEEDS))}, with --quick "
              f"{' '.join(map(str, robustness.QUICK_SEEDS))}")
     parser.add_argument(
-        "--starts-deg", type=number, nargs="+", default=[17.0], metavar="DEG",
-        help="angles at time 0, each with every specimen; default 17")
+        "--starts-deg", type=number, nargs="+", default=[], metavar="DEG",
+        help="angles at time 0, each with every specimen; default 17, of fig2 and "
+             "fig3 with 18 more for each specimen after the first")
     parser.add_argument(
         "--seconds", type=positive, help="length of a recording, more than 1.1")
     parser.add_argument(
         "--step-us", type=within(1, 10**9), metavar="US",
-        help="interval of the images scored; default 1013 (5077 with --quick), of "
-             "robustness {} ({}), which no frame clock divides".format(
-                 *robustness.STEPS_US))
+        help="interval of the images scored; default 1013 (5077 with --quick, and of "
+             "fig2 and fig3), of robustness {} ({}), which no frame clock "
+             "divides".format(*robustness.STEPS_US))
     parser.add_argument(
         "--quick", action="store_true", help="fewer and shorter cases, a first look")
     add_json_option(parser)
@@ -440,8 +478,9 @@ def _two_thresholds(text: str) -> tuple[float, float]:
 
 
 def settings_of(argv: Sequence[str]) -> Settings:
-    """Return what a command line would set."""
-    return _settings(_parser().parse_args(argv))
+    """Return what a command line would set for its figure."""
+    args = _parser().parse_args(argv)
+    return _own(args.figure, _settings(args))
 
 
 def _settings(args: argparse.Namespace) -> Settings:
@@ -454,25 +493,20 @@ def _settings(args: argparse.Namespace) -> Settings:
         if unknown:
             raise UsageError(
                 f"--scenes must be of {_named(network.SCENES)}, got {unknown[0]!r}")
-    seeds: tuple[int, ...] = (1,)
-    steps_us = 1013, 5077
-    if args.figure == "robustness":
-        seeds = robustness.QUICK_SEEDS if args.quick else robustness.SEEDS
-        steps_us = robustness.STEPS_US
-    step = args.step_us or steps_us[args.quick]
     return Settings(
         cameras=None if args.camera is None else tuple(args.camera),
-        seeds=tuple(args.seeds or seeds), starts_deg=tuple(args.starts_deg),
+        seeds=tuple(args.seeds or ()), starts_deg=tuple(args.starts_deg),
         rpms=None if args.rpm is None else tuple(args.rpm),
         methods=tuple(args.methods or [
             *METHODS, *network.METHODS, *robustness.ALL]),
         weights=tuple(args.weights), scenes=tuple(args.scenes),
-        seconds=args.seconds, step_us=step, quick=args.quick)
+        seconds=args.seconds, step_us=args.step_us or 0, quick=args.quick)
 
 
 def _facts(figure: str, settings: Settings) -> dict[str, Any]:
     return {"pdavis_cv": __version__, "figure": figure, "seeds": list(settings.seeds),
-            "starts_deg": list(settings.starts_deg), "step_us": settings.step_us}
+            "starts_deg": [start for _, start in settings.specimens],
+            "step_us": settings.step_us}
 
 
 def _plots() -> Any:

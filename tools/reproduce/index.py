@@ -22,20 +22,17 @@ figcaption { color: #444; } code { background: #f2f2f2; padding: 0 .2em; }
 """
 
 
-def write_index(stem: Path, figures: Sequence[tuple[str, str]], settings: Settings
-                ) -> None:
+def write_index(stem: Path, figures: Sequence[tuple[str, str, Settings]]) -> None:
     """Write STEM.html: the pictures STEM-NAME*.png, with captions.
 
     Parameters
     ----------
     stem : path
-    figures : sequence of (str, str)
-        Name and what it shows, in order.
-    settings : Settings
-        What the captions say of specimens and speeds.
+    figures : sequence of (str, str, Settings)
+        Name, what it shows, and of which specimens and speeds, in order.
     """
     parts = []
-    for name, what in figures:
+    for name, what, settings in figures:
         found = sorted(path.name.removesuffix(".png") for path in stem.parent.glob(
             f"{glob.escape(stem.name)}-{name}*.png"))
         caption = (f"<b>{html.escape(name)}</b>: {html.escape(what)}. "
@@ -75,8 +72,5 @@ def write_html(stem: Path, title: str, body: str) -> None:
 def _of(settings: Settings) -> str:
     """Say of which specimens the figures are."""
     cameras = ", ".join(settings.cameras or ("nominal",))
-    return (f"Cameras {cameras}; specimens {', '.join(map(str, settings.seeds))}; "
-            f"start angles {', '.join(f'{a:g}' for a in settings.starts_deg)} degrees; "
-            f"an image every {settings.step_us} us"
-            + ("; lines are medians, bands 5 to 95 % of the specimens."
-               if len(settings.specimens) > 1 else "."))
+    return (f"Cameras {cameras}; {settings.told_specimens}; an image every "
+            f"{settings.step_us} us.")

@@ -43,9 +43,10 @@ from .page import table
 from .rotation import RPMS
 from .run import OFF_LOCK, TAIL_US, Case, Settings, Take
 
-__all__ = ["METHODS", "SCENES", "TEXTURE_SEEDS", "NetworkCase", "NetworkRow",
-           "all_weights", "columns", "measure", "network_cases", "network_page",
-           "network_steps", "step_costs", "window_us"]
+__all__ = ["METHODS", "SCENES", "SETTLING", "SIDE", "TEXTURE_SEEDS", "NetworkCase",
+           "NetworkRow", "all_weights", "columns", "measure", "middle_of",
+           "network_cases", "network_page", "network_steps", "parameters_of",
+           "step_costs", "window_ends", "window_us"]
 
 _TABLE = "firenet, table"
 METHODS: dict[str, Mapping[str, Any]] = {
@@ -67,7 +68,7 @@ WINDOWS_PER_PERIOD = 24.618  # windows are to end at all phases
 SETTLING = 64  # windows: the longer of the memories of ``joint``
 _IMAGES = 200  # scored of a recording, at the most
 _LEAST_DOLP = 0.3
-_SIDE, _ROI = 40, 12
+SIDE, _ROI = 40, 12
 _RANGE_RPM = 60.0
 
 
@@ -130,7 +131,7 @@ def _case(scene: str, light: Callable[[float], Scene], period_us: float,
     settled = max(runs.SETTLE_US, SETTLING * window_us(period_us))
     scored = max(0.4e6, period_us) if settings.quick else max(5e5, 6 * period_us)
     return Case(scene=scene, light=light, seed=seed or settings.seeds[0], **{
-        "rpm": math.nan, "size": (_SIDE, _SIDE),
+        "rpm": math.nan, "size": (SIDE, SIDE),
         "seconds": settings.seconds or (settled + scored + TAIL_US) / 1e6, **more})
 
 
@@ -151,7 +152,7 @@ def _turning(settings: Settings) -> Iterator[NetworkCase]:
                 yield NetworkCase(
                     case=_case(scene, light(rpm, math.radians(start)), period,
                                settings, seed, rpm=rpm, start_deg=start,
-                               regions=_middle_of),
+                               regions=middle_of),
                     setting=f"{rpm:g} RPM", period_us=period, calibrated=True)
 
 
@@ -162,7 +163,8 @@ def _middle(size: tuple[int, int]) -> NDArray[np.bool_]:
     return np.asarray(np.logical_and.outer(y, x))
 
 
-def _middle_of(camera: Camera) -> Mapping[str, NDArray[np.bool_]]:
+def middle_of(camera: Camera) -> Mapping[str, NDArray[np.bool_]]:
+    """Return the region ``"middle"``: 12 x 12 pixels around a camera's middle."""
     return {"middle": _middle(camera.size)}
 
 
@@ -186,7 +188,7 @@ def _tendons(settings: Settings) -> Iterator[NetworkCase]:
     for hz in (10.0,) if settings.quick else (1.0, 10.0):
         yield NetworkCase(
             case=_case("tendon", light(hz), 1e6 / hz, settings,
-                       size=(16, 16) if settings.quick else (_SIDE, _SIDE)),
+                       size=(16, 16) if settings.quick else (SIDE, SIDE)),
             setting=f"{hz:g} Hz", period_us=1e6 / hz)
 
 
@@ -202,7 +204,7 @@ def _range(settings: Settings) -> Iterator[NetworkCase]:
             seconds = settings.seconds or (2.5 if settings.quick else 9.0)
             yield NetworkCase(
                 case=_case(f"irradiance, {camera}", light, period, settings,
-                           rpm=_RANGE_RPM, camera=camera, regions=_middle_of,
+                           rpm=_RANGE_RPM, camera=camera, regions=middle_of,
                            irradiance_uw_cm2=float(level),
                            event_dn_per_ms=EVENT_DN * level, seconds=seconds),
                 setting=f"{level:.3g} uW/cm2", period_us=period)
@@ -225,7 +227,7 @@ def _textures(settings: Settings) -> Iterator[NetworkCase]:
         period = WINDOWS_PER_PERIOD * 1e6 / speed  # a window is a pixel of its way
         yield NetworkCase(
             case=_case("texture", light, period, settings,
-                       size=(16, 16) if settings.quick else (_SIDE, _SIDE)),
+                       size=(16, 16) if settings.quick else (SIDE, SIDE)),
             setting=f"seed {seed}", period_us=period)
 
 
@@ -269,19 +271,19 @@ def measure(made: NetworkCase, settings: Settings,
     light = case.light(case.event_dn_per_ms)
     recording, truth = camera.record(light, case.seconds)
     take = Take(recording, truth, 0, truth.stop_us)
-    times = _window_ends(take, window)
+    times = window_ends(take, window)
     regions = case.regions(camera)
     for name in names:
         if "scaling" in METHODS[name] and not made.calibrated:
             continue
-        parameters = _parameters(name, case, window, weights)
+        parameters = parameters_of(name, case, window, weights)
         if name == _TABLE:
             parameters["table"] = _curves(
                 *camera.record(light, case.seconds, run=1), times, parameters)
         yield from _scored(made, window, name, take, times, regions, parameters)
 
 
-def _window_ends(take: Take, window: int) -> NDArray[np.int64]:
+def window_ends(take: Take, window: int) -> NDArray[np.int64]:
     """Return ends of windows: an image in between would show the one before."""
     first = max(take.settled_us, take.start_us + SETTLING * window)
     ends = np.arange(-(-first // window), -(-take.last_us // window)) * window
@@ -289,8 +291,9 @@ def _window_ends(take: Take, window: int) -> NDArray[np.int64]:
     return ends[np.sort(chosen)]
 
 
-def _parameters(name: str, case: Case, window: int,
-                weights: Mapping[str, Weights]) -> dict[str, Any]:
+def parameters_of(name: str, case: Case, window: int,
+                  weights: Mapping[str, Weights]) -> dict[str, Any]:
+    """Return what `fuse` is told of a method in `METHODS`; the window is in us."""
     method = runs.Method(parameters=METHODS[name])
     parameters = runs.fuse_parameters(method, case)
     if parameters["method"] in ("joint", "firenet"):

@@ -167,7 +167,8 @@ def bench_page(found: Sequence[Point]) -> list[str]:
              f"Simulated bench: a polarizer in steps of {_STEP_DEG:g} degrees, "
              f"{_SIDE} x {_SIDE} pixels, dark frames subtracted. Of the true ratio "
              "the paper's text states 40 at 500 nm; that it falls to 25 at 700 nm is "
-             "assumed: the series tests the measurement, not the filters. An "
+             "assumed, as no published curve was found in numbers: the series tests "
+             "the measurement, not the filters. An "
              "array that lies beside the pixels by a part of a pixel mixes "
              "neighbours: theory is (1 + c) / (1 - c), c = kappa ((1 - x)^2 + "
              "x^2)^(1/2).", ""]

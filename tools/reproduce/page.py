@@ -12,7 +12,7 @@ import numpy as np
 from pdavis_cv.export import write_beside, write_csv
 
 from .print_style import beside_stem
-from .run import METHODS, Row
+from .run import SHOWN, Row
 
 __all__ = ["cell", "mean", "pivot", "read_rows", "summary", "table", "write_page",
            "write_rows"]
@@ -75,7 +75,7 @@ def pivot(
     """
     settings = sorted({getattr(row, across) for row in rows})
     lines = []
-    for name in METHODS:
+    for name in SHOWN:
         mine = [row for row in rows if row.method == name]
         if all(np.isnan(mean(mine, column)) for column in columns):
             continue
@@ -126,7 +126,7 @@ def summary(rows: Mapping[str, Sequence[Row]]) -> list[str]:
         heads = [entry for entry in _SUMMARY
                  if any(row.camera == camera for row in found.get(entry[1], ()))]
         table_lines = []
-        for method in METHODS:
+        for method in SHOWN:
             cells = [
                 _summed([row for row in found[name] if row.method == method and all(
                     getattr(row, key) == value for key, value in having.items())],

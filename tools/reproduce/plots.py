@@ -14,16 +14,17 @@ from .rotation import (
     Comparison,
     Trace,
 )
-from .run import METHODS, Row
+from .run import SHOWN, Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["errors", "range_figure", "rotation_figure", "traces_figure"]
 
-# What the paper states of its camera with events (text beside its Figs. 2 and 3).
-_PAPER_AOP = ((30.0, 60.0, 60.0, 1000.0), (5.0, 5.0, 10.0, 10.0))
-_PAPER_GROWTH = ((30.0, 1000.0), (8.0, 8.0))
+# Limits that the paper states of its camera with events (text beside its Figs. 2 and
+# 3): turns per minute, and degrees or points of DoLP.
+_PAPER_AOP = ((60.0, 5.0), (1000.0, 10.0))
+_PAPER_GROWTH = ((1000.0, 8.0),)
 _BAND = (0.05, 0.5, 0.95)
 
 
@@ -68,7 +69,7 @@ def errors(
     """
     from matplotlib.ticker import FuncFormatter
 
-    for name in METHODS:
+    for name in SHOWN:
         mine = [row for row in rows if row.method == name]
         if not mine:
             continue
@@ -94,58 +95,80 @@ def errors(
     axes.set_ylabel(label)
 
 
-def _legend(drawing: Figure, axes: Any) -> None:
-    drawing.legend(*axes.get_legend_handles_labels(), loc="outside lower center",
+def _legend(drawing: Figure, panels: Sequence[Any]) -> None:
+    """Draw one legend of all panels below, as many columns as fit."""
+    handles = {label: handle for each in panels for handle, label in zip(
+        *each.get_legend_handles_labels(), strict=True)}
+    drawing.legend(handles.values(), handles.keys(), loc="outside lower center",
                    ncols=int(drawing.get_size_inches()[0] / 1.7))
 
 
 def rotation_figure(figure: str, result: Comparison) -> Figure:
-    """Draw errors against speed, and the events of the slowest and the fastest turn."""
-    drawing = new_figure(PAGE_IN, 5.0)
-    axes = drawing.subplots(2, 6, gridspec_kw={"hspace": 0.08})
-    grid = axes[0, 0].get_gridspec()
-    for each in axes.reshape(-1):
-        each.remove()
-    top = [drawing.add_subplot(grid[0, :3]), drawing.add_subplot(grid[0, 3:])]
-    bottom = [drawing.add_subplot(grid[1, 2 * k:2 * k + 2]) for k in range(3)]
-    letters([*top, *bottom])
-    errors(top[0], result.rows, "rpm", "aop_error_deg",
-           label="AoP error of super-pixels (degrees)")
-    _bounds(top[0], result)
-    paper: dict[str, Any] = {
-        "color": "black", "linestyle": (0, (1, 1)), "linewidth": 0.8}
+    """Draw errors against speed, and the events of the slowest and the fastest turn.
+
+    Parameters
+    ----------
+    figure : {"fig2", "fig3"}
+    result : Comparison
+
+    Returns
+    -------
+    Figure
+        Errors of super-pixels with the least that the physics allows; what the paper
+        draws, with its limits; events below.
+    """
+    drawing = new_figure(PAGE_IN, 5.4)
+    panels = drawing.subplots(2, 3)
+    letters(panels.reshape(-1))
+    first, second, third = panels[0]
+    rows = result.rows
+    errors(first, rows, "rpm", "aop_error_deg", label="AoP error (degrees)")
+    first.set_title("super-pixels")
+    _bounds(first, result, "aop_deg")
     if figure == "fig3":
-        errors(top[1], result.rows, "rpm", "dolp_error_roi", scale="linear",
-               label="growth of the region's DoLP error (points)", growth=True)
-        top[1].plot(*_PAPER_GROWTH, label="paper, network: less", **paper)
+        errors(second, rows, "rpm", "dolp_error", label="DoLP error")
+        second.set_title("super-pixels")
+        _bounds(second, result, "dolp")
+        errors(third, rows, "rpm", "dolp_error_roi", scale="linear", growth=True,
+               label="growth of DoLP error (points)")
+        _limits(third, _PAPER_GROWTH, "paper, network: less")
     else:
-        top[0].plot(*_PAPER_AOP, label="paper, events: less", **paper)
-        errors(top[1], result.rows, "rpm", "dolp_roi", scale="linear",
-               label="DoLP of the region")
-        top[1].axhline(1, color="black", linewidth=0.8, label="truth")
-    for each in top:
+        errors(second, rows, "rpm", "aop_error_roi_deg", label="AoP error (degrees)")
+        second.set_title("mean of the region")
+        _limits(second, _PAPER_AOP, "paper, with events: less")
+        errors(third, rows, "rpm", "dolp_roi", scale="linear", label="DoLP")
+        third.axhline(1, color="black", linewidth=0.8, label="truth")
+    third.set_title("mean of the region")
+    for each in panels[0]:
         each.set_xlabel("turns per minute")
-    handles = {label: handle for each in top for handle, label in zip(
-        *each.get_legend_handles_labels(), strict=True)}
-    drawing.legend(handles.values(), handles.keys(), loc="outside lower center",
-                   ncols=5)
-    _rates(bottom[0], result)
-    _intervals(bottom[1], result)
-    _raster(bottom[2], result)
+    _legend(drawing, panels[0])
+    _rates(panels[1, 0], result)
+    _intervals(panels[1, 1], result)
+    _raster(panels[1, 2], result)
     drawing.suptitle(result.rotation.title)
     return drawing
 
 
-def _bounds(axes: Any, result: Comparison) -> None:
-    """Draw the least errors of AoP that the physics allows."""
+def _bounds(axes: Any, result: Comparison, what: str) -> None:
+    """Draw the least errors, AoP or DoLP, that the physics allows."""
     if not result.bounds:
         return
     speeds, optics, frames = zip(*result.bounds, strict=True)
     for bounds, dashes, colour, label in (
-            (optics, (0, (5, 1)), "black", "bound, PDAVIS not calibrated"),
-            (frames, (0, (4, 1, 1, 1, 1, 1)), "0.45", "bound, one frame, all known")):
-        axes.plot(speeds, [each.aop_deg for each in bounds], color=colour,
+            (optics, (0, (5, 1)), "black", "bound, not calibrated"),
+            (frames, (0, (4, 1, 1, 1, 1, 1)), "0.45", "bound, one frame")):
+        axes.plot(speeds, [getattr(each, what) for each in bounds], color=colour,
                   linestyle=dashes, label=label)
+
+
+def _limits(axes: Any, stated: Sequence[tuple[float, float]], label: str) -> None:
+    """Draw what the paper states as arrows that point below it."""
+    for rpm, most in stated:
+        axes.plot(rpm, most, marker="_", color="black", markersize=9, linestyle="",
+                  markeredgewidth=1.2)
+        axes.annotate("", (rpm, most), (0, -10), textcoords="offset points",
+                      arrowprops={"arrowstyle": "<-", "linewidth": 0.9})
+    axes.plot([], [], marker="_", color="black", linestyle="", label=label)
 
 
 def traces_figure(result: Comparison) -> Figure:
@@ -164,27 +187,33 @@ def traces_figure(result: Comparison) -> Figure:
         if trace is None:
             axes.set_axis_off()
             continue
-        _trace(axes, by_name["truth", rpm], quantity, color="0.6", linewidth=2.5)
-        _trace(axes, trace, quantity, color=look(name)["color"], linewidth=0.9)
+        truth = by_name["truth", rpm]
+        start_us = int(truth.t_us[0])
+        axes.set_xlim(0, (truth.t_us[-1] - start_us) / 1000)
+        _trace(axes, truth, start_us, quantity, color="0.6", linewidth=2.5)
+        _trace(axes, trace, start_us, quantity, color=look(name)["color"],
+               linewidth=0.9)
         if axes in grid[0]:
-            axes.set_title(("AoP (degrees)" if quantity == "aop" else "DoLP")
+            axes.set_title(("AoP (°)" if quantity == "aop" else "DoLP")
                            + f", {rpm:g} RPM")
         if axes in grid[-1]:
             axes.set_xlabel("time (ms)")
     for axes, name in zip(grid[:, 0], names, strict=True):
         axes.set_ylabel(name.replace(", ", ",\n"), rotation=0, ha="right", va="center")
+    letters(grid[0])
     drawing.suptitle(f"{result.rotation.title}; grey: truth")
     return drawing
 
 
-def _trace(axes: Any, trace: Trace, quantity: str, **line: Any) -> None:
+def _trace(axes: Any, trace: Trace, start_us: int, quantity: str, **line: Any
+           ) -> None:
     values = getattr(trace, quantity)
     if quantity == "aop":
         values = np.rad2deg(values)
         # A jump from 180 to 0 is no line.
         values = np.where(np.abs(np.diff(values, prepend=values[0])) > 90,
                           np.nan, values)
-    axes.plot((trace.t_us - trace.t_us[0]) / 1000, values, **line)
+    axes.plot((trace.t_us - start_us) / 1000, values, **line)
     if quantity == "aop":
         axes.set_yticks((0, 90, 180))
         axes.set_ylim(-5, 185)
@@ -209,7 +238,8 @@ def _rates(axes: Any, result: Comparison) -> None:
                      label="the same, denoised")
     axes.set_xlabel("turns per minute")
     axes.set_ylabel("events per pixel and second")
-    axes.legend()
+    axes.set_ylim(top=1e8)  # room for the legend
+    axes.legend(loc="upper left")
 
 
 def _intervals(axes: Any, result: Comparison) -> None:
@@ -265,5 +295,5 @@ def range_figure(figure: str, rows: Sequence[Row]) -> Figure:
             axes.set_title(f"{group[0]}{region}\n`{camera}`")
             axes.set_xlabel("irradiance (µW/cm²)" if figure == "dr" else
                             "turns per minute")
-    _legend(drawing, grid[0, 0])
+    _legend(drawing, [grid[0, 0]])
     return drawing

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.analysis.intervals import events_by_phase, pixel_intervals
 from pdavis_cv.fusion import fuse
+from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.denoise import EventDenoiser
 from pdavis_cv.simulation import (
     FlatLight,
@@ -23,6 +24,7 @@ from .bound import Bound, frame_bound, optics_bound
 from .page import mean, pivot, table
 from .run import (
     METHODS,
+    NETWORKS,
     OFF_LOCK,
     Case,
     Row,
@@ -33,7 +35,7 @@ from .run import (
 )
 
 __all__ = ["INTERVALS_US", "RPMS", "SCENES", "Comparison", "Rotation",
-           "Spectrum", "Trace", "cases", "compare", "page"]
+           "Spectrum", "Trace", "cases", "compare", "mean_traces", "page"]
 
 RPMS = (30.0, 60.0, 100.0, 200.0, 500.0, 1000.0)
 # A fixed plate along 0 or 45 degrees would leave two channels without a change.
@@ -206,19 +208,34 @@ def _traces(
         start = take.settled_us
         stop = min(start + 2.2 * case.turn_us / rotation.cycles, take.last_us)
         times = np.unique(np.linspace(start, stop, 441).astype(np.int64))
-        stokes = np.array([
-            [plane.mean(dtype=np.float64) for plane in (image.s0, image.s1, image.s2)]
-            for image in fuse(take.recording, times_us=times, demosaic="superpixel",
-                              **fuse_parameters(method, case))])
-        s0, s1, s2 = stokes.T
-        traces.append(Trace(case.rpm, name, times, np.arctan2(s2, s1) / 2 % np.pi,
-                            np.hypot(s1, s2) / s0 if method.gives_dolp else
-                            np.full(len(s0), np.nan)))
+        aop, dolp = mean_traces(
+            fuse(take.recording, times_us=times, demosaic="superpixel",
+                 **fuse_parameters(method, case)))
+        traces.append(Trace(case.rpm, name, times, aop, dolp if method.gives_dolp else
+                            np.full(len(dolp), np.nan)))
         if traces[0].method != "truth":
             traces.insert(0, Trace(case.rpm, "truth", times,
                                    take.truth.aop(times, 0, 0),
                                    take.truth.dolp(times, 0, 0)))
     return traces
+
+
+def mean_traces(
+    images: Iterable[PolarFrame], where: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return AoP (radians) and DoLP of images' mean Stokes vectors, shape (T,) each.
+
+    Parameters
+    ----------
+    images : iterable of PolarFrame
+    where : ndarray of bool, shape (H, W), optional
+        What counts; default everything.
+    """
+    part = Ellipsis if where is None else where
+    s0, s1, s2 = np.array([
+        [plane[part].mean(dtype=np.float64) for plane in (image.s0, image.s1, image.s2)]
+        for image in images]).T
+    return np.arctan2(s2, s1) / 2 % np.pi, np.hypot(s1, s2) / s0
 
 
 def _spectrum(case: Case, takes: Takes) -> Spectrum:
@@ -245,7 +262,7 @@ def _spectrum(case: Case, takes: Takes) -> Spectrum:
 
 # ---- words -----------------------------------------------------------------------
 
-_USE_EVENTS = ("events", "cf", "kalman")
+_USE_EVENTS = ("events", "cf", "firenet", "joint", "kalman")
 
 
 def page(figure: str, results: Sequence[Comparison], settings: Settings,
@@ -255,9 +272,7 @@ def page(figure: str, results: Sequence[Comparison], settings: Settings,
                       row.method})
     lines = list(head) if head is not None else [
              f"# {figure}", "",
-             f"Cameras: {', '.join(cameras)}; specimens "
-             f"{', '.join(map(str, settings.seeds))}, start angles "
-             f"{', '.join(f'{a:g}' for a in settings.starts_deg)} degrees. Mean "
+             f"Cameras: {', '.join(cameras)}; {settings.told_specimens}. Mean "
              "absolute errors, AoP in degrees where the true DoLP exceeds 0.2, by "
              f"turns per minute (times {OFF_LOCK}: none is locked to the frame clock), "
              "from 1 s on. Thresholds are those that the maker would state.", ""]
@@ -282,7 +297,17 @@ def page(figure: str, results: Sequence[Comparison], settings: Settings,
               "because they are blurred. `kalman causal` knows a frame when its "
               "readout ends; other methods use it from its mid-exposure on. Sony "
               "cameras are simulated: 12 bits, extinction ratio 350, 20 ms exposure "
-              "(13.3 ms at 75 fps), the same part of the converter's range.", ""]
+              "(13.3 ms at 75 fps), the same part of the converter's range. The paper "
+              "gives its errors in pictures and states limits, which the pictures "
+              "here have as arrows.", ""]
+    if any(row.method in NETWORKS for result in results for row in result.rows):
+        lines += ["`firenet` and `joint` are the networks that come with the package: "
+                  "the paper's and one over four channels, trained on simulated "
+                  "textures, polarizers, retarders and wheels (docs/networks.md), not "
+                  "on these recordings and not anew for them, without the paper's "
+                  "calibration per speed. They see events only, of 40 x 40 pixels, of "
+                  "which the middle 12 x 12 count, and are scored at the ends of their "
+                  "windows, 1/25 of a period, once their memory has settled.", ""]
     return lines
 
 
@@ -351,7 +376,8 @@ def _stated2(result: Comparison) -> list[tuple[str, str, str]]:
             result, at, ("Sony 50 fps", "Sony 75 fps", "frames"),
             lambda rpm: rpm > 100) + " degrees at worst"),
         ("DoLP of a polarizer at low speed", "nearly 1", _over(
-            result, "dolp_error_roi", ("Sony 50 fps", "frames", "cf", "kalman"),
+            result, "dolp_error_roi",
+            ("Sony 50 fps", "frames", "cf", "firenet", "joint", "kalman"),
             lambda rpm: rpm == low) + " from 1"),
         ("DoLP to 1000 RPM", "events keep it beyond the frames' Nyquist limit", _over(
             result, "dolp_error_roi", ("Sony 50 fps", "frames", *_USE_EVENTS))
@@ -369,7 +395,7 @@ def _growth(result: Comparison, methods: Sequence[str]) -> str:
     for name in methods:
         mine = [row for row in result.rows if row.method == name]
         speeds = sorted({row.rpm for row in mine})
-        if len(speeds) > 1 and METHODS[name].gives_dolp:
+        if len(speeds) > 1 and np.isfinite(mean(mine, "dolp_error_roi")):
             by_speed = [mean([row for row in mine if row.rpm == rpm], "dolp_error_roi")
                         for rpm in speeds]
             parts.append(f"{name} {100 * (max(by_speed) - by_speed[0]):+.1f}")

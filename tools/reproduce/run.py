@@ -20,7 +20,9 @@ from .._images import warn_of_nothing
 
 __all__ = [
     "METHODS",
+    "NETWORKS",
     "OFF_LOCK",
+    "SHOWN",
     "SONY_FULL",
     "Case",
     "Method",
@@ -29,6 +31,7 @@ __all__ = [
     "Take",
     "Takes",
     "fuse_parameters",
+    "row_of",
     "run",
     "score",
 ]
@@ -89,6 +92,12 @@ METHODS: dict[str, Method] = {
         "method": "kalman", "mode": "offline", "thresholds": "in-situ"}),
 }
 """What is compared; a new way to fuse is a new line here."""
+
+NETWORKS = ("firenet", "joint")
+"""Networks on events alone; figures 2 and 3 score them at the ends of windows."""
+
+SHOWN = (*METHODS, *NETWORKS)
+"""What tables and pictures show, in order."""
 
 
 @dataclass(frozen=True)
@@ -246,8 +255,12 @@ class Settings:
 
     Parameters
     ----------
-    cameras, seeds, starts_deg, rpms
+    cameras, rpms
         What cases are made of; None leaves it to the experiment.
+    seeds : tuple of int
+        Which specimens.
+    starts_deg : tuple of float
+        Angles at time 0, each with every specimen; empty = each specimen its own.
     methods : tuple of str
         Names in `METHODS`, or of the figure's own.
     weights : tuple of str
@@ -276,7 +289,22 @@ class Settings:
     @property
     def specimens(self) -> list[tuple[int, float]]:
         """Seeds and start angles together."""
-        return [(seed, start) for seed in self.seeds for start in self.starts_deg]
+        return [(seed, start) for seed in self.seeds
+                for start in self.starts_deg or (_own_start_deg(seed),)]
+
+    @property
+    def told_specimens(self) -> str:
+        """Seeds and start angles in words, and what bands are if there are several."""
+        starts = dict.fromkeys(f"{start:g}" for _, start in self.specimens)
+        return (f"specimens {', '.join(map(str, self.seeds))}, start angles "
+                f"{', '.join(starts)} degrees{', one each' * (not self.starts_deg)}"
+                + (": lines are medians, bands 5 to 95 %"
+                   if len(self.specimens) > 1 else ""))
+
+
+def _own_start_deg(seed: int) -> float:
+    """Return a specimen's start angle: ten of them in a row cover half a turn."""
+    return (17.0 + 18.0 * (seed - 1)) % 180.0
 
 
 class Takes:
@@ -303,8 +331,9 @@ class Takes:
 
 def score(
     take: Take, *, regions: Mapping[str, NDArray[np.bool_] | None] | None = None,
-    step_us: int = 1013, own_times: bool = False, margin: float = 0.0,
-    demosaic: str = "superpixel", **parameters: Any,
+    step_us: int = 1013, times_us: NDArray[np.int64] | None = None,
+    own_times: bool = False, margin: float = 0.0, demosaic: str = "superpixel",
+    **parameters: Any,
 ) -> dict[str, Score]:
     """Score a method on a recording, once it has settled.
 
@@ -315,6 +344,8 @@ def score(
         Masks of the images' pixels, None for all of them.
     step_us : int
         Interval of the images.
+    times_us : ndarray of int64, shape (T,), optional
+        Times of the images instead.
     own_times : bool
         Score at the frames' mid-exposures instead.
     margin : float
@@ -330,7 +361,8 @@ def score(
     """
     when: dict[str, Any] = (
         {"start_us": take.settled_us, "stop_us": take.last_us} if own_times else
-        {"times_us": np.arange(take.settled_us, take.last_us, step_us)})
+        {"times_us": np.arange(take.settled_us, take.last_us, step_us)
+         if times_us is None else times_us})
     scorers: dict[str, Scorer] = {}
     for image in fuse(take.recording, demosaic=demosaic, **when, **parameters):
         scorers = scorers or {
@@ -370,16 +402,26 @@ def run(
                     roi_dolp=math.nan, dolp_coverage=math.nan)
             rate, interval = (
                 counted[region] if of_events else (math.nan, math.nan))
-            yield Row(
-                scene=case.scene, region=region, camera=method.preset or case.camera,
-                seed=case.seed, start_deg=case.start_deg, rpm=case.rpm,
-                irradiance_uw_cm2=case.irradiance_uw_cm2, method=name,
-                aop_error_deg=math.degrees(s.aop_error), dolp_error=s.dolp_error,
-                aop_error_roi_deg=math.degrees(s.roi_aop_error),
-                dolp_error_roi=s.roi_dolp_error, dolp_roi=s.roi_dolp,
-                aop_range_deg=math.degrees(s.roi_aop_range),
-                aop_coverage=s.aop_coverage, dolp_coverage=s.dolp_coverage,
-                valid=s.valid, events_per_pixel_s=rate, median_interval_us=interval)
+            yield row_of(case, name, s, region=region,
+                         camera=method.preset or case.camera,
+                         events_per_pixel_s=rate, median_interval_us=interval)
+
+
+def row_of(
+    case: Case, method: str, s: Score, *, region: str, camera: str,
+    events_per_pixel_s: float = math.nan, median_interval_us: float = math.nan,
+) -> Row:
+    """Return the row of a method's score on a region of a case's recording."""
+    return Row(
+        scene=case.scene, region=region, camera=camera, seed=case.seed,
+        start_deg=case.start_deg, rpm=case.rpm,
+        irradiance_uw_cm2=case.irradiance_uw_cm2, method=method,
+        aop_error_deg=math.degrees(s.aop_error), dolp_error=s.dolp_error,
+        aop_error_roi_deg=math.degrees(s.roi_aop_error),
+        dolp_error_roi=s.roi_dolp_error, dolp_roi=s.roi_dolp,
+        aop_range_deg=math.degrees(s.roi_aop_range), aop_coverage=s.aop_coverage,
+        dolp_coverage=s.dolp_coverage, valid=s.valid,
+        events_per_pixel_s=events_per_pixel_s, median_interval_us=median_interval_us)
 
 
 def fuse_parameters(method: Method, case: Case) -> dict[str, Any]:
