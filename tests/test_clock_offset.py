@@ -17,6 +17,7 @@ from pdavis_cv import (
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion, clock_offset_in_situ
 from pdavis_cv.selfcal import ClockOffset, SelfCalibration
+from pdavis_cv.selfcal.bandwidth import fit_bandwidth
 from pdavis_cv.selfcal.clock_offset import fit_clock_offset
 from pdavis_cv.selfcal.estimator import QUANTITIES
 from pdavis_cv.selfcal.pixel_sample import select_busy_pixels
@@ -105,6 +106,19 @@ def test_a_lag_that_depends_on_the_light_is_no_offset(rpm):
     found = fit_clock_offset(sample_of(recording))
     assert not found.counts
     assert abs(found.us) < 2000
+
+
+@pytest.mark.parametrize("law", [(15.0, 4.0), (30.0, 3.0)])
+def test_a_lag_that_depends_on_the_light_in_part_is_no_offset_either(law):
+    """105 Hz in bright light, 25 and 37 Hz at a tenth of it: events trail by ms."""
+    sample = sample_of(recorded(
+        RotatingPolarizer(rpm=202.6, start_angle=0.5, dolp=0.8), "nominal",
+        dvs=dict(zip(("cutoff_hz", "cutoff_hz_per_dn_ms"), law, strict=True)))[0])
+    assert not fit_clock_offset(sample).counts
+    found = fit_bandwidth(sample)
+    for light in (sample.bright, 0.1 * sample.bright):
+        assert found.hz + found.hz_per_intensity * light == pytest.approx(
+            law[0] + law[1] * light, rel=0.2)
 
 
 @pytest.mark.parametrize(("hz", "counts"), [(90.0, False), (40.0, True)])

@@ -11,8 +11,8 @@ from pdavis_cv.simulation import Camera, RotatingPolarizer
 NOMINAL = (0.16, 0.18)
 
 
-def recorded(rpm, refractory_us, seconds=1.0, size=(10, 10), **dvs):
-    return Camera.preset("nominal", seed=6, size=size, dvs={
+def recorded(rpm, refractory_us, seconds=1.0, size=(10, 10), seed=6, **dvs):
+    return Camera.preset("nominal", seed=seed, size=size, dvs={
         "refractory_us": refractory_us, **dvs}).record(
             RotatingPolarizer(rpm=rpm * 1.013, start_angle=0.4), seconds)
 
@@ -79,12 +79,16 @@ def test_what_is_lost_of_a_ramp_is_put_back():
 @pytest.mark.parametrize(("true_us", "aop_deg", "dolp"), [
     (1000.0, 1.5, 0.04), (3000.0, 4.0, 0.15)])
 def test_a_recording_at_1000_rpm_is_fused(true_us, aop_deg, dolp):
-    """Without: 13 to 38 degrees, .17 to .29."""
-    recording, truth = recorded(1000.0, true_us, seconds=1.5, size=(12, 12))
-    scorer = Scorer(truth, (6, 6))
-    for image in fuse(recording, method="kalman", demosaic="superpixel",
-                      times_us=range(1_000_000, 1_400_000, 9_000),
-                      nominal_thresholds=NOMINAL):
-        scorer.add(image)
-    assert np.degrees(scorer.score.aop_error) < aop_deg
-    assert scorer.score.dolp_error < dolp
+    """Mean of three cameras; without: 13 to 38 degrees, .17 to .29."""
+    scores = []
+    for seed in (6, 7, 8):
+        recording, truth = recorded(
+            1000.0, true_us, seconds=1.5, size=(12, 12), seed=seed)
+        scorer = Scorer(truth, (6, 6))
+        for image in fuse(recording, method="kalman", demosaic="superpixel",
+                          times_us=range(1_000_000, 1_400_000, 9_000),
+                          nominal_thresholds=NOMINAL):
+            scorer.add(image)
+        scores.append(scorer.score)
+    assert np.degrees(np.mean([score.aop_error for score in scores])) < aop_deg
+    assert np.mean([score.dolp_error for score in scores]) < dolp

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.selfcal.likelihood import negative_log_likelihood, vertex
 from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
-from pdavis_cv.selfcal.priors import USUAL_BANDWIDTH
+from pdavis_cv.selfcal.priors import TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
 
-__all__ = ["Bandwidth", "combine_bandwidths", "fit_bandwidth"]
+__all__ = ["Bandwidth", "combine_bandwidths", "fit_bandwidth", "least_cost_by_light"]
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,14 @@ _LAW_EVIDENCE, _LAW_FALL = 20.0, 0.15
 preferred to a constant one: by 20, and the mean square of the innovations by .15,
 relatively.  What interpolation and de-blurring get wrong repeats in every frame, so
 the evidence that it fakes grows with their number: a fan's steps lower the mean square
-by up to .12; where pixels do follow it falls by .19 or more, but for the dimmest light
+by up to .13; where pixels do follow it falls by .20 or more, but for the dimmest light
 (studies/selfcal_law.py)."""
+
+_SLOW_HZ, _SLOW_EVIDENCE = 150.0, 40.0
+"""Below this best constant, half the usual, a fall by 40 alone is enough, if bright
+pixels then have a usual bandwidth: a photoreceptor that slow is slow for want of light,
+which its bandwidth then follows (Lichtsteiner et al. 2008).  Of pixels whose bandwidth
+is constant and so low, a fan fakes evidence of up to 39 (studies/selfcal_law.py)."""
 
 _GRID_SHARES = np.array([0.0, 0.5, 0.8, 1.0])
 """Shares in proportion to the light at which -ln L is first evaluated."""
@@ -113,9 +119,13 @@ _COARSE_PIXELS = 16
 """Pixels that the grid is evaluated with; it need only find the neighbourhood of the
 minimum."""
 
-_COARSE_STEPS, _FINE_STEPS = np.array([-0.5, 0.0, 0.5]), (0.25, 0.1)
-"""Steps in ln hz about a minimum: on the grid's scale, and of two parabolas with all
-pixels, the latter of which gives the curvature too."""
+_COARSE_STEPS, _FINE_STEPS = 0.25 * np.arange(-3, 4), (0.25, 0.1)
+"""Steps in ln hz about a minimum: those that find it, as slow pixels make it .2 wide,
+and of two parabolas with all pixels, the latter of which gives the curvature too."""
+
+_SHARE_STEP = 0.25
+"""Step of the ln of dim light's corner frequency over bright light's, by which the
+share is refined."""
 
 _DIM = 0.1
 """Log intensity changes fastest where the light is dim: a tenth of a bright pixel's."""
@@ -140,7 +150,10 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     constant, best = least[0], min(least, key=lambda each: each.cost)
     # A law is applied beyond the light that told it, as where frames saturate:
     # without evidence for one the bandwidth is constant.
-    if constant.cost - best.cost < max(_LAW_EVIDENCE, _LAW_FALL * cost.count / 2):
+    slow = constant.ln_hz < math.log(_SLOW_HZ) and _is_usual(best.ln_hz)
+    enough = _SLOW_EVIDENCE if slow else max(
+        _LAW_EVIDENCE, _LAW_FALL * cost.count / 2)
+    if constant.cost - best.cost < enough:
         best = constant
     hz, slope = _law(best.share, best.ln_hz, sample.bright)
     at = _DIM * sample.bright
@@ -150,6 +163,20 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     return Bandwidth(float(hz), float(slope), at, min(sigma, _LN_HZ_SIGMA))
 
 
+def least_cost_by_light(sample: PixelSample) -> float:
+    """Return the least -ln L of pixels whose bandwidth follows the light.
+
+    Infinite if a constant is likelier, or if bright pixels' corner frequency would be
+    more than 3 standard deviations from what is usual.
+
+    Parameters
+    ----------
+    sample : PixelSample
+    """
+    best = min(_Cost(sample).minima(), key=_cost)
+    return best.cost if best.share > 0 and _is_usual(best.ln_hz) else math.inf
+
+
 class _Minimum(NamedTuple):
     """Where -ln L is least at a share, and the sigma of ln hz by its curvature."""
 
@@ -157,6 +184,16 @@ class _Minimum(NamedTuple):
     ln_hz: float
     cost: float
     sigma: float
+
+
+def _cost(each: _Minimum) -> float:
+    return each.cost
+
+
+def _is_usual(ln_hz: float) -> bool:
+    """Return whether a bright pixel's corner frequency is within 3 usual sigmas."""
+    hz, _, sigma = TYPICAL_BANDWIDTH
+    return abs(ln_hz - math.log(hz)) < _MAX_SIGMAS_APART * sigma
 
 
 class _Cost:
@@ -199,12 +236,26 @@ class _Cost:
     def minima(self) -> list[_Minimum]:
         """Return the minimum of a constant bandwidth, then those of likely shares."""
         ln_hz, costs = self.coarse()
-        start = ln_hz + _ln_dim(_GRID_SHARES)
-        shares = {0.0, vertex(_GRID_SHARES, costs),
-                  float(_GRID_SHARES[np.argmin(costs)])}
-        return [self.minimum(share, float(
-            np.interp(share, _GRID_SHARES, start) - _ln_dim(share)))
-            for share in sorted(shares)]
+        dim = _ln_dim(_GRID_SHARES)
+        shares = {0.0, float(_GRID_SHARES[1 + np.argmin(costs[1:])]),
+                  _share(-vertex(-dim, costs))}
+
+        def least(share: float, ln_dim_hz: float) -> _Minimum:
+            return self.minimum(share, ln_dim_hz - float(_ln_dim(share)))
+
+        found = [least(share, float(np.interp(-_ln_dim(share), -dim, ln_hz + dim)))
+                 for share in sorted(shares)]
+        best = min(found, key=_cost)
+        if best.share > 0:
+            middle = float(_ln_dim(best.share))
+            beside = [least(_share(u), best.ln_hz + middle)
+                      for u in (middle - _SHARE_STEP, middle + _SHARE_STEP)]
+            three = np.array([(_ln_dim(each.share), each.cost)
+                              for each in (beside[0], best, beside[1])])
+            if len(np.unique(three[:, 0])) == len(three):
+                beside.append(least(_share(vertex(*three.T)), best.ln_hz + middle))
+            found += beside
+        return found
 
     def minimum(self, share: float, ln_hz: float) -> _Minimum:
         """Return the minimum near ln_hz at a share, by all pixels."""
@@ -222,6 +273,11 @@ def _law(share: Any, ln_hz: Any, bright: float) -> tuple[Any, Any]:
     """Return hz and hz_per_intensity of a corner frequency at bright light."""
     hz = np.exp(ln_hz)
     return hz * (1 - share), hz * share / bright
+
+
+def _share(ln_dim: float) -> float:
+    """Return the share of which `_ln_dim` is that, between 0 and 1."""
+    return min(max((1 - math.exp(ln_dim)) / (1 - _DIM), 0.0), 1.0)
 
 
 def _ln_dim(share: Any) -> Any:

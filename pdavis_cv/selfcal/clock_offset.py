@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.selfcal.bandwidth import least_cost_by_light
 from pdavis_cv.selfcal.likelihood import negative_log_likelihood, vertex
 from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
 from pdavis_cv.selfcal.priors import CLOCK_OFFSET_SIGMA_US, TYPICAL_BANDWIDTH
@@ -35,7 +36,8 @@ with, Hz; a factor of two apart, as -ln L is a parabola in their ln."""
 
 _LAW_EVIDENCE = 20.0
 """By how much -ln L must fall for a lag that depends on the light to be preferred, as
-for the bandwidth."""
+for the bandwidth: with an offset, or, if its bandwidth follows the light in part, in
+place of one."""
 
 _LAG_SHARE = 0.2
 """Error of the lag that such a camera makes of the delay, relative: 1.3 to 1.8 ms of 7
@@ -127,7 +129,8 @@ def fit_clock_offset(
         Of the photoreceptors, where it is known: Hz, Hz per DN/ms and the standard
         deviation of the ln; then no other is tried.
     """
-    clean = sample.with_leak_in_frames().that_may_move(_REACH_US)
+    whole = sample.that_may_move(_REACH_US)
+    clean = whole.with_leak_in_frames()
     hz, per_intensity, ln_sigma = bandwidth or TYPICAL_BANDWIDTH
     law = hz, per_intensity
     lag_us = 1e6 / (2 * math.pi * (hz + per_intensity * sample.bright / 2))
@@ -149,7 +152,9 @@ def fit_clock_offset(
         if told:
             found = by_light._replace(sigma_us=math.hypot(
                 by_light.sigma_us, _LAG_SHARE * (delay_us - by_light.us)))
-        agree = without < found.cost + _EVIDENCE
+        agree = without < found.cost + _EVIDENCE or (
+            not usual and least_cost_by_light(
+                whole.between_like_events(start + lag_us)) < found.cost - _LAW_EVIDENCE)
     if usual or agree:
         found = found._replace(sigma_us=math.hypot(found.sigma_us, found.us))
     return _offset(found, agree and not (told or usual))
