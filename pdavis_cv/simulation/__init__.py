@@ -3,6 +3,7 @@ from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
 from pdavis_cv.simulation.camera import PRESETS, Camera
 from pdavis_cv.simulation.dvs import DvsPixel
+from pdavis_cv.simulation.elements import Behind, Waveplate
 from pdavis_cv.simulation.examples import example_truth
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.ideal import rotating_polarizer
@@ -35,6 +36,7 @@ __all__ = [
     "PRESETS",
     "SCENES",
     "ApsPixel",
+    "Behind",
     "Bus",
     "Camera",
     "DvsPixel",
@@ -56,6 +58,7 @@ __all__ = [
     "Texture",
     "Truth",
     "VideoScene",
+    "Waveplate",
     "example_truth",
     "named_scene",
     "rotating_polarizer",

@@ -47,10 +47,14 @@ class Scene(ABC):
     linear : bool
         Whether light is linear between samples (recorded scenes); else it is smooth
         and sampled finely enough for a cubic between samples.
+    circular : bool
+        Whether S3 can differ from 0: a lens with retardance then makes part of it
+        linear.
     """
 
     uniform: bool = False
     linear: bool = False
+    circular: bool = False
 
     @abstractmethod
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
@@ -65,6 +69,21 @@ class Scene(ABC):
         -------
         tuple of ndarray of float64
         """
+
+    def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """S3, circular light, in DN per ms; of Collett's sign.
+
+        Parameters
+        ----------
+        t_us, x, y : array_like
+            As for `stokes`.
+
+        Returns
+        -------
+        ndarray of float64
+            0 unless the scene has some.
+        """
+        return np.zeros(np.broadcast_shapes(np.shape(t_us), np.shape(x), np.shape(y)))
 
     @property
     @abstractmethod
@@ -158,6 +177,11 @@ class Sum(Scene):
         """The finer of both."""
         return min(self.first.step_us, self.second.step_us)
 
+    @property
+    def circular(self) -> bool:  # type: ignore[override]
+        """Whether either is."""
+        return self.first.circular or self.second.circular
+
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
         """Kinks of both, and samples of the smooth one."""
         return np.union1d(*(kinks(scene, start_us, stop_us)
@@ -167,6 +191,10 @@ class Sum(Scene):
         """S0, S1, S2 in DN per ms."""
         a, b = self.first.stokes(t_us, x, y), self.second.stokes(t_us, x, y)
         return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+    def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """S3 in DN per ms."""
+        return self.first.s3(t_us, x, y) + self.second.s3(t_us, x, y)
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Where the first scene is lit."""
@@ -205,6 +233,11 @@ class Flicker(Scene):
         """As the scene."""
         return self.scene.linear
 
+    @property
+    def circular(self) -> bool:  # type: ignore[override]
+        """As the scene."""
+        return self.scene.circular
+
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
         """Kinks of the scene, and samples of the lamp."""
         step = step_of(2e-6 * math.pi * self.hz)
@@ -218,10 +251,17 @@ class Flicker(Scene):
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms."""
-        lamp = 1 + self.depth * np.cos(
-            2e-6 * np.pi * self.hz * np.asarray(t_us, np.float64))
+        lamp = self._lamp(t_us)
         s0, s1, s2 = self.scene.stokes(t_us, x, y)
         return s0 * lamp, s1 * lamp, s2 * lamp
+
+    def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """S3 in DN per ms."""
+        return self.scene.s3(t_us, x, y) * self._lamp(t_us)
+
+    def _lamp(self, t_us: ArrayLike) -> FloatArray:
+        return np.asarray(1 + self.depth * np.cos(
+            2e-6 * np.pi * self.hz * np.asarray(t_us, np.float64)))
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Where the scene is lit."""
@@ -238,16 +278,30 @@ class FlatLight(Scene):
         DN per ms.
     dolp, aop : float
         Degree and angle (radians) of linear polarization.
+    docp : float
+        Degree of circular polarization, -1..1: S3 / S0.
     """
 
     s0: float = FULL
     dolp: float = 0.0
     aop: float = 0.0
+    docp: float = 0.0
     uniform = True
 
     def __post_init__(self) -> None:
         at_least_zero(s0=self.s0)
         fraction(dolp=self.dolp)
+        require("docp", self.docp, math.hypot(self.dolp, self.docp) <= 1 + 1e-12,
+                "leave the light polarized by at most 1 together with dolp")
+
+    @property
+    def circular(self) -> bool:  # type: ignore[override]
+        """Whether it is."""
+        return self.docp != 0
+
+    def s3(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
+        """S3 in DN per ms."""
+        return np.full(same_everywhere(t_us, x, y).shape, self.s0 * self.docp)
 
     @property
     def step_us(self) -> float:
@@ -328,6 +382,7 @@ class PolarizerBeforePlate(Scene):
     axis: float = 0.0
     retardance: float = math.pi / 2
     uniform = True
+    circular = True
 
     def __post_init__(self) -> None:
         at_least_zero(s0=self.s0)
@@ -337,6 +392,12 @@ class PolarizerBeforePlate(Scene):
         t = same_everywhere(t_us, x, y)
         polarizer = self.start_angle + rad_per_us(self.rpm) * t
         return behind_plate(self.s0, polarizer, self.axis, self.retardance)
+
+    def s3(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
+        """S3 in DN per ms."""
+        t = same_everywhere(t_us, x, y)
+        polarizer = self.start_angle + rad_per_us(self.rpm) * t
+        return circular_part(self.s0, polarizer, self.axis, self.retardance)
 
     @property
     def step_us(self) -> float:
@@ -369,6 +430,7 @@ class RotatingPlate(Scene):
     polarizer: float = 0.0
     retardance: float = math.pi / 2
     uniform = True
+    circular = True
 
     def __post_init__(self) -> None:
         at_least_zero(s0=self.s0)
@@ -378,6 +440,12 @@ class RotatingPlate(Scene):
         t = same_everywhere(t_us, x, y)
         axis = self.start_angle + rad_per_us(self.rpm) * t
         return behind_plate(self.s0, self.polarizer, axis, self.retardance)
+
+    def s3(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
+        """S3 in DN per ms."""
+        t = same_everywhere(t_us, x, y)
+        axis = self.start_angle + rad_per_us(self.rpm) * t
+        return circular_part(self.s0, self.polarizer, axis, self.retardance)
 
     @property
     def step_us(self) -> float:
@@ -399,6 +467,14 @@ def behind_plate(
     cos, sin = np.cos(2 * axis), np.sin(2 * axis)
     s1, s2 = along * cos - across * sin, along * sin + across * cos
     return np.full(s1.shape, float(s0)), s0 * s1, s0 * s2
+
+
+def circular_part(
+    s0: float, polarizer: ArrayLike, axis: ArrayLike, retardance: float
+) -> FloatArray:
+    """S3 of polarized light behind a retarder; see `behind_plate`."""
+    turn = 2 * (np.asarray(polarizer, np.float64) - np.asarray(axis, np.float64))
+    return np.asarray(-s0 * math.sin(retardance) * np.sin(turn))
 
 
 def staircase(t_us: FloatArray, hold_us: float, move_us: float) -> FloatArray:

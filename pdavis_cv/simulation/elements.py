@@ -1,0 +1,154 @@
+"""Elements that light passes before it reaches the lens: wave plates and others."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv.simulation.checks import positive, require
+from pdavis_cv.simulation.mueller import is_physical, retarder
+from pdavis_cv.simulation.scenes import FloatArray, Scene, Stokes
+
+__all__ = ["Behind", "Waveplate", "quartz_birefringence"]
+
+
+def quartz_birefringence(wavelength_nm: float) -> float:
+    """Return n_e - n_o of crystalline quartz at room temperature [Ghosh 1999].
+
+    Parameters
+    ----------
+    wavelength_nm : float
+        200 to 2000.
+    """
+    require("wavelength_nm", wavelength_nm, 200 <= wavelength_nm <= 2000,
+            "lie in 200..2000")
+    square = (wavelength_nm / 1000) ** 2
+    ordinary = (1.28604141 + 1.07044083 * square / (square - 1.00585997e-2)
+                + 1.10202242 * square / (square - 100))
+    extraordinary = (1.28851804 + 1.09509924 * square / (square - 1.02101864e-2)
+                     + 1.15662475 * square / (square - 100))
+    return math.sqrt(extraordinary) - math.sqrt(ordinary)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waveplate:
+    """A linear retarder, whose retardance depends on the wavelength.
+
+    Parameters
+    ----------
+    retardance : float
+        Radians at `design_nm`: pi/2 for a quarter-wave plate, pi for a half-wave one.
+    axis : float
+        Angle of the fast axis, radians.
+    design_nm : float
+        Wavelength that the plate is made for.
+    order : int
+        Whole waves of retardance beyond: 0 for a zero-order plate.
+    achromatic : bool
+        Of the same retardance at each wavelength; else of quartz.
+
+    Examples
+    --------
+    >>> plate = Waveplate(design_nm=550)
+    >>> [round(math.degrees(plate.retardance_at(nm)), 1) for nm in (450, 550, 650)]
+    [112.7, 90.0, 75.0]
+    """
+
+    retardance: float = math.pi / 2
+    axis: float = 0.0
+    design_nm: float = 550.0
+    order: int = 0
+    achromatic: bool = False
+
+    def __post_init__(self) -> None:
+        positive(design_nm=self.design_nm)
+        require("retardance", self.retardance, math.isfinite(self.retardance),
+                "be finite")
+        require("order", self.order,
+                isinstance(self.order, int) and self.order >= 0,
+                "be an integer of at least 0")
+        quartz_birefringence(self.design_nm)
+
+    def retardance_at(self, wavelength_nm: float) -> float:
+        """Return the retardance at a wavelength, radians, whole waves included."""
+        whole = 2 * math.pi * self.order + self.retardance
+        if self.achromatic:
+            return whole
+        return (whole * self.design_nm / wavelength_nm
+                * quartz_birefringence(wavelength_nm)
+                / quartz_birefringence(self.design_nm))
+
+    def mueller(self, wavelength_nm: float | None = None) -> FloatArray:
+        """Return the Mueller matrix, (4, 4); default at the design's wavelength."""
+        nm = self.design_nm if wavelength_nm is None else wavelength_nm
+        return retarder(self.retardance_at(nm), self.axis)
+
+
+@dataclass(frozen=True, eq=False)
+class Behind(Scene):
+    """The light of a scene after an element at rest.
+
+    Parameters
+    ----------
+    scene : Scene
+        The light before it.
+    matrix : array_like, shape (4, 4)
+        Mueller matrix of the element, as `Waveplate.mueller` gives it.
+
+    Raises
+    ------
+    ValueError
+        If no element can have this matrix.
+    """
+
+    scene: Scene
+    matrix: ArrayLike
+    circular = True
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.matrix, np.float64)
+        require("matrix", self.matrix, matrix.shape == (4, 4)
+                and bool(np.isfinite(matrix).all()) and is_physical(matrix),
+                "be the Mueller matrix of an element")
+        matrix.flags.writeable = False
+        object.__setattr__(self, "matrix", matrix)
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        """As the scene."""
+        return self.scene.uniform
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]
+        """As the scene."""
+        return self.scene.linear
+
+    @property
+    def step_us(self) -> float:
+        """As the scene."""
+        return self.scene.step_us
+
+    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
+        """Kinks of the scene."""
+        return self.scene.times_us(start_us, stop_us)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
+        """S0, S1, S2 in DN per ms."""
+        before = (*self.scene.stokes(t_us, x, y), self.scene.s3(t_us, x, y))
+        s0, s1, s2 = (self._row(j, before) for j in range(3))
+        return s0, s1, s2
+
+    def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """S3 in DN per ms."""
+        return self._row(3, (*self.scene.stokes(t_us, x, y),
+                             self.scene.s3(t_us, x, y)))
+
+    def _row(self, j: int, before: tuple[FloatArray, ...]) -> FloatArray:
+        row = np.asarray(self.matrix)[j]
+        return np.asarray(sum(m * s for m, s in zip(row, before, strict=True)))
+
+    def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Where the scene is lit."""
+        return self.scene.lit(x, y)
