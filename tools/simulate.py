@@ -16,7 +16,7 @@ import pdavis_cv
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.passing import passing
 from pdavis_cv.sensor import Sensor
-from pdavis_cv.simulation import PRESETS, SCENES, Camera, named_scene
+from pdavis_cv.simulation import LENSES, PRESETS, SCENES, Camera, named_scene
 
 from ._common import (
     Parser,
@@ -57,7 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.seconds > LONGEST_S:
         raise UsageError(
             f"--seconds must be at most {LONGEST_S:g}, got {args.seconds:g}")
-    camera = Camera.preset(args.camera, seed=args.seed, size=size)
+    changes = {} if args.optics is None else {"optics": args.optics}
+    camera = Camera.preset(args.camera, seed=args.seed, size=size, **changes)
     if camera.dvs is None and args.out.suffix == ".aedat":
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
     checked_out(args.out, recording=True, force=args.force)
@@ -86,6 +87,10 @@ def _parser() -> argparse.ArgumentParser:
         help="recording to write")
     parser.add_argument(
         "--camera", choices=list(PRESETS), default="nominal", help="default nominal")
+    parser.add_argument(
+        "--optics", choices=list(LENSES),
+        help="lens and crosstalk in front of the sensor; default none, light falls "
+             "straight on the polarizers")
     parser.add_argument(
         "--seconds", type=positive, default=3.0, help="duration, default 3")
     parser.add_argument(

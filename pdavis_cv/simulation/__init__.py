@@ -7,8 +7,9 @@ from pdavis_cv.simulation.elements import Behind, Waveplate
 from pdavis_cv.simulation.examples import example_truth
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.ideal import rotating_polarizer
+from pdavis_cv.simulation.lens import Lens
 from pdavis_cv.simulation.named import SCENES, named_scene
-from pdavis_cv.simulation.optics import Optics
+from pdavis_cv.simulation.optics import LENSES, Optics
 from pdavis_cv.simulation.patterns import (
     Fan,
     FunctionScene,
@@ -33,6 +34,7 @@ from pdavis_cv.simulation.truth import Truth
 
 __all__ = [
     "FULL",
+    "LENSES",
     "PRESETS",
     "SCENES",
     "ApsPixel",
@@ -46,6 +48,7 @@ __all__ = [
     "Flicker",
     "FunctionScene",
     "IrradianceSweep",
+    "Lens",
     "MalusSweep",
     "Optics",
     "PolarizerBeforePlate",

@@ -18,7 +18,7 @@ from pdavis_cv.simulation.bus import Bus
 from pdavis_cv.simulation.checks import affordable, positive, require
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
-from pdavis_cv.simulation.optics import Optics
+from pdavis_cv.simulation.optics import LENSES, Optics
 from pdavis_cv.simulation.scenes import FloatArray, Scene
 from pdavis_cv.simulation.specimens import drawn
 from pdavis_cv.simulation.stream import SimulatedRecording
@@ -104,7 +104,9 @@ class Camera:
     maps : mapping of str to ndarray of float64, shape (H, W)
         What this specimen has: ``angle`` (radians), ``extinction_ratio``, ``gain``,
         ``analyser`` (H, W, 3), ``theta_on``, ``theta_off`` (natural log), ``leak_hz``,
-        ``reset_dn``, ``dark_dn``.
+        ``reset_dn``, ``dark_dn``; with a lens ``circular``, the response to S3.
+    neighbours : Neighbours or None
+        The pixels with those around them, if there is crosstalk.
     """
 
     def __init__(
@@ -142,6 +144,8 @@ class Camera:
             self.maps |= dvs.maps(seed, size, origin)
         if aps is not None:
             self.maps |= aps.maps(seed, size, origin)
+        self.neighbours = None if self.optics.crosstalk is None else (
+            self.optics.neighbours(seed, size, origin, sensor.size))
         for array in self.maps.values():
             array.flags.writeable = False
 
@@ -170,7 +174,8 @@ class Camera:
         **changes
             Parameters of `Camera` (``seed``, ``size``, ``origin``, ...), and whole
             parts (``optics``, ``dvs``, ``aps``, ``bus``, ``faults``) or mappings of
-            single parameters of a part: ``dvs={"leak_hz": 0}``.
+            single parameters of a part: ``dvs={"leak_hz": 0}``.  ``optics="f2.8"``
+            puts one of `LENSES` before the polarizers.
 
         Raises
         ------
@@ -181,7 +186,11 @@ class Camera:
         parts = drawn(name, PRESETS[name], changes.get("seed", 0))
         parts.setdefault("faults", Faults())
         for part, given in changes.items():
-            if part in parts and isinstance(given, dict):
+            if part == "optics" and isinstance(given, str):
+                require("optics", given, given in LENSES,
+                        f"be one of {', '.join(LENSES)}")
+                parts[part] = dataclasses.replace(parts[part], **LENSES[given])
+            elif part in parts and isinstance(given, dict):
                 parts[part] = dataclasses.replace(parts[part], **given)
             else:
                 parts[part] = given

@@ -93,6 +93,9 @@ class SimulatedRecording(Recording):
         affordable("10 ms of the light's course",
                    8 * _WEIGHTS * intervals * camera.size[1], step_us=step)
         self._intervals = math.ceil(intervals - 1e-9)
+        # Uniform light is solved once for all pixels, but for S3.
+        self._circular = scene.circular and "circular" in camera.maps
+        self._uniform = scene.uniform and not self._circular
         self._info = camera.info(stop_us)
         self._bus: list[tuple[int, float, int]] = []
 
@@ -157,7 +160,7 @@ class SimulatedRecording(Recording):
         if faults.lost or faults.jitter_us:
             wrong = EventFaults(faults, camera.noise_seed(self.run))
         film = None
-        if isinstance(self.scene, VideoScene) and not (
+        if isinstance(self.scene, VideoScene) and camera.neighbours is None and not (
                 camera.dvs is not None and (
                     camera.dvs.cutoff_hz_per_dn_ms or camera.dvs.leak_hz_per_dn_ms
                     or camera.dvs.second_pole_hz)):
@@ -200,7 +203,7 @@ class SimulatedRecording(Recording):
         if film is not None:
             step = -(-height // (self.threads * FILM_ROWS)) * FILM_ROWS
             rows = [slice(r, min(r + step, height)) for r in range(0, height, step)]
-        elif self.threads == 1 and (self.scene.uniform or self.scene.linear):
+        elif self.threads == 1 and (self._uniform or self.scene.linear):
             rows = [slice(0, height)]
         blocks = self._blocks(start)
         weights = {} if clock is None else {
@@ -284,7 +287,7 @@ class SimulatedRecording(Recording):
             return [(a, (b - a) / n, n)
                     for (a, b), n in zip(itertools.pairwise(times), cuts, strict=True)]
         step = PIECE_US / self._intervals
-        size = self._intervals if self.scene.uniform else _INTERVALS
+        size = self._intervals if self._uniform else _INTERVALS
         return [(start + first * step, step, min(size, self._intervals - first))
                 for first in range(0, self._intervals, size)]
 
@@ -301,20 +304,42 @@ class SimulatedRecording(Recording):
         camera = self.camera
         analyser = camera.maps["analyser"][rows]
         row, column = camera.origin
-        if self.scene.uniform:
+        seen: FloatArray | None = None
+        if self._uniform:
             light = np.stack(self.scene.stokes(t, column, row), axis=-1)
-            seen: FloatArray | None = np.ascontiguousarray(analyser.reshape(-1, 3))
+            seen = np.ascontiguousarray(analyser.reshape(-1, 3))
+        elif camera.neighbours is not None:
+            places = self._places(rows, 1)
+            light = camera.neighbours.light(
+                (*self.scene.stokes(t[:, None, None], *places),
+                 self.scene.s3(t[:, None, None], *places)), rows
+            ).reshape(len(t), -1)
         else:
-            y = np.arange(rows.start, rows.stop)[:, None] + row
-            x = np.arange(camera.size[1])[None, :] + column
-            s0, s1, s2 = self.scene.stokes(t[:, None, None], x, y)
+            places = self._places(rows, 0)
+            s0, s1, s2 = self.scene.stokes(t[:, None, None], *places)
             a0, a1, a2 = np.ascontiguousarray(np.moveaxis(analyser, -1, 0))
-            light = (a0 * s0 + a1 * s1 + a2 * s2).reshape(len(t), -1)
-            seen = None
+            light = a0 * s0 + a1 * s1 + a2 * s2
+            if self._circular:
+                light = light + camera.maps["circular"][rows] * self.scene.s3(
+                    t[:, None, None], *places)
+            light = light.reshape(len(t), -1)
         light = np.ascontiguousarray(light)
         slope = np.empty((0, light.shape[1])) if self.scene.linear else (
             node_slopes(light))
         return light, slope, seen
+
+    def _places(self, rows: slice, around: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Columns and rows on the sensor of these rows, and of pixels around them."""
+        row, column = self.camera.origin
+        y = np.arange(rows.start - around, rows.stop + around)[:, None] + row
+        x = np.arange(-around, self.camera.size[1] + around)[None, :] + column
+        if around:  # beyond the sensor there is nothing, beyond a video no light known
+            first, size = (0, 0), self.camera.sensor.size
+            if isinstance(self.scene, VideoScene):
+                first, size = self.scene.origin, self.scene.quad.shape[2:]
+            y = np.clip(y, first[0], first[0] + size[0] - 1)
+            x = np.clip(x, first[1], first[1] + size[1] - 1)
+        return x, y
 
     def _finish(
         self, clock: FrameClock, sums: dict[int, FloatArray], stop: int
