@@ -16,7 +16,14 @@ import pdavis_cv
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.passing import passing
 from pdavis_cv.sensor import Sensor
-from pdavis_cv.simulation import LENSES, PRESETS, SCENES, Camera, named_scene
+from pdavis_cv.simulation import (
+    LENSES,
+    PRESETS,
+    SCENES,
+    Camera,
+    Temperature,
+    named_scene,
+)
 
 from ._common import (
     Parser,
@@ -57,7 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.seconds > LONGEST_S:
         raise UsageError(
             f"--seconds must be at most {LONGEST_S:g}, got {args.seconds:g}")
-    changes = {} if args.optics is None else {"optics": args.optics}
+    changes = {name: value for name in ("optics", "temperature")
+               if (value := getattr(args, name)) is not None}
     camera = Camera.preset(args.camera, seed=args.seed, size=size, **changes)
     if camera.dvs is None and args.out.suffix == ".aedat":
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
@@ -91,6 +99,10 @@ def _parser() -> argparse.ArgumentParser:
         "--optics", choices=list(LENSES),
         help="lens and crosstalk in front of the sensor; default none, light falls "
              "straight on the polarizers")
+    parser.add_argument(
+        "--temperature", type=_temperature, metavar="C[,C]",
+        help="of the chip in degrees Celsius: at the start, and that to which it warms "
+             "in some ten minutes; default 25, at which calibrations hold")
     parser.add_argument(
         "--seconds", type=positive, default=3.0, help="duration, default 3")
     parser.add_argument(
@@ -140,6 +152,16 @@ def _write(path: Path, recording: Recording) -> None:
 def _size(text: str) -> tuple[int, int]:
     width, height = numbers(text.lower().replace("x", ","), 2, int)
     return height, width
+
+
+def _temperature(text: str) -> Temperature:
+    start, *rest = numbers(text, 1 + text.count(","), float)
+    try:
+        if len(rest) > 1:
+            raise ValueError(f"--temperature must be one or two numbers, got {text!r}")
+        return Temperature(start_c=start, end_c=rest[0] if rest else None)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 if __name__ == "__main__":

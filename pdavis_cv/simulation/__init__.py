@@ -30,6 +30,7 @@ from pdavis_cv.simulation.scenes import (
     Sum,
 )
 from pdavis_cv.simulation.stream import SimulatedRecording
+from pdavis_cv.simulation.temperature import Temperature
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "Scene",
     "SimulatedRecording",
     "Sum",
+    "Temperature",
     "Tendon",
     "Texture",
     "Truth",

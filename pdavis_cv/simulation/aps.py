@@ -104,7 +104,7 @@ class ApsPixel:
 
     def digitise(
         self, signal_dn: FloatArray, maps: dict[str, FloatArray], seed: int,
-        frame: int, origin: tuple[int, int],
+        frame: int, origin: tuple[int, int], current: float = 1.0,
     ) -> dict[str, NDArray[np.generic] | None]:
         """Turn an exposure integral into what the converter delivers.
 
@@ -120,6 +120,8 @@ class ApsPixel:
             Number of the frame since the recording's start.
         origin : (int, int)
             (row, column) of the first pixel on the sensor.
+        current : float
+            What the dark current is multiplied by.
 
         Returns
         -------
@@ -133,14 +135,15 @@ class ApsPixel:
         def draw(purpose: str, sigma: float) -> FloatArray | float:
             return sigma * noise.normal(seed, purpose, index, frame) if sigma else 0.0
 
+        dark = self.dark_dn_s * self.exposure_us / 1e6
         collected = signal_dn
         if self.electrons_per_dn is not None:
-            electrons = (signal_dn + self.dark_dn_s * self.exposure_us / 1e6
-                         ) * self.electrons_per_dn
+            electrons = (signal_dn + dark * current) * self.electrons_per_dn
             shot = np.sqrt(np.maximum(electrons, 0)) / self.electrons_per_dn
             collected = signal_dn + shot * noise.normal(
                 seed, "photon shot noise", index, frame)
-        collected = np.minimum(collected + maps["dark_dn"], self.full_well_dn)
+        collected = np.minimum(
+            collected + (maps["dark_dn"] + dark * (current - 1)), self.full_well_dn)
         if self.adc_bits is None:
             dn = collected + draw("signal read", self.read_noise_dn)
             return {"dn": dn, "valid": None, "reset": None, "signal": None}

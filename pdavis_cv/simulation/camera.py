@@ -22,6 +22,7 @@ from pdavis_cv.simulation.optics import LENSES, Optics
 from pdavis_cv.simulation.scenes import FloatArray, Scene
 from pdavis_cv.simulation.specimens import drawn
 from pdavis_cv.simulation.stream import SimulatedRecording
+from pdavis_cv.simulation.temperature import Temperature
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = ["PRESETS", "Camera"]
@@ -87,6 +88,8 @@ class Camera:
         Read-out bus of the events; None for one without limits.
     faults : Faults, optional
         What is wrong with stamps and streams; None for nothing.
+    temperature : Temperature, optional
+        Of the chip; None for that at which the parameters of the parts hold.
     seed : int
         Names the specimen: its maps, and with ``run`` its noise.
     size : (int, int)
@@ -112,7 +115,8 @@ class Camera:
     def __init__(
         self, *, optics: Optics | None = None, dvs: DvsPixel | None = None,
         aps: ApsPixel | None = None, bus: Bus | None = None,
-        faults: Faults | None = None, seed: int = 0,
+        faults: Faults | None = None, temperature: Temperature | None = None,
+        seed: int = 0,
         size: tuple[int, int] = (12, 12), origin: tuple[int, int] | None = None,
         sensor: Sensor = Sensor.PDAVIS, name: str = "simulated",
     ) -> None:
@@ -135,6 +139,7 @@ class Camera:
             require("frame_offset_us", self.faults.frame_offset_us,
                     self.faults.frame_offset_us <= aps.readout_us,
                     f"be at most the read-out time, {aps.readout_us} us")
+        self.temperature = Temperature() if temperature is None else temperature
         self.optics = Optics() if optics is None else optics
         self.dvs, self.aps, self.bus, self.seed = dvs, aps, bus, seed
         self.size, self.origin, self.sensor, self.name = size, origin, sensor, name
@@ -173,9 +178,10 @@ class Camera:
             period, leak that grows with light, and events 4 to 7.4 ms behind frames.
         **changes
             Parameters of `Camera` (``seed``, ``size``, ``origin``, ...), and whole
-            parts (``optics``, ``dvs``, ``aps``, ``bus``, ``faults``) or mappings of
-            single parameters of a part: ``dvs={"leak_hz": 0}``.  ``optics="f2.8"``
-            puts one of `LENSES` before the polarizers.
+            parts (``optics``, ``dvs``, ``aps``, ``bus``, ``faults``,
+            ``temperature``) or mappings of single parameters of a part:
+            ``dvs={"leak_hz": 0}``.  ``optics="f2.8"`` puts one of `LENSES` before
+            the polarizers.
 
         Raises
         ------
@@ -185,6 +191,7 @@ class Camera:
         require("name", name, name in PRESETS, f"be one of {', '.join(PRESETS)}")
         parts = drawn(name, PRESETS[name], changes.get("seed", 0))
         parts.setdefault("faults", Faults())
+        parts.setdefault("temperature", Temperature())
         for part, given in changes.items():
             if part == "optics" and isinstance(given, str):
                 require("optics", given, given in LENSES,

@@ -23,6 +23,8 @@ _INTERVALS = 16  # of a video that the kernel takes at once
 _POLE_PHASE = 0.2  # of the second pole per interval: cubics err by 4e-6 of a step
 _LAG_TERMS = 12    # at that phase the last one is below 1e-16
 
+_DARK = 11          # place of the dark current among the kernel's settings
+
 FloatArray = NDArray[np.float64]
 
 _CELL_DTYPE = np.dtype([
@@ -181,9 +183,9 @@ class PixelArray:
         self._pixels = np.empty((n, 3))
         self._pixels[:, 0] = maps["theta_on"].ravel()
         self._pixels[:, 1] = maps["theta_off"].ravel()
-        self._thresholds = self._pixels[:, :2].copy()
         self._cells: NDArray[Any] = np.empty(0, _CELL_DTYPE)     # of a video
         self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
+        self._usual = self._pixels.copy()
         index = noise.pixel_index(self.size, origin).ravel()
         self._keys = noise.keys(seed, "events", index)
         y, x = np.divmod(np.arange(n), self.size[1])
@@ -201,17 +203,24 @@ class PixelArray:
             pixel.leak_hz_per_dn_ms / 1e6])
         self._buffers: dict[int | tuple[int, int], NDArray[Any]] = {}
 
-    def scale_thresholds(self, on: float, off: float) -> None:
-        """Set thresholds to these multiples of those that the maps have."""
-        self._pixels[:, :2] = self._thresholds * (on, off)
+    def set_conditions(self, on: float, off: float, current: float = 1.0) -> None:
+        """Set thresholds, and leak and dark current, to multiples of the usual ones."""
+        self._pixels[:] = self._usual * (on, off, current)
+        self._settings[_DARK] = self.pixel.dark_dn_ms * current
         if len(self._cells):
-            self._cells["on"], self._cells["off"] = self._pixels[:, :2].T
+            for column, name in enumerate(("on", "off", "leak")):
+                self._cells[name] = self._pixels[:, column]
             self._watch[4] = -1  # every pixel is looked at again
+
+    @property
+    def dark_dn_ms(self) -> float:
+        """Light that the dark current is worth now, DN per ms."""
+        return float(self._settings[_DARK])
 
     def settle(self, light: FloatArray, rows: slice = slice(None)) -> None:
         """Let the pixels of some rows adapt to light, shape (rows, W), DN per ms."""
         part = self._part(rows)
-        total = np.maximum(light.ravel() + self.pixel.dark_dn_ms, 1e-9)
+        total = np.maximum(light.ravel() + self.dark_dn_ms, 1e-9)
         self._state[part, 4] = total
         for column in (0, 1, 5):
             self._state[part, column] = np.log(total)
@@ -275,7 +284,7 @@ class PixelArray:
         """
         if analyser is not None:
             light, slope = light @ analyser.T, slope @ analyser.T
-        dark = self.pixel.dark_dn_ms
+        dark = self.dark_dn_ms
         total = np.maximum(light + dark, 1e-9)
         log = np.log(total)
         rise = np.diff(log, axis=0)

@@ -28,6 +28,7 @@ from pdavis_cv.simulation.faults import EventFaults
 from pdavis_cv.simulation.film import Film
 from pdavis_cv.simulation.patterns import VideoScene
 from pdavis_cv.simulation.scenes import FloatArray, Scene
+from pdavis_cv.simulation.temperature import Conditions
 from pdavis_cv.simulation.truth import Truth
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ class SimulatedRecording(Recording):
         if camera.dvs is not None:
             pixels = PixelArray(camera.dvs, camera.maps, camera.noise_seed(self.run),
                                 camera.origin)
-        faults, wrong = camera.faults, None
+        faults, wrong, conditions = camera.faults, None, (1.0, 1.0, 1.0)
         if faults.lost or faults.jitter_us:
             wrong = EventFaults(faults, camera.noise_seed(self.run))
         film = None
@@ -170,9 +171,10 @@ class SimulatedRecording(Recording):
         with ThreadPoolExecutor(self.threads) as pool:
             for start in range(0, self.stop_us, PIECE_US):
                 stop = start + PIECE_US
-                if pixels is not None and (faults.drift_on or faults.drift_off):
-                    pixels.scale_thresholds(
-                        *faults.threshold_factors(start / self.stop_us))
+                if pixels is not None and conditions != (
+                        now := self._conditions(start)):
+                    conditions = now
+                    pixels.set_conditions(*now)
                 parts = self._simulate(start, pixels, clock, sums, pool, film)
                 events = in_time_order(parts, start, stop)
                 piece = Piece(stop, events)
@@ -192,6 +194,13 @@ class SimulatedRecording(Recording):
                                     if frame.available_us < self.stop_us]
                 yield piece
         self._bus = log
+
+    def _conditions(self, t_us: float) -> Conditions:
+        """Return what thresholds and thermal currents are multiplied by at a time."""
+        camera = self.camera
+        on, off = camera.faults.threshold_factors(t_us / self.stop_us)
+        warm_on, warm_off, current = camera.temperature.conditions(t_us)
+        return on * warm_on, off * warm_off, current
 
     def _simulate(
         self, start: int, pixels: PixelArray | None, clock: FrameClock | None,
@@ -248,7 +257,7 @@ class SimulatedRecording(Recording):
         sums: dict[int, FloatArray], pool: ThreadPoolExecutor, bursts: dict[str, Any],
     ) -> list[NDArray[Any]]:
         """Do for a video what `_simulate` does, all its frames at once."""
-        dark = 0.0 if pixels is None else pixels.pixel.dark_dn_ms
+        dark = 0.0 if pixels is None else pixels.dark_dn_ms
         times = [blocks[0][0], *(at + step for at, step, _ in blocks)]
         quads = [film.quad(t) for t in times[1:]]
         seen = None
@@ -351,7 +360,7 @@ class SimulatedRecording(Recording):
                 break
             digitised = clock.pixel.digitise(
                 sums.pop(number), camera.maps, camera.noise_seed(self.run), number,
-                camera.origin)
+                camera.origin, camera.temperature.current(clock.start_us(number)))
             frames.append(make_frame(
                 clock, number, digitised, camera.faults.frame_offset_us))
         return frames

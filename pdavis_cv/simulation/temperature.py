@@ -1,0 +1,80 @@
+"""The sensor's temperature: dark current, leak and thresholds that follow it."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pdavis_cv.simulation.checks import at_least_zero, positive, require
+
+__all__ = ["Conditions", "Temperature"]
+
+BOLTZMANN_EV = 8.617333e-5
+"""Per kelvin."""
+ZERO_C = 273.15
+
+Conditions = tuple[float, float, float]
+"""What thresholds ON and OFF, and thermal currents, are multiplied by."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Temperature:
+    """Temperature of the chip over a recording.
+
+    It rises from `start_c` towards `end_c` as ``1 - exp(-t / rise_s)``.  What the parts
+    of a camera state holds at `reference_c`, and so does its exact calibration.
+
+    Parameters
+    ----------
+    start_c, end_c : float
+        Degrees Celsius, -40 to 125; `end_c` by default `start_c`.
+    rise_s : float
+        Time constant.  The default is a choice: ten minutes, of a camera's body.
+    reference_c : float
+        Where a camera's parameters hold.
+    activation_ev : float
+        Activation energy of the dark current and of the leak, which both follow
+        Arrhenius's law [Nozaki 2017].  The default is half of silicon's gap, that of
+        generation in a depleted junction [Widenhorn 2002]: twice as much every 9.8 K.
+    threshold_per_k : float
+        Relative change of both thresholds per kelvin.  With bias currents of a constant
+        ratio it is 0 [Nozaki 2017]; the default, .1 %, is an assumption for those that
+        are not.
+
+    Examples
+    --------
+    >>> warm = Temperature(start_c=25, end_c=45, rise_s=600)
+    >>> round(warm.at(600e6), 1), [round(f, 2) for f in warm.conditions(3600e6)]
+    (37.6, [1.02, 1.02, 3.92])
+    """
+
+    start_c: float = 25.0
+    end_c: float | None = None
+    rise_s: float = 600.0
+    reference_c: float = 25.0
+    activation_ev: float = 0.56
+    threshold_per_k: float = 0.001
+
+    def __post_init__(self) -> None:
+        for name in ("start_c", "end_c", "reference_c"):
+            value = getattr(self, name)
+            require(name, value, value is None or -40 <= value <= 125,
+                    "lie in -40..125")
+        positive(rise_s=self.rise_s)
+        at_least_zero(activation_ev=self.activation_ev)
+        require("threshold_per_k", self.threshold_per_k,
+                abs(self.threshold_per_k) <= 0.005, "lie within 0.005 of 0")
+
+    def at(self, t_us: float) -> float:
+        """Return the temperature at a time, degrees Celsius."""
+        end = self.start_c if self.end_c is None else self.end_c
+        return end + (self.start_c - end) * math.exp(-t_us / 1e6 / self.rise_s)
+
+    def current(self, t_us: float) -> float:
+        """Return what thermal currents are multiplied by at a time."""
+        warm, usual = self.at(t_us) + ZERO_C, self.reference_c + ZERO_C
+        return math.exp(self.activation_ev / BOLTZMANN_EV * (1 / usual - 1 / warm))
+
+    def conditions(self, t_us: float) -> Conditions:
+        """Return what thresholds ON and OFF and thermal currents are multiplied by."""
+        threshold = 1 + self.threshold_per_k * (self.at(t_us) - self.reference_c)
+        return threshold, threshold, self.current(t_us)
