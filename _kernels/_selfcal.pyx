@@ -3,9 +3,10 @@
 For each candidate (bandwidth and noise) and each pixel a Kalman filter of (base,
 theta_on, theta_off) runs over the pixel's frames: the model and the equations are
 those of kalman_frame (without its learning of motion, lone events and rest), whose
-sums of e^2 / v and ln v this returns per candidate.
+sums of e^2 / v, |e / sqrt(v)|^1.5 and ln v this returns per candidate.
 A pixel's events lie together in memory, so that no store of recent events is needed.
 """
+from libc.math cimport sqrt
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._lag cimport corner, lead
@@ -44,6 +45,7 @@ cdef packed struct candidate_t:
 
 cdef packed struct innovations_t:
     double chi2             # sum of e^2 / v, 16 at most each
+    double deviation        # sum of their powers of 3/4, |e / sqrt(v)|^1.5
     double log_variance     # sum of ln v
     double count
     double log_theta        # sum over pixels of ln theta_on + ln theta_off, at the end
@@ -165,18 +167,20 @@ cdef inline void update(state_t* s, double h_on, double h_off, double noise,
     cdef double g0 = s.p00 + h_on * s.p01 + h_off * s.p02
     cdef double g1 = s.p01 + h_on * s.p11 + h_off * s.p12
     cdef double g2 = s.p02 + h_on * s.p12 + h_off * s.p22
-    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2, jump
+    cdef double v = g0 + h_on * g1 + h_off * g2 + noise, k0, k1, k2, square, jump
     out.log_variance += log_f(<float>v)
     out.count += 1.0
     if error * error > JUMP_SIGMAS * JUMP_SIGMAS * v:
         # Lost events or a wrong sample: the base may have jumped, thresholds not.
-        out.chi2 += JUMP_SIGMAS * JUMP_SIGMAS
+        square = JUMP_SIGMAS * JUMP_SIGMAS
         jump = error * error
         s.p00 += jump
         g0 += jump
         v += jump
     else:
-        out.chi2 += error * error / v
+        square = error * error / v
+    out.chi2 += square
+    out.deviation += sqrt(square * sqrt(square))
     k0 = g0 / v
     k1 = g1 / v
     k2 = g2 / v
@@ -326,6 +330,7 @@ def sample_innovations(const event_t[::1] events not None,
     with nogil:
         for c in range(m):
             out[c].chi2 = 0.0
+            out[c].deviation = 0.0
             out[c].log_variance = 0.0
             out[c].count = 0.0
             out[c].log_theta = 0.0

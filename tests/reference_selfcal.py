@@ -7,7 +7,7 @@ from reference_kalman import Pixel, steady
 
 
 def innovations(events, readings, theta, sigma, camera, deaf=0.0):
-    """Sums of e^2 / v and ln v of one pixel, their number, and its thresholds' ln.
+    """Sums of e^2 / v, |e|^1.5 / v^.75 and ln v of a pixel, their number, its ln theta.
 
     events are (t, p), readings rows of (log, variance, begin, middle, end, known).
     """
@@ -18,7 +18,7 @@ def innovations(events, readings, theta, sigma, camera, deaf=0.0):
     pixel = Pixel(*theta, sigma, (camera["hz"], camera["hz_per_intensity"], 0),
                   lambda t, hz: steady(t, hz), nothing, 0.0, deaf)
     pixel.events = events
-    chi2 = log_variance = count = 0
+    chi2 = deviation = log_variance = count = 0
     since, reference = 0, None
     for log, variance, *times in readings:
         if not variance > 0:
@@ -49,6 +49,7 @@ def innovations(events, readings, theta, sigma, camera, deaf=0.0):
         error = log - pixel.x[0] - blur
         v = H @ pixel.P @ H + variance + camera["frame_sigma"]**2
         chi2 += min(error**2 / v, 16)
+        deviation += min(abs(error) / np.sqrt(v), 4)**1.5
         log_variance += np.log(v)
         count += 1
         if error**2 > 16 * v:
@@ -63,4 +64,4 @@ def innovations(events, readings, theta, sigma, camera, deaf=0.0):
                    + np.outer(gain, gain) * v)
         pixel.x[1:] = np.clip(pixel.x[1:], 0.3 * theta, 3 * theta)
         since, reference = here, middle
-    return chi2, log_variance, count, np.log(pixel.x[1:]).sum()
+    return chi2, deviation, log_variance, count, np.log(pixel.x[1:]).sum()

@@ -290,6 +290,26 @@ def test_events_of_one_sign_in_a_row_are_chosen():
         moved._frames["variance"], steady._frames["variance"])
 
 
+def test_frames_with_several_events_are_chosen():
+    events = np.zeros(6, pdavis_cv.EVENT_DTYPE)
+    events["t"], events["p"] = [10, 20, 30, 40, 50, 60], [1, 0, 1, 0, 1, 0]
+    frames = [pdavis_cv.ApsFrame(np.full((1, 1), 100.0), *span)
+              for span in ((0, 4), (9, 31), (32, 44), (45, 51), (52, 58), (62, 66))]
+    camera = SelfCalibration((1, 1), NOMINAL, every_pixel=False)
+    made = recording_from_arrays(events, frames, sensor_size=(1, 1))
+    for packet in made.packets():
+        camera.add_events(packet.events)
+        for frame in packet.frames:
+            camera.add_frame(frame)
+    camera._window.seen_us = 10**6
+    sample = select_busy_pixels(camera._window, NOMINAL, LEAK_HZ)
+    for delay_us in (0, 10):
+        steady = sample.with_frames_moved(-delay_us).between_like_events(
+            float(delay_us), 3)
+        assert (steady._frames["variance"][:, 0] > 0).tolist() == [
+            False, True, False, False, False, False]
+
+
 def test_the_real_camera_s_offset():
     """Frames left out are predicted best with 3 to 4 ms."""
     data = os.environ.get("PDAVIS_TEST_DATA")

@@ -197,8 +197,8 @@ REAL = {
     "kalman": (0.273, 0.028), "kalman causal": (0.305, 0.031),
     "kalman offline": (0.230, 0.024)}
 # The same of methods that are told nothing.
-UNTOLD = {"kalman": (0.275, 0.028), "kalman causal": (0.357, 0.032),
-          "kalman offline": (0.242, 0.024)}
+UNTOLD = {"kalman": (0.268, 0.028), "kalman causal": (0.355, 0.031),
+          "kalman offline": (0.237, 0.024)}
 
 
 @pytest.fixture(scope="module")

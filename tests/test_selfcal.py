@@ -64,14 +64,14 @@ def test_the_kernel_is_its_twin(recording, deaf):
     candidates["scale_on"][2] = 1.3
     candidates["clock_us"][1:] = -1500, 7000
     got = sample.innovations(candidates, every=20)
-    expected = np.zeros((3, 4))
+    expected = np.zeros((3, 5))
     for i in range(0, len(sample.pixels), 20):
         start, stop, *theta = sample._traits[i]
         mine = [(int(e["t"]), int(e["p"])) for e in sample._events[start:stop]]
         for k, candidate in enumerate(candidates):
             expected[k] += reference_selfcal.innovations(
                 mine, sample._frames[:, i].tolist(), theta, 0.035, candidate, deaf)
-    np.testing.assert_allclose(got.view(np.float64).reshape(3, 4), expected, rtol=1e-4)
+    np.testing.assert_allclose(got.view(np.float64).reshape(3, 5), expected, rtol=1e-4)
 
 
 def test_the_innovations_are_those_of_the_kalman_filter(recording):
@@ -101,7 +101,9 @@ def test_the_innovations_are_those_of_the_kalman_filter(recording):
     got = sample.innovations(candidates_of([law], noise))[0]
     # The filter also fades to rest, learns of motion, lone events and frames' noise,
     # and linearizes that where it sees the light.
-    np.testing.assert_allclose([*got][:3], method.misfit, rtol=5e-3)
+    np.testing.assert_allclose(
+        [got[name] for name in ("chi2", "log_variance", "count")], method.misfit,
+        rtol=5e-3)
     assert got["log_theta"] == pytest.approx(
         np.log(method.thresholds[0]).sum(), rel=5e-4)
 
@@ -286,6 +288,28 @@ def test_the_scale_of_cameras_of_other_families_is_found(preset):
         for theta, name in zip((found.theta_on, found.theta_off),
                                ("theta_on", "theta_off"), strict=True):
             assert theta[0, 0] == pytest.approx(camera.maps[name].mean(), rel=0.1)
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize(("rpm", "dvs"), [
+    (202.6, {}), (1013.0, {"refractory_us": 0.0})])
+def test_thresholds_and_clocks_that_are_both_wrong_are_found(rpm, dvs):
+    """Nothing was chosen on these; a pixel's refractory period takes events at speed.
+
+    The limits are twice the sigmas that are stated: models of frames and interpolation
+    .03 of the scale, a lag of 530 us that is known to a factor of e^.5.
+    """
+    for seed in range(41, 47):
+        camera = Camera.preset("davis346", seed=seed, size=(10, 10), dvs=dvs)
+        made, _ = camera.record(
+            RotatingPolarizer(rpm=rpm, start_angle=0.5 * seed, dolp=0.8), 1.5)
+        found = looked_on(made, nominal=(0.2, 0.2)).estimate(
+            wanted=QUANTITIES - {"thresholds"})
+        true = camera.maps["theta_on"].mean() * camera.maps["theta_off"].mean()
+        got = found.theta_on[0, 0] * found.theta_off[0, 0]
+        assert 0.5 * np.log(got / true) == pytest.approx(0, abs=0.06)
+        assert found.clock_offset.applied_us == pytest.approx(
+            -camera.faults.frame_offset_us, abs=600)
 
 
 def test_the_scale_of_a_real_camera_is_that_of_a_regression():

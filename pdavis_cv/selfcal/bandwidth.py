@@ -9,7 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.selfcal.likelihood import negative_log_likelihood, vertex
+from pdavis_cv.selfcal.likelihood import (
+    LONG_TAILED,
+    NORMAL,
+    negative_log_likelihood,
+    vertex,
+)
 from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
 from pdavis_cv.selfcal.priors import TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
 
@@ -136,6 +141,8 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
 
     -ln L is evaluated on a grid of (ln corner frequency, share of it in proportion to
     the light) with a part of the pixels, and refined by parabolas with all of them.
+    Innovations count as normal: with longer tails pixels of 250 Hz before a fan came
+    out as 222.
 
     Parameters
     ----------
@@ -166,14 +173,15 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
 def least_cost_by_light(sample: PixelSample) -> float:
     """Return the least -ln L of pixels whose bandwidth follows the light.
 
-    Infinite if a constant is likelier, or if bright pixels' corner frequency would be
-    more than 3 standard deviations from what is usual.
+    With long tails, as that of the clocks' offset.  Infinite if a constant is likelier,
+    or if bright pixels' corner frequency would be more than 3 standard deviations from
+    what is usual.
 
     Parameters
     ----------
     sample : PixelSample
     """
-    best = min(_Cost(sample).minima(), key=_cost)
+    best = min(_Cost(sample, LONG_TAILED).minima(), key=_cost)
     return best.cost if best.share > 0 and _is_usual(best.ln_hz) else math.inf
 
 
@@ -199,8 +207,8 @@ def _is_usual(ln_hz: float) -> bool:
 class _Cost:
     """-ln L at (share in proportion to the light, ln hz at bright light)."""
 
-    def __init__(self, sample: PixelSample) -> None:
-        self._sample = sample.with_leak_in_frames()
+    def __init__(self, sample: PixelSample, power: float = NORMAL) -> None:
+        self._sample, self._power = sample.with_leak_in_frames(), power
         self.count = 0.0        # of innovations, at the last call
 
     def __call__(
@@ -212,7 +220,7 @@ class _Cost:
             every)
         self.count = float(found["count"][0])
         prior = 0.5 * ((ln_hz - _LN_HZ) / _LN_HZ_SIGMA) ** 2
-        return negative_log_likelihood(found) + prior
+        return negative_log_likelihood(found, self._power) + prior
 
     def coarse(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ln hz of the minimum and its -ln L for each of `_GRID_SHARES`.

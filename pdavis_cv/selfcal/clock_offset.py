@@ -58,6 +58,10 @@ _MODEL_US = 150.0
 error 52 where the model holds (studies/selfcal_clock_offset.py); a refractory period of
 .5 ms, which is not modelled, moves it by 300."""
 
+_MOST_US = 12_000.0
+"""More, 2.4 sigma of the prior, is not believed: in a part of a turn, light that passes
+its extremes at other times than the frames see looks like it."""
+
 _SIGMAS, _LEAST_US = 3.0, 1000.0
 """An offset counts beyond so many sigmas, and so many us: less is taken for lag, which
 nearly does the same.  A delay that the lag of the usual bandwidth makes within so many
@@ -85,13 +89,13 @@ class ClockOffset:
 
     @property
     def counts(self) -> bool:
-        """Whether it is told from 0: stated, or beyond 3 sigma and 1 ms.
+        """Whether it is told from 0: stated, or beyond 3 sigma and 1 ms, within 12 ms.
 
         Where nothing is told but the prior, nothing counts.
         """
         return self.sigma_us == 0 or (
             self.sigma_us < CLOCK_OFFSET_SIGMA_US
-            and abs(self.us) > max(_SIGMAS * self.sigma_us, _LEAST_US))
+            and max(_SIGMAS * self.sigma_us, _LEAST_US) < abs(self.us) < _MOST_US)
 
     @property
     def ambiguous(self) -> bool:

@@ -22,6 +22,15 @@ three, which holds the published thresholds of a DAVIS (.1 to .5) about a nomina
 _COARSE_PIXELS = 16
 """Pixels that the grid is evaluated with."""
 
+_LN_RATIOS = (-0.4, 0.0, 0.4)
+"""ln of the ratio of the factors where -ln L is first evaluated: at a wrong one the
+scale's minimum can vanish."""
+
+_IN_EXPOSURE = 3
+"""Events within an exposure over which errors of interpolation average out: as many as
+must be alike about the middle of a shorter one.  At 1000 RPM only the steepest parts of
+the light lie between like events, and thresholds come out up to a third too small."""
+
 _STEPS = (0.4, 0.2, 0.1, 0.05)
 """Steps in ln of the parabolas that refine the scale and the ratio."""
 
@@ -29,17 +38,18 @@ _EVIDENCE = 40.0
 """By how much -ln L must fall for the nominal thresholds to be given up: model
 selection between "nominal" and "anything within a factor of three".  An engineering
 choice: above what it falls by where thresholds are stated right (`nominal`,
-`realistic`, 30 to 1000 RPM: up to 38; studies/selfcal_common_scale.py)."""
+`realistic`, 30 to 1000 RPM: up to 28; studies/selfcal_common_scale.py)."""
 
 _NO_EVENTS = -3.0
 """ln of a scale at which events count for 5 % of what they are, an engineering choice:
 if frames are as likely with it, the events do not follow the light (leak and noise at
 rest), and tell nothing."""
 
-_MAX_NOISE_SHARE = 0.05
-"""Greatest event noise (thresholds^2 per second) relative to the rate of events.  Noise
-in the predictor attenuates a regression, here the scale, by about this share.
-An engineering choice, of the order of the scale's own sigma."""
+_MAX_NOISE_SHARE, _NOISE_SIGMAS = 0.05, 3.0
+"""Greatest event noise (thresholds^2 per second) relative to the rate of events: this,
+of the order of the scale's own sigma, or what the scale differs by over so many, if
+that is more.  Noise in the predictor attenuates a regression, here the scale, by about
+this share, which is part of its sigma.  An engineering choice."""
 
 _MAX_SIGMA = 0.05
 """Greatest sigma (ln) by the curvature of -ln L at which a scale counts: as
@@ -85,15 +95,24 @@ class CommonScale(NamedTuple):
     counts: bool
 
     @property
+    def ln(self) -> tuple[float, float]:
+        """ln(on off) / 2 and ln(on / off)."""
+        return math.log(self.on * self.off) / 2, math.log(self.on / self.off)
+
+    @property
+    def told(self) -> bool:
+        """Whether -ln L is curved enough to tell the scale."""
+        return self.sigma < math.hypot(_MAX_SIGMA, _MODEL_SIGMA)
+
+    @property
     def differs(self) -> bool:
         """Whether the factors are other ones than errors of the models make."""
-        return max(abs(math.log(self.on * self.off)) / 2,
-                   abs(math.log(self.on / self.off))) > _MIN_CHANGE
+        return max(map(abs, self.ln)) > _MIN_CHANGE
 
 
 def fit_common_scale(
     sample: PixelSample, law: tuple[float, float], *, learn_bandwidth: bool = True,
-    clock_us: int = 0,
+    clock_us: int = 0, before: CommonScale | None = None,
 ) -> CommonScale:
     """Return the factors at which the innovations are likeliest.
 
@@ -108,17 +127,22 @@ def fit_common_scale(
         at the usual one too: what fits wrong thresholds best may be far off.
     clock_us : int
         By how much frames must be moved for nominal thresholds to fit best.
+    before : CommonScale, optional
+        What was found with other stamps: the search begins there too.
     """
     clean = sample.without_dim_samples().with_leak_in_frames()
     # Elsewhere interpolation errs by as much as a threshold, and attenuates the scale.
-    steady = clean.between_like_events(
-        1e6 / (2 * math.pi * max(law[0] + law[1] * _DIM * sample.bright, _LEAST_HZ)))
+    hz = max(law[0] + law[1] * _DIM * sample.bright, _LEAST_HZ)
+    steady = clean.between_like_events(1e6 / (2 * math.pi * hz), _IN_EXPOSURE)
     every = max(len(sample.pixels) // _COARSE_PIXELS, 1)
     tried: list[tuple[float, float, float, float, _Cost]] = []
-    for start in (law, USUAL_BANDWIDTH[:2]) if learn_bandwidth else (law,):
-        cost = _Cost(steady, start)
-        scale = vertex(_GRID, cost(_GRID, np.zeros_like(_GRID), every))
-        scale, ratio, _ = cost.minimum(scale, 0.0, _STEPS)
+    starts = [(cost, *cost.coarse(every)) for cost in (
+        _Cost(steady, start) for start in (
+            (law, USUAL_BANDWIDTH[:2]) if learn_bandwidth else (law,)))]
+    if before is not None:
+        starts.append((starts[0][0], *before.ln))
+    for cost, scale, ratio in starts:
+        scale, ratio, _ = cost.minimum(scale, ratio, _STEPS)
         if learn_bandwidth:
             cost = _Cost(steady, fit_bandwidth(
                 sample.with_thresholds_scaled(*_factors(scale, ratio))).law)
@@ -133,11 +157,13 @@ def fit_common_scale(
         on, off, math.hypot(max(bend, _LEAST_BEND)**-0.5, _MODEL_SIGMA),
         float(nominal - found), False)
     if not (result.evidence > _EVIDENCE and without - found > _EVIDENCE
-            and bend * _MAX_SIGMA**2 > 1 and result.differs):
+            and result.told and result.differs):
         return result
     noise = fit_event_noise(clean.with_thresholds_scaled(on, off), cost.law)
+    share = noise / sample.events_per_s
     return result._replace(
-        counts=bool(noise <= _MAX_NOISE_SHARE * sample.events_per_s))
+        sigma=math.hypot(result.sigma, share),
+        counts=share <= max(_MAX_NOISE_SHARE, abs(scale) / _NOISE_SIGMAS))
 
 
 class _Cost:
@@ -157,6 +183,12 @@ class _Cost:
         candidates["scale_on"] = np.exp(scale + ratio / 2)
         candidates["scale_off"] = np.exp(scale - ratio / 2)
         return negative_log_likelihood(self._sample.innovations(candidates, every))
+
+    def coarse(self, every: int) -> tuple[float, float]:
+        """Return scale and ratio where one in `every` pixels is likeliest."""
+        rows = [self(_GRID, np.full_like(_GRID, ratio), every) for ratio in _LN_RATIOS]
+        row = int(np.argmin([y.min() for y in rows]))
+        return vertex(_GRID, rows[row]), _LN_RATIOS[row]
 
     def minimum(
         self, scale: float, ratio: float, steps: tuple[float, ...]

@@ -43,6 +43,10 @@ and how far the frames' stamps are off."""
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
 """Bounds on the factors on variances, of the ratio and of the scale."""
 
+_MOST_ROUNDS, _SAME_US = 4, 300
+"""Scale and offset of the clocks are fitted in turn, at most so often, until the offset
+moves by no more than twice what models have wrong in it; numerical."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEstimate:
@@ -242,13 +246,12 @@ class SelfCalibration:
                 found = fit_bandwidth(sample)
                 law = found.law
             if not {"scale", "thresholds"}.isdisjoint(wanted):
-                scale = _scale_of(stamped, law, clock, known, found is not None)
+                scale, clock = _scale_and_clock(
+                    stamped, law, clock, known, found is not None)
             if scale is not None:
                 stamped = stamped.with_thresholds_scaled(scale.on, scale.off)
                 sample = stamped
             if clock is not None:
-                if scale is not None:
-                    clock = fit_clock_offset(stamped, known)
                 sample = stamped.with_frames_moved(clock.applied_us)
             if found is not None and sample is not first:
                 found = fit_bandwidth(sample)
@@ -322,26 +325,33 @@ class SelfCalibration:
             self._whole.restore(state["whole"])
 
 
-def _scale_of(
+def _scale_and_clock(
     stamped: PixelSample, law: tuple[float, float], clock: ClockOffset | None,
     known: tuple[float, float, float] | None, learn_bandwidth: bool,
-) -> CommonScale | None:
-    """Return the scale of a sample whose stamps are as stated, None for the nominal.
+) -> tuple[CommonScale | None, ClockOffset | None]:
+    """Return the scale (None for the nominal) and the offset that belongs to it.
 
     Wrong thresholds and wrong stamps each make the other hard to tell: a scale that is
-    likelier, but not by enough, is looked for again with the stamps that suit it.
+    likelier, even if not by enough, is looked for again with the stamps that suit it.
+    Nominal thresholds that were given up once stay so; what is not told is not taken.
     """
-    applied_us = 0 if clock is None else clock.applied_us
-    scale = fit_common_scale(stamped.with_frames_moved(applied_us), law,
-                             learn_bandwidth=learn_bandwidth)
-    if clock is not None and not scale.counts and scale.differs:
-        there_us = fit_clock_offset(stamped.with_thresholds_scaled(
-            scale.on, scale.off), known).applied_us
-        if there_us != applied_us:
-            scale = fit_common_scale(
-                stamped.with_frames_moved(there_us), law,
-                learn_bandwidth=learn_bandwidth, clock_us=applied_us - there_us)
-    return scale if scale.counts else None
+    first_us = applied_us = 0 if clock is None else clock.applied_us
+    scale, there, counts = None, clock, False
+    for _ in range(_MOST_ROUNDS):
+        again = fit_common_scale(
+            stamped.with_frames_moved(applied_us), law, before=scale,
+            learn_bandwidth=learn_bandwidth, clock_us=first_us - applied_us)
+        if scale is not None and not again.told:
+            break
+        scale, counts = again, counts or again.counts
+        if clock is None or not scale.differs:
+            break
+        there = fit_clock_offset(
+            stamped.with_thresholds_scaled(scale.on, scale.off), known)
+        moved_us, applied_us = there.applied_us - applied_us, there.applied_us
+        if abs(moved_us) <= _SAME_US:
+            break
+    return (scale, there) if counts else (None, clock)
 
 
 def _in_order(items: Sequence[Item], clock_us: int) -> Iterator[Item]:

@@ -4,21 +4,34 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["negative_log_likelihood", "vertex"]
+__all__ = ["LONG_TAILED", "NORMAL", "negative_log_likelihood", "vertex"]
+
+NORMAL, LONG_TAILED = 2.0, 1.5
+"""Powers p of the innovations' density, exp(-|r / s|^p) with r = e / sqrt(v): a normal
+distribution, and one with tails between its and those of a double exponential.  Noise
+events and turns between frames make a few large innovations that no candidate explains;
+with p = 2 they decide, and thresholds come out up to a fifth too small
+(studies/selfcal_tails.py)."""
+
+_SUMS = {LONG_TAILED: "deviation", NORMAL: "chi2"}
+"""Field of `INNOVATIONS_DTYPE` that has the sum of |r|^p."""
 
 _LEAST_SCALE = 1e-9
-"""Of the mean chi squared, so that its log exists; numerical."""
+"""Of the mean of |r|^p, so that its log exists; numerical."""
 
 
-def negative_log_likelihood(found: NDArray[np.void]) -> NDArray[np.float64]:
+def negative_log_likelihood(
+    found: NDArray[np.void], power: float = LONG_TAILED
+) -> NDArray[np.float64]:
     """Return -ln L of innovations, shape (C,), up to a constant.
 
-    L is maximised over a common factor of all variances: at high speed they are stated
-    tens of times too large, and sum ln v would decide instead of the fit.
+    Only those of one power may be compared.  L is maximised over a common factor of all
+    deviations: at high speed they are stated several times too large, and sum ln v
+    would decide instead of the fit.
     """
     n = found["count"]
-    scale = np.log(np.maximum(found["chi2"] / np.maximum(n, 1), _LEAST_SCALE))
-    return 0.5 * np.asarray(n * scale + found["log_variance"])
+    mean = np.maximum(found[_SUMS[power]] / np.maximum(n, 1), _LEAST_SCALE)
+    return np.asarray(n / power * np.log(mean) + 0.5 * found["log_variance"])
 
 
 def vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:

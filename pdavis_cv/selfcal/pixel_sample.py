@@ -91,9 +91,10 @@ in Hz and Hz per DN/ms, what de-blurring leaves (ln units), factors on the nomin
 thresholds, and what is added to the frames' times (us)."""
 
 INNOVATIONS_DTYPE = np.dtype([
-    ("chi2", "<f8"), ("log_variance", "<f8"), ("count", "<f8"), ("log_theta", "<f8")])
-"""Sums of e^2 / v and of ln v over the innovations e, their number, and the sum over
-pixels of ln theta_on + ln theta_off at the end."""
+    ("chi2", "<f8"), ("deviation", "<f8"), ("log_variance", "<f8"), ("count", "<f8"),
+    ("log_theta", "<f8")])
+"""Sums of e^2 / v, of |e / sqrt(v)|^1.5 and of ln v over the innovations e, their
+number, and the sum over pixels of ln theta_on + ln theta_off at the end."""
 
 
 def candidates_of(
@@ -226,7 +227,9 @@ class PixelSample:
         """Return the sample without frames that lack events if moved by up to us."""
         return self._with_usable(self._frames["known"] + us <= self._seen_us)
 
-    def between_like_events(self, delay_us: float) -> PixelSample:
+    def between_like_events(
+        self, delay_us: float, or_in_exposure: int | None = None
+    ) -> PixelSample:
         """Return the sample's frames between events of one sign, three in a row.
 
         There interpolation is best: where the light turns, or rests, it may err by a
@@ -236,6 +239,8 @@ class PixelSample:
         ----------
         delay_us : float
             By how much events come later than what frames say.
+        or_in_exposure : int, optional
+            Also those with at least so many events within the exposure.
         """
         t, p = self._events["t"], self._events["p"]
         like = np.zeros(self._frames.shape, np.bool_)
@@ -246,6 +251,11 @@ class PixelSample:
             inside = (after >= start + 2) & (after < stop)
             k = after[inside]
             like[inside, i] = (p[k] == p[k - 1]) & (p[k] == p[k - 2])
+            if or_in_exposure is not None:
+                begin, end = (np.searchsorted(
+                    t[start:stop], self._frames[name][:, i] + round(delay_us))
+                    for name in ("begin", "end"))
+                like[:, i] |= end - begin >= or_in_exposure
         return self._with_usable(like)
 
     def _with_usable(self, usable: NDArray[np.bool_]) -> PixelSample:
