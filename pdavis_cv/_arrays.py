@@ -4,6 +4,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import warnings
 import zipfile
 from pathlib import Path
 from typing import IO, Any
@@ -34,7 +35,9 @@ def array_header(
     version = np.lib.format.read_magic(file)
     read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
             else np.lib.format.read_array_header_2_0)
-    shape, fortran, dtype = read(file)
+    with warnings.catch_warnings():     # of names of types that NumPy will not know
+        warnings.simplefilter("ignore", DeprecationWarning)
+        shape, fortran, dtype = read(file)
     if dtype.hasobject or any(side < 0 for side in shape) or (
             max(dtype.itemsize, 1) * math.prod(shape) > size):
         raise ValueError(f"an array of shape {shape} and type {dtype} in {size} bytes")

@@ -110,6 +110,33 @@ def test_a_wild_time_of_the_last_imu_sample_costs_no_event(tmp_path):
     assert [(p.kind, p.count) for p in problems] == [("wild time", 1)]
 
 
+def test_a_time_ahead_of_its_successors_costs_itself_only(tmp_path):
+    """1610 instead of 330: neither the events after it nor the next packet are late."""
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n" + b"".join(map(
+            event_packets, ([54], [1610, 671, 818], [1503, 3501], [5000, 6000]))))
+    (events, *_), problems = read(tmp_path / "x")
+    assert events["t"].tolist() == [54, 671, 818, 1503, 3501, 5000, 6000]
+    assert [(p.kind, p.count) for p in problems] == [("wild time", 1)]
+
+
+def test_packets_inside_what_an_imu_packet_claims_are_found(tmp_path):
+    """Its end is cut, its count damaged, and as many bytes are added further on."""
+    imu, events = imu_packet(5000), event_packets([5388, 5544, 6148, 7881])
+    more, count = event_packets([8000, 8100]), 4
+    claims = packet(3, 36, 4, 0, [bytes(36)] * count)[:28]
+    inside = imu[28:40] + events + more
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n" + b"".join((
+            event_packets([100, 200]), claims, inside, bytes(36 * count - len(inside)),
+            event_packets([20_000, 20_100]))))
+    with pytest.warns(DamagedFileWarning, match="ends at 133"):
+        (events, *_), problems = read(tmp_path / "x")
+    assert events["t"].tolist() == [
+        100, 200, 5388, 5544, 6148, 7881, 8000, 8100, 20_000, 20_100]
+    assert "damage" in {p.kind for p in problems}
+
+
 def test_a_header_s_line_that_begins_with_a_colon_says_nothing(tmp_path):
     (tmp_path / "x").write_bytes(
         b"#!AER-DAT3.1\r\n:Format RAW\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n"

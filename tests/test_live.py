@@ -145,6 +145,17 @@ def test_samples_that_come_late_are_dropped_and_counted():
     assert [(p.kind, p.count) for p in log.problems] == [("backward time", 50)]
 
 
+def test_what_no_clock_reaches_is_dropped_and_counted():
+    """Behind a wild time that others seem to be a reset of."""
+    events = random_events(10, (8, 8), read_only=False)
+    far = moved_events(events, 2**61 - 1000 - int(events["t"][-1]))
+    frame = pdavis_cv.ApsFrame(np.ones((8, 8), np.float32), 0, 10, available_us=2**60)
+    log = ProblemLog("test")
+    given = list(in_order(iter([Packet(far), Packet(events, (frame,))]), log))
+    assert len(given) == 1
+    assert [p.kind for p in log.problems] == ["segment", "backward time"]
+
+
 def test_a_stream_s_problems_are_counted_and_not_kept():
     late = [Packet(random_events(20, (8, 8), seed=seed)) for seed in range(50)]
     log = ProblemLog("test")

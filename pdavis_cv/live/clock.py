@@ -7,6 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import Packet
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.timeline import SEGMENT_US, Timeline
@@ -116,6 +117,10 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
             jumps += 1
             log.add("segment", None, "the device's clock was reset: what follows is "
                     "moved to follow what came before", start_us=last)
+        if _latest(packet) + offset >= FAR:
+            log.add("backward time", None, "packets were dropped because no clock "
+                    "reaches their time")
+            continue
         if offset:
             packet = moved(packet, offset)
         if last is not None and packet.start_us is not None and packet.start_us < last:
@@ -127,6 +132,13 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
             ends.append(packet.stop_us - 1)
         last = max(ends)
         yield packet
+
+
+def _latest(packet: Packet) -> int:
+    """Return the last time of a packet that has one."""
+    return max(t for t in (packet.start_us, packet.stop_us, packet.until_us,
+                           *(frame.available_us for frame in packet.frames))
+               if t is not None)
 
 
 def moved(packet: Packet, offset_us: int) -> Packet:

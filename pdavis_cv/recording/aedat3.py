@@ -198,15 +198,19 @@ class Aedat3Recording(FileRecording):
         return None
 
     def _hidden(self, at: int, until: int) -> int | None:
-        """Return where packets begin that end where one that lost bytes seems to."""
+        """Return where packets begin inside one that lost bytes.
+
+        They end where it seems to, or are two in a row: bytes were added behind them.
+        """
         for _ in range(_BEGINNINGS):
             inside = self._resync(at, until)
             if inside is None:
                 return None
-            after = inside
+            after, count = inside, 0
             while after < until and (found := self._plausible(after)) is not None:
                 after += _HEAD.size + found[1] * found[3]
-            if after == until:
+                count += 1
+            if after == until or count > 1:
                 return inside
             at = inside + 1
         return None
@@ -238,7 +242,7 @@ class Aedat3Recording(FileRecording):
             sane = ~_wild(kind, times, before, ahead)
             if not sane.all():
                 self._count(at, "wild time", int((~sane).sum()), "samples were dropped "
-                            "because their time is far from all around them")
+                            "because their time does not fit those around it")
                 found = [f for f, good in zip(found, sane, strict=True) if good] if (
                     kind == FRAME) else found[sane]
                 times = times[sane]
@@ -335,10 +339,11 @@ class Aedat3Recording(FileRecording):
 def _looks_torn(kind: int, size: int, data: bytes) -> bool:
     """Tell whether a packet may have lost bytes and hold the next packet instead.
 
-    As many as that has: it ends where it should then.  Its times are not in order, or
-    too few to tell, and there is what a packet's header says of its events.
+    As many as that has: it ends where it should then.  There is what a packet's header
+    says of its events; and in one of events, the only ones that are many, times are not
+    in order, or too few to tell.
     """
-    if kind != FRAME and kind in _SIZES and len(data) > size:
+    if kind == POLARITY and len(data) > size:
         times = np.ndarray((len(data) // size,), "<i4", data, 4, (size,))
         if np.all(times[1:] >= times[:-1]):
             return False
@@ -368,6 +373,9 @@ def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
         return np.ones(len(times), np.bool_)
     wild = spikes(np.concatenate(([first], times, nexts[:1])), limit)
     wild[1:-1] |= spikes(times, SPIKE_US)
+    # A time that its successors are before, if these go on from its predecessor.
+    earlier = np.concatenate(([first], times))[:len(times) - 1]
+    wild[:-1] |= (times[:-1] > times[1:]) & (earlier <= times[1:])
     return wild
 
 

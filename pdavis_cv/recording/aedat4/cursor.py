@@ -231,7 +231,7 @@ class Cursor:
         times = got["t"].astype(np.int64)
         if not self._file.indexed and (wild := _wild(times)).any():
             self._count(entry, "wild time", int(np.count_nonzero(wild)), "samples were "
-                        "dropped because their time is far from all around them")
+                        "dropped because their time does not fit those around it")
             got, times = got[~wild], times[~wild]
         keep, segments = self.clock.order(times)
         got["t"] = times
