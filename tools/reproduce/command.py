@@ -45,6 +45,7 @@ from . import (
     demosaic,
     denoise,
     fan_images,
+    lens_effects,
     light,
     network,
     optics_bench,
@@ -280,13 +281,17 @@ def _spans(figure: str, stem: Path, settings: Settings) -> Result:
 
 
 def _optics(figure: str, stem: Path, settings: Settings) -> Result:
-    """Draw the extinction ratio by wavelength, and while an array is aligned."""
+    """Extinction ratio by wavelength and while aligning, and what a lens does."""
     found = list(optics_bench.points(settings))
     write_csv(beside_stem(stem, ".csv"), optics_bench.columns(),
               map(dataclasses.astuple, found), _facts(figure, settings))
+    effects = list(lens_effects.effects(settings))
+    write_csv(beside_stem(stem, "-effects.csv"), lens_effects.columns(),
+              map(dataclasses.astuple, effects), _facts(figure, settings))
     if _plots() is not None:
         save_figure(stem, optics_bench.bench_figure(found))
-    return write_page(stem, optics_bench.bench_page(found)), []
+    return write_page(stem, [*optics_bench.bench_page(found),
+                             *lens_effects.effects_page(effects)]), []
 
 
 def _tendon(figure: str, stem: Path, settings: Settings) -> Result:
@@ -366,7 +371,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
     "robustness": ("cameras and light that depart from what is assumed", _robustness),
-    "optics": ("extinction ratio by wavelength, and while an array is aligned",
+    "optics": ("extinction ratio by wavelength and while aligning; what a lens does",
                _optics),
     "score": ("the score of pdavis score beside the score by the truth", _both_scores),
     "tables": ("the supplement's tables: specification, methods", _tables),
