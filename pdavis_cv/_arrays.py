@@ -35,8 +35,9 @@ def array_header(
     version = np.lib.format.read_magic(file)
     read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
             else np.lib.format.read_array_header_2_0)
-    with warnings.catch_warnings():     # of names of types that NumPy will not know
+    with warnings.catch_warnings():     # of names of types, and of escapes in names
         warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.simplefilter("ignore", SyntaxWarning)
         shape, fortran, dtype = read(file)
     if dtype.hasobject or any(side < 0 for side in shape) or (
             max(dtype.itemsize, 1) * math.prod(shape) > size):

@@ -1,5 +1,6 @@
 """AEDAT-3.1 import; files are made byte by byte."""
 import struct
+import warnings
 
 import numpy as np
 import pytest
@@ -118,6 +119,33 @@ def test_a_time_ahead_of_its_successors_costs_itself_only(tmp_path):
     (events, *_), problems = read(tmp_path / "x")
     assert events["t"].tolist() == [54, 671, 818, 1503, 3501, 5000, 6000]
     assert [(p.kind, p.count) for p in problems] == [("wild time", 1)]
+
+
+def test_a_time_that_the_next_two_packets_are_before_costs_itself_only(tmp_path):
+    """A second one after it is damaged as well."""
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n" + b"".join(map(
+            event_packets, ([14_593], [15_297, 16_249, 147_382, 14_683],
+                            [17_144, 18_238], [19_000]))))
+    (events, *_), problems = read(tmp_path / "x")
+    assert events["t"].tolist() == [14_593, 15_297, 16_249, 17_144, 18_238, 19_000]
+    assert [(p.kind, p.count) for p in problems] == [
+        ("wild time", 1), ("backward time", 1)]
+
+
+def test_a_frame_that_its_bytes_do_not_fit_does_not_say_how_large_a_sensor_is(tmp_path):
+    def frame(height):
+        return packet(2, 36 + 2 * 16 * 12, 8, 0, [
+            struct.pack("<9i", 1, 0, 5, 10, 15, 16, height, 0, 0) + bytes(2 * 16 * 12)])
+
+    for heights, size in (((9, 12), (12, 16)), ((9,), (260, 346))):
+        (tmp_path / "x").write_bytes(
+            b"#!AER-DAT3.1\r\n#Source 1: test\r\n#!END-HEADER\r\n" + b"".join(
+                [*map(frame, heights), event_packets([20, 30])]))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with open_recording(tmp_path / "x") as recording:
+                assert recording.info.sensor_size == size
 
 
 def test_packets_inside_what_an_imu_packet_claims_are_found(tmp_path):

@@ -8,9 +8,16 @@ import warnings
 import aedat
 import numpy as np
 import pytest
+from streams import random_events
 
 import pdavis_cv
-from pdavis_cv import DamagedFileWarning, RecordingError, open_recording
+from pdavis_cv import (
+    DamagedFileWarning,
+    RecordingError,
+    open_recording,
+    recording_from_arrays,
+    write_aedat4,
+)
 
 FULL = "davis346.aedat4"
 
@@ -332,3 +339,19 @@ def test_memory_stays_flat(real):
     finally:
         tracemalloc.stop()
     assert late < early + 4_000_000
+
+
+def test_without_an_index_a_time_ahead_costs_itself_only(tmp_path):
+    """The last of the first packet: nothing comes before, the next packet says it."""
+    times = np.arange(100, 100_000, 500)
+    events = random_events(len(times), (12, 16), seed=3, start_us=0, stop_us=1).copy()
+    events["t"] = times
+    write_aedat4(tmp_path / "whole", recording_from_arrays(
+        events, sensor_size=(12, 16)), compression="none")
+    data = bytearray(without_index((tmp_path / "whole").read_bytes()))
+    at = data.index(struct.pack("<q", 9_600))
+    data[at:at + 8] = struct.pack("<q", 663_241)
+    (tmp_path / "x").write_bytes(data)
+    (found, *_), problems = read(tmp_path / "x")
+    assert found["t"].tolist() == [t for t in times if t != 9_600]
+    assert ("backward time", 1) in {(p.kind, p.count) for p in problems}

@@ -1,4 +1,6 @@
 """Damaged HDF5: what HDF5 itself can still read is delivered, the rest is told."""
+import struct
+
 import numpy as np
 import pytest
 from streams import random_events
@@ -151,3 +153,19 @@ def test_a_file_on_which_hdf5_hangs_or_dies_is_refused_by_commands(
     monkeypatch.setattr(proved, "__defaults__", (program,))
     assert main(["info", str(path)]) == 2
     assert capsys.readouterr().err.count("hangs or dies on it") == 1
+
+
+def test_a_text_of_a_damaged_length_is_refused_by_commands_without_the_memory(tmp_path):
+    """HDF5 takes as much as a text is said to be long, before it looks for it."""
+    resource = pytest.importorskip("resource")
+    path = tmp_path / "x.h5"
+    write_hdf5(path, small())
+    data = bytearray(path.read_bytes())
+    # How many letters a text has, and where they lie.
+    at = data.index(struct.pack("<IQI", 9, data.index(b"GCOL"), 1))
+    data[at:at + 12] = struct.pack("<IQ", 0xFF000009, 127)
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match="hangs or dies on it"):
+        proved(path)
+    # Of the helper, in kB.
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 2 << 20

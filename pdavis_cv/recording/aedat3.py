@@ -122,11 +122,13 @@ class Aedat3Recording(FileRecording):
         return False
 
     def _frame_size(self) -> tuple[int, int] | None:
-        """Return the size of the first frame near the start of the file."""
-        for _, kind, _, _, data in self._raw(self._start, quiet=True):
+        """Return the size of the first frame whose bytes it fits."""
+        for _, kind, size, _, data in self._raw(self._start, quiet=True):
             if kind == FRAME and len(data) >= 36:
                 width, height = struct.unpack_from("<ii", data, 20)
-                if 0 < width <= 4096 and 0 < height <= 4096:
+                # Grey, or of three or four colours; else damaged, or not all pixels.
+                if 0 < width <= 4096 and 0 < height <= 4096 and (
+                        size - 36 in (2 * width * height * k for k in (1, 3, 4))):
                     return height, width
         return None
 
@@ -373,6 +375,8 @@ def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
         return np.ones(len(times), np.bool_)
     wild = spikes(np.concatenate(([first], times, nexts[:1])), limit)
     wild[1:-1] |= spikes(times, SPIKE_US)
+    if max(nexts) >= first:     # neither of the next two may be before it
+        wild |= times > max(nexts) + limit
     # A time that its successors are before, if these go on from its predecessor.
     earlier = np.concatenate(([first], times))[:len(times) - 1]
     wild[:-1] |= (times[:-1] > times[1:]) & (earlier <= times[1:])

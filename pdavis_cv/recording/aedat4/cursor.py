@@ -27,6 +27,8 @@ __all__ = ["Cursor"]
 
 MANY = 5
 """Of so many times in a packet, more than one that is far from all is no damage."""
+_USUAL_US = 20_000
+"""A packet without an index that lasts longer is compared with the next one."""
 
 
 class Cursor:
@@ -159,7 +161,7 @@ class Cursor:
             begun = self.clock.last > NEVER
             before = self.clock.last - int(self.clock.state[2]) if begun else (
                 int(times[0]))
-            if (before <= int(times[0]) and int(times[-1]) - before <= SEGMENT_US
+            if (before <= int(times[0]) and int(times[-1]) - before <= _USUAL_US
                     and np.all(times[1:] >= times[:-1])):
                 return NEVER, -NEVER
             before = before if begun else NEVER

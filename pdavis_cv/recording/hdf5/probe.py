@@ -1,8 +1,8 @@
 """HDF5 of unknown origin is opened by a helper process first.
 
-The HDF5 library can hang for ever, or die, on a damaged file while a single attribute
-is read, and no signal reaches Python meanwhile.  The helper reads the file, a large one
-as far as its first packet, within limits that the system keeps.
+The HDF5 library can hang for ever, die, or take gigabytes on a damaged file while a
+single attribute is read, and no signal reaches Python meanwhile.  The helper reads the
+file, a large one as far as its first packet, within limits that the system keeps.
 """
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LONGEST_S = 10
 WHOLE_BYTES = 32 << 20
 """A file of so many bytes is read to its end, a larger one not: it would cost as much
 as what is to be done with it."""
-MOST_BYTES = 4 << 30
+MOST_BYTES = 2 << 30
 _WAIT = 12
 """A busy machine gives a process that fraction of its time, at least."""
 _OPEN = """
@@ -34,11 +34,18 @@ try:
 except (ImportError, ValueError):
     pass        # Windows: the clock alone; or a narrower limit holds already
 from pdavis_cv.recording.hdf5.reader import Hdf5Recording
-with Hdf5Recording(sys.argv[1]) as recording:
-    for _ in recording.packets():
-        if os.path.getsize(sys.argv[1]) > {whole}:
-            break
+try:
+    with Hdf5Recording(sys.argv[1]) as recording:
+        for _ in recording.packets():
+            if os.path.getsize(sys.argv[1]) > {whole}:
+                break
+except Exception as error:
+    if isinstance(error, MemoryError) or "memory allocation failed" in str(error):
+        sys.exit({no_memory})
+    raise
 """
+_NO_MEMORY = 3
+"""Exit status: HDF5 takes as much as a damaged length says, before it looks further."""
 
 
 def proved(
@@ -59,7 +66,7 @@ def proved(
     Raises
     ------
     RecordingError
-        If the helper takes too long, or dies.
+        If the helper takes too long or too much memory, or dies.
     """
     try:
         with Path(path).open("rb") as file:
@@ -67,15 +74,18 @@ def proved(
                 return
     except OSError:
         return
-    code = program.format(seconds=seconds, bytes=MOST_BYTES, whole=WHOLE_BYTES)
+    code = program.format(seconds=seconds, bytes=MOST_BYTES, whole=WHOLE_BYTES,
+                          no_memory=_NO_MEMORY)
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-W", "ignore", "-c", code, str(path)],
-            capture_output=True, timeout=_WAIT * seconds, check=False)
+            capture_output=True, timeout=_WAIT * seconds, check=False,
+            # Its threads would reserve memory for each core.
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
     except subprocess.TimeoutExpired:
         died = True
     else:
-        died = done.returncode < 0
+        died = done.returncode < 0 or done.returncode == _NO_MEMORY
     if died:
         raise RecordingError(
             f"{path}: the HDF5 library hangs or dies on it (a helper process was given "
