@@ -29,8 +29,8 @@ __all__ = ["RosRecording"]
 HORIZON_US = 500_000
 """How far events and images of a bag may interleave imperfectly in time."""
 MAX_SIDE = 8192
-SIZES = 3
-"""Of so many messages one may be damaged, and the sensor's size is still known."""
+SIZES = 9
+"""Of so many messages fewer than half may be damaged, and the size is still known."""
 MAX_MESSAGE = 1 << 28
 EVENT_ARRAYS = "dvs_msgs/msg/EventArray"
 EVENT_PACKETS = "event_camera_msgs/msg/EventPacket"

@@ -300,7 +300,7 @@ def whole_parts(name):
 def part_mutant(name, number, rng):
     """Return a file with parts damaged, the events of the others, and a number.
 
-    So many of those may be missing.
+    So many of those may be missing: a time that could be right makes a later one late.
     """
     files, records_ = whole_parts(name), TARGETS[name].records is not None
     data, parts = files[number % len(files)]
@@ -314,4 +314,4 @@ def part_mutant(name, number, rng):
     spoilt = {i + k for i in hit for k in range(1 + TARGETS[name].spread)}
     return data, np.concatenate([np.zeros(0, np.int64), *(
         places for i, (*_, places) in enumerate(parts) if i not in spoilt)]), (
-            len(hit) if records_ else 0)
+            len(hit))

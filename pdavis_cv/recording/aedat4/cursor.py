@@ -12,7 +12,7 @@ from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import Aedat4File, Entry
-from pdavis_cv.recording.aedat4.flatbuffer import PayloadError
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table
 from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.recording.timeline import (
     NEVER,
@@ -27,8 +27,6 @@ __all__ = ["Cursor"]
 
 MANY = 5
 """Of so many times in a packet, more than one that is far from all is no damage."""
-_USUAL_US = 20_000
-"""A packet without an index that lasts longer is compared with the next one."""
 
 
 class Cursor:
@@ -65,6 +63,7 @@ class Cursor:
         self._size, self._scale, self._strict = size, scale, strict
         self._jaer = jaer
         self._last_mid = NEVER
+        self._ahead: tuple[Entry, tuple[bytes, Table]] | None = None
         self._read = {"EVTS": self._events, "FRME": self._frames,
                       "IMUS": self._samples, "TRIG": self._samples}[kind]
 
@@ -102,7 +101,7 @@ class Cursor:
         for number in rest:
             entry, self._next = self._entries[number], number + 1
             try:
-                data, table = self._file.table(entry)
+                data, table = self._table(entry)
                 at, count = samples.event_vector(table)
             except PayloadError as error:
                 self._file.lost(entry, error)
@@ -117,8 +116,14 @@ class Cursor:
                 break
         return out[:int(state[0])]
 
+    def _table(self, entry: Entry) -> tuple[bytes, Table]:
+        """Return a packet of events, which may have been looked at before."""
+        if self._ahead is not None and self._ahead[0] is entry:
+            return self._ahead[1]
+        return self._file.table(entry)
+
     def _events(self, entry: Entry) -> NDArray[Any]:
-        data, table = self._file.table(entry)
+        data, table = self._table(entry)
         at, count = samples.event_vector(table)
         out = np.empty(count, EVENT_DTYPE)
         self.clock.state[0] = 0
@@ -152,22 +157,18 @@ class Cursor:
         """Return the times that the events of this packet can have.
 
         The index gives each packet's; to mislead, two of its entries must be wrong.
-        Without one, the packets before and after a disordered one say it.
+        Without one, the packets before and after say it.
         """
         if not self._file.indexed:
-            times = np.ndarray((count,), "<i8", data, at, (16,))
             if not count:
                 return NEVER, -NEVER
             begun = self.clock.last > NEVER
             before = self.clock.last - int(self.clock.state[2]) if begun else (
-                int(times[0]))
-            if (before <= int(times[0]) and int(times[-1]) - before <= _USUAL_US
-                    and np.all(times[1:] >= times[:-1])):
-                return NEVER, -NEVER
-            before = before if begun else NEVER
+                int.from_bytes(data[at:at + 8], "little", signed=True))
             after = self._next_time()
-            return (NEVER, -NEVER) if after is None or after < before else (
-                before, after)
+            if after is None or after < before:
+                return NEVER, -NEVER
+            return before if begun else NEVER, after
         i, entries = self._next - 1, self._entries
         here = entries[i]
         first, last = [here.start_us], [here.stop_us]
@@ -179,13 +180,18 @@ class Cursor:
                 max((t for t in last if t is not None), default=-NEVER))
 
     def _next_time(self) -> int | None:
-        """Return the middle time of the next packet that can be read."""
+        """Return the time with which the next packet that can be read begins.
+
+        The middle one of three, since one may be damaged.
+        """
         for entry in self._entries[self._next:self._next + 2]:
             with contextlib.suppress(PayloadError):
-                data, table = self._file.table(entry)
+                self._ahead = entry, self._table(entry)
+                data, table = self._ahead[1]
                 at, count = samples.event_vector(table)
                 if count:
-                    return int(np.median(np.ndarray((count,), "<i8", data, at, (16,))))
+                    first = np.ndarray((min(count, 3),), "<i8", data, at, (16,))
+                    return int(np.sort(first)[len(first) // 2])
         return None
 
     def _frames(self, entry: Entry) -> list[ApsFrame]:
