@@ -147,19 +147,17 @@ def tiles(path: Path) -> None:
                 "whole": {}, "stripes": {"executor": pool, "tiles": 2}}
             cpu: dict[str, list[float]] = {way: [] for way in ways}
             wall: dict[str, list[float]] = {way: [] for way in ways}
-            differing = 0
             for turn in range(TURNS + 1):
-                found = []
                 for way, more in ways.items():
                     start, busy = time.perf_counter(), _busy(pool)
-                    found.append(_measured(fuse(recording, options, **more)))
+                    _make(fuse(recording, options, **more))
                     if turn:        # before, the pool starts and imports
                         cpu[way].append(_busy(pool) - busy)
                         wall[way].append(time.perf_counter() - start)
-                differing += sum(
-                    a.quad.tobytes() != b.quad.tobytes()
-                    or a.valid.tobytes() != b.valid.tobytes()
-                    for a, b in zip(*found, strict=True))
+            pairs = zip(*(fuse(recording, options, **more) for more in ways.values()),
+                        strict=True)
+            differ = [a.quad.tobytes() != b.quad.tobytes()
+                      or a.valid.tobytes() != b.valid.tobytes() for a, b in pairs]
             overheads = [two / one - 1 for one, two in zip(
                 cpu["whole"], cpu["stripes"], strict=True)]
             low, high = np.quantile(overheads, (0.25, 0.75))
@@ -167,8 +165,9 @@ def tiles(path: Path) -> None:
                   f"{statistics.median(cpu['stripes']):.2f} s by two workers "
                   f"({statistics.median(overheads):+.0%}, quartiles {low:+.0%} to "
                   f"{high:+.0%}); wall {statistics.median(wall['whole']):.2f} and "
-                  f"{statistics.median(wall['stripes']):.2f} s; {len(found[0])} "
-                  f"images, {differing} of them differ; load {os.getloadavg()[0]:.1f}")
+                  f"{statistics.median(wall['stripes']):.2f} s; {len(differ)} "
+                  f"images, {sum(differ)} of them differ; "
+                  f"load {os.getloadavg()[0]:.1f}")
 
 
 def _busy(pool: ProcessPoolExecutor) -> float:
@@ -178,12 +177,10 @@ def _busy(pool: ProcessPoolExecutor) -> float:
         for pid in pool._processes)
 
 
-def _measured(images: Iterable[PolarFrame]) -> list[PolarFrame]:
-    """Return images whose AoP, DoLP and S0 have been computed, as for an export."""
-    found = list(images)
-    for image in found:
+def _make(images: Iterable[PolarFrame]) -> None:
+    """Compute AoP, DoLP and S0 of images one after the other, as an export does."""
+    for image in images:
         image.aop, image.dolp, image.s0  # noqa: B018
-    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:

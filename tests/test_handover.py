@@ -1,4 +1,5 @@
 """What processes hand each other through memory: the same values, and nothing left."""
+import pickle
 import signal
 import subprocess
 import sys
@@ -12,7 +13,15 @@ from test_tiles import assert_same_bits
 from pdavis_cv import fuse, open_recording
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import handover
-from pdavis_cv.fusion.handover import Handed, hand_over, memory_for, taken
+from pdavis_cv.fusion.handover import (
+    Handed,
+    Place,
+    Reading,
+    Shelf,
+    hand_over,
+    memory_for,
+    taken,
+)
 
 pytestmark = pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="/dev/shm")
 
@@ -61,6 +70,46 @@ def test_without_a_slot_or_room_the_value_goes_itself(memory):
     assert hand_over(sent, None) is sent
     assert hand_over(sent, "/dev/full") is sent
     assert taken(sent) is sent
+
+
+def planes():
+    rows = np.arange(60, dtype=np.float32).reshape(6, 10)
+    return [rows, rows[1:3], rows[:, 2:4], rows > 7]
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_planes_are_read_to_where_they_belong(turns, memory):
+    for _ in range(turns):                          # over what lay there before
+        shelf = Shelf(str(memory / "slot"))
+        sent = pickle.loads(pickle.dumps([shelf.put(plane) for plane in planes()]))
+        shelf.close()
+    assert all(isinstance(place, Place) for place in sent)
+    with Reading() as reading:
+        for place, plane in zip(sent, planes(), strict=True):
+            out = np.empty(place.shape, place.dtype)
+            reading.into(out, place)
+            np.testing.assert_array_equal(out, plane)
+
+
+@pytest.mark.parametrize("slot", [None, "/dev/full", "/nowhere/slot"])
+def test_planes_go_themselves_where_there_is_no_room(slot):
+    shelf = Shelf(slot)
+    out = np.empty((6, 10), np.float32)
+    sent = shelf.put(planes()[0])
+    with Reading() as reading:
+        reading.into(out, sent)
+    assert sent is not out
+    np.testing.assert_array_equal(out, planes()[0])
+    shelf.close()
+
+
+def test_a_plane_that_is_cut_off_is_an_error(memory):
+    shelf = Shelf(str(memory / "slot"))
+    sent = shelf.put(planes()[0])
+    shelf.close()
+    (memory / "slot").write_bytes(b"short")
+    with Reading() as reading, pytest.raises(OSError, match="must hold 240 bytes"):
+        reading.into(np.empty((6, 10), np.float32), sent)
 
 
 @pytest.mark.parametrize("kind", [Executor, lambda: ThreadPoolExecutor(1)])

@@ -2,7 +2,9 @@
 
 A pool pickles into one block, sends that through a pipe and unpickles it: each array is
 copied about five times, into pages of memory that are new each time, which costs more
-than the copying. In a file of memory an array is written once, and used where it lies.
+than the copying. In a file of memory a state is written once, and used where it lies;
+planes of images, of which there are many, are written as they are made, and read to
+where they belong, so that on both sides the same pages serve for all.
 """
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-__all__ = ["Handed", "hand_over", "memory_for", "taken"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Handed", "Place", "Reading", "Shelf", "hand_over", "memory_for", "taken"]
 
 _MEMORY = Path("/dev/shm")     # Linux's file system in memory
 _PREFIX, _LOCK = "pdavis-", "lock"
@@ -41,6 +46,101 @@ class Handed(NamedTuple):
     slot: str
     places: tuple[tuple[int, int], ...]
     pickled: bytes
+
+
+class Place(NamedTuple):
+    """Where an array lies that was put on a `Shelf`.
+
+    Parameters
+    ----------
+    slot : str
+        The file.
+    start : int
+        Its first byte.
+    shape : tuple of int
+    dtype : str
+    """
+
+    slot: str
+    start: int
+    shape: tuple[int, ...]
+    dtype: str
+
+
+class Shelf:
+    """Takes arrays, one after the other, for another process.
+
+    Parameters
+    ----------
+    slot : str or None
+        As for `hand_over`.
+    """
+
+    def __init__(self, slot: str | None) -> None:
+        self._slot, self._end = slot, 0
+        self._file: int | None = None
+        if slot is not None:
+            with contextlib.suppress(OSError):
+                self._file = os.open(slot, os.O_WRONLY | os.O_CREAT, 0o600)
+
+    def put(self, array: NDArray[Any]) -> Place | NDArray[Any]:
+        """Return what to send in place of an array: itself without slot or room."""
+        if self._file is None or self._slot is None:
+            return array
+        start = self._end
+        raw = np.ascontiguousarray(array)
+        try:
+            if os.pwrite(self._file, raw.data, start) != raw.nbytes:
+                return array
+        except OSError:
+            return array
+        self._end = start + raw.nbytes + -raw.nbytes % _ALIGN
+        return Place(self._slot, start, raw.shape, raw.dtype.str)
+
+    def close(self) -> None:
+        """Take no more."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+class Reading:
+    """Reads what shelves of other processes took; closes their files in the end."""
+
+    def __init__(self) -> None:
+        self._files: dict[str, int] = {}
+
+    def __enter__(self) -> Reading:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for file in self._files.values():
+            os.close(file)
+        self._files.clear()
+
+    def into(self, out: NDArray[Any], sent: Place | NDArray[Any]) -> None:
+        """Copy an array that `Shelf.put` sent.
+
+        Parameters
+        ----------
+        out : ndarray, C-contiguous
+            Of its shape and dtype.
+        sent : Place or ndarray
+
+        Raises
+        ------
+        OSError
+            If it does not lie there any more.
+        """
+        if not isinstance(sent, Place):
+            out[...] = sent
+            return
+        file = self._files.get(sent.slot)
+        if file is None:
+            file = self._files[sent.slot] = os.open(sent.slot, os.O_RDONLY)
+        if os.preadv(file, [out.data], sent.start) != out.nbytes:
+            raise OSError(f"{sent.slot} must hold {out.nbytes} bytes at {sent.start}, "
+                          "found fewer")
 
 
 @contextlib.contextmanager

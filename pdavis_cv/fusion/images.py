@@ -1,7 +1,7 @@
 """From an estimate of log intensity to an image of polarization."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,12 +50,6 @@ class Samples(NamedTuple):
         """Return those of a part; views."""
         return Samples._make(
             None if plane is None else plane[rows, columns] for plane in self)
-
-    @classmethod
-    def stacked(cls, parts: Sequence[Samples]) -> Samples:
-        """Return those of stripes, from top to bottom, as those of one region."""
-        return cls._make(None if planes[0] is None else np.concatenate(planes)
-                         for planes in zip(*parts, strict=True))
 
 
 def samples_of(method: Reconstructor, t_us: int) -> Samples:

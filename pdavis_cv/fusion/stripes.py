@@ -6,10 +6,12 @@ workers tell it to states of stripes, or of pieces of time.
 from __future__ import annotations
 
 import itertools
+import operator
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -19,7 +21,15 @@ from numpy.typing import NDArray
 
 from pdavis_cv._workers import Workers
 from pdavis_cv.fusion.engine import Fusion
-from pdavis_cv.fusion.handover import Handed, hand_over, memory_for, taken
+from pdavis_cv.fusion.handover import (
+    Handed,
+    Place,
+    Reading,
+    Shelf,
+    hand_over,
+    memory_for,
+    taken,
+)
 from pdavis_cv.fusion.images import Samples, samples_of
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.states import AsItArrives, Held, InOrder, Script, Told, states_of
@@ -144,32 +154,61 @@ class _Piece:
     slot: str | None
 
 
-def _work(handed: Handed | _Piece) -> Any:
+class _Sent(NamedTuple):
+    """Samples of an image, handed over: as `Samples`."""
+
+    intensity: Place | NDArray[np.float32]
+    variance: Place | NDArray[np.float32] | None
+    valid: Place | NDArray[np.bool_]
+    quality: Place | NDArray[np.float32] | None
+
+
+class _Sender:
+    """Hands samples over.
+
+    Parameters
+    ----------
+    shelf : Shelf
+    """
+
+    def __init__(self, shelf: Shelf) -> None:
+        self._put = shelf.put
+        self._valid: tuple[NDArray[np.bool_], Place | NDArray[np.bool_]] | None = None
+
+    def __call__(self, samples: Samples) -> _Sent:
+        """Hand over one image's; of what is valid, what has changed."""
+        intensity, variance, valid, quality = samples
+        if self._valid is None or not np.array_equal(valid, self._valid[0]):
+            self._valid = valid, self._put(valid)
+        return _Sent(self._put(intensity),
+                     None if variance is None else self._put(variance),
+                     self._valid[1], None if quality is None else self._put(quality))
+
+
+def _work(handed: Handed | _Piece) -> tuple[list[_Sent | None], Any]:
     """Hand over the samples of each image, None for the one before's, and the state."""
     piece: _Piece = taken(handed)
     states = piece.stripe.states()
     before = taken(piece.before)
     if before is not None:
         states.take(before)
-    found: list[Samples | None] = []
+    found: list[_Sent | None] = []
     last: object | None = None
-    valid: NDArray[np.bool_] | None = None
-    for name, args in piece.told:
-        if name != _READ:
-            getattr(states, name)(*args)
-            continue
-        shown = states.method.shows(*args)
-        if shown is not None and shown is last:
-            found.append(None)
-            continue
-        samples = samples_of(states.method, *args).part(*piece.stripe.part)
-        if valid is None or not np.array_equal(samples.valid, valid):
-            valid = samples.valid
-        found.append(samples._replace(valid=valid))     # one object is sent once
-        last = shown
-    held = (hand_over(states.held(), piece.slot and f"{piece.slot}.state")
-            if piece.hand_on else None)
-    return hand_over((found, held), piece.slot)
+    with closing(Shelf(piece.slot)) as shelf:
+        send = _Sender(shelf)
+        for name, args in piece.told:
+            if name != _READ:
+                getattr(states, name)(*args)
+                continue
+            shown = states.method.shows(*args)
+            if shown is not None and shown is last:
+                found.append(None)
+                continue
+            samples = samples_of(states.method, *args)
+            found.append(send(samples.part(*piece.stripe.part)))
+            last = shown
+    return found, (hand_over(states.held(), piece.slot and f"{piece.slot}.state")
+                   if piece.hand_on else None)
 
 
 class _Leader(Fusion):
@@ -300,7 +339,7 @@ def _by_stripes(
         begin(now, [None] * len(stripes))
     while now.images:
         after = whole.round()       # is read while they work
-        pieces = [taken(waiting.popleft().result()) for _ in stripes]
+        pieces = [waiting.popleft().result() for _ in stripes]
         if after.images:            # they work on while images are made and used here
             begin(after, [held for _, held in pieces])
         yield from join(now, [samples for samples, _ in pieces])
@@ -325,7 +364,7 @@ def _by_time(
             submit(stripe, now.told, before, False)
         if not waiting:
             return
-        yield from join(rounds.popleft(), [taken(waiting.popleft().result())[0]])
+        yield from join(rounds.popleft(), [waiting.popleft().result()[0]])
 
 
 class _Joined:
@@ -336,14 +375,33 @@ class _Joined:
         self._image: PolarFrame | None = None
 
     def __call__(
-        self, now: _Round, stripes: Sequence[Sequence[Samples | None]]
+        self, now: _Round, stripes: Sequence[Sequence[_Sent | None]]
     ) -> Iterator[PolarFrame]:
         """Yield the images of a round."""
-        for about, *parts in zip(now.images, *stripes, strict=True):
-            planes = [part for part in parts if part is not None]
-            if planes:
-                self._image = self._whole.made(Samples.stacked(planes), *about)
-            else:
-                assert self._image is not None
-                self._image = self._image.retimed(*about)
-            yield self._image
+        with Reading() as reading:
+            sent: Sequence[object] = ()     # what `valid` was read from
+            for about, *parts in zip(now.images, *stripes, strict=True):
+                found = [part for part in parts if part is not None]
+                if found:
+                    intensity, variance, places, quality = zip(*found, strict=True)
+                    if not sent or any(map(operator.is_not, places, sent)):
+                        valid, sent = _stacked(reading, places), places
+                    self._image = self._whole.made(Samples(
+                        _stacked(reading, intensity), _stacked(reading, variance),
+                        valid, _stacked(reading, quality)), *about)
+                else:
+                    assert self._image is not None
+                    self._image = self._image.retimed(*about)
+                yield self._image
+
+
+def _stacked(reading: Reading, parts: Sequence[Place | NDArray[Any] | None]) -> Any:
+    """Return a plane whose stripes were sent, from top to bottom."""
+    sent = [part for part in parts if part is not None]
+    if not sent:
+        return None
+    edges = list(itertools.accumulate((part.shape[0] for part in sent), initial=0))
+    plane = np.empty((edges[-1], *sent[0].shape[1:]), sent[0].dtype)
+    for part, (first, last) in zip(sent, pairwise(edges), strict=True):
+        reading.into(plane[first:last], part)
+    return plane

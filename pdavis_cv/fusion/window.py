@@ -46,10 +46,12 @@ class Window:
         """Return the events of the window, in its coordinates."""
         if self.shape == self.size:
             return events
-        x, y = events["x"], events["y"]
-        inside: NDArray[Any] = events[
-            (x >= self.columns.start) & (x < self.columns.stop)
-            & (y >= self.rows.start) & (y < self.rows.stop)]
+        y = events["y"]
+        wanted = (y >= self.rows.start) & (y < self.rows.stop)
+        if self.shape[1] < self.size[1]:
+            x = events["x"]
+            wanted &= (x >= self.columns.start) & (x < self.columns.stop)
+        inside: NDArray[Any] = events[wanted]
         inside["x"] -= self.columns.start
         inside["y"] -= self.rows.start
         return inside
