@@ -1,8 +1,11 @@
 """Periodic signals and the optics of a retarder."""
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lombscargle
 
 from pdavis_cv import AnalysisWarning
 from pdavis_cv.analysis import (
@@ -18,6 +21,7 @@ from pdavis_cv.analysis import (
     retardance,
     subtract_background,
 )
+from pdavis_cv.analysis.periodogram import highest_peak
 
 EPOCH = 1_700_000_000_000_000  # Unix time in us, as DV writes it
 
@@ -70,6 +74,48 @@ def test_irregular_times_and_missing_values_do_no_harm():
     v = np.cos(2 * np.pi * 7.25 * t / 1e6)
     v[::7] = np.nan
     assert dominant_tone(t, v).hz == pytest.approx(7.25, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("spacing", ["even", "random", "with gaps"])
+def test_the_highest_peak_is_that_of_the_whole_periodogram(seed, spacing):
+    rng = np.random.default_rng(seed)
+    t = np.arange(300) / 50.0
+    if spacing == "random":
+        t = np.sort(rng.uniform(0, 6, 300))
+    elif spacing == "with gaps":
+        t = t[(t % 2 < 0.5) | (t % 2 > 1.2)]
+    v = 0.3 * np.cos(2 * np.pi * rng.uniform(1, 20) * t) + rng.normal(size=len(t))
+    hz = np.linspace(0.4, 25, 4000)
+    power = lombscargle(t, v, 2 * np.pi * hz)
+    found, height = highest_peak(t, v, 0.4, 25)
+    # An eighth of a peak's width away, cos(pi / 16)^2 of its height is left.
+    assert height >= 0.96 * power.max()
+    assert height == pytest.approx(
+        float(lombscargle(t, v, 2 * np.pi * np.array([found]))))
+
+
+def test_a_band_narrower_than_a_step_is_searched_at_its_ends():
+    t = np.arange(100) / 10.0
+    found, _ = highest_peak(t, np.cos(2 * np.pi * 3 * t), 2.9999, 3.0)
+    assert found == 3.0
+
+
+def test_a_long_trace_takes_little_memory():
+    t = times(1000, 20)
+    v = wave(t, 3.3) + np.random.default_rng(0).normal(size=len(t))
+    tracemalloc.start()
+    assert dominant_tone(t, v).hz == pytest.approx(3.3, abs=1e-3)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6     # an array of samples by frequencies would be 6400 MB
+
+
+def test_a_frequency_of_less_than_a_cycle_has_an_answer(capfd):
+    t = times(10, 10)
+    v = np.random.default_rng(1).normal(size=len(t))
+    assert np.isfinite(fit_tone(t, v, 1e-130, harmonics=20).amplitude).all()
+    assert capfd.readouterr() == ("", "")      # LAPACK says so where numbers are none
 
 
 @pytest.mark.gate

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import whole_number
+from pdavis_cv.analysis.periodogram import highest_peak
 from pdavis_cv.errors import AnalysisWarning
 from pdavis_cv.events import FAR, checked_time
 
@@ -37,6 +38,9 @@ MOST_HZ = 500_000.0
 """Half the rate of a clock of microseconds."""
 MOST_HARMONICS = 64
 """A choice: the fit solves for two unknowns of each."""
+_LEAST_CYCLES = 0.05
+"""Of a tone over the record.  A choice: the cosine of fewer cannot be told from the
+offset and drift that are fitted with it."""
 MOST_OVERSAMPLING = 50
 """Cycles per sample; a choice: the cost grows with it.  Frequencies beyond the sampling
 rate are looked for in unevenly sampled traces only."""
@@ -168,7 +172,6 @@ def dominant_tone(
         If fewer than 8 samples are left, the trace is constant, or the range of
         frequencies is empty.
     """
-    from scipy.signal import lombscargle
     t, v, reference = _clean(t_us, values)
     span, rate = float(t[-1] - t[0]), 1 / float(np.median(np.diff(t)))
     low = 2 / span if lowest_hz is None else float(lowest_hz)
@@ -187,11 +190,9 @@ def dominant_tone(
     variance = float(np.var(detrended))
     if variance <= 1e-24 * max(float(np.max(np.abs(v))), 1e-300) ** 2:
         raise ValueError("values must vary, got a constant trace")
-    grid = np.linspace(low, high, max(2, int(np.ceil((high - low) * span * 8)) + 1))
-    power = lombscargle(t, detrended, 2 * np.pi * grid) / variance
-    best = float(grid[int(np.argmax(power))])
+    best, power = highest_peak(t, detrended, low, high)
     independent = max(1.0, (high - low) * span)
-    z = float(np.max(power)) * (len(t) - 3) / len(t)
+    z = power / variance * (len(t) - 3) / len(t)
     # exp(-z) is 1 at z = 0, where the logarithm would be infinite.
     false_alarm = float(-np.expm1(independent * np.log1p(-np.exp(-max(z, 1e-9)))))
     return _refine(t, v, reference, best, rate, harmonics, false_alarm)
@@ -227,6 +228,7 @@ def fit_tone(
     harmonics = whole_number("harmonics", harmonics, 1, MOST_HARMONICS)
     t, v, reference = _clean(t_us, values)
     rate = 1 / float(np.median(np.diff(t)))
+    hz = max(hz, _LEAST_CYCLES / float(t[-1] - t[0]))
     basis = _basis(t, hz, 1)
     whole, reduced = _residual(basis, v), _residual(basis[:, :2], v)
     z = (len(t) - 4) / 2 * max(0.0, 1 - whole / reduced) if reduced > 0 else 0.0
@@ -344,7 +346,8 @@ def _refine(
         return _residual(_basis(t, f, count), v)
 
     hz = float(minimize_scalar(
-        cost, bounds=(max(hz - half, half / 10), hz + half), method="bounded",
+        cost, bounds=(max(hz - half, _LEAST_CYCLES * 2 * half), hz + half),
+        method="bounded",
         options={"xatol": half * 1e-7}).x)
     basis = _basis(t, hz, count)
     solution = np.linalg.lstsq(basis, v, rcond=None)[0]
