@@ -247,7 +247,7 @@ def test_cf_learns_thresholds_as_the_stream_passes():
     fusion = Fusion(made, method="cf", causal=True, thresholds="in-situ",
                     nominal_thresholds=(0.08, 0.09), times_us=[1_150_000])
     next(fusion)
-    found = fusion._states.method.parameters["theta_on"]
+    found = fusion._state.method.parameters["theta_on"]
     assert found.mean() == pytest.approx(0.16, rel=0.1)
 
 

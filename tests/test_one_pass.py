@@ -166,7 +166,7 @@ def test_what_is_held_does_not_grow_with_the_stream(options):
     for k in range(60):
         assert fusion.advance()
         if k in (20, 59):         # after what is learned has been learned
-            held.append(nbytes([fusion._states, fusion._feed, fusion._lamp,
+            held.append(nbytes([fusion._state, fusion._feed, fusion._lamp,
                                 fusion._online, fusion._frames]))
     assert held[1] < 1.3 * held[0]
 

@@ -50,7 +50,7 @@ def assert_same_bits(one, other):
 def assert_same_images(options, source, monkeypatch, images=5, **shared):
     """Compare with what one alone makes; return how many images and calls there were.
     """
-    monkeypatch.setattr("pdavis_cv.fusion.stripes._IMAGES", images)
+    monkeypatch.setattr("pdavis_cv.fusion.stripes._IMAGES_PER_TASK", images)
     options = FusionOptions(fps=80, layout="pdavis").replace(**options)
     executor = Pickling()
     count = 0

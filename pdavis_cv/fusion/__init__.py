@@ -1,11 +1,14 @@
-"""fuse(): polarization images at any time.  For everybody who has a recording.
+"""fuse(): make polarization images of a recording, at any time.
 
-The one place that orders time.  `options` say what is asked for, `camera` what is known
-of the polarizers; `feed` puts the samples of a source in order, `learning` finds out
-what the method must know, `states` take it in, of the part of the sensor that `window`
-says; `images` are made of what they tell; `engine` leads from one to the next.
+This is the one place that orders time.  `options` holds what the caller asks for, and
+`camera` what is known of the polarizers.  `feed` puts the events and frames of a source
+in order, `learning` estimates the parameters that the method needs, `states` feeds the
+method, `window` is the part of the sensor that is computed, and `images` makes
+PolarFrames of the result.  `engine` connects them.  `stripes` and `shared_memory`
+divide the work among processes.
 
-The names below load at first use: who only says what is to be done needs `options`.
+The names below are imported at first use, so that code that only needs `FusionOptions`
+loads nothing else.
 """
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of the camera that a source was recorded with."""
+"""Layout, polarizers and calibration of the camera that a source was recorded with."""
 from __future__ import annotations
 
 import math
@@ -19,14 +19,14 @@ __all__ = ["analyser_of", "check_calibration_fits", "check_layout_fits",
            "chosen_layout", "gain_of", "mismatch_of", "resolved_extinction_ratio",
            "response_of"]
 
-# A source that warned about its layout once does not do so again.
+# Sources whose unknown layout has already been warned about.
 _warned: weakref.WeakSet[Source] = weakref.WeakSet()
 
 
 def chosen_layout(
     layout: Layout | str | None, calibration: Calibration | None, source: Source
 ) -> Layout:
-    """Return the layout to use; warn once per source if none is known."""
+    """Return the polarizer layout to use; warn once per source if none is known."""
     layout = None if layout is None else Layout.of(layout)
     of_calibration = None if calibration is None else calibration.layout
     known = (layout, of_calibration, source.info.layout)
@@ -38,13 +38,13 @@ def chosen_layout(
 
 
 def check_calibration_fits(calibration: Calibration | None, source: Source) -> None:
-    """Raise CalibrationError if the calibration is of another camera."""
+    """Raise CalibrationError if the calibration belongs to another camera."""
     if calibration is not None:
         calibration.check_fits(source.info.sensor_size, source.info.serial)
 
 
 def check_layout_fits(method: Reconstructor, layout: Layout) -> None:
-    """Raise LayoutError if the method was made for other layouts."""
+    """Raise LayoutError if the method cannot be used with the layout."""
     i0, _, i90, _ = layout.places
     if method.needs.crossed_diagonal and i0 + i90 != 3:
         raise LayoutError(
@@ -55,7 +55,7 @@ def check_layout_fits(method: Reconstructor, layout: Layout) -> None:
 def resolved_extinction_ratio(
     value: float | str | None, sensor: Sensor | None
 ) -> float | None:
-    """Return the number that S1 and S2 are corrected for, or None."""
+    """Return the extinction ratio that S1 and S2 are corrected for, or None."""
     if isinstance(value, str):
         return (sensor or Sensor.PDAVIS).extinction_ratio
     return None if value is None else float(value)
@@ -64,20 +64,20 @@ def resolved_extinction_ratio(
 def response_of(
     layout: Layout, calibration: Calibration | None, rows: slice, columns: slice
 ) -> NDArray[np.float64]:
-    """Return how the pixels of a window respond to S0, S1, S2.
+    """Return the response of each pixel of a window to S0, S1, S2.
 
     Parameters
     ----------
     layout : Layout
         Of the window.
     calibration : Calibration or None
-        Its analyser matrix is used, where it has one.
+        Its analyser matrix is used if it has one; otherwise polarizers are ideal.
     rows, columns : slice
         The window.
 
     Returns
     -------
-    ndarray of float64, shape (H, W, 3) or, of ideal polarizers, (2, 2, 3)
+    ndarray of float64, shape (H, W, 3), or (2, 2, 3) for ideal polarizers
     """
     if calibration is not None and calibration.analyser is not None:
         return np.ascontiguousarray(calibration.analyser[rows, columns], np.float64)
@@ -90,7 +90,7 @@ def analyser_of(
     calibration: Calibration | None, window: tuple[slice, slice], layout: Layout,
     demosaic: str, crop: tuple[slice, slice] | None,
 ) -> Analyser | None:
-    """Return the channels' responses in the images of a window, None if unknown.
+    """Return the channels' responses in the image of a window, None if unknown.
 
     Parameters
     ----------
@@ -100,10 +100,10 @@ def analyser_of(
     layout : Layout
         Of the window.
     demosaic : {"bilinear", "superpixel", "binned", "guided"}
-        How intensities are brought to one place.  So are the responses; with
-        ``"guided"`` bilinearly, without the pixels' gain.
+        How intensities are interpolated.  The responses are interpolated the same way;
+        for ``"guided"`` bilinearly, after division by the pixels' gain.
     crop : (slice, slice) or None
-        The part of the window that the image is; None = all of it.
+        The part of the window that the image shows; None = all of it.
     """
     if calibration is None or calibration.analyser is None:
         return None
@@ -121,11 +121,11 @@ def analyser_of(
 def gain_of(
     calibration: Calibration | None, window: tuple[slice, slice], demosaic: str
 ) -> NDArray[np.float32] | None:
-    """Return what intensities are divided by before they are demosaiced, or None.
+    """Return the gains by which intensities are divided before demosaicing, or None.
 
-    With ``"guided"`` the image is as sharp as the pixels, so what they differ in by
-    calibration must be taken out of each before; other methods blur it as they blur
-    the responses.
+    Guided demosaicing gives images as sharp as the mosaic, so each pixel's calibrated
+    gain has to be removed before.  The other methods blur the gains exactly as they
+    blur the responses, which `analyser_of` accounts for.
     """
     if demosaic != "guided" or calibration is None or calibration.analyser is None:
         return None

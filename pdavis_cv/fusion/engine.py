@@ -1,4 +1,4 @@
-"""fuse(): polarization images at any time; the one place that orders time."""
+"""fuse() and Fusion: make polarization images of a recording at any time."""
 from __future__ import annotations
 
 import functools
@@ -28,17 +28,13 @@ from pdavis_cv.fusion.images import ImageMaker, Samples
 from pdavis_cv.fusion.learning import Learning, OnlineLearning, Tuning
 from pdavis_cv.fusion.options import FusionOptions, takes_options
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
-from pdavis_cv.fusion.states import AsItArrives, InOrder, Script, states_of
+from pdavis_cv.fusion.states import ArrivalState, CallRecorder, InOrderState, make_state
 from pdavis_cv.fusion.window import Window, checked_roi, window_of
 from pdavis_cv.mosaic import REACH
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import LampTracker
-from pdavis_cv.reconstruct.methods import (
-    default_method,
-    factory_of,
-    make_reconstructor,
-)
+from pdavis_cv.reconstruct.methods import default_method, factory_of, make_reconstructor
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.sensor import Layout
 
@@ -55,32 +51,31 @@ def fuse(
 ) -> Iterator[PolarFrame]:
     """Fuse a recording's frames and events into polarization images.
 
-    Returns at once: nothing is read before the first image is asked for.
-
-    Without `fps` and `times_us` there is one image per frame, at its mid-exposure
-    (100 per second if there are no frames).  Whatever the interval, the recording is
-    followed from its beginning, so an image at t is the same whichever images were
-    asked for before it.
+    Reading begins when the first image is asked for.  Without `fps` and `times_us`
+    there is one image per frame, at its mid-exposure (100 per second if there are no
+    frames).  The recording is always processed from its beginning, whatever `start_us`
+    is, so an image does not depend on which other images are asked for.
 
     Parameters
     ----------
     recording : Recording or Source
-        From `open_recording` or `recording_from_arrays`, or what is read only once,
-        such as `source_from_packets` makes: then in one pass and bounded memory.  Not
-        `causal`, the first image of a Source may wait for its first 10 s, which tell
-        what the method must know of the camera.
+        From `open_recording` or `recording_from_arrays`; or a source that can be read
+        only once, e.g. from `source_from_packets`, which is processed in one pass and
+        bounded memory.  Without `causal`, the first image of such a source may have to
+        wait for its first 10 s, from which parameters of the camera are estimated.
     options : FusionOptions, optional
-        What to begin with; the keywords below change it.
+        Options to start from; the keywords below override them.
     executor : concurrent.futures.Executor, optional
-        Works on stripes of the sensor, to the same bits; the recording is read here.
-        Where pixels depend on all others, as with ``kalman``, one worker has all.
+        Computes stripes of the sensor in parallel; the images have the same bits.  The
+        recording is read in this process.  Where each pixel depends on all others, as
+        with ``kalman``, a single worker computes the whole sensor.
     tiles : int, optional
-        How many stripes, or pieces at a time; default one per core.
+        Number of stripes, or of intervals at a time; default one per core.
     by_time : bool
-        Divide time instead: states are followed here, and again by the workers.
+        Divide time instead; this process then computes the state as well.
     {options}
     **method_parameters
-        Passed to the method, e.g. ``cutoff_hz`` for ``cf``.
+        Parameters of the method, e.g. ``cutoff_hz`` for ``cf``.
 
     Returns
     -------
@@ -93,7 +88,7 @@ def fuse(
     ValueError
         If a value is out of range, e.g. a region that leaves the sensor.
     LayoutError, CalibrationError
-        If layouts disagree, or the calibration is of another camera.
+        If layouts disagree, or the calibration belongs to another camera.
 
     Examples
     --------
@@ -113,9 +108,9 @@ def fuse(
 
 
 class Fusion:
-    """Iterator over the fused images of a source, with exact repositioning.
+    """Iterate over the fused images of a source; return to any earlier position.
 
-    Parameters are those of `fuse`.  `VideoCapture` builds on it.  Nothing is read
+    The parameters are those of `fuse`.  `VideoCapture` is built on it.  Nothing is read
     before the first image, or a time, is asked for.
 
     Attributes
@@ -123,20 +118,20 @@ class Fusion:
     method : str
         The method in use.
     needs : Needs
-        What the method has to be given.
+        What the method requires.
     layout : Layout
         Layout of the whole sensor.
     roi : (int, int, int, int)
         (x, y, width, height) of the images on the sensor.
     window : Window
-        What is computed for them.
+        The part of the sensor that is computed for them.
     margin : int
-        Of the method: how many pixels around a pixel its result depends on.
+        Distance in pixels up to which a pixel of the method depends on others.
     shape : (int, int)
         (height, width) of the images.
     provenance : mapping of str to object
-        What produces the images, also in every PolarFrame; the parameters of the
-        method are those in force at the last image.
+        Software, options and parameters that produce the images, as in every
+        PolarFrame; the method's parameters are those in use at the last image.
     """
 
     method: str
@@ -163,14 +158,14 @@ class Fusion:
         self._factory = factory_of(options.method or default_method(info))
         self._denoise = None if options.denoise is False else (
             {} if options.denoise is True else options.denoise)
-        asked, parameters = self._asked()
-        self._lookahead_us = asked.lookahead_us
+        probe, parameters = self._probe_method()
+        self._lookahead_us = probe.lookahead_us
         self._learning = Learning(recording, options, parameters, self.needs)
         self._workers = Workers(options.threads)
         self._clock_us = self._learning.prior.clock_us
-        self.roi, self.margin = roi, asked.margin
+        self.roi, self.margin = roi, probe.margin
         self.window = window_of(
-            roi, info.sensor_size, asked.margin + REACH[options.demosaic])
+            roi, info.sensor_size, probe.margin + REACH[options.demosaic])
         self._images = ImageMaker(
             self.window, roi, self.layout, options.demosaic, ratio,
             options.calibration, info.sensor, self._workers)
@@ -183,22 +178,22 @@ class Fusion:
         self._tuning: Tuning | None = None
         self.provenance: Mapping[str, Any] = MappingProxyType({
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
-            "parameters": {name: value for name, value in asked.parameters.items()
+            "parameters": {name: value for name, value in probe.parameters.items()
                            if np.ndim(value) < 2},
             "clock_offset_us": self._clock_us,
             "causal": options.causal, "layout": str(self.layout),
             "extinction_ratio": ratio, "demosaic": options.demosaic, "roi": roi,
             "calibration": options.calibration and options.calibration.identity,
             "source": str(recording.path) if recording.path else info.format})
-        self._begin()
+        self._reset()
 
-    def _asked(self) -> tuple[Reconstructor, dict[str, Any]]:
-        """Make the method small, to check its parameters and see what it needs."""
+    def _probe_method(self) -> tuple[Reconstructor, dict[str, Any]]:
+        """Make a small method to check its parameters; return it and all parameters."""
         given = dict(self.options.parameters)
         numbers = {name: value for name, value in given.items()
                    if not isinstance(value, str) or value != "in-situ"}
         size = self.recording.info.sensor_size
-        # A small one will do, but for parameters that are maps of the sensor.
+        # Parameters that are maps of the sensor need a method of the sensor's size.
         if all(np.ndim(value) < 2 for value in numbers.values()):
             size = min(size, (2, 2))
         response = response_of(
@@ -208,22 +203,22 @@ class Fusion:
             return make_reconstructor(
                 self._factory, size, 0.2, 0.2, parameters, response, self._denoise)
 
-        asked = made(numbers)
-        if self.options.causal and asked.lookahead_us != 0:
-            # What the caller says goes before what would make the method causal.
-            asked, given = (made({**asked.causal_parameters, **numbers}),
-                            {**asked.causal_parameters, **given})
-        if self.options.causal and asked.lookahead_us != 0:
+        probe = made(numbers)
+        if self.options.causal and probe.lookahead_us != 0:
+            # The caller's parameters override those that make the method causal.
+            probe, given = (made({**probe.causal_parameters, **numbers}),
+                            {**probe.causal_parameters, **given})
+        if self.options.causal and probe.lookahead_us != 0:
             raise ValueError(
                 "causal=True needs a method that does not look ahead, but "
-                f"{asked.method} needs {asked.lookahead_us} us")
-        if asked.lookahead_us is None and not isinstance(self.recording, Recording):
+                f"{probe.method} needs {probe.lookahead_us} us")
+        if probe.lookahead_us is None and not isinstance(self.recording, Recording):
             raise ValueError(
-                f"method {asked.method!r} needs the whole recording before its first "
+                f"method {probe.method!r} needs the whole recording before its first "
                 "image, got a Source that is read once")
-        check_layout_fits(asked, self.layout)
-        self.method, self.needs = asked.method, asked.needs
-        return asked, given
+        check_layout_fits(probe, self.layout)
+        self.method, self.needs = probe.method, probe.needs
+        return probe, given
 
     # ---- iteration -----------------------------------------------------------
 
@@ -237,7 +232,7 @@ class Fusion:
 
     @property
     def index(self) -> int:
-        """Number of the image that comes next."""
+        """Number of the next image."""
         return self._index
 
     @property
@@ -246,7 +241,7 @@ class Fusion:
         return self._t
 
     def advance(self) -> bool:
-        """Feed up to the next image's time; False at the end."""
+        """Process data up to the next image's time; return False at the end."""
         t = self._next_time()
         if t is None:
             return False
@@ -261,11 +256,11 @@ class Fusion:
         Raises
         ------
         ValueError
-            If nothing was advanced to yet.
+            If `advance` has not been called yet.
         """
-        if self._t is None or self._states is None:
+        if self._t is None or self._state is None:
             raise ValueError("image must follow a successful advance")
-        method = self._states.method
+        method = self._state.method
         return self._images.image(
             method, self._t, self._frame_us(method, self._t), self.provenance)
 
@@ -273,13 +268,13 @@ class Fusion:
         self, samples: Samples, t_us: int, frame_us: int | None,
         provenance: Mapping[str, Any],
     ) -> PolarFrame:
-        """Return the image of samples of the whole `window`."""
+        """Return the image made of samples of the whole `window`."""
         return self._images.made(samples, t_us, frame_us, provenance)
 
     def frame_us(self) -> int | None:
-        """Return the mid-exposure of the last frame that an image here would use."""
-        assert self._t is not None and self._states is not None  # noqa: PT018
-        return self._frame_us(self._states.method, self._t)
+        """Return the mid-exposure of the last frame that an image here uses."""
+        assert self._t is not None and self._state is not None  # noqa: PT018
+        return self._frame_us(self._state.method, self._t)
 
     # ---- repositioning -------------------------------------------------------
 
@@ -294,18 +289,18 @@ class Fusion:
         if self._packets is not None and not isinstance(self.recording, Recording):
             raise ValueError(
                 "a position needs a Recording, got a Source that is read once")
-        self._begin()
+        self._reset()
 
     def snapshot(self) -> FusionSnapshot:
         """Return the state between two images."""
-        if self._states is None or self._feed is None:
+        if self._state is None or self._feed is None:
             return FusionSnapshot(start_us=self._grid_start)
         return FusionSnapshot(
-            self._index, self._grid_start, self._states.behind_us, self._t,
-            self._states.snapshot(), tuple(self._frames), self._feed.reached_us,
+            self._index, self._grid_start, self._state.committed_us, self._t,
+            self._state.snapshot(), tuple(self._frames), self._feed.reached_us,
             None if self._lamp is None else self._lamp.state(),
             None if self._online is None else self._online.state(),
-            self._corrected.clipping, self._states.fed_us)
+            self._corrected.clipping, self._state.fed_us)
 
     def restore(self, snapshot: FusionSnapshot) -> None:
         """Go back to a snapshot of an equal Fusion.
@@ -313,29 +308,29 @@ class Fusion:
         Raises
         ------
         ValueError
-            If the snapshot is of another method, shape or parameters, or the source
-            can be read only once.
+            If the snapshot belongs to another method, shape or parameters, or the
+            source can be read only once.
         """
         self.rewind()
         self._grid_start = snapshot.start_us
         if snapshot.state is None or snapshot.t_us is None:
             return
-        self._start()
-        assert self._states is not None
+        self._make_state()
+        assert self._state is not None
         if self._online is not None and snapshot.learning is not None:
             before = self._online.tuning
             self._online.restore(snapshot.learning)
-            self._go_on_with(_AFTER, self._online.tuning.changes(before))
-        self._states.restore(snapshot.state, snapshot.state_us, snapshot.fed_us)
+            self._apply_changes(_AFTER, self._online.tuning.changes(before))
+        self._state.restore(snapshot.state, snapshot.state_us, snapshot.fed_us)
         if self._lamp is not None and snapshot.lamp is not None:
             self._lamp.restore(snapshot.lamp)
         if snapshot.clipping is not None:
             self._corrected.clipping = snapshot.clipping
         self._frames.extend(snapshot.frames)
         self._index = snapshot.index
-        self._open(snapshot.fed_us, max((mid for mid, _ in snapshot.frames),
-                                        default=None), snapshot.reached_us)
-        self._t, self._peeked = snapshot.t_us, True
+        self._open_feed(snapshot.fed_us, max((mid for mid, _ in snapshot.frames),
+                                             default=None), snapshot.reached_us)
+        self._t, self._start_found = snapshot.t_us, True
         self._advance_to(snapshot.t_us)
 
     # ---- times ---------------------------------------------------------------
@@ -344,55 +339,55 @@ class Fusion:
     def fps(self) -> Fraction | None:
         """Images per second of the grid, None for one image per frame or times."""
         if self._fps is None and self._times is None and self._grid_start is None:
-            self._peek()
+            self._find_start()
         return self._fps
 
     @property
     def clock_offset_us(self) -> int:
-        """What is added to the frames' exposure times, us.
+        """Offset added to the frames' exposure times, us.
 
-        Not `causal`, the beginning of the recording is read for it where it is to be
-        learned; with `causal` it is what has been learned up to the last image.
+        Where it is to be learned: with `causal`, the estimate at the last image;
+        otherwise the beginning of the recording is read to find it.
         """
         if not self.options.causal:
-            self._clock_us = self._learned().clock_us
+            self._clock_us = self._initial_tuning().clock_us
         return self._clock_us
 
     @property
     def start_us(self) -> int | None:
         """Time of the first image, None if there is none."""
         if self._grid_start is None:
-            self._peek()
+            self._find_start()
         return self._grid_start
 
     @property
     def stop_us(self) -> int | None:
-        """Images lie before this time, None = to the end of the recording."""
+        """Time that all images lie before, None = the end of the recording."""
         return self.options.stop_us
 
     @property
     def times_us(self) -> NDArray[np.int64] | None:
-        """Times that were asked for, None for a grid."""
+        """Times of the images that were asked for, None for a grid."""
         return self._times
 
-    def _peek(self) -> None:
-        """Find the beginning of the stream; nothing is handed out yet."""
+    def _find_start(self) -> None:
+        """Find the beginning of the stream; the feed yields nothing yet."""
         if self._feed is None:
-            self._open()
+            self._open_feed()
         assert self._feed is not None
         start = self._feed.first_us()
         if self._fps is None and self._times is None and not self._feed.has_frames:
             self._fps = Fraction(100)
         if self._grid_start is None:
             self._grid_start = start
-        self._peeked = True
+        self._start_found = True
 
     def _next_time(self) -> int | None:
         if self._times is not None:
             return (int(self._times[self._index]) if self._index < len(self._times)
                     else None)
-        if not self._peeked:
-            self._peek()
+        if not self._start_found:
+            self._find_start()
         assert self._feed is not None
         if self._fps is not None:
             start = self._grid_start
@@ -411,40 +406,40 @@ class Fusion:
         else:
             start = self.options.start_us
             after = BEFORE if start is None else start - 1
-        # Frames that the look-ahead has already fed come first.
+        # Because of the look-ahead, the next frame may have been fed already.
         fed: int | None = next((mid for mid, _ in self._frames if mid > after), None)
         while fed is None and (fed := feed.frame_mid(after)) is None:
             settled = feed.read_on()
             if settled is None:
                 return None
-            # Flat in memory also where frames stay away.
+            # Feed while waiting, so that memory is bounded where no frame comes.
             self._feed_to(settled)
         return fed
 
     # ---- feeding -------------------------------------------------------------
 
-    def _begin(self) -> None:
-        """Go back to before everything; nothing is read yet."""
+    def _reset(self) -> None:
+        """Return to the position before the first image; nothing is read."""
         self._index, self._t = 0, None
         self._frames: deque[tuple[int, int]] = deque()
         self._feed: Feed | None = None
-        self._peeked = False        # the beginning of the stream was found
-        self._states: InOrder | AsItArrives | Script | None = None
+        self._start_found = False       # whether `_find_start` was called
+        self._state: InOrderState | ArrivalState | CallRecorder | None = None
         self._online: OnlineLearning | None = None
         self._lamp: LampTracker | None = None
         self._corrected: FrameCorrection = FrameCorrection(self.options.calibration)
 
-    def _open(
+    def _open_feed(
         self, after_us: int | None = None, frames_after_us: int | None = None,
         reached_us: int | None = None,
     ) -> None:
-        """Begin to read, after what has been fed."""
-        clock_us = self._learned().clock_us
+        """Begin to read the source after what has been fed."""
+        clock_us = self._initial_tuning().clock_us
         if self._online is not None:
             clock_us = self._online.tuning.clock_us
         source = self.recording
         if isinstance(source, Recording):
-            # A frame that is moved on may have been stamped before what has been fed.
+            # A frame that the offset moves to a later time has an earlier time stamp.
             self._packets = source.packets(
                 None if after_us is None else after_us + 1 - max(clock_us, 0))
         elif self._packets is None:
@@ -459,8 +454,8 @@ class Fusion:
     def _learns_first(self) -> bool:
         return bool(self._learning.wanted) and not self.options.causal
 
-    def _learned(self) -> Tuning:
-        """Return what is known before the first image: not causal, by a beginning."""
+    def _initial_tuning(self) -> Tuning:
+        """Return the parameters for the first image, which may read the beginning."""
         if self._tuning is None:
             self._tuning = self._learning.prior
             if self._learns_first:
@@ -468,51 +463,51 @@ class Fusion:
                 if isinstance(source, Recording):
                     ahead = source.packets()
                 else:
-                    # What is looked at is kept until it is fed.
+                    # The packets that are looked at are kept until they are fed.
                     self._packets, ahead = itertools.tee(source.packets())
                 self._tuning = self._learning.beginning(source, ahead)
         return self._tuning
 
-    def _start(self) -> None:
-        """Make the states, with what is known before the first image."""
-        tuning = self._learned()
+    def _make_state(self) -> None:
+        """Make the state with the parameters for the first image."""
+        tuning = self._initial_tuning()
         if self._learning.wanted and self.options.causal:
             self._online = OnlineLearning(self._learning)
-        self._states = states_of(
-            self.maker(self.window, self._workers), self.window,
+        self._state = make_state(
+            self.method_factory(self.window, self._workers), self.window,
             None if self._online is None else self._online.camera,
             causal=self.options.causal)
         self._set_clock(tuning.clock_us)
         if self.needs.lamp:
-            # Over the whole sensor, so that an image of a region is the crop.
+            # Of the whole sensor, so that an image of a region equals the crop.
             self._lamp = LampTracker(
                 self.recording.info.sensor_size, tuning.theta_on, tuning.theta_off,
                 tuning.parameters.get("bandwidth"))
-        self._say(self._states.method.parameters)
+        self._update_provenance(self._state.method.parameters)
 
-    def maker(
+    def method_factory(
         self, window: Window, workers: Workers
     ) -> Callable[[], Reconstructor]:
-        """Return what makes the method for a window, with what is known beforehand."""
-        tuning, plane = self._learned(), window.plane
+        """Return a picklable function that makes the method for a window."""
+        tuning, plane = self._initial_tuning(), window.plane
         response = response_of(window.layout(self.layout), self.options.calibration,
                                window.rows, window.columns)
         return functools.partial(
-            _made, workers, self._factory, window.shape, plane(tuning.theta_on),
+            _make_method, workers, self._factory, window.shape, plane(tuning.theta_on),
             plane(tuning.theta_off),
             window.planes(tuning.parameters), response, self._denoise)
 
-    def _say(self, parameters: Mapping[str, Any]) -> None:
-        """Put the parameters in force into the provenance of the images to come."""
+    def _update_provenance(self, parameters: Mapping[str, Any]) -> None:
+        """Write the current parameters to the provenance of the images to come."""
         self.provenance = MappingProxyType(
             {**self.provenance, "parameters": dict(parameters),
              "clock_offset_us": self._clock_us})
 
     def _set_clock(self, clock_us: int) -> None:
-        """Add this to the exposure times of the frames to come."""
+        """Set what is added to the exposure times of the frames to come."""
         self._clock_us = clock_us
-        if self._states is not None:
-            self._states.set_clock(clock_us)
+        if self._state is not None:
+            self._state.set_clock(clock_us)
         if self._feed is not None:
             self._feed.clock_us = clock_us
 
@@ -520,61 +515,61 @@ class Fusion:
         ahead = self._lookahead_us
         target = _AFTER if ahead is None else t + ahead
         self._feed_to(target)
-        if ahead is not None and self._states is not None:
-            self._light_until(target)
-            self._states.settle(target)
+        if ahead is not None and self._state is not None:
+            self._add_waves_until(target)
+            self._state.settle(target)
         while len(self._frames) > 1 and self._frames[1][1] <= t:
             self._frames.popleft()
 
-    def _light_until(self, t_us: int) -> None:
-        """Tell the states how the lamp flickers up to t_us; all events were there."""
-        assert self._states is not None
+    def _add_waves_until(self, t_us: int) -> None:
+        """Add the lamp's flicker up to t_us, all events until then having been fed."""
+        assert self._state is not None
         for wave in () if self._lamp is None else self._lamp.advance(t_us):
-            self._states.add_wave(wave)
+            self._state.add_wave(wave)
 
     def _feed_to(self, target: int) -> None:
-        """Feed everything up to target, inclusive; learn at the times for it."""
-        if self._states is None:
-            self._start()
+        """Feed everything up to target, inclusive; learn at the scheduled times."""
+        if self._state is None:
+            self._make_state()
         if self._feed is None:
-            self._open()
+            self._open_feed()
         assert self._feed is not None
-        assert self._states is not None
+        assert self._state is not None
         online = self._online
         while True:
             look: int | None = None if online is None else online.next_us
             stop = target if look is None else min(look, target)
             for item in self._feed.until(stop):
-                self._take(item)
+                self._feed_item(item)
                 if online is not None and online.next_us != look:
-                    break           # the first frame: now there is a time to learn at
+                    break           # the first frame has set the first time to learn
             else:
-                self._states.passed(stop)
+                self._state.mark_fed(stop)
                 if online is None or look is None or look > target:
                     return
-                self._go_on_with(look, online.look())
+                self._apply_changes(look, online.look())
 
-    def _take(self, item: ApsFrame | NDArray[Any]) -> None:
-        assert self._states is not None
+    def _feed_item(self, item: ApsFrame | NDArray[Any]) -> None:
+        assert self._state is not None
         if isinstance(item, ApsFrame):
             self._frames.append((item.mid_us, item.available_us))
             if self.needs.frames:
                 frame = self._corrected(item)
-                if self.options.causal:         # it acts as soon as it is there
-                    self._light_until(frame.moved(self._clock_us).available_us)
+                if self.options.causal:     # it acts at its arrival
+                    self._add_waves_until(frame.moved(self._clock_us).available_us)
                 if self._lamp is not None:
                     self._lamp.add_frame(frame)
-                self._states.add_frame(frame)
+                self._state.add_frame(frame)
             if self._online is not None:
                 self._online.saw_frame(item.mid_us, item.available_us)
         elif self.needs.events:
             for wave in self._lamp.push(item) if self._lamp is not None else ():
-                self._states.add_wave(wave)
-            self._states.add_events(item)
+                self._state.add_wave(wave)
+            self._state.add_events(item)
 
-    def _go_on_with(self, t_us: int, changed: dict[str, Any]) -> None:
-        """Go on with other parameters; the state goes on, the past stays as it was."""
-        assert self._states is not None
+    def _apply_changes(self, t_us: int, changed: dict[str, Any]) -> None:
+        """Change parameters from t_us on; the state before stays as it is."""
+        assert self._state is not None
         assert self._online is not None
         moved_us = self._online.tuning.clock_us - self._clock_us
         if moved_us:
@@ -582,10 +577,10 @@ class Fusion:
             if self.needs.frames:
                 changed = {**changed, "frames_moved_us": moved_us}
         if changed:
-            self._states.retune(t_us, changed)
+            self._state.retune(t_us, changed)
         if self._lamp is not None and "bandwidth" in changed:
             self._lamp.retune(changed["bandwidth"])
-        self._say(self._states.method.parameters)
+        self._update_provenance(self._state.method.parameters)
 
     def _frame_us(self, method: Reconstructor, t: int) -> int | None:
         arrived = self.options.causal or method.shows_at_readout
@@ -593,8 +588,8 @@ class Fusion:
                      if (available if arrived else mid) <= t), None)
 
 
-def _made(workers: Workers, *described: Any) -> Reconstructor:
-    """Return what `make_reconstructor` makes, with threads to share its rows."""
-    made = make_reconstructor(*described)
-    made.workers = workers
-    return made
+def _make_method(workers: Workers, *arguments: Any) -> Reconstructor:
+    """Return `make_reconstructor(*arguments)`, which shares its rows among workers."""
+    method = make_reconstructor(*arguments)
+    method.workers = workers
+    return method

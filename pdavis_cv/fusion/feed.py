@@ -1,4 +1,4 @@
-"""Samples of a source in the order in which a reconstruction takes them."""
+"""Events and frames of a source, in the order in which a method takes them."""
 from __future__ import annotations
 
 import warnings
@@ -15,42 +15,45 @@ from pdavis_cv.recording.base import ApsFrame, Packet
 __all__ = ["LONGEST_DELAY_US", "Feed"]
 
 LONGEST_DELAY_US = 2_000_000
-"""A camera with frames gives its first within this time of its first sample, and none
-arrives later than this after its mid-exposure; us of stream time."""
+"""A camera is taken to have no frames if none arrives within this time of its first
+sample; a frame that arrives later than this after its mid-exposure is left out; us of
+stream time."""
 
-# How long events wait for a frame that may still arrive and act before them, at
-# least; four times the longest delay seen so far if that is more.
 _LOOKAHEAD_US = 200_000
+"""Shortest time, us, that events are held back for a frame that acts before them and
+may still arrive.  Four times the longest delay of a frame so far is used if longer."""
 
 _NEVER, _FOREVER = -(2**62), 2**62
 
 
 class Feed:
-    """Iterates over events and frames of a stream of packets in time order, once.
+    """Iterate once over events and frames of a stream of packets, in time order.
 
-    A frame counts at its mid-exposure, which lies before its arrival: events are
-    held back until the next frame is known or cannot act on them any more.  With
-    `by_arrival` a frame counts when its readout ends, after the events of that
-    microsecond, and nothing is held back.
+    The time of a frame is its mid-exposure, which lies before its arrival: events are
+    held back until the next frame is known, or can no longer act on them.  With
+    `by_arrival` the time of a frame is the end of its readout; it follows the events of
+    that microsecond, and nothing is held back.
 
     Parameters
     ----------
     packets : iterator of Packet
     after_us : int, optional
-        Up to this time, inclusive, events are left out.
+        Leave out events up to this time, inclusive.
     frames_after_us : int, optional
-        Leave out the frames whose mid-exposure is not after this.
+        Leave out frames whose mid-exposure is not after this time.
     by_arrival : bool
-        Frames by ``available_us`` rather than by ``mid_us``.
+        Order frames by ``available_us`` instead of ``mid_us``.
     has_frames : bool
-        False if it is known that there is no frame.
+        False if the stream is known to have no frames.
     stop_us : int, optional
-        One past the last sample, where that is known.
+        One past the last sample, if known.
     reached_us : int, optional
-        A sample at or after this time is known to exist: `reached_us` of another Feed.
+        `reached_us` of another Feed of the stream, which shows that it has a sample at
+        or after this time.
     clock_us : int
-        Added to the frames' exposure times.  With `by_arrival` frames are handed out as
-        they are, when they would arrive with it; it may be changed on the way.
+        Added to the frames' exposure times.  With `by_arrival` it only decides when a
+        frame is yielded; the frame itself is unchanged, and the attribute may be set
+        during the iteration.
     """
 
     def __init__(
@@ -72,18 +75,19 @@ class Feed:
         self._events: deque[NDArray[Any]] = deque()
         self._frames: deque[ApsFrame] = deque()
         self._reached_us = _NEVER if reached_us is None else reached_us
-        self._last_us = _NEVER          # everything before it has been read
-        self._last_mid_us = _NEVER      # of the latest frame read
-        self._given_us = _NEVER if after_us is None else after_us  # handed out
+        self._last_us = _NEVER          # all samples before it have been read
+        self._last_mid_us = _NEVER      # mid-exposure of the last frame read
+        # Time up to which, inclusive, everything has been yielded.
+        self._yielded_us = _NEVER if after_us is None else after_us
         self._done = False
         self._wait_us = _LOOKAHEAD_US if has_frames and not by_arrival else 0
         self._stop_us = stop_us
 
     def first_us(self) -> int | None:
-        """Mid-exposure of the first frame, to be asked before anything is handed out.
+        """Return the mid-exposure of the first frame; call it before iterating.
 
-        Time of the first event if no frame comes within `LONGEST_DELAY_US` of the first
-        sample; None if there is neither.
+        If no frame comes within `LONGEST_DELAY_US` of the first event, that is the time
+        of the first event; None if there is neither.
         """
         first: int | None = None
         while not self._frames and self._read():
@@ -97,41 +101,44 @@ class Feed:
         return int(self._events[0]["t"][0]) if self._events else None
 
     def until(self, t_us: int | None) -> Iterator[ApsFrame | NDArray[Any]]:
-        """Yield what has not been handed out yet, up to t_us inclusive.
+        """Yield everything up to t_us, inclusive, that has not been yielded yet.
 
         Parameters
         ----------
         t_us : int or None
-            None = to the end of the recording.
+            None = the end of the recording.
 
         Yields
         ------
         ApsFrame or ndarray of EVENT_DTYPE
         """
         target = _FOREVER if t_us is None else t_us
-        # Hand out while reading, so that a jump over a long time stays flat in memory.
+        # Yield while reading, so that a jump over a long time needs bounded memory.
         while not self._knows(target) and self._read():
             yield from self._release(min(self._settled_us(), target))
         yield from self._release(target)
 
     def frame_mid(self, after_us: int) -> int | None:
-        """Mid-exposure of the first frame after after_us among those read so far."""
+        """Return the mid-exposure of the first frame after after_us that was read."""
         return next((frame.mid_us for frame in self._frames
                      if frame.mid_us > after_us), None)
 
     def read_on(self) -> int | None:
-        """Read some more; return up to when no later frame can act, None at the end."""
+        """Read a packet; return the time up to which no later frame can act.
+
+        None at the end of the stream.
+        """
         if not self._read():
             return None
         return self._last_us - 1 - max(self._wait_us, LONGEST_DELAY_US)
 
     @property
     def reached_us(self) -> int:
-        """Time up to which the stream is known to go on."""
+        """Time up to which the stream is known to extend."""
         return max(self._reached_us, self._last_us)
 
     def reaches(self, t_us: int) -> bool:
-        """Tell whether the recording has a sample at or after t_us."""
+        """Return whether the stream has a sample at or after t_us."""
         if self._stop_us is not None:
             return t_us < self._stop_us
         while self.reached_us < t_us:
@@ -144,14 +151,14 @@ class Feed:
                 else frame.mid_us)
 
     def _knows(self, t_us: int) -> bool:
-        """Tell whether nothing unread lies at or before t_us."""
+        """Return whether everything at or before t_us has been read."""
         return self._done or (t_us < self._last_us and t_us <= self._settled_us())
 
     def _settled_us(self) -> int:
         """Time up to which, inclusive, no unread sample can act."""
         settled = self._last_us - 1 - self._wait_us
         if not self._by_arrival:
-            # Exposures do not overlap: the next frame comes after the last known.
+            # Exposures do not overlap: the next frame's lies after the last known.
             settled = max(settled, min(self._last_mid_us, self._last_us - 1))
         return settled
 
@@ -177,7 +184,7 @@ class Feed:
 
     def _take(self, frame: ApsFrame) -> None:
         delay = frame.available_us - frame.mid_us
-        if self._time(frame) <= self._given_us:
+        if self._time(frame) <= self._yielded_us:
             warnings.warn(
                 f"the frame exposed at {frame.mid_us} us arrived {delay} us later, "
                 f"more than the {self._wait_us} us that events wait: left out",
@@ -194,7 +201,7 @@ class Feed:
             yield from self._release_events(self._time(frame) - (not self._by_arrival))
             yield frame
         yield from self._release_events(t_us)
-        self._given_us = max(t_us, self._given_us)
+        self._yielded_us = max(t_us, self._yielded_us)
 
     def _release_events(self, t_us: int) -> Iterator[NDArray[Any]]:
         while self._events:

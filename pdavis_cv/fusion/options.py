@@ -1,7 +1,7 @@
-"""FusionOptions: the one list of what `fuse` can be asked for.
+"""FusionOptions: the one list of the options of `fuse`.
 
-`fuse`, `VideoCapture` and the options of every command are made from its fields: a
-field that is added here appears in all of them.
+The signatures of `fuse` and `VideoCapture` and the options of every command are made
+from its fields: a field that is added here appears in all of them.
 """
 from __future__ import annotations
 
@@ -41,28 +41,28 @@ __all__ = ["FusionKeywords", "FusionOptions", "OptionFacts", "names_options",
            "takes_options"]
 
 _MOST_FPS = 1_000_000
-_MOST_OFFSET_US = 1_000_000     # beyond, frames and events are not of one camera
+_MOST_OFFSET_US = 1_000_000     # a larger offset means different cameras
 
 
 @dataclass(frozen=True)
 class OptionFacts:
-    """What is known of an option besides its name and default.
+    """Type, help text and command-line form of an option.
 
     Parameters
     ----------
     type : str
-        Type and unit, as a docstring gives them.
+        Type and unit, as they appear in a docstring.
     help : str
         One or more sentences.
     word : str or None
-        How a command line reads it: ``"text"``, ``"number"``, ``"seconds"`` (after the
-        start of the recording), ``"flag"``, ``"region"``, ``"layout"``,
+        How the command line parses it: ``"text"``, ``"number"``, ``"seconds"`` (after
+        the start of the recording), ``"flag"``, ``"region"``, ``"layout"``,
         ``"calibration"`` (a file), ``"ratio"``, ``"offset"``, ``"thresholds"``,
-        ``"pair"``; None = not at all.
+        ``"pair"``; None = the command line does not offer it.
     brief : str
-        Help on the command line; default: the first sentence of `help`.
+        Help text on the command line; default: the first sentence of `help`.
     choices : tuple of str
-        The only texts that are possible; none = any.
+        The allowed texts; empty = any.
     """
 
     type: str
@@ -82,13 +82,13 @@ def _option(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FusionOptions:
-    """What `fuse` is asked for, checked once; picklable.
+    """Options of `fuse`, checked once; picklable.
 
     Parameters
     ----------
     {options}
     parameters : mapping of str to object
-        Of the method, e.g. ``{"cutoff_hz": 1.6}`` for ``cf``.
+        Parameters of the method, e.g. ``{"cutoff_hz": 1.6}`` for ``cf``.
 
     Raises
     ------
@@ -106,99 +106,103 @@ class FusionOptions:
 
     method: str | Factory | None = _option(
         None, "str or callable, optional",
-        "One of ``METHODS``, or what makes a `Reconstructor` of your own: its class "
-        "or a function ``(shape, *, theta_on, theta_off, **parameters)``, also called "
-        "with a small shape to see what it makes.  Default: what fits the "
-        "recording (``frames`` without events, ``events`` without frames, else "
-        "``DEFAULT_METHOD``).", "text",
+        "One of ``METHODS``, or a callable that makes a `Reconstructor` of your own: "
+        "its class, or a function ``(shape, *, theta_on, theta_off, **parameters)``.  "
+        "It is also called with a small shape, to see what the method needs.  Default: "
+        "``frames`` for a recording without events, ``events`` for one without frames, "
+        "else ``DEFAULT_METHOD``.", "text",
         f"how to fuse: {', '.join(METHODS)}; default: what fits the file")
     fps: float | None = _option(
         None, "float, optional",
         "Images per second of recording time, at most 1,000,000: "
-        "t_k = start + round(k * 1e6 / fps) while t_k < stop.  Default: one image for "
-        "each frame, at its mid-exposure; 100 per second without frames.",
-        "number", "images per second of the recording; default: one for each frame, "
-        "100 per second without frames")
+        "t_k = start + round(k * 1e6 / fps) while t_k < stop.  Default: one image per "
+        "frame, at its mid-exposure; 100 per second if there are no frames.",
+        "number", "images per second of recording time; default: one per frame, or "
+        "100 per second if there are no frames")
     times_us: ArrayLike | None = _option(
         None, "array_like of int, optional",
         "Times of the images in us, increasing; excludes `fps`, `start_us`, `stop_us`.",
         None)
     start_us: int | None = _option(
         None, "int, optional",
-        "First time of an image, us; default: the mid-exposure of the first frame (the "
-        "first event if no frame comes within 2 s).",
-        "seconds", "first image, seconds after the start of the recording")
+        "Time of the first image, us; default: the mid-exposure of the first frame "
+        "(the first event if no frame comes within 2 s).",
+        "seconds", "time of the first image, seconds after the start of the recording")
     stop_us: int | None = _option(
         None, "int, optional",
-        "Images lie before this time, us; default: one past the last sample of any "
-        "stream.", "seconds", "end, in the same seconds, exclusive")
+        "All images lie before this time, us; default: one past the last sample of any "
+        "stream.", "seconds", "end of the images, exclusive, in the same seconds")
     layout: Layout | str | None = _option(
         None, "Layout or str, optional",
         'Polarizer layout, or its name ("pdavis", "sony"); default: that of the '
-        "calibration, of the recording, else PDAVIS with a LayoutWarning.", "layout",
+        "calibration, else of the recording, else PDAVIS with a LayoutWarning.",
+        "layout",
         "polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
         "e.g. 135,90,0,45")
     calibration: Calibration | None = _option(
         None, "Calibration, optional",
-        "Of this camera: dark, gain, thresholds, analyser matrix, bandwidth.",
-        "calibration", "what is known of this camera, as pdavis calibrate wrote it")
+        "Calibration of this camera: dark frame, gain, thresholds, analyser matrix, "
+        "bandwidth.",
+        "calibration", "calibration of this camera, as written by pdavis calibrate")
     extinction_ratio: float | str | None = _option(
         "nominal", 'float, "nominal" or None',
-        "Contrast of the polarizers, above 1, that S1 and S2 are corrected for; "
-        '"nominal" takes the sensor\'s, None corrects nothing.  Unused where the '
-        "calibration has an analyser matrix.", "ratio",
-        "contrast of the polarizers that S1 and S2 are corrected for: a number, "
-        "nominal or none")
+        "Extinction ratio of the polarizers, above 1, that S1 and S2 are corrected "
+        'for; "nominal" takes that of the sensor, None makes no correction.  Unused if '
+        "the calibration has an analyser matrix.", "ratio",
+        "extinction ratio of the polarizers that S1 and S2 are corrected for: a "
+        "number, nominal or none")
     demosaic: str = _option(
         "bilinear", '{"bilinear", "superpixel", "binned", "guided"}',
-        "How the four channels are brought to one place; linear intensity is used.",
+        "How the four channels are interpolated, in linear intensity.",
         "text", choices=DEMOSAIC_METHODS)
     roi: tuple[int, int, int, int] | None = _option(
         None, "(int, int, int, int), optional",
-        "(x, y, width, height) in sensor pixels; gives the crop of the full result.",
-        "region", "part of the sensor, in pixels")
+        "Region of interest, (x, y, width, height) in sensor pixels; the images are "
+        "crops of those of the whole sensor.",
+        "region", "region of interest, in sensor pixels")
     causal: bool = _option(
         False, "bool",
-        "Use only what had arrived at t: a frame changes the state when its readout "
-        "ends.  Otherwise it acts from its mid-exposure on.  What a method learns of "
-        "the camera it then learns as the stream passes, 0.5, 1, 2, 4 s ... after the "
-        "first frame, and goes on with.", "flag",
-        "use only what had arrived at each time")
+        "Make each image only from data that had arrived by its time: a frame is used "
+        "from the end of its readout on, otherwise from its mid-exposure on.  "
+        "Parameters of the camera are then estimated while the stream passes, 0.5, 1, "
+        "2, 4 s ... after the first frame, and used from there on.", "flag",
+        "make each image only from data that had arrived by its time")
     thresholds: str | tuple[ArrayLike, ArrayLike] | None = _option(
         None, "str or (on, off), optional",
         '"calibration", "bias", "in-situ", "nominal", or contrast thresholds in '
         "natural-log units, scalars or (H, W); default: the first available of "
-        "calibration, bias, nominal.  By default a method that learns, as kalman, "
-        "corrects the scale of bias or nominal ones that all pixels share where the "
-        'beginning of the recording contradicts it.  "in-situ" starts from those and '
-        "finds each pixel's from the first 10 s, before the first image; with `causal` "
-        "nothing is looked at before its time, and only the scale found.", "thresholds",
+        "calibration, bias, nominal.  By default a method that learns, such as kalman, "
+        "corrects the common scale of bias or nominal thresholds if the beginning of "
+        'the recording contradicts it.  "in-situ" starts from those and estimates each '
+        "pixel's thresholds from the first 10 s, before the first image; with `causal` "
+        "only the common scale is estimated, while the stream passes.", "thresholds",
         "calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     nominal_thresholds: tuple[ArrayLike, ArrayLike] = _option(
         NOMINAL_THRESHOLDS, "(on, off)",
-        'Natural-log units; used for "nominal", and where nothing better is known.',
-        "pair", "thresholds ON,OFF where nothing better is known")
+        'Thresholds in natural-log units for "nominal", and if no others are known.',
+        "pair", "thresholds ON,OFF to use if no others are known")
     clock_offset_us: float | str | None = _option(
         "learned", 'float, "learned" or None',
-        "What is added to the frames' exposure times to bring them to the clock of the "
-        "events, us; positive where events trail frames, as in a DAVIS346 by some ms.  "
-        '"learned" takes the calibration\'s, else a method that learns, as kalman, '
-        "finds it from the beginning of the recording (with `causal`, as the stream "
-        "passes) and applies what is beyond three standard errors and 1 ms.  None "
-        "leaves stamps as they are.  Images are on the clock of the events.", "offset",
-        "microseconds to add to the frames' stamps, learned, or none")
+        "Offset added to the frames' exposure times to bring them to the clock of the "
+        "events, us; positive if events trail frames, as in a DAVIS346 by some ms.  "
+        '"learned" takes that of the calibration; without one, a method that learns, '
+        "such as kalman, estimates it from the beginning of the recording (with "
+        "`causal`, while the stream passes), and applies it if it exceeds both three "
+        "standard errors and 1 ms.  None leaves the time stamps unchanged.  The times "
+        "of images are on the clock of the events.", "offset",
+        "microseconds to add to the frames' time stamps, learned, or none")
     denoise: bool | Mapping[str, Any] = _option(
         False, "bool or mapping",
-        "Leave out events without support by neighbours behind the same polarizer, and "
-        "those of hot pixels; parameters of `EventDenoiser`, or True for its own.",
-        "flag", "leave out events without support by neighbours behind the same "
-        "polarizer, and hot pixels")
+        "Leave out events that no neighbour behind the same polarizer supports, and "
+        "those of hot pixels; parameters of `EventDenoiser`, or True for its defaults.",
+        "flag", "leave out events that no neighbour behind the same polarizer "
+        "supports, and those of hot pixels")
     threads: int = _option(
         1, "int",
-        "Threads that share the rows of each image; the images are the same for any "
-        "number.  More than one pays from about 64,000 pixels on; 1 leaves the cores "
-        "to the program's own threads.", "count",
-        "threads that share the rows of an image; default: a core each above 65536 "
+        "Number of threads that share the rows of each image; it does not change the "
+        "images.  More than one is faster from about 64,000 pixels on; 1 leaves the "
+        "other cores to the program's own threads.", "count",
+        "threads that share the rows of an image; default: one per core above 65536 "
         "pixels, else 1")
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -239,7 +243,7 @@ class FusionOptions:
         Parameters
         ----------
         **changes
-            Options by name; any other name is a parameter of the method.
+            Options by name; any other name is taken as a parameter of the method.
         """
         known = {name: value for name, value in changes.items() if name in _NAMES}
         parameters = {**self.parameters, **changes.pop("parameters", {})}
@@ -249,18 +253,18 @@ class FusionOptions:
 
     @classmethod
     def facts(cls) -> Mapping[str, OptionFacts]:
-        """Return the facts about each option, by name."""
+        """Return the `OptionFacts` of each option, by name."""
         return {one.name: one.metadata["facts"] for one in dataclasses.fields(cls)
                 if "facts" in one.metadata}
 
     @property
     def times(self) -> NDArray[np.int64] | None:
-        """Times of the images in us, None = on a grid."""
+        """Times of the images in us, None for a grid."""
         return None if self.times_us is None else np.asarray(self.times_us, np.int64)
 
     @property
     def rate(self) -> Fraction | None:
-        """Images per second, exactly; None = not stated."""
+        """Images per second as an exact fraction, None if not given."""
         return None if self.fps is None else Fraction(self.fps)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -271,7 +275,8 @@ class FusionOptions:
 class FusionKeywords(TypedDict, total=False):
     """The fields of FusionOptions as keywords, for type checkers and editors.
 
-    These follow no decorator: a class that takes the options unpacks it in an overload.
+    A class that takes the options unpacks it in an overload of its ``__init__``, as
+    type checkers do not see the signature that `names_options` writes.
     """
 
     method: str | Factory | None
@@ -389,7 +394,7 @@ _Made = TypeVar("_Made", covariant=True)
 
 
 class _TakesOptions(Protocol[_Source, _P, _Made]):
-    """A function of a source and of options, for type checkers and editors."""
+    """A function of a source and options, as type checkers and editors see it."""
 
     @overload
     def __call__(
@@ -414,8 +419,8 @@ def _takes(
 
 
 takes_options = _takes(FusionOptions)
-"""Gives a function ``(source, options=None, **changes)`` the options by name: in its
-signature and docstring, and for type checkers."""
+"""Decorate a function ``(source, options=None, **changes)`` so that its signature and
+docstring, and type checkers, name the options."""
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -426,14 +431,14 @@ def names_options(function: _F) -> _F:
     Parameters
     ----------
     function : callable
-        It, or its ``__init__``, ends in ``**changes``, or another name, which receive
-        the options.  A line ``{options}`` of its docstring is replaced by their
-        description.
+        A function, or a class with an ``__init__``, that receives the options in its
+        last parameter, ``**changes`` or another name.  A line ``{options}`` of its
+        docstring is replaced by their description.
 
     Returns
     -------
     callable
-        The same.
+        The same function or class.
     """
     called = vars(function)["__init__"] if inspect.isclass(function) else function
     found = inspect.signature(called)

@@ -1,4 +1,4 @@
-"""Where a Fusion is, to return to."""
+"""The position of a Fusion in its recording, to return to."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from pdavis_cv.reconstruct.base import Snapshot, nbytes
 __all__ = ["BEFORE", "FusionSnapshot"]
 
 BEFORE = -(2**62)
-"""A time before all others, us."""
+"""A time before all times of a recording, us."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,24 +25,25 @@ class FusionSnapshot:
     start_us : int or None
         Time of the first image.
     fed_us : int or None
-        Time up to which, inclusive, nothing is fed again; None = everything is.
+        Time up to which, inclusive, no data have to be fed again; None = all have.
     t_us : int or None
-        Time of the last image; None before the first, where nothing else is set.
+        Time of the last image.  None before the first image: then only `start_us` may
+        be set.
     state : Snapshot or None
-        Of the Reconstructor; with ``causal``, and a method that takes no late frames,
-        as of the last frame's mid-exposure.
+        State of the Reconstructor.  With ``causal`` and a method that takes no late
+        frames, the state at the last frame's mid-exposure.
     frames : tuple of (int, int)
-        Mid-exposure and arrival of the latest frames fed.
+        Mid-exposure and arrival of the last frames fed, us.
     reached_us : int
         Time of the last sample read, which may lie before `fed_us`.
     lamp : mapping of str to object, or None
-        State of the `LampTracker`, which has seen all events up to the last image.
+        State of the `LampTracker`, fed with all events up to the last image.
     learning : mapping of str to object, or None
-        State of an `OnlineLearning`, which has seen everything up to `fed_us`.
+        State of the `OnlineLearning`, fed with everything up to `fed_us`.
     clipping : Clipping, optional
-        What the frames fed tell of the DN at which pixels are full.
+        Estimate of the DN at which pixels saturate, from the frames fed.
     state_us : int or None
-        Time up to which, inclusive, `state` has been fed, where that is after `fed_us`.
+        Time up to which, inclusive, `state` has been fed, if that is after `fed_us`.
     """
 
     index: int = 0
@@ -59,5 +60,5 @@ class FusionSnapshot:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays in it."""
+        """Size of all arrays, bytes."""
         return nbytes(self)

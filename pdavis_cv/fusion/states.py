@@ -1,4 +1,10 @@
-"""The state of a method as a stream passes, and what looks on."""
+"""The state of a method while a stream is fed to it, in one of three orders.
+
+`InOrderState` is fed in time order.  The other two are fed in the order of arrival, in
+which a frame comes after events that it acts on: `ArrivalState` for methods that take
+late frames themselves, `ReplayState` for all others.  `CallRecorder` stands in for any
+of them and records what it is fed.
+"""
 from __future__ import annotations
 
 import warnings
@@ -18,44 +24,46 @@ from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal import SelfCalibration
 
-__all__ = ["AsItArrives", "Held", "InOrder", "Replayed", "Script", "Told", "states_of"]
+__all__ = ["ArrivalState", "Call", "CallRecorder", "InOrderState", "ReplayState",
+           "StateTransfer", "make_state"]
 
-Told = tuple[str, tuple[Any, ...]]
-"""Name of a method of the states, and what it was called with."""
+Call = tuple[str, tuple[Any, ...]]
+"""A recorded method call: the method's name and its arguments."""
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """All that states hold, to go on with elsewhere; picklable.
+class StateTransfer:
+    """Everything that another process needs to continue a state; picklable.
 
     Parameters
     ----------
-    state : Snapshot
-    fed_us, behind_us : int or None
-        As of the states.
-    since : tuple of ndarray of EVENT_DTYPE
-        Events after behind_us.
+    snapshot : Snapshot
+        Of the method.
+    fed_us, committed_us : int or None
+        As the attributes of `ArrivalState`.
+    pending : tuple of ndarray of EVENT_DTYPE
+        The events after committed_us.
     clock_us : int
         Added to the exposure times of frames that arrive.
     """
 
-    state: Snapshot
+    snapshot: Snapshot
     fed_us: int | None
-    behind_us: int | None
-    since: tuple[NDArray[Any], ...] = ()
+    committed_us: int | None
+    pending: tuple[NDArray[Any], ...] = ()
     clock_us: int = 0
 
 
-class InOrder:
-    """One state, fed in order of time; frames at their mid-exposure.
+class InOrderState:
+    """A method that is fed in time order, each frame at its mid-exposure.
 
     Parameters
     ----------
     method : Reconstructor
-        Of the window.
+        Of the size of the window.
     window : Window
     camera : SelfCalibration, optional
-        Looks on: is fed the same, of the whole sensor.
+        Is fed the same events and frames, of the whole sensor.
     """
 
     def __init__(
@@ -65,7 +73,7 @@ class InOrder:
         self.fed_us: int | None = None
 
     def add_events(self, events: NDArray[Any]) -> None:
-        """Take events of the whole sensor."""
+        """Add events of the whole sensor."""
         if self.camera is not None:
             self.camera.add_events(events)
         inside = self.window.events(events)
@@ -73,89 +81,88 @@ class InOrder:
             self.method.add_events(inside)
 
     def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
-        """Take a frame of the whole sensor, corrected.
+        """Add a corrected frame of the whole sensor.
 
         Parameters
         ----------
         frame : ApsFrame
-            Of which the camera learns as it is.
         clock_us : int
-            Added to its exposure times for the method.
+            Added to its exposure times for the method; the camera learns the clock's
+            offset and gets the frame unchanged.
         """
         if self.camera is not None:
             self.camera.add_frame(frame)
         self.method.add_frame(self.window.frame(frame.moved(clock_us)))
 
     def add_wave(self, wave: Wave) -> None:
-        """Tell how the lamp flickers."""
+        """Add the lamp's flicker."""
         if self.camera is not None:
             self.camera.add_wave(wave)
         self.method.add_wave(wave)
 
-    def passed(self, t_us: int) -> None:
-        """Note that everything up to t_us, inclusive, has been there."""
+    def mark_fed(self, t_us: int) -> None:
+        """Note that everything up to t_us, inclusive, has been fed."""
         self.fed_us = t_us if self.fed_us is None else max(self.fed_us, t_us)
 
     def settle(self, t_us: int) -> None:
-        """Do what is due when everything up to t_us, inclusive, has been there."""
+        """Let the method do what is due when all data up to t_us have been fed."""
         self.method.settle(t_us)
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Go on from t_us with other parameters of the method, of the whole sensor."""
+        """Change parameters of the method, given for the whole sensor, from t_us on."""
         self.method.retune(**self.window.planes(learned))
 
     def snapshot(self) -> Snapshot:
-        """Return the state after everything up to `fed_us`."""
+        """Return the method's state after everything up to `fed_us`."""
         return self.method.snapshot()
 
     @property
-    def behind_us(self) -> int | None:
-        """As `fed_us`: what comes later acts later."""
+    def committed_us(self) -> int | None:
+        """The same as `fed_us`: in time order, nothing that follows acts before it."""
         return self.fed_us
 
     def restore(
-        self, snapshot: Snapshot, fed_us: int | None, behind_us: int | None
+        self, snapshot: Snapshot, fed_us: int | None, committed_us: int | None
     ) -> None:
-        """Return to what `snapshot` returned."""
+        """Restore what `snapshot` returned."""
         self.method.restore(snapshot)
         self.fed_us = fed_us
 
     def set_clock(self, clock_us: int) -> None:
-        """Nothing to do: what feeds it moves the frames."""
+        """Do nothing: the Feed has already moved the frames."""
 
-    def held(self) -> Held:
-        """Return all that is held."""
-        return Held(self.snapshot(), self.fed_us, self.behind_us)
+    def export_state(self) -> StateTransfer:
+        """Return everything that `import_state` of another state needs."""
+        return StateTransfer(self.snapshot(), self.fed_us, self.committed_us)
 
-    def take(self, held: Held) -> None:
-        """Go on from what equal states held."""
-        self.restore(held.state, held.fed_us, held.behind_us)
+    def import_state(self, transfer: StateTransfer) -> None:
+        """Continue from what `export_state` of an equal state returned."""
+        self.restore(transfer.snapshot, transfer.fed_us, transfer.committed_us)
 
 
-class AsItArrives:
-    """The state of a method that `takes_late_frames`, and the camera behind it.
+class ArrivalState:
+    """A method that takes late frames, fed in the order of arrival.
 
-    The method is fed what arrives when it arrives.  The camera is fed the same in order
-    of time: it stays behind at the last frame's mid-exposure, and gets the events since
-    when the next frame has arrived.
+    Only the self-calibration is fed in time order: the events since the last frame's
+    mid-exposure are kept, and passed to it when the next frame has arrived.
 
     Parameters
     ----------
     method : Reconstructor
-        Of the window.
+        Of the size of the window; one that `takes_late_frames`.
     window : Window
     camera : SelfCalibration, optional
-        Looks on, at the whole sensor.
+        Is fed the same events and frames, of the whole sensor, in time order.
 
     Attributes
     ----------
     clock_us : int
         Added to the exposure times of frames that arrive.
     fed_us : int or None
-        Time up to which, inclusive, the state has been fed.
-    behind_us : int or None
-        Time up to which, inclusive, nothing acts any more: the next frame's
-        mid-exposure lies after it.  `LONGEST_DELAY_US` or less behind what arrived.
+        Time up to which, inclusive, the method has been fed.
+    committed_us : int or None
+        Time up to which, inclusive, no later frame can act: the next frame's
+        mid-exposure lies after it.  At most `LONGEST_DELAY_US` before the last arrival.
     """
 
     def __init__(
@@ -164,284 +171,288 @@ class AsItArrives:
         self.method, self.window, self.camera = method, window, camera
         self.clock_us = 0
         self.fed_us: int | None = None
-        self.behind_us: int | None = None
-        self._since: deque[NDArray[Any]] = deque()   # events after behind_us
+        self.committed_us: int | None = None
+        self._pending: deque[NDArray[Any]] = deque()   # events after committed_us
 
     def add_events(self, events: NDArray[Any]) -> None:
-        """Take events of the whole sensor; of those before `fed_us` the camera's part.
+        """Add events of the whole sensor.
 
-        They come again after a `restore`.
+        After `restore`, events between `committed_us` and `fed_us` come again.  The
+        method has them already, so that only the camera gets them.
         """
         fresh = 0 if self.fed_us is None else bisect_right(events["t"], self.fed_us)
         inside = self.window.events(events[fresh:])
         if len(inside):
             self.method.add_events(inside)
-        if self._follows:
-            self._since.append(events)
-        self._advance(int(events["t"][-1]) - LONGEST_DELAY_US)
+        if self._keeps_events:
+            self._pending.append(events)
+        self._commit(int(events["t"][-1]) - LONGEST_DELAY_US)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Take a frame of the whole sensor, corrected, when it has arrived."""
+        """Add a corrected frame of the whole sensor at its arrival."""
         mid = frame.mid_us + self.clock_us
         late = frame.available_us - mid > LONGEST_DELAY_US
-        if late or (self.behind_us is not None and mid <= self.behind_us):
+        if late or (self.committed_us is not None and mid <= self.committed_us):
             warnings.warn(
                 f"the frame exposed at {mid} us arrived more than "
                 f"{LONGEST_DELAY_US} us later, or after a later one: left out",
                 ExposureWarning, stacklevel=2)
             return
-        self._advance(mid)
+        self._commit(mid)
         if self.camera is not None:
             self.camera.add_frame(frame)
-        self._use(self.window.frame(frame.moved(self.clock_us)))
+        self._apply_frame(self.window.frame(frame.moved(self.clock_us)))
 
     def add_wave(self, wave: Wave) -> None:
-        """Tell how the lamp flickers."""
+        """Add the lamp's flicker."""
         if self.camera is not None:
             self.camera.add_wave(wave)
         self.method.add_wave(wave)
 
-    def passed(self, t_us: int) -> None:
-        """Note that everything that arrived up to t_us, inclusive, has been there."""
+    def mark_fed(self, t_us: int) -> None:
+        """Note that everything that arrived up to t_us, inclusive, has been fed."""
         self.fed_us = t_us if self.fed_us is None else max(self.fed_us, t_us)
 
     def settle(self, t_us: int) -> None:
-        """Do what is due when everything up to t_us, inclusive, has been there."""
+        """Let the method do what is due when all data up to t_us have been fed."""
         self.method.settle(t_us)
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Go on from t_us with other parameters of the method, of the whole sensor."""
+        """Change parameters of the method, given for the whole sensor, from t_us on."""
         self.method.retune(**self.window.planes(learned))
 
     def snapshot(self) -> Snapshot:
-        """Return the state after everything up to `fed_us`."""
+        """Return the method's state after everything up to `fed_us`."""
         return self.method.snapshot()
 
     def restore(
-        self, snapshot: Snapshot, fed_us: int | None, behind_us: int | None
+        self, snapshot: Snapshot, fed_us: int | None, committed_us: int | None
     ) -> None:
-        """Return to what `snapshot` returned; events after behind_us are fed again."""
+        """Restore what `snapshot` returned; later events have to be fed again."""
         self.method.restore(snapshot)
-        self.fed_us, self.behind_us = fed_us, behind_us
-        self._since.clear()
+        self.fed_us, self.committed_us = fed_us, committed_us
+        self._pending.clear()
 
     def set_clock(self, clock_us: int) -> None:
-        """Add this to the exposure times of the frames to come."""
+        """Set what is added to the exposure times of the frames to come."""
         self.clock_us = clock_us
 
-    def held(self) -> Held:
-        """Return all that is held."""
-        return Held(self.snapshot(), self.fed_us, self.behind_us, tuple(self._since),
-                    self.clock_us)
+    def export_state(self) -> StateTransfer:
+        """Return everything that `import_state` of another state needs."""
+        return StateTransfer(self.snapshot(), self.fed_us, self.committed_us,
+                             tuple(self._pending), self.clock_us)
 
-    def take(self, held: Held) -> None:
-        """Go on from what equal states held."""
-        self.restore(held.state, held.fed_us, held.behind_us)
-        self._since = deque(held.since)
-        self.clock_us = held.clock_us
+    def import_state(self, transfer: StateTransfer) -> None:
+        """Continue from what `export_state` of an equal state returned."""
+        self.restore(transfer.snapshot, transfer.fed_us, transfer.committed_us)
+        self._pending = deque(transfer.pending)
+        self.clock_us = transfer.clock_us
 
     @property
-    def _follows(self) -> bool:
-        """Whether anything is fed in order of time."""
+    def _keeps_events(self) -> bool:
+        """Whether events must be kept because something is fed in time order."""
         return self.camera is not None
 
-    def _use(self, frame: ApsFrame) -> None:
+    def _apply_frame(self, frame: ApsFrame) -> None:
         self.method.add_frame(frame)
-        # All that its exposure needs has arrived.
+        # All events of its exposure have arrived.
         self.method.settle(frame.available_us)
 
-    def _pass(self, events: NDArray[Any]) -> None:
-        """Feed events in order of time."""
+    def _feed_in_order(self, events: NDArray[Any]) -> None:
+        """Feed events to what is fed in time order."""
         if self.camera is not None:
             self.camera.add_events(events)
 
-    def _advance(self, before_us: int) -> None:
-        """Pass the events before before_us."""
-        while self._since and self._since[0]["t"][0] < before_us:
-            events = self._since.popleft()
+    def _commit(self, before_us: int) -> None:
+        """Feed the pending events before before_us in time order and drop them."""
+        while self._pending and self._pending[0]["t"][0] < before_us:
+            events = self._pending.popleft()
             n = bisect_left(events["t"], before_us)
-            self._pass(events[:n])
+            self._feed_in_order(events[:n])
             if n < len(events):
-                self._since.appendleft(events[n:])
-        self.behind_us = before_us - 1 if self.behind_us is None else max(
-            self.behind_us, before_us - 1)
+                self._pending.appendleft(events[n:])
+        self.committed_us = before_us - 1 if self.committed_us is None else max(
+            self.committed_us, before_us - 1)
 
 
-class Replayed(AsItArrives):
-    """Two states, for a method that takes frames in order of time only.
+class ReplayState(ArrivalState):
+    """A method that takes frames in time order only, fed in the order of arrival.
 
-    One stays behind with the camera.  When a frame arrives it is advanced to the
-    frame's mid-exposure and takes it; the current one continues from there with the
-    events that followed.  So the current state is at all times a function of the one
-    behind, its parameters and the events since.
+    It needs two states.  The committed one stays at the last frame's mid-exposure.
+    When a frame arrives, it is advanced to that frame's mid-exposure and takes the
+    frame.  The current one is then made from it by replaying the events since.  So the
+    current state depends on the committed state, the parameters and the events since,
+    and on nothing else.
 
     Parameters
     ----------
-    method, behind : Reconstructor
+    method, committed : Reconstructor
         The two states, equal to each other.
     window, camera
-        As for `AsItArrives`.
+        As for `ArrivalState`.
     """
 
-    _follows = True
+    _keeps_events = True
 
     def __init__(
-        self, method: Reconstructor, behind: Reconstructor, window: Window,
+        self, method: Reconstructor, committed: Reconstructor, window: Window,
         camera: SelfCalibration | None,
     ) -> None:
         super().__init__(method, window, camera)
-        self._behind = behind
+        self._committed = committed
 
     def add_wave(self, wave: Wave) -> None:
-        """Tell how the lamp flickers."""
+        """Add the lamp's flicker."""
         super().add_wave(wave)
-        self._behind.add_wave(wave)
+        self._committed.add_wave(wave)
 
-    def passed(self, t_us: int) -> None:
-        """Note that everything that arrived up to t_us has been there."""
+    def mark_fed(self, t_us: int) -> None:
+        """Do nothing: `fed_us` stays None, as `restore` needs all events again."""
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Go on from t_us with other parameters of the method, of the whole sensor.
+        """Change parameters of the method, given for the whole sensor.
 
-        They hold from where the state behind is: at a place that the stream alone
-        determines, not the packets that it came in.
+        They apply from the committed state on, which is advanced to at least a fixed
+        delay before t_us first: the stream alone determines that time, not its packets.
         """
-        self._advance(t_us - LONGEST_DELAY_US)
-        seen = self.window.planes(learned)
-        self._behind.retune(**seen)
-        self.method.retune(**seen)
-        self._catch_up()
+        self._commit(t_us - LONGEST_DELAY_US)
+        parameters = self.window.planes(learned)
+        self._committed.retune(**parameters)
+        self.method.retune(**parameters)
+        self._replay()
 
     def snapshot(self) -> Snapshot:
-        """Return the state behind; what followed is to be fed again."""
-        return self._behind.snapshot()
+        """Return the committed state; the events since have to be fed again."""
+        return self._committed.snapshot()
 
     def restore(
-        self, snapshot: Snapshot, fed_us: int | None, behind_us: int | None
+        self, snapshot: Snapshot, fed_us: int | None, committed_us: int | None
     ) -> None:
-        """Return to what `snapshot` returned; events after behind_us are fed again."""
-        super().restore(snapshot, None, behind_us)
-        self._behind.restore(snapshot)
+        """Restore what `snapshot` returned; later events have to be fed again."""
+        super().restore(snapshot, None, committed_us)
+        self._committed.restore(snapshot)
 
-    def take(self, held: Held) -> None:
-        """Go on from what equal states held."""
-        super().take(held)
-        self._catch_up()
+    def import_state(self, transfer: StateTransfer) -> None:
+        """Continue from what `export_state` of an equal state returned."""
+        super().import_state(transfer)
+        self._replay()
 
-    def _use(self, frame: ApsFrame) -> None:
-        self._behind.add_frame(frame)
-        self._catch_up()
+    def _apply_frame(self, frame: ApsFrame) -> None:
+        self._committed.add_frame(frame)
+        self._replay()
 
-    def _pass(self, events: NDArray[Any]) -> None:
-        super()._pass(events)
+    def _feed_in_order(self, events: NDArray[Any]) -> None:
+        super()._feed_in_order(events)
         inside = self.window.events(events)
         if len(inside):
-            self._behind.add_events(inside)
+            self._committed.add_events(inside)
 
-    def _catch_up(self) -> None:
-        self.method.assign(self._behind)
-        for events in self._since:
+    def _replay(self) -> None:
+        """Make the current state from the committed one and the pending events."""
+        self.method.assign(self._committed)
+        for events in self._pending:
             inside = self.window.events(events)
             if len(inside):
                 self.method.add_events(inside)
 
 
-def states_of(
-    made: Callable[[], Reconstructor], window: Window, camera: SelfCalibration | None,
-    *, causal: bool,
-) -> InOrder | AsItArrives:
-    """Return what a stream is fed to.
+def make_state(
+    make_method: Callable[[], Reconstructor], window: Window,
+    camera: SelfCalibration | None, *, causal: bool,
+) -> InOrderState | ArrivalState:
+    """Return a state that feeds the method in the order it needs.
 
     Parameters
     ----------
-    made : callable
-        Makes the method, of the window.
+    make_method : callable
+        Makes the method, of the size of the window.
     window, camera
-        As for `InOrder`.
+        As for `InOrderState`.
     causal : bool
-        Whether frames are fed when they arrive, not at their mid-exposure.
+        Whether frames are fed at their arrival instead of their mid-exposure.
     """
-    method = made()
+    method = make_method()
     if not (causal and method.needs.frames):
-        return InOrder(method, window, camera)
+        return InOrderState(method, window, camera)
     if method.takes_late_frames:
-        return AsItArrives(method, window, camera)
-    return Replayed(method, made(), window, camera)
+        return ArrivalState(method, window, camera)
+    return ReplayState(method, make_method(), window, camera)
 
 
-class Script:
-    """Notes what states are told, in order, so that others can be told the same.
+class CallRecorder:
+    """Stand in for a state and record the calls that feed it, to repeat them elsewhere.
 
     Parameters
     ----------
-    states : InOrder or AsItArrives
-    follow : bool
-        Whether these do what they are told; else they only say what their method is.
+    state : InOrderState or ArrivalState
+    forward : bool
+        Whether the calls are also made to `state`.  Otherwise `state` only says what
+        its method is.
 
     Attributes
     ----------
-    told : list of Told
-        Since it was last emptied.
+    calls : list of Call
+        In order; to be emptied by who reads it.
     """
 
-    def __init__(self, states: InOrder | AsItArrives, *, follow: bool) -> None:
-        self.states, self._follow = states, follow
-        self.told: list[Told] = []
+    def __init__(self, state: InOrderState | ArrivalState, *, forward: bool) -> None:
+        self.state, self._forward = state, forward
+        self.calls: list[Call] = []
 
     @property
     def method(self) -> Reconstructor:
-        """The current state."""
-        return self.states.method
+        """The method of the state."""
+        return self.state.method
 
     @property
     def fed_us(self) -> int | None:
-        """Time up to which, inclusive, the states have been fed."""
-        return self.states.fed_us
+        """Time up to which, inclusive, the state has been fed."""
+        return self.state.fed_us
 
     @property
-    def behind_us(self) -> int | None:
-        """Time up to which, inclusive, nothing acts any more."""
-        return self.states.behind_us
+    def committed_us(self) -> int | None:
+        """Time up to which, inclusive, no later frame can act."""
+        return self.state.committed_us
 
     def add_events(self, events: NDArray[Any]) -> None:
-        """Note events of the whole sensor."""
-        self._tell("add_events", events)
+        """Record `InOrderState.add_events`."""
+        self._record("add_events", events)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Note a frame of the whole sensor, corrected."""
-        self._tell("add_frame", frame)
+        """Record `InOrderState.add_frame`."""
+        self._record("add_frame", frame)
 
     def add_wave(self, wave: Wave) -> None:
-        """Note how the lamp flickers."""
-        self._tell("add_wave", wave)
+        """Record `InOrderState.add_wave`."""
+        self._record("add_wave", wave)
 
-    def passed(self, t_us: int) -> None:
-        """Note that everything up to t_us, inclusive, has been there."""
-        self._tell("passed", t_us)
+    def mark_fed(self, t_us: int) -> None:
+        """Record `InOrderState.mark_fed`."""
+        self._record("mark_fed", t_us)
 
     def settle(self, t_us: int) -> None:
-        """Note that what is due can be done."""
-        self._tell("settle", t_us)
+        """Record `InOrderState.settle`."""
+        self._record("settle", t_us)
 
     def set_clock(self, clock_us: int) -> None:
-        """Note by how much the stamps of frames are off."""
-        self._tell("set_clock", clock_us)
+        """Record `ArrivalState.set_clock`."""
+        self._record("set_clock", clock_us)
 
     def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Note other parameters of the method."""
-        self._tell("retune", t_us, learned)
+        """Record `InOrderState.retune`."""
+        self._record("retune", t_us, learned)
 
     def snapshot(self) -> Snapshot:
-        """Return the state after everything up to `fed_us`."""
-        return self.states.snapshot()
+        """Return the state's snapshot."""
+        return self.state.snapshot()
 
     def restore(
-        self, snapshot: Snapshot, fed_us: int | None, behind_us: int | None
+        self, snapshot: Snapshot, fed_us: int | None, committed_us: int | None
     ) -> None:
-        """Return to what `snapshot` returned."""
-        self.states.restore(snapshot, fed_us, behind_us)
+        """Restore the state from a snapshot."""
+        self.state.restore(snapshot, fed_us, committed_us)
 
-    def _tell(self, name: str, *args: Any) -> None:
-        self.told.append((name, args))
-        if self._follow:
-            getattr(self.states, name)(*args)
+    def _record(self, name: str, *args: Any) -> None:
+        self.calls.append((name, args))
+        if self._forward:
+            getattr(self.state, name)(*args)

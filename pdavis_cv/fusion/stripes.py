@@ -1,7 +1,8 @@
-"""One recording by several workers: the same bits as by one.
+"""Fuse one recording with several workers, to the same bits as with one.
 
-One process reads the recording and notes what a state of the whole sensor is told;
-workers tell it to states of stripes, or of pieces of time.
+The coordinating process reads the recording and records the calls that feed the state
+of the whole sensor.  Workers repeat the calls, each on a state of its own stripe of the
+sensor or interval of time, and return the pixels that the images are made of.
 """
 from __future__ import annotations
 
@@ -21,18 +22,25 @@ from numpy.typing import NDArray
 
 from pdavis_cv._workers import Workers
 from pdavis_cv.fusion.engine import Fusion
-from pdavis_cv.fusion.handover import (
-    Handed,
-    Place,
-    Reading,
-    Shelf,
-    hand_over,
-    memory_for,
-    taken,
-)
 from pdavis_cv.fusion.images import Samples, samples_of
 from pdavis_cv.fusion.options import FusionOptions
-from pdavis_cv.fusion.states import AsItArrives, Held, InOrder, Script, Told, states_of
+from pdavis_cv.fusion.shared_memory import (
+    ArrayReader,
+    ArrayWriter,
+    SharedArray,
+    SharedValue,
+    load_shared,
+    share,
+    shared_folder,
+)
+from pdavis_cv.fusion.states import (
+    ArrivalState,
+    Call,
+    CallRecorder,
+    InOrderState,
+    StateTransfer,
+    make_state,
+)
 from pdavis_cv.fusion.window import Roi, Window, window_of
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import WHOLE_SENSOR, Reconstructor
@@ -40,10 +48,13 @@ from pdavis_cv.recording.base import Source
 
 __all__ = ["fuse_tiles", "tiles"]
 
-_IMAGES = 64
-"""In a piece of work: its state is handed on after it.  With fewer that costs more than
-a few percent, with more the images of several stripes take more memory."""
+_IMAGES_PER_TASK = 64
+"""A task ends with the transfer of its state to the next one.  With fewer images that
+costs more than a few percent; more images need more memory, as those of all stripes are
+kept until they are joined."""
+
 _READ = "read"
+"""Name of the recorded call that asks for an image."""
 
 
 def tiles(shape: tuple[int, int], n: int) -> tuple[Roi, ...]:
@@ -54,13 +65,13 @@ def tiles(shape: tuple[int, int], n: int) -> tuple[Roi, ...]:
     shape : (int, int)
         (height, width) of the sensor.
     n : int
-        How many; fewer where there are fewer rows of cells.
+        Number of stripes; there are fewer if there are fewer rows of cells.
 
     Returns
     -------
     tuple of (int, int, int, int)
-        Each is the ``roi`` of a stripe, (x, y, width, height), from top to bottom.
-        What `fuse` gives for it is that part of the whole result; it computes as many
+        The ``roi`` of each stripe, (x, y, width, height), from top to bottom.  `fuse`
+        with this `roi` gives that part of the whole image; it also computes as many
         rows around it as the method and demosaicing need.
 
     Raises
@@ -88,18 +99,18 @@ def _stripes(roi: Roi, n: int) -> tuple[Roi, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Stripe:
-    """A part of the sensor, or all of it, that a worker computes.
+    """A part of the sensor, or all of it, that one worker computes.
 
     Parameters
     ----------
     window : Window
-        What is computed.
+        The part, with the pixels around it that it depends on.
     part : (slice, slice)
-        Rows and columns of it that are wanted.
+        Rows and columns of the window that make up the image.
     make : callable
         Makes the method for the window.
     causal : bool
-        Whether frames count from when they arrive on.
+        As the option of `fuse`.
     """
 
     window: Window
@@ -107,10 +118,10 @@ class _Stripe:
     make: Callable[[], Reconstructor]
     causal: bool
 
-    def seen(self, told: Sequence[Told]) -> list[Told]:
-        """Return what states of this window alone are told."""
-        found: list[Told] = []
-        for name, args in told:
+    def cropped(self, calls: Sequence[Call]) -> list[Call]:
+        """Return calls for the whole sensor, cropped to the window."""
+        found: list[Call] = []
+        for name, args in calls:
             if name == "add_events":
                 events = self.window.events(args[0])
                 if len(events):
@@ -123,103 +134,108 @@ class _Stripe:
                 found.append((name, args))
         return found
 
-    def states(self) -> InOrder | AsItArrives:
-        """Make states that take what `seen` returns."""
+    def make_state(self) -> InOrderState | ArrivalState:
+        """Make the state that the calls from `cropped` feed."""
         height, width = self.window.shape
         whole = Window(slice(0, height), slice(0, width), (height, width))
-        return states_of(self.make, whole, None, causal=self.causal)
+        return make_state(self.make, whole, None, causal=self.causal)
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
-    """Some images of a stripe.
+class _Task:
+    """The computation of some consecutive images of a stripe.
 
     Parameters
     ----------
     stripe : _Stripe
-    told : sequence of Told
-        To its states, and when they are read.
-    before : Handed, Held or None
-        What they held before.
-    hand_on : bool
-        Whether what they hold afterwards is wanted.
-    slot : str or None
-        Where to hand over; of the state, with ".state" behind.
+    calls : sequence of Call
+        To its state, with a call `_READ` for each image.
+    before : SharedValue, StateTransfer or None
+        The state to start from; None = the initial one.
+    returns_state : bool
+        Whether the next task needs the state at the end.
+    path : str or None
+        File in the shared folder for the samples; the state goes to `path` + ".state".
     """
 
     stripe: _Stripe
-    told: Sequence[Told]
-    before: Handed | Held | None
-    hand_on: bool
-    slot: str | None
+    calls: Sequence[Call]
+    before: SharedValue | StateTransfer | None
+    returns_state: bool
+    path: str | None
 
 
-class _Sent(NamedTuple):
-    """Samples of an image, handed over: as `Samples`."""
+class _SentSamples(NamedTuple):
+    """`Samples` of an image as they are sent between processes."""
 
-    intensity: Place | NDArray[np.float32]
-    variance: Place | NDArray[np.float32] | None
-    valid: Place | NDArray[np.bool_]
-    quality: Place | NDArray[np.float32] | None
+    intensity: SharedArray | NDArray[np.float32]
+    variance: SharedArray | NDArray[np.float32] | None
+    valid: SharedArray | NDArray[np.bool_]
+    quality: SharedArray | NDArray[np.float32] | None
 
 
-class _Sender:
-    """Hands samples over.
+class _SampleSender:
+    """Write samples for another process.
 
     Parameters
     ----------
-    shelf : Shelf
+    writer : ArrayWriter
     """
 
-    def __init__(self, shelf: Shelf) -> None:
-        self._put = shelf.put
-        self._valid: tuple[NDArray[np.bool_], Place | NDArray[np.bool_]] | None = None
+    def __init__(self, writer: ArrayWriter) -> None:
+        self._put = writer.put
+        self._valid: tuple[NDArray[np.bool_],
+                           SharedArray | NDArray[np.bool_]] | None = None
 
-    def __call__(self, samples: Samples) -> _Sent:
-        """Hand over one image's; of what is valid, what has changed."""
+    def __call__(self, samples: Samples) -> _SentSamples:
+        """Write the samples of one image; `valid` only where it has changed."""
         intensity, variance, valid, quality = samples
         if self._valid is None or not np.array_equal(valid, self._valid[0]):
             self._valid = valid, self._put(valid)
-        return _Sent(self._put(intensity),
-                     None if variance is None else self._put(variance),
-                     self._valid[1], None if quality is None else self._put(quality))
+        return _SentSamples(
+            self._put(intensity), None if variance is None else self._put(variance),
+            self._valid[1], None if quality is None else self._put(quality))
 
 
-def _work(handed: Handed | _Piece) -> tuple[list[_Sent | None], Any]:
-    """Hand over the samples of each image, None for the one before's, and the state."""
-    piece: _Piece = taken(handed)
-    states = piece.stripe.states()
-    before = taken(piece.before)
+def _run(sent: SharedValue | _Task) -> tuple[list[_SentSamples | None], Any]:
+    """Compute a task in a worker.
+
+    Returns the samples of each image, None where they equal those of the image before,
+    and the state at the end, if it is wanted.
+    """
+    task: _Task = load_shared(sent)
+    state = task.stripe.make_state()
+    before = load_shared(task.before)
     if before is not None:
-        states.take(before)
-    found: list[_Sent | None] = []
+        state.import_state(before)
+    found: list[_SentSamples | None] = []
     last: object | None = None
-    with closing(Shelf(piece.slot)) as shelf:
-        send = _Sender(shelf)
-        for name, args in piece.told:
+    with closing(ArrayWriter(task.path)) as writer:
+        send = _SampleSender(writer)
+        for name, args in task.calls:
             if name != _READ:
-                getattr(states, name)(*args)
+                getattr(state, name)(*args)
                 continue
-            shown = states.method.shows(*args)
+            shown = state.method.shows(*args)
             if shown is not None and shown is last:
                 found.append(None)
                 continue
-            samples = samples_of(states.method, *args)
-            found.append(send(samples.part(*piece.stripe.part)))
+            samples = samples_of(state.method, *args)
+            found.append(send(samples.part(*task.stripe.part)))
             last = shown
-    return found, (hand_over(states.held(), piece.slot and f"{piece.slot}.state")
-                   if piece.hand_on else None)
+    return found, (share(state.export_state(), task.path and f"{task.path}.state")
+                   if task.returns_state else None)
 
 
-class _Leader(Fusion):
-    """Reads the recording, and says what its states are told.
+class _Coordinator(Fusion):
+    """A Fusion that reads the recording and records the calls to its state.
 
-    They do it too where the whole sensor has to be followed.
+    Its own state is fed only where it is needed in this process.
 
     Attributes
     ----------
     by_time : bool
-        Whether time is divided, and not the sensor.
+        Whether time is divided instead of the sensor.
     """
 
     def __init__(
@@ -228,56 +244,67 @@ class _Leader(Fusion):
         super().__init__(recording, options)
         self.by_time = by_time
 
-    def _start(self) -> None:
-        super()._start()
-        assert isinstance(self._states, InOrder | AsItArrives)
-        self._states = self.script = Script(self._states, follow=self.follows)
-        self._set_clock(self._clock_us)     # those who are told begin at 0
+    def _make_state(self) -> None:
+        super()._make_state()
+        assert isinstance(self._state, InOrderState | ArrivalState)
+        self._state = self.recorder = CallRecorder(
+            self._state, forward=self._needs_own_state)
+        self._set_clock(self._clock_us)     # recorded: the workers' states begin at 0
 
     @property
-    def follows(self) -> bool:
-        """Whether its own states are fed."""
+    def _needs_own_state(self) -> bool:
+        """Whether its state is fed: to start tasks from, or for online learning."""
         return self.by_time or self._online is not None
 
-    def held(self) -> Held | None:
-        """Return what its states hold, None before anything was fed."""
-        return None if self._states is None else self.script.states.held()
+    def export_state(self) -> StateTransfer | None:
+        """Return its state, None before anything was fed."""
+        return None if self._state is None else self.recorder.state.export_state()
 
-    def round(self) -> _Round:
-        """Read on by some images."""
+    def next_batch(self) -> _Batch:
+        """Read the recording up to the end of the next batch of images."""
         images: list[tuple[int, int | None, Mapping[str, Any]]] = []
-        told: list[Told] = []
-        while len(images) < _IMAGES and self.advance():
+        calls: list[Call] = []
+        while len(images) < _IMAGES_PER_TASK and self.advance():
             assert self.t_us is not None
-            told += [*self.script.told, (_READ, (self.t_us,))]
-            self.script.told.clear()
+            calls += [*self.recorder.calls, (_READ, (self.t_us,))]
+            self.recorder.calls.clear()
             images.append((self.t_us, self.frame_us(), self.provenance))
-        return _Round(images, told)
+        return _Batch(images, calls)
 
     def stripe(self, roi: Roi) -> _Stripe:
-        """Return what computes a region."""
+        """Return the stripe that computes a region."""
         window = self.window if self.by_time else window_of(
             roi, self.window.size, self.margin)
-        make = self.maker(window, Workers())    # there is a worker for each as it is
+        # One thread each: the stripes already occupy the workers.
+        make = self.method_factory(window, Workers())
         return _Stripe(window, window.part(roi), make, self.options.causal)
 
 
-class _Round(NamedTuple):
-    """Some images: (time, mid-exposure of the frame, provenance) of each."""
+class _Batch(NamedTuple):
+    """The images of one round of tasks, and the calls that lead to them.
+
+    Parameters
+    ----------
+    images : list of (int, int or None, mapping)
+        Time, mid-exposure of the last frame and provenance of each image.
+    calls : list of Call
+        For the whole sensor.
+    """
 
     images: list[tuple[int, int | None, Mapping[str, Any]]]
-    told: list[Told]
+    calls: list[Call]
 
 
 def fuse_tiles(
     recording: Source, options: FusionOptions, executor: Executor, n: int,
     by_time: bool,
 ) -> Iterator[PolarFrame]:
-    """Yield what `fuse` yields, made by an executor from n stripes.
+    """Yield the images that `fuse` yields, computed by an executor in n stripes.
 
-    The recording is read here, once, and what must be learned of it is learned here.
-    Where the method's pixels depend on all others there is one stripe, and one worker:
-    it is ahead by some images of what is made of its samples here.
+    This process reads the recording once, and learns from it what the method needs.  If
+    each pixel of the method depends on all others, there is one stripe and one worker.
+    That still gains time: the worker computes the next batch while this process makes
+    images of the last one.
 
     Parameters
     ----------
@@ -285,123 +312,128 @@ def fuse_tiles(
     options : FusionOptions
     executor : Executor
     n : int
-        How many stripes, or pieces at a time.
+        Number of stripes, or of intervals at a time.
     by_time : bool
-        Pieces of time, whose states at their beginnings come from following them here.
+        Divide time instead: each task starts from the state that this process computes.
     """
-    whole = _Leader(recording, options, by_time)
-    rows, columns = whole.window.rows, whole.window.columns
-    height, width = whole.window.shape
+    coordinator = _Coordinator(recording, options, by_time)
+    rows, columns = coordinator.window.rows, coordinator.window.columns
+    height, width = coordinator.window.shape
     regions = _stripes(
         (columns.start, rows.start, width, height),
-        1 if whole.margin >= WHOLE_SENSOR and not by_time else n)
-    return _shared(whole, executor, regions)
+        1 if coordinator.margin >= WHOLE_SENSOR and not by_time else n)
+    return _fused(coordinator, executor, regions)
 
 
-def _shared(
-    whole: _Leader, executor: Executor, regions: Sequence[Roi]
+def _fused(
+    coordinator: _Coordinator, executor: Executor, regions: Sequence[Roi]
 ) -> Iterator[PolarFrame]:
-    waiting = deque[Future[Any]]()
+    pending = deque[Future[Any]]()
     count = itertools.count()
 
     def submit(
-        stripe: _Stripe, told: Sequence[Told], before: Handed | Held | None,
-        hand_on: bool,
+        stripe: _Stripe, calls: Sequence[Call],
+        before: SharedValue | StateTransfer | None, returns_state: bool,
     ) -> None:
-        # Of a stripe, or of so many pieces, the one before may still be in use.
-        slot = folder and os.path.join(folder, str(next(count) % (2 * len(regions))))
-        waiting.append(executor.submit(_work, hand_over(
-            _Piece(stripe, stripe.seen(told), before, hand_on, slot),
-            slot and f"{slot}.told")))
+        # A file is used again two rounds later: while a round runs, the results of the
+        # one before may still be in use.
+        path = folder and os.path.join(folder, str(next(count) % (2 * len(regions))))
+        pending.append(executor.submit(_run, share(
+            _Task(stripe, stripe.cropped(calls), before, returns_state, path),
+            path and f"{path}.calls")))
 
-    with memory_for(executor) as folder:
-        make = _by_time if whole.by_time else _by_stripes
+    with shared_folder(executor) as folder:
+        make = _by_time if coordinator.by_time else _by_stripes
         try:
-            yield from make(whole, regions, waiting, submit)
+            yield from make(coordinator, regions, pending, submit)
         finally:
-            for future in waiting:
+            for future in pending:
                 future.cancel()
 
 
 def _by_stripes(
-    whole: _Leader, regions: Sequence[Roi], waiting: deque[Future[Any]],
+    coordinator: _Coordinator, regions: Sequence[Roi], pending: deque[Future[Any]],
     submit: Callable[..., None],
 ) -> Iterator[PolarFrame]:
-    stripes = [whole.stripe(region) for region in regions]
+    stripes = [coordinator.stripe(region) for region in regions]
 
-    def begin(now: _Round, held: Sequence[Handed | Held | None]) -> None:
-        for stripe, before in zip(stripes, held, strict=True):
-            submit(stripe, now.told, before, True)
+    def submit_all(
+        batch: _Batch, states: Sequence[SharedValue | StateTransfer | None]
+    ) -> None:
+        for stripe, before in zip(stripes, states, strict=True):
+            submit(stripe, batch.calls, before, True)
 
-    join = _Joined(whole)
-    now = whole.round()
-    if now.images:
-        begin(now, [None] * len(stripes))
-    while now.images:
-        after = whole.round()       # is read while they work
-        pieces = [waiting.popleft().result() for _ in stripes]
-        if after.images:            # they work on while images are made and used here
-            begin(after, [held for _, held in pieces])
-        yield from join(now, [samples for samples, _ in pieces])
-        now = after
+    join = _Joiner(coordinator)
+    batch = coordinator.next_batch()
+    if batch.images:
+        submit_all(batch, [None] * len(stripes))
+    while batch.images:
+        following = coordinator.next_batch()    # is read while the workers compute
+        results = [pending.popleft().result() for _ in stripes]
+        if following.images:    # the workers go on while images are made and used here
+            submit_all(following, [state for _, state in results])
+        yield from join(batch, [samples for samples, _ in results])
+        batch = following
 
 
 def _by_time(
-    whole: _Leader, regions: Sequence[Roi], waiting: deque[Future[Any]],
+    coordinator: _Coordinator, regions: Sequence[Roi], pending: deque[Future[Any]],
     submit: Callable[..., None],
 ) -> Iterator[PolarFrame]:
-    rows, columns = whole.window.rows, whole.window.columns
-    stripe = whole.stripe((columns.start, rows.start,
-                           columns.stop - columns.start, rows.stop - rows.start))
-    join, rounds = _Joined(whole), deque[_Round]()
+    rows, columns = coordinator.window.rows, coordinator.window.columns
+    stripe = coordinator.stripe((columns.start, rows.start,
+                                 columns.stop - columns.start, rows.stop - rows.start))
+    join, batches = _Joiner(coordinator), deque[_Batch]()
     while True:
-        while len(waiting) < len(regions):
-            before = whole.held()
-            now = whole.round()
-            if not now.images:
+        while len(pending) < len(regions):
+            before = coordinator.export_state()
+            batch = coordinator.next_batch()
+            if not batch.images:
                 break
-            rounds.append(now)
-            submit(stripe, now.told, before, False)
-        if not waiting:
+            batches.append(batch)
+            submit(stripe, batch.calls, before, False)
+        if not pending:
             return
-        yield from join(rounds.popleft(), [waiting.popleft().result()[0]])
+        yield from join(batches.popleft(), [pending.popleft().result()[0]])
 
 
-class _Joined:
-    """Makes images of the samples of stripes."""
+class _Joiner:
+    """Join the samples of stripes and make images of them."""
 
-    def __init__(self, whole: Fusion) -> None:
-        self._whole = whole
+    def __init__(self, fusion: Fusion) -> None:
+        self._fusion = fusion
         self._image: PolarFrame | None = None
 
     def __call__(
-        self, now: _Round, stripes: Sequence[Sequence[_Sent | None]]
+        self, batch: _Batch, stripes: Sequence[Sequence[_SentSamples | None]]
     ) -> Iterator[PolarFrame]:
-        """Yield the images of a round."""
-        with Reading() as reading:
-            sent: Sequence[object] = ()     # what `valid` was read from
-            for about, *parts in zip(now.images, *stripes, strict=True):
+        """Yield the images of a batch."""
+        with ArrayReader() as reader:
+            last_sent: Sequence[object] = ()     # what `valid` was read from
+            for about, *parts in zip(batch.images, *stripes, strict=True):
                 found = [part for part in parts if part is not None]
                 if found:
-                    intensity, variance, places, quality = zip(*found, strict=True)
-                    if not sent or any(map(operator.is_not, places, sent)):
-                        valid, sent = _stacked(reading, places), places
-                    self._image = self._whole.made(Samples(
-                        _stacked(reading, intensity), _stacked(reading, variance),
-                        valid, _stacked(reading, quality)), *about)
+                    intensity, variance, sent, quality = zip(*found, strict=True)
+                    if not last_sent or any(map(operator.is_not, sent, last_sent)):
+                        valid, last_sent = _stacked(reader, sent), sent
+                    self._image = self._fusion.made(Samples(
+                        _stacked(reader, intensity), _stacked(reader, variance),
+                        valid, _stacked(reader, quality)), *about)
                 else:
                     assert self._image is not None
                     self._image = self._image.retimed(*about)
                 yield self._image
 
 
-def _stacked(reading: Reading, parts: Sequence[Place | NDArray[Any] | None]) -> Any:
-    """Return a plane whose stripes were sent, from top to bottom."""
+def _stacked(
+    reader: ArrayReader, parts: Sequence[SharedArray | NDArray[Any] | None]
+) -> Any:
+    """Return the plane that consists of the given stripes, from top to bottom."""
     sent = [part for part in parts if part is not None]
     if not sent:
         return None
     edges = list(itertools.accumulate((part.shape[0] for part in sent), initial=0))
     plane = np.empty((edges[-1], *sent[0].shape[1:]), sent[0].dtype)
     for part, (first, last) in zip(sent, pairwise(edges), strict=True):
-        reading.into(plane[first:last], part)
+        reader.read_into(plane[first:last], part)
     return plane

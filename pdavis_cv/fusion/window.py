@@ -1,4 +1,4 @@
-"""The part of the sensor that a region's result depends on."""
+"""The part of the sensor that is computed for a region of interest."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -19,12 +19,12 @@ Roi = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Window:
-    """Rows and columns of a sensor that are computed, polarizer cells whole.
+    """The rows and columns of a sensor that are computed: whole polarizer cells.
 
     Parameters
     ----------
     rows, columns : slice
-        With start and stop.
+        Both with a start and a stop.
     size : (int, int)
         (height, width) of the sensor.
     """
@@ -39,11 +39,11 @@ class Window:
         return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
 
     def layout(self, whole: Layout) -> Layout:
-        """Return the layout of the window."""
+        """Return the polarizer layout of the window."""
         return whole.crop(self.columns.start, self.rows.start)
 
     def events(self, events: NDArray[Any]) -> NDArray[Any]:
-        """Return the events of the window, in its coordinates."""
+        """Return the events inside the window, in its coordinates."""
         if self.shape == self.size:
             return events
         y = events["y"]
@@ -57,27 +57,30 @@ class Window:
         return inside
 
     def frame(self, frame: ApsFrame) -> ApsFrame:
-        """Return the frame of the window."""
+        """Return the frame cropped to the window."""
         return frame.cropped(self.rows, self.columns)
 
     def plane(self, value: Any) -> Any:
-        """Return the window of an array over the sensor; anything else as it is."""
+        """Return an array of the sensor's shape cropped to the window.
+
+        Any other value is returned as it is.
+        """
         if isinstance(value, np.ndarray) and value.shape[-2:] == self.size:
             return np.ascontiguousarray(value[..., self.rows, self.columns])
         return value
 
     def planes(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the windows of those values that are arrays over the sensor."""
+        """Return all values as `plane` returns them."""
         return {name: self.plane(value) for name, value in values.items()}
 
     def part(self, roi: Roi) -> tuple[slice, slice]:
-        """Return the rows and columns of the window that a region is."""
+        """Return the rows and columns of a region in the window's coordinates."""
         x, y, width, height = roi
         top, left = y - self.rows.start, x - self.columns.start
         return slice(top, top + height), slice(left, left + width)
 
     def crop_of(self, roi: Roi, demosaic: str) -> tuple[slice, slice] | None:
-        """Return the part of the window's image that a region is; None = all of it."""
+        """Return the part of the window's image that is a region; None = all of it."""
         rows, columns = self.part(roi)
         if (rows, columns) == (slice(0, self.shape[0]), slice(0, self.shape[1])):
             return None
@@ -87,7 +90,10 @@ class Window:
 
 
 def checked_roi(roi: Roi | None, size: tuple[int, int], demosaic: str) -> Roi:
-    """Return (x, y, width, height) if it lies inside the sensor."""
+    """Return the region as (x, y, width, height); raise unless it lies in the sensor.
+
+    None stands for the whole sensor.
+    """
     height, width = size
     if roi is None:
         roi = (0, 0, width, height)
@@ -103,7 +109,7 @@ def checked_roi(roi: Roi | None, size: tuple[int, int], demosaic: str) -> Roi:
 
 
 def window_of(roi: Roi, size: tuple[int, int], margin: int) -> Window:
-    """Return the window that the roi's result depends on.
+    """Return the window that has to be computed for a region.
 
     Parameters
     ----------
@@ -112,8 +118,8 @@ def window_of(roi: Roi, size: tuple[int, int], margin: int) -> Window:
     size : (int, int)
         (height, width) of the sensor.
     margin : int
-        Pixels around a pixel that its result depends on: the method's, and what
-        demosaicing reaches.
+        Distance in pixels up to which a pixel's result depends on others: that of the
+        method plus that of demosaicing.
     """
     x, y, w, h = roi
     margin += margin % 2
