@@ -32,7 +32,8 @@ EARLY_US = 500_000
 mid-exposure.  Longer than any exposure and readout of these cameras."""
 
 PRIOR_SIGMA = 0.3
-"""Of a log intensity, where the mean squares of a macropixel's four are taken equal."""
+"""Prior sigma (ln) if a macropixel's four channels are assumed to have equal mean
+squares."""
 
 
 class Saturated:
