@@ -16,7 +16,9 @@ from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion, learning
 from pdavis_cv.fusion.learning import FIRST_LOOK_S, Learning, OnlineLearning
 from pdavis_cv.reconstruct.kalman import NOISE, KalmanFilter
-from pdavis_cv.selfcal import TYPICAL_BANDWIDTH
+from pdavis_cv.selfcal import TYPICAL_BANDWIDTH, CameraEstimate
+from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA
+from pdavis_cv.selfcal.refractory import Refractory
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 NOMINAL = (0.16, 0.18)
@@ -249,6 +251,28 @@ def test_cf_learns_thresholds_as_the_stream_passes():
     next(fusion)
     found = fusion._state.method.parameters["theta_on"]
     assert found.mean() == pytest.approx(0.16, rel=0.1)
+
+
+@pytest.mark.parametrize("told", [
+    {"nominal_holds": True}, {"refractory": Refractory(1000.0, 30.0)}, {}])
+def test_thresholds_that_a_later_look_denies_are_given_back(realistic, told):
+    """With a refractory period that was not known, a scale was of another camera."""
+    recording, _ = realistic
+    learning = Learning(recording, FusionOptions(
+        method="kalman", causal=True, nominal_thresholds=NOMINAL), {},
+        KalmanFilter.needs)
+    on, off = (np.full((8, 8), theta) for theta in NOMINAL)
+    early = learning.tuned(learning.prior, CameraEstimate(
+        theta_on=0.5 * on, theta_off=0.6 * off, common_scale_sigma=0.04))
+    assert np.all(early.theta_on == np.float32(0.08))
+    late = learning.tuned(early, CameraEstimate(theta_on=on, theta_off=off, **told))
+    assert late.has_thresholds_of(learning.prior if told else early)
+    changes = late.changes(early)
+    assert ("theta_on" in changes) == ("threshold_sigma" in changes) == bool(told)
+    if told:
+        assert changes["threshold_sigma"] == THRESHOLD_SIGMA
+        again = learning.tuned(late, CameraEstimate(theta_on=on, theta_off=off, **told))
+        assert not again.changes(late)
 
 
 def test_the_stream_is_looked_at_ever_more_rarely(realistic):

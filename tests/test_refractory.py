@@ -4,6 +4,7 @@ import pytest
 
 from pdavis_cv import EVENT_DTYPE, KalmanFilter, fuse
 from pdavis_cv.analysis import Scorer
+from pdavis_cv.reconstruct.kalman.event_noise import MOTION
 from pdavis_cv.selfcal import SelfCalibration
 from pdavis_cv.selfcal.refractory import edge_of
 from pdavis_cv.simulation import Camera, RotatingPolarizer
@@ -11,10 +12,10 @@ from pdavis_cv.simulation import Camera, RotatingPolarizer
 NOMINAL = (0.16, 0.18)
 
 
-def recorded(rpm, refractory_us, seconds=1.0, size=(10, 10), seed=6, **dvs):
+def recorded(rpm, refractory_us, seconds=1.0, size=(10, 10), seed=6, start=0.4, **dvs):
     return Camera.preset("nominal", seed=seed, size=size, dvs={
         "refractory_us": refractory_us, **dvs}).record(
-            RotatingPolarizer(rpm=rpm * 1.013, start_angle=0.4), seconds)
+            RotatingPolarizer(rpm=rpm * 1.013, start_angle=start), seconds)
 
 
 def found(recording):
@@ -92,3 +93,38 @@ def test_a_recording_at_1000_rpm_is_fused(true_us, aop_deg, dolp):
         scores.append(scorer.score)
     assert np.degrees(np.mean([score.aop_error for score in scores])) < aop_deg
     assert np.mean([score.dolp_error for score in scores]) < dolp
+
+
+def test_bases_are_doubted_by_what_their_sums_lost():
+    """From when a period is known, and what innovations said before is forgotten."""
+    recording, _ = recorded(200.0, 3000.0, seconds=0.6)
+    fusion = fuse(recording, method="kalman", causal=True, nominal_thresholds=NOMINAL,
+                  refractory_us=0.0, bandwidth=(250.0, 0.0), times_us=[550_000])
+    next(fusion)
+    method = fusion._states.method
+    before, noisy = method._states.copy(), method._tuning.copy()
+    assert noisy["motion_variance"][0] > 10 * MOTION[0]
+    method.retune(refractory_us=3000.0)
+    theta = (before["theta_on"] + before["theta_off"]) / 2
+    per_frame = (before["seen_on"] + before["seen_off"]) / before["samples"]
+    lost = per_frame**2 * theta * 3000.0 / method._interval_us
+    np.testing.assert_allclose(
+        method._states["var_base"], before["var_base"] + lost**2, rtol=1e-12)
+    assert np.median(lost) > 0.3
+    assert method._tuning["motion_variance"][0] == MOTION[0]
+    for name in ("on", "off"):
+        np.testing.assert_array_equal(
+            method._states[f"theta_{name}"], method._states[f"prior_{name}"])
+
+
+@pytest.mark.parametrize(("rpm", "start", "dolp"), [
+    (200.0, 0.4, 0.028), (30.0, 2.8, 0.024)])
+def test_live_a_period_that_is_found_late_leaves_nothing_wrong(rpm, start, dolp):
+    """Half a second looked like thresholds half as large, and bases were off."""
+    recording, truth = recorded(rpm, 1000.0, 1.5, (12, 12), 11, start)
+    scorer = Scorer(truth, (6, 6))
+    for image in fuse(recording, causal=True, method="kalman",
+                      nominal_thresholds=NOMINAL, demosaic="superpixel",
+                      times_us=range(1_100_000, 1_450_000, 10_007)):
+        scorer.add(image)
+    assert scorer.score.dolp_error < dolp

@@ -10,7 +10,6 @@ import math
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds
+from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.fusion.tuning import Tuning
 from pdavis_cv.reconstruct.base import Needs
 from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE
 from pdavis_cv.reconstruct.lamp import LampTracker
@@ -69,49 +69,6 @@ _KNOWN_SIGMA = 0.0005
 _COMMON_ERROR = math.sqrt(2)
 """ON and OFF thresholds of a pixel err together, in their scale.  The filter takes the
 errors as independent, which understates the scale's sigma by this factor."""
-
-
-_UNSET = object()
-
-
-@dataclass(frozen=True, eq=False)
-class Tuning:
-    """What a method is made with, as far as it is known.
-
-    Parameters
-    ----------
-    theta_on, theta_off : float or ndarray of float32, shape (H, W)
-        Contrast thresholds, natural-log units.
-    parameters : mapping of str to object
-        Further parameters of the method.
-    clock : ClockOffset
-        What is added to the frames' exposure times, if it counts.
-    """
-
-    theta_on: Theta
-    theta_off: Theta
-    parameters: Mapping[str, Any]
-    clock: ClockOffset
-
-    @property
-    def clock_us(self) -> int:
-        """What is added to the frames' exposure times."""
-        return self.clock.applied_us
-
-    def changes(self, before: Tuning) -> dict[str, Any]:
-        """Return what a method made with another tuning is to be retuned with."""
-        out = {name: value for name, value in self.parameters.items()
-               if not np.array_equal(value, before.parameters.get(name, _UNSET))}
-        for name in ("theta_on", "theta_off"):
-            value = getattr(self, name)
-            if not np.array_equal(value, getattr(before, name)):
-                out[name] = value
-        return out
-
-    def changed(self, **parameters: Any) -> Tuning:
-        """Return the tuning with other parameters."""
-        return dataclasses.replace(
-            self, parameters={**self.parameters, **parameters})
 
 
 class Learning:
@@ -258,6 +215,14 @@ class Learning:
             if "threshold_sigma" in self._needs.prior:
                 found["threshold_sigma"] = self.prior.parameters.get(
                     "threshold_sigma", _sigma_of(estimate))
+        elif ("scale" in self.wanted and not tuning.has_thresholds_of(self.prior)
+              and (estimate.nominal_holds or "refractory_us" in found)):
+            # Less told another scale, or what resets hide made it.
+            tuning = dataclasses.replace(
+                tuning, theta_on=self.prior.theta_on, theta_off=self.prior.theta_off)
+            if "threshold_sigma" in self._needs.prior:
+                found["threshold_sigma"] = self.prior.parameters.get(
+                    "threshold_sigma", THRESHOLD_SIGMA)
         if estimate.clock_offset is not None:
             tuning = dataclasses.replace(tuning, clock=estimate.clock_offset)
         return tuning.changed(**found)

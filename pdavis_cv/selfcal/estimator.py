@@ -75,6 +75,9 @@ class CameraEstimate:
     clock_offset : ClockOffset or None
         What the frames' stamps must be moved by to the clock of the events; None where
         it was not estimated.  The rest is estimated with stamps moved by what counts.
+    nominal_holds : bool
+        Whether a common scale was told, and is that of the nominal thresholds.  If not,
+        and `common_scale_sigma` is 0, nothing is known against them.
     """
 
     theta_on: NDArray[np.float64]
@@ -85,6 +88,7 @@ class CameraEstimate:
     common_scale_sigma: float = 0.0
     refractory: Refractory | None = None
     clock_offset: ClockOffset | None = None
+    nominal_holds: bool = False
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -231,6 +235,7 @@ class SelfCalibration:
         known = None if "bandwidth" in wanted or bandwidth is None else (
             checked_bandwidth(bandwidth))
         refractory: Refractory | None = None
+        holds = False
         if sample is not None:
             if "refractory_us" in wanted and not len(self._window.waves):
                 refractory = fit_refractory(sample)
@@ -248,6 +253,8 @@ class SelfCalibration:
             if not {"scale", "thresholds"}.isdisjoint(wanted):
                 scale, clock = _scale_and_clock(
                     stamped, law, clock, known, found is not None)
+                if not scale.counts:
+                    scale, holds = None, scale.told and not scale.differs
             if scale is not None:
                 stamped = stamped.with_thresholds_scaled(scale.on, scale.off)
                 sample = stamped
@@ -270,12 +277,12 @@ class SelfCalibration:
             return CameraEstimate(
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common,
-                refractory=refractory, clock_offset=clock)
+                refractory=refractory, clock_offset=clock, nominal_holds=holds)
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
             common_scale_sigma=0.0 if scale is None else scale.sigma,
-            refractory=refractory, clock_offset=clock)
+            refractory=refractory, clock_offset=clock, nominal_holds=holds)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,
@@ -328,8 +335,8 @@ class SelfCalibration:
 def _scale_and_clock(
     stamped: PixelSample, law: tuple[float, float], clock: ClockOffset | None,
     known: tuple[float, float, float] | None, learn_bandwidth: bool,
-) -> tuple[CommonScale | None, ClockOffset | None]:
-    """Return the scale (None for the nominal) and the offset that belongs to it.
+) -> tuple[CommonScale, ClockOffset | None]:
+    """Return the scale and the offset that belongs to it, or to nominal thresholds.
 
     Wrong thresholds and wrong stamps each make the other hard to tell: a scale that is
     likelier, even if not by enough, is looked for again with the stamps that suit it.
@@ -343,7 +350,8 @@ def _scale_and_clock(
             learn_bandwidth=learn_bandwidth, clock_us=first_us - applied_us)
         if scale is not None and not again.told:
             break
-        scale, counts = again, counts or again.counts
+        counts = counts or again.counts
+        scale = again._replace(counts=counts)
         if clock is None or not scale.differs:
             break
         there = fit_clock_offset(
@@ -351,7 +359,8 @@ def _scale_and_clock(
         moved_us, applied_us = there.applied_us - applied_us, there.applied_us
         if abs(moved_us) <= _SAME_US:
             break
-    return (scale, there) if counts else (None, clock)
+    assert scale is not None
+    return scale, there if counts else clock
 
 
 def _in_order(items: Sequence[Item], clock_us: int) -> Iterator[Item]:

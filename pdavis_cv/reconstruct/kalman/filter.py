@@ -278,11 +278,14 @@ class KalmanFilter(Reconstructor):
             self._give_up(np.abs(self._lags() - before + 1e-6 * moved_us))
         if moved_us:
             self._doubt_bases(1e-6 * moved_us)
-            self._innovations[MISFIT:] = 0
-            self._adapt()
             self._frames = ()   # what waits has the stamps of before
         if "refractory_us" in learned:
-            self._refractory_us = checked_refractory(learned["refractory_us"])
+            before_us, self._refractory_us = self._refractory_us, checked_refractory(
+                learned["refractory_us"])
+            self._doubt_sums(abs(self._refractory_us - before_us))
+        if moved_us or "refractory_us" in learned:
+            self._innovations[MISFIT:] = 0
+            self._adapt()
         if not prior.isdisjoint(learned) or "refractory_us" in learned:
             for name in ("theta_on", "theta_off"):
                 if name in learned:
@@ -346,6 +349,20 @@ class KalmanFilter(Reconstructor):
         if self._interval_us:
             states["var_base"] += (
                 1e6 * error_s / self._interval_us * events * theta)**2
+
+    def _doubt_sums(self, lost_us: float) -> None:
+        """Add to the variance of the bases what sums of events lost that resets hid.
+
+        Of each event's threshold as much as light changed by in that time; of all of
+        them at most as much as if all had one sign.
+        """
+        states = self._states
+        theta = 0.5 * (states["theta_on"] + states["theta_off"])
+        events = (states["seen_on"] + states["seen_off"]) / np.maximum(
+            states["samples"], 1)
+        if self._interval_us:
+            states["var_base"] += (
+                lost_us / self._interval_us * events**2 * theta)**2
 
     def _changed(self) -> None:
         """Note that what was computed ahead holds no more, and states may differ."""
