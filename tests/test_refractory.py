@@ -101,7 +101,7 @@ def test_bases_are_doubted_by_what_their_sums_lost():
     fusion = fuse(recording, method="kalman", causal=True, nominal_thresholds=NOMINAL,
                   refractory_us=0.0, bandwidth=(250.0, 0.0), times_us=[550_000])
     next(fusion)
-    method = fusion._states.method
+    method = fusion._state.method
     before, noisy = method._states.copy(), method._tuning.copy()
     assert noisy["motion_variance"][0] > 10 * MOTION[0]
     method.retune(refractory_us=3000.0)

@@ -251,10 +251,10 @@ class SelfCalibration:
                 found = fit_bandwidth(sample)
                 law = found.law
             if not {"scale", "thresholds"}.isdisjoint(wanted):
-                scale, clock = _scale_and_clock(
+                likeliest, clock = _scale_and_clock(
                     stamped, law, clock, known, found is not None)
-                if not scale.counts:
-                    scale, holds = None, scale.told and not scale.differs
+                scale = likeliest if likeliest.counts else None
+                holds = scale is None and likeliest.told and not likeliest.differs
             if scale is not None:
                 stamped = stamped.with_thresholds_scaled(scale.on, scale.off)
                 sample = stamped
