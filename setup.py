@@ -42,6 +42,7 @@ KERNELS = (
     "_packed",
     "_picture",
     "_polarization",
+    "_reading",
     "_redundancy",
     "_selfcal",
     "_simulate",
@@ -50,8 +51,6 @@ KERNELS = (
 )
 SOURCE_TREE_ONLY = ("_floor",)  # what `pdavis bench` compares with: no user needs it
 SHARED = (
-    "_ahead.h",
-    "_ahead.pxd",
     "_check.pxd",
     "_channels.h",
     "_clones.h",
@@ -64,7 +63,10 @@ SHARED = (
     "_hot.pxd",
     "_lag.pxd",
     "_lamp.pxd",
+    "_lanes.h",
+    "_lanes.pxd",
     "_line.h",
+    "_listing.pxd",
     "_math.h",
     "_math.pxd",
     "_measure.h",
@@ -75,6 +77,7 @@ SHARED = (
     "_prefetch.h",
     "_rest.h",
     "_rows.pxd",
+    "_smoothed.pxd",
     "_stencil.h",
     "_tracks.pxd",
     "_types.pxd",

@@ -31,7 +31,7 @@ from ._event_words import (
 )
 from ._events import count, surface, voxel
 from ._guided import guided
-from ._kalman import kalman_frame, kalman_read, kalman_rest, rest_read
+from ._kalman import kalman_frame
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
@@ -50,6 +50,7 @@ from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import fade_bgr, hue_bgr, polar_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
+from ._reading import kalman_read, kalman_rest, kalman_show
 from ._redundancy import (
     redundancy_sample,
     redundancy_shown,
@@ -59,7 +60,7 @@ from ._redundancy import (
 from ._selfcal import sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
-from ._store import store_commit, store_link, store_push, store_unlink
+from ._store import store_commit, store_link, store_mark, store_push, store_unlink
 
 __all__ = [
     "DEBUG",
@@ -96,6 +97,7 @@ __all__ = [
     "kalman_frame",
     "kalman_read",
     "kalman_rest",
+    "kalman_show",
     "lamp_push",
     "lamp_wave",
     "leak_events",
@@ -119,7 +121,6 @@ __all__ = [
     "redundancy_sample",
     "redundancy_shown",
     "redundancy_solve",
-    "rest_read",
     "ros_events",
     "sample_innovations",
     "saturated_fill",
@@ -130,6 +131,7 @@ __all__ = [
     "stokes",
     "store_commit",
     "store_link",
+    "store_mark",
     "store_push",
     "store_unlink",
     "superpixel",

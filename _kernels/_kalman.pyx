@@ -6,13 +6,9 @@ theta_off) with its covariance; `drift` is the process noise.  A frame is de-blu
 the events of its exposure (event-based double integral) and measures the base.  See
 docs/theory/kalman.md.
 """
-from libc.stdint cimport int32_t, int64_t, uint8_t
+from libc.stdint cimport int32_t, int64_t
 
-from _kernels._ahead cimport (
-    AT_ONCE, ahead_t, collect, is_plain, reader_of, reader_t, show_ahead)
-from _kernels._estimate cimport (
-    LEAST_VARIANCE, doubted, holds, part_at, read_pixel, rest_of, rest_t,
-    theta_squared)
+from _kernels._estimate cimport doubted, holds, part_at, theta_squared
 from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
 from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_of, lamp_t, lit
@@ -22,13 +18,9 @@ from _kernels._measure cimport (
 from _kernels._model cimport (
     check_given, exposure_t, node_t, sample_t, state_t, stored_t, track_t, tuning_t,
     wave_t)
-from _kernels._tracks cimport at_rest, drift, part_t, start, step, walk_t
+from _kernels._tracks cimport drift, part_t, start, step, walk_t
 from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, propagate)
-
-cdef extern from "_rest.h" nogil:
-    void rest_row(const float*, const float*, const float*, float, float, float,
-                  Py_ssize_t, float*, unsigned char*)
 
 cdef struct slot_t:
     # A pixel whose sample waits for `measure`: its column, what the smoother needs, by
@@ -358,200 +350,3 @@ cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
     s.part = group.held[i]
     if is_hot(s):
         s.moves += (slot.change - s.moves) / HOT_SAMPLES
-
-
-cdef inline void ask(Py_ssize_t at, const track_t* tracks, const state_t* states,
-                     Py_ssize_t size) noexcept nogil:
-    """Ask for what is known of a pixel that is read soon."""
-    if 0 <= at < size:
-        prefetch(&tracks[at])
-        prefetch(&states[at].base)
-        prefetch(&states[at].prior_on)
-
-
-cdef void show_group(ahead_t* group, const reader_t* reader, Py_ssize_t n,
-                     const int32_t* places, float* out, float* variance,
-                     uint8_t* valid) noexcept nogil:
-    """Write what the n pixels of a group show to their places."""
-    cdef Py_ssize_t i
-    show_ahead(group, reader, n)
-    for i in range(n):
-        out[places[i]] = group.log[i]
-        variance[places[i]] = group.variance[i]
-        valid[places[i]] = group.valid[i]
-
-
-def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
-                model not None, const state_t[:, ::1] states not None,
-                const int32_t[::1] pixels not None, rows not None, shown not None):
-    """Log intensity and its variance at t from the events up to known >= t.
-
-    Only the pixels listed (row * width + column) that lie in rows (first, last) are
-    written to shown (log intensity, variance, valid).  chain is (store, tracks that
-    chain the events not counted there yet), model (tuning, waves); epoch is as in
-    `kalman_rest`.  The variance is 0 where no frame was used yet; the log intensity
-    then counts from 0.  valid is 1 where the variance without that of the lag and of
-    the offset is small enough.
-    """
-    cdef const stored_t[::1] store
-    cdef const track_t[:, ::1] tracks
-    cdef const tuning_t[::1] tuning
-    cdef const wave_t[::1] waves
-    cdef float[:, ::1] out, variance
-    cdef uint8_t[:, ::1] valid
-    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, first, last, n = 0
-    cdef int32_t at
-    cdef const track_t* track
-    cdef const state_t* state
-    cdef float* log
-    cdef float* var
-    cdef uint8_t* good
-    cdef lamp_t lamp
-    cdef ahead_t group
-    cdef reader_t reader
-    cdef int32_t[AT_ONCE] places
-    cdef bint plain
-    first, last = rows
-    check_given((*chain, *model, *shown))
-    store, tracks = chain
-    tuning, waves = model
-    out, variance, valid = shown
-    if (tracks.shape[0] != h or tracks.shape[1] != w or out.shape[0] != h
-            or out.shape[1] != w or variance.shape[0] != h or variance.shape[1] != w
-            or valid.shape[0] != h or valid.shape[1] != w):
-        raise ValueError("kalman_read: all images must have one shape")
-    if tuning.shape[0] != 1 or store.shape[0] == 0:
-        raise ValueError("kalman_read: tuning or store has a wrong length")
-    lamp = lamp_of(waves)
-    reader = reader_of(&tuning[0])
-    plain = known == t and lamp.blocks == 0 and is_plain(&tuning[0])
-    if pixels.shape[0] == 0:
-        return
-    if h * w == 0:
-        raise ValueError("kalman_read: pixels must lie in the image")
-    track, state = &tracks[0, 0], &states[0, 0]
-    log, var, good = &out[0, 0], &variance[0, 0], &valid[0, 0]
-    with nogil:
-        for i in range(pixels.shape[0]):
-            at = pixels[i]
-            if at < 0 or at >= h * w:
-                break
-            if at < first * w or at >= last * w:
-                continue
-            if i + AHEAD < pixels.shape[0]:
-                ask(pixels[i + AHEAD], track, state, h * w)
-            if plain and collect(t, &store[0], &track[at], &state[at], &tuning[0],
-                                 &group, n):
-                places[n] = at
-                n += 1
-            else:
-                read_pixel(t, known, epoch, &store[0], &tuning[0], &lamp, &track[at],
-                           &state[at], &log[at], &var[at], &good[at])
-            if n == AT_ONCE:
-                show_group(&group, &reader, n, &places[0], log, var, good)
-                n = 0
-        else:
-            i = pixels.shape[0]
-        show_group(&group, &reader, n, &places[0], log, var, good)
-    if i < pixels.shape[0]:
-        raise ValueError("kalman_read: pixels must lie in the image")
-
-
-cdef inline bint rests(const track_t[:, ::1] tracks, Py_ssize_t y, Py_ssize_t x,
-                       bint by_cell, int64_t now) noexcept nogil:
-    """Tell whether a pixel, or its whole macropixel, is at rest from `now` on."""
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, j
-    if not by_cell:
-        return tracks[y, x].first < 0 and at_rest(tracks[y, x].last >> 1, now)
-    for i in range(y // 2 * 2, min(y // 2 * 2 + 2, h)):
-        for j in range(x // 2 * 2, min(x // 2 * 2 + 2, w)):
-            if tracks[i, j].first >= 0 or not at_rest(tracks[i, j].last >> 1, now):
-                return False
-    return True
-
-
-def kalman_rest(int64_t now, int64_t epoch, bint by_cell,
-                const tuning_t[::1] tuning not None,
-                const track_t[:, ::1] tracks not None,
-                const state_t[:, ::1] states not None, listing not None,
-                float[:, :, ::1] planes not None):
-    """Take the listed pixels that are at rest from `now` on out of the list.
-
-    listing is (pixels, flags by pixel): pixels that stay are moved to the beginning,
-    their number is returned.  planes (4, h, w) receives what `rest_read` shows of the
-    others; epoch is a time, not before any sample, that their variances hold for.
-    tracks must chain the events that are not counted in it yet.
-    """
-    cdef int32_t[::1] pixels
-    cdef uint8_t[:, ::1] listed
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x, n = 0
-    cdef const track_t* track
-    cdef walk_t walk
-    cdef rest_t rest
-    check_given(listing)
-    pixels, listed = listing
-    if (states.shape[0] != h or states.shape[1] != w or listed.shape[0] != h
-            or listed.shape[1] != w or planes.shape[0] != 4 or planes.shape[1] != h
-            or planes.shape[2] != w):
-        raise ValueError("kalman_rest: all images must have one shape")
-    if tuning.shape[0] != 1:
-        raise ValueError("kalman_rest: tuning must be one record")
-    with nogil:
-        for i in range(pixels.shape[0]):
-            if pixels[i] < 0 or pixels[i] >= h * w:
-                break
-            y = pixels[i] // w
-            x = pixels[i] - y * w
-            track = &tracks[y, x]
-            if not rests(tracks, y, x, by_cell, now):
-                listed[y, x] = 1
-                pixels[n] = pixels[i]
-                n += 1
-                continue
-            listed[y, x] = 0
-            start(&walk, track)
-            walk.n_on = track.n_on
-            walk.n_off = track.n_off
-            rest = rest_of(&states[y, x], &walk, epoch, &tuning[0])
-            planes[0, y, x] = rest.level
-            planes[1, y, x] = rest.variance
-            planes[2, y, x] = rest.per_s
-            planes[3, y, x] = rest.offset
-        else:
-            i = pixels.shape[0]
-    if i < pixels.shape[0]:
-        raise ValueError("kalman_rest: pixels must lie in the image")
-    return n
-
-
-def rest_read(const float[:, :, ::1] planes not None, float dt,
-              const tuning_t[::1] tuning not None, rows not None, shown not None):
-    """Write what all pixels show if they are at rest, dt seconds after the epoch.
-
-    shown is (log intensity, variance, valid), of which rows (first, last) are written.
-    """
-    cdef float[:, ::1] out, variance
-    cdef uint8_t[:, ::1] valid
-    cdef Py_ssize_t h, w, y, x, first, last
-    check_given(shown)
-    first, last = rows
-    out, variance, valid = shown
-    h = out.shape[0]
-    w = out.shape[1]
-    if (planes.shape[0] != 4 or planes.shape[1] != h or planes.shape[2] != w
-            or variance.shape[0] != h or variance.shape[1] != w or valid.shape[0] != h
-            or valid.shape[1] != w):
-        raise ValueError("rest_read: all images must have one shape")
-    if tuning.shape[0] != 1:
-        raise ValueError("rest_read: tuning must be one record")
-    if first < 0 or last > h:
-        raise ValueError("rest_read: rows must lie in the image")
-    if w == 0:
-        return
-    with nogil:
-        for y in range(first, last):
-            for x in range(w):
-                out[y, x] = planes[0, y, x]
-            rest_row(&planes[1, y, 0], &planes[2, y, 0], &planes[3, y, 0], dt,
-                     <float>LEAST_VARIANCE, <float>tuning[0].valid_variance, w,
-                     &variance[y, 0], <unsigned char*>&valid[y, 0])

@@ -10,6 +10,7 @@ from libc.stdint cimport int64_t, uint8_t
 
 from _kernels._estimate cimport read_level, reading_t, walk_to
 from _kernels._lamp cimport lamp_of, lamp_t
+from _kernels._listing cimport CHANGED
 from _kernels._math cimport exp_f, log_f
 from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
@@ -136,12 +137,14 @@ cdef inline void add_moments(moments_t* m, const double* value,
 
 def redundancy_sample(int64_t t, int64_t known, chain not None,
                       const stored_t[::1] events not None, model not None,
-                      const policy_t[::1] policy not None, cells not None):
+                      const policy_t[::1] policy not None, cells not None,
+                      uint8_t[:, ::1] listed not None):
     """Take the intensities at t; fold the counts in tracks into the states.
 
     chain is (store, tracks that chain the events after those counted), model (tuning,
     waves), cells (states, balance, moments).  Of the macropixels of the stored events
-    given, the ones counted since the last time; the others stay what they are.
+    given, the ones counted since the last time; the others stay what they are.  Flags
+    in listed say whose states change (see _listing.pxd).
     """
     cdef const stored_t[::1] store
     cdef track_t[:, ::1] tracks
@@ -160,7 +163,8 @@ def redundancy_sample(int64_t t, int64_t known, chain not None,
     w = tracks.shape[1]
     if (states.shape[0] != h or states.shape[1] != w or balance.shape[0] != h
             or balance.shape[1] != w or moments.shape[0] != h // 2
-            or moments.shape[1] != w // 2):
+            or moments.shape[1] != w // 2 or listed.shape[0] != h
+            or listed.shape[1] != w):
         raise ValueError("redundancy_sample: all images must have one shape")
     if tuning.shape[0] != 1 or policy.shape[0] != 1 or store.shape[0] == 0:
         raise ValueError("redundancy_sample: an array has a wrong length")
@@ -170,14 +174,15 @@ def redundancy_sample(int64_t t, int64_t known, chain not None,
             if events[i].y < h // 2 * 2 and events[i].x < w // 2 * 2:
                 sample_cell(t, known, &store[0], events[i].y // 2 * 2,
                             events[i].x // 2 * 2, &tuning[0], &policy[0], &lamp, tracks,
-                            states, balance, moments)
+                            states, balance, moments, listed)
 
 
 cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_t y0,
                       Py_ssize_t x0, const tuning_t* tuning, const policy_t* policy,
                       const lamp_t* lamp, track_t[:, ::1] tracks,
                       state_t[:, ::1] states, balance_t[:, ::1] balance,
-                      moments_t[:, ::1] moments) noexcept nogil:
+                      moments_t[:, ::1] moments,
+                      uint8_t[:, ::1] listed) noexcept nogil:
     """Do it for one macropixel, unless it was done: then its counts are 0."""
     cdef reading_t r
     cdef double value[4]
@@ -213,6 +218,7 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
         s.base += s.theta_on * n_on - s.theta_off * n_off - loss
         track.n_on = 0
         track.n_off = 0
+        listed[y, x] |= CHANGED
         if n_on + n_off > 0.0:
             remember(&balance[y, x], n_on, n_off, policy.forget)
             rebalance(&balance[y, x], policy.ratio_sigma, s)
@@ -296,18 +302,20 @@ cdef inline double smallest(const moments_t* m, double pull, double* gain,
 
 def redundancy_solve(const policy_t[::1] policy not None,
                      moments_t[:, ::1] moments not None,
-                     state_t[:, ::1] states not None):
+                     state_t[:, ::1] states not None, uint8_t[:, ::1] listed not None):
     """Move each base so that the gains of its macropixel become 1; set its ratio.
 
     Macropixels without a comparison since the last time, or with too few, are left
-    alone.
+    alone.  Flags in listed say whose bases change (see _listing.pxd).
     """
     cdef Py_ssize_t rows = moments.shape[0], columns = moments.shape[1], r, c
     cdef double gain[4]
     cdef double mean, rest
     cdef int i, j, k
     cdef moments_t* m
-    if states.shape[0] // 2 != rows or states.shape[1] // 2 != columns:
+    if (states.shape[0] // 2 != rows or states.shape[1] // 2 != columns
+            or listed.shape[0] != states.shape[0]
+            or listed.shape[1] != states.shape[1]):
         raise ValueError("redundancy_solve: all images must have one shape")
     if policy.shape[0] != 1:
         raise ValueError("redundancy_solve: policy must be one record")
@@ -330,6 +338,7 @@ def redundancy_solve(const policy_t[::1] policy not None,
                 for i in range(4):
                     gain[i] -= mean
                     states[2 * r + i // 2, 2 * c + i % 2].base += gain[i]
+                    listed[2 * r + i // 2, 2 * c + i % 2] |= CHANGED
                     gain[i] = exp_f(<float>gain[i])
                 k = 0
                 for i in range(4):

@@ -20,4 +20,22 @@ PDAVIS_CLONES PDAVIS_UNUSED static void rest_row(
     }
 }
 
+/* The same where later samples count too: see _smoothed.pxd, show_resting. */
+PDAVIS_CLONES PDAVIS_UNUSED static void smooth_row(
+    const float *restrict level, const float *restrict slope, const float *restrict v0,
+    const float *restrict v1, const float *restrict v2, const float *restrict offset,
+    float dt, float least, float most, ptrdiff_t n, float *restrict log,
+    float *restrict variance, unsigned char *restrict valid)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        float v = v0[i] + dt * (v1[i] + dt * v2[i]);
+        float known = offset[i] < 0 ? 0.0f : 1.0f;
+        v = v > least ? v : least;
+        log[i] = level[i] + slope[i] * dt;
+        variance[i] = known * (v + offset[i]);
+        valid[i] = (unsigned char)((v <= most) & (offset[i] >= 0));
+    }
+}
+
 #endif

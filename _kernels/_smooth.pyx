@@ -6,29 +6,10 @@ is filtered; base + theta_on n_on - theta_off n_off is known up to it.
 """
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
-from _kernels._estimate cimport (
-    LEAST_VARIANCE, part_at, part_variance, theta_squared, walk_to)
-from _kernels._hot cimport is_hot
-from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._model cimport (
     check_given, node_t, state_t, stored_t, track_t, tuning_t, wave_t)
-from _kernels._tracks cimport TINY, at_rest, drift, part_t, walk_t
-
-cdef packed struct past_t:
-    # What the samples before say of the base; var < 0: there was none.
-    double base
-    double var
-    int64_t t
-    double n_on             # all events up to t, with what was lost
-    double n_off
-
-cdef packed struct gap_t:
-    # What the samples on both sides of t say; var < 0: there is none.
-    past_t before
-    past_t after            # relative to the base after it
-    double drift            # variance between them
-
+from _kernels._smoothed cimport gap_t, past_t, read_smoothed
 
 cdef inline double measured(const node_t* node, double on, double off) noexcept nogil:
     return node.level - node.h_on * on - node.h_off * off
@@ -173,117 +154,3 @@ def smooth_read(int64_t t, int64_t known, chain not None, model not None,
                 read_smoothed(t, known, &store[0], &tuning[0], &lamp, &tracks[y, x],
                               &gaps[y, x], &states[y, x], &out[y, x], &variance[y, x],
                               &valid[y, x])
-
-
-cdef void read_hot(int64_t t, const tuning_t* tuning, const gap_t* gap,
-                   const state_t* s, float* out, float* variance,
-                   unsigned char* valid) noexcept nogil:
-    """Log intensity of a pixel whose events have no weight, by the samples alone.
-
-    What light moves by from one sample to the next is shared by time.
-    """
-    cdef double a = gap.before.var, b = gap.after.var, share, u = tuning.offset_dn
-    u *= s.pull
-    variance[0] = 0.0
-    valid[0] = 0
-    if a < 0 and b < 0:
-        out[0] = 0.0
-        return
-    valid[0] = max(a, b) <= tuning.valid_variance
-    if a < 0 or b < 0:
-        out[0] = <float>(gap.before.base if b < 0 else gap.after.base)
-        variance[0] = <float>(max(a, b) + s.moves + u * u)
-        return
-    share = <double>(t - gap.before.t) / <double>max(gap.after.t - gap.before.t, 1)
-    a += share * s.moves
-    b += (1.0 - share) * s.moves
-    share = a / (a + b + TINY)
-    out[0] = <float>(gap.before.base + share * (gap.after.base - gap.before.base))
-    variance[0] = <float>((1.0 - share) * a + u * u)
-
-
-cdef void read_smoothed(int64_t t, int64_t known, const stored_t* store,
-                        const tuning_t* tuning, const lamp_t* lamp,
-                        const track_t* track, const gap_t* gap, const state_t* s,
-                        float* out, float* variance,
-                        unsigned char* valid) noexcept nogil:
-    cdef walk_t walk
-    cdef part_t part
-    cdef double on = s.theta_on, off = s.theta_off, theta2 = theta_squared(s)
-    cdef double m_on = 0.0, m_off = 0.0, theta, level = 0.0, v, u, spread
-    cdef double a = 0.0, b = 0.0, left, whole, share, hz = 0.0
-    cdef bint resting
-    if is_hot(s):
-        read_hot(t, tuning, gap, s, out, variance, valid)
-        return
-    walk_to(&walk, t, store, track, tuning.refractory_us)
-    # Thresholds crossed since the sample before, and until the one after.
-    if gap.before.var >= 0:
-        m_on = walk.n_on - gap.before.n_on
-        m_off = walk.n_off - gap.before.n_off
-        level = gap.before.base + on * m_on - off * m_off
-        v = theta2 * drift(t - gap.before.t, m_on + m_off, tuning)
-        a = gap.before.var + v
-        if gap.after.var >= 0:
-            # A jump between two samples may lie anywhere between them.
-            whole = theta2 * drift(
-                gap.after.t - gap.before.t, gap.after.n_on - gap.before.n_on
-                + gap.after.n_off - gap.before.n_off, tuning)
-            share = v / whole if whole > 0 else 0.5
-            a = gap.before.var + share * gap.drift
-            left = (1.0 - share) * gap.drift
-    elif gap.after.var >= 0:
-        left = theta2 * drift(
-            gap.after.t - t, gap.after.n_on - walk.n_on + gap.after.n_off
-            - walk.n_off, tuning)
-    if gap.after.var >= 0:
-        b = gap.after.var + left
-        u = gap.after.base - (on * (gap.after.n_on - walk.n_on)
-                              - off * (gap.after.n_off - walk.n_off))
-        share = a / (a + b + TINY) if gap.before.var >= 0 else 1.0
-        m_on = (1.0 - share) * m_on - share * (gap.after.n_on - walk.n_on)
-        m_off = (1.0 - share) * m_off - share * (gap.after.n_off - walk.n_off)
-        level += share * (u - level)
-        v = (1.0 - share) * a if gap.before.var >= 0 else b
-    elif gap.before.var >= 0:
-        v = a
-    else:
-        level = on * walk.n_on - off * walk.n_off
-        v = -1.0
-    # What is crossed of the next threshold, and the lag of the photoreceptor.
-    if lamp.blocks > 0:
-        hz = corner(tuning, level)
-    part = part_at(&walk, store, known, on, off, lamp, hz,
-                   tuning, NULL, <double>t)
-    resting = lamp.blocks == 0 and at_rest(walk.t, t) and (
-        walk.next < 0 or store[walk.next].t > known)
-    spread = theta2 * part.var
-    if resting and gap.before.var >= 0:
-        spread = part_variance(s, gap.before.t, walk.t)
-    if (walk.next >= 0 and store[walk.next].t <= known) or (
-            gap.before.var >= 0 and walk.t > gap.before.t):
-        spread += theta2 * tuning.motion_variance
-    theta = on if part.p else -off
-    level += theta * part.fraction + part.ripple
-    # What does not change is shown without a lag.
-    u = 0.0 if resting else lead(
-        theta * part.rate + part.ripple_rate, level, tuning)
-    out[0] = <float>(level + u)
-    if v < 0:
-        variance[0] = 0.0
-        valid[0] = 0
-        return
-    if part.p:
-        m_on += part.fraction
-    else:
-        m_off += part.fraction
-    v += (spread + m_on * m_on * s.var_on + m_off * m_off * s.var_off
-          - 2.0 * m_on * m_off * s.cov_on_off)
-    v = v if v > LEAST_VARIANCE else LEAST_VARIANCE
-    valid[0] = v <= tuning.valid_variance
-    a = tuning.offset_dn * s.pull
-    v += a * a
-    if not resting:
-        v += lead_variance(
-            u, theta2 * part.rate_var, off * part.fall, level, tuning)
-    variance[0] = <float>v

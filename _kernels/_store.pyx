@@ -1,6 +1,7 @@
 """Store of recent events, and what each pixel remembers of them (see _model.pxd)."""
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
+from _kernels._listing cimport CHANGED, LISTED
 from _kernels._model cimport stored_t, track_t
 from _kernels._tracks cimport loss_t, lost
 from _kernels._types cimport event_t
@@ -23,23 +24,22 @@ cdef inline void ask(const stored_t[::1] store, Py_ssize_t i,
 cdef inline Py_ssize_t enlist(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
                               int32_t[::1] pixels,
                               uint8_t[:, ::1] listed) noexcept nogil:
-    if listed[y, x] or n >= pixels.shape[0]:
-        return n
-    listed[y, x] = 1
-    pixels[n] = <int32_t>(y * listed.shape[1] + x)
-    return n + 1
+    if not listed[y, x] & LISTED and n < pixels.shape[0]:
+        pixels[n] = <int32_t>(y * listed.shape[1] + x)
+        n += 1
+    listed[y, x] = LISTED | CHANGED
+    return n
 
 
 def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t at,
                stored_t[::1] store not None, int32_t[::1] pixels not None,
-               Py_ssize_t listed_before, uint8_t[:, ::1] listed not None,
-               bint by_cell):
+               Py_ssize_t listed_before, uint8_t[:, ::1] listed not None):
     """Copy events to store from index at; return how many, and the list's length.
 
     Stops at the first event outside the image, or before its predecessor (the first:
-    before last).  The pixels of those taken are listed: appended to pixels (row * width
-    + column, the first `listed_before` are there) unless their flag is set; by_cell:
-    all pixels of their macropixels.
+    before last).  The pixels of those taken are listed and marked as changed: appended
+    to pixels (row * width + column, the first `listed_before` are there) unless their
+    flag says that they are (see _listing.pxd).
     """
     cdef Py_ssize_t n = events.shape[0], h = listed.shape[0], w = listed.shape[1]
     cdef Py_ssize_t i, m = listed_before, y, x
@@ -59,15 +59,7 @@ def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t at,
             store[at + i].y = events[i].y
             store[at + i].p = events[i].p
             store[at + i].next = -1
-            if listed[y, x]:
-                continue
-            if by_cell:
-                for y in range(events[i].y // 2 * 2, min(events[i].y // 2 * 2 + 2, h)):
-                    for x in range(events[i].x // 2 * 2,
-                                   min(events[i].x // 2 * 2 + 2, w)):
-                        m = enlist(y, x, m, pixels, listed)
-            else:
-                m = enlist(y, x, m, pixels, listed)
+            m = enlist(y, x, m, pixels, listed)
         else:
             i = n
     return i, m
@@ -142,3 +134,25 @@ def store_unlink(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_
             x = store[i].x
             if y < h and x < w:
                 tracks[y, x].first = -1
+
+
+def store_mark(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
+               int32_t[::1] pixels not None, Py_ssize_t listed_before,
+               uint8_t[:, ::1] listed not None):
+    """List the pixels of stored events [start, stop); return the list's length.
+
+    As `store_push` does those of the events that it stores.
+    """
+    cdef Py_ssize_t h = listed.shape[0], w = listed.shape[1], i, y, x
+    cdef Py_ssize_t m = listed_before
+    if start < 0 or stop > store.shape[0]:
+        raise ValueError("store_mark: indices must lie in store")
+    if pixels.shape[0] != h * w or m < 0:
+        raise ValueError("store_mark: pixels must have room for the image")
+    with nogil:
+        for i in range(start, stop):
+            y = store[i].y
+            x = store[i].x
+            if y < h and x < w:
+                m = enlist(y, x, m, pixels, listed)
+    return m

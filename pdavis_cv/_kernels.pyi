@@ -43,6 +43,7 @@ __all__ = [
     "kalman_frame",
     "kalman_read",
     "kalman_rest",
+    "kalman_show",
     "lamp_push",
     "lamp_wave",
     "leak_events",
@@ -66,7 +67,6 @@ __all__ = [
     "redundancy_sample",
     "redundancy_shown",
     "redundancy_solve",
-    "rest_read",
     "sample_innovations",
     "saturated_fill",
     "smooth_gap",
@@ -76,6 +76,7 @@ __all__ = [
     "stokes",
     "store_commit",
     "store_link",
+    "store_mark",
     "store_push",
     "store_unlink",
     "superpixel",
@@ -194,16 +195,18 @@ def kalman_frame(
 ) -> None: ...
 def kalman_read(
     t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],
-    pixels: NDArray[np.int32], rows: tuple[int, int],
-    shown: tuple[_F32, _F32, _U8],
+    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def kalman_rest(
-    now: int, epoch: int, by_cell: bool, tuning: NDArray[Any], tracks: NDArray[Any],
-    states: NDArray[Any], listing: tuple[NDArray[np.int32], _U8], planes: _F32,
+    now: int, epoch: int, every: bool, tuning: NDArray[Any], tracks: NDArray[Any],
+    states: NDArray[Any], gaps: NDArray[Any],
+    listing: tuple[NDArray[np.int32], _U8], planes: _F32,
 ) -> int: ...
-def rest_read(
-    planes: _F32, dt: float, tuning: NDArray[Any], rows: tuple[int, int],
-    shown: tuple[_F32, _F32, _U8],
+def kalman_show(
+    t: int, known: int, epoch: int, chain: _Pair, tuning: NDArray[Any],
+    states: NDArray[Any], gaps: NDArray[Any],
+    listing: tuple[NDArray[np.int32], int, _U8, _F64], planes: _F32,
+    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def lamp_push(
     events: NDArray[Any], until: int, sensor: tuple[int, int, int],
@@ -269,12 +272,16 @@ def store_commit(
 def store_link(
     store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
 ) -> None: ...
+def store_mark(
+    store: NDArray[Any], start: int, stop: int, pixels: NDArray[np.int32],
+    listed_before: int, listed: _U8,
+) -> int: ...
 def store_unlink(
     store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
 ) -> None: ...
 def store_push(
     events: NDArray[Any], last: int, at: int, store: NDArray[Any],
-    pixels: NDArray[np.int32], listed_before: int, listed: _U8, by_cell: bool,
+    pixels: NDArray[np.int32], listed_before: int, listed: _U8,
 ) -> tuple[int, int]: ...
 def pixel_events(
     light: NDArray[np.float64], slope: NDArray[np.float64],
@@ -295,10 +302,11 @@ def read_out(
 def redundancy_sample(
     t: int, known: int, chain: _Pair, events: NDArray[Any], model: _Pair,
     policy: NDArray[Any], cells: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+    listed: _U8,
 ) -> None: ...
 def redundancy_shown(moments: NDArray[Any], ratio: _F32, smallest: _F32) -> None: ...
 def redundancy_solve(
-    policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any]
+    policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any], listed: _U8
 ) -> None: ...
 def saturated_fill(
     cells: tuple[NDArray[np.intp], _U8, NDArray[np.intp]],

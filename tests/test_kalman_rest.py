@@ -5,7 +5,10 @@ from streams import feed
 from test_kalman import long_stream, make, make_again, same
 
 from pdavis_cv import EVENT_DTYPE, ApsFrame, fuse
+from pdavis_cv._workers import Workers
 from pdavis_cv.analysis import Scorer
+from pdavis_cv.reconstruct.kalman import KalmanFilter
+from pdavis_cv.reconstruct.redundancy import EventRedundancy
 from pdavis_cv.simulation import Camera, FlatLight
 
 
@@ -29,6 +32,41 @@ def test_a_pixel_at_rest_is_read_as_if_it_were_listed():
         assert same(often.read(t), once.read(t))
         assert same(often.read(t), make_again(often).read(t))
     assert often._reader.n == 1
+
+
+@pytest.mark.parametrize(("kind", "changes"), [
+    (KalmanFilter, {"mode": "buffered", "bandwidth": (200.0, 1.0)}),
+    (KalmanFilter, {"mode": "causal", "bandwidth": (200.0, 0.0), "offset_dn": 0.5}),
+    (KalmanFilter, {"mode": "causal", "refractory_us": 900.0}),
+    (KalmanFilter, {"mode": "offline"}),
+    (EventRedundancy, {}), (EventRedundancy, {"lookahead_us": 0})])
+def test_what_was_read_before_changes_no_bit(kind, changes):
+    """Pixels that stop, and go on, in turn; read in between, and for the first time."""
+    shape = (32, 6)
+    events, frames = long_stream(shape, n=4000, seconds=6.0)
+    # Half of the pixels at a time, for 1.5 s, have no events.
+    events = events[(events["t"] // 1_500_000 + events["x"] // 3 + events["y"]) % 2 > 0]
+
+    def fresh():
+        return kind(shape, theta_on=0.2, theta_off=0.25, **changes)
+
+    often = fresh()
+    often.workers = Workers(2)
+    for stop in range(20_000, 5_800_000, 20_000):
+        part = (events["t"] >= stop - 20_000) & (events["t"] < stop)
+        feed(often, events[part],
+             [f for f in frames if stop - 20_000 <= f.mid_us < stop])
+        often.settle(stop)
+        ahead = often.lookahead_us
+        times = [stop] if ahead == 0 else [stop - ahead, stop - ahead // 2]
+        for t in times:
+            if t < 0:
+                continue
+            seen = often.read(t)
+            if stop % 140_000 == 0:
+                anew = fresh()
+                anew.assign(often)
+                assert same(anew.read(t), seen)
 
 
 @pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])

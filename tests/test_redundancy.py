@@ -78,6 +78,7 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
         log = np.log(1 + 0.8 * np.cos(0.3 * k + phase)) - gains + states["base"]
         log = log + rng.normal(0, noise, shape)
         on, off = rng.poisson(0.6, (2, *shape))
+        flags = np.zeros(shape, np.uint8)
         tracks["n_on"], tracks["n_off"] = on, off
         # The base from which these counts lead to that log.
         states["base"] = log - states["theta_on"] * on + states["theta_off"] * off
@@ -85,11 +86,16 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
             twin.base = of(states["base"], *at).copy()
         _kernels.redundancy_sample(
             k, k, (store, tracks), store, (TUNING, np.zeros(0, WAVE_DTYPE)), POLICY,
-            (states, balance, moments))
+            (states, balance, moments), flags)
+        whole = flags[:2 * rows, :2 * columns]
+        assert np.array_equal(whole == 2, cells(on + off, whole.shape) > 0)
         for at, twin in twins.items():
             twin.sample(of(log, *at), of(on, *at), of(off, *at))
         if k % 5 == 4:
-            _kernels.redundancy_solve(POLICY, moments, states)
+            flags[:] = 0
+            before = states["base"].copy()
+            _kernels.redundancy_solve(POLICY, moments, states, flags)
+            assert np.all(flags[states["base"] != before] == 2)
             for twin in twins.values():
                 twin.solve(PULL, LEAST)
     for at, twin in twins.items():
@@ -115,6 +121,13 @@ def arrays(shape):
             moments)
 
 
+def cells(counts, shape):
+    """Sums over macropixels, by pixel."""
+    rows, columns = shape[0] // 2, shape[1] // 2
+    sums = counts[:shape[0], :shape[1]].reshape(rows, 2, columns, 2).sum((1, 3))
+    return sums.repeat(2, 0).repeat(2, 1)
+
+
 def one_event_each(shape):
     store = np.zeros(shape[0] * shape[1], STORED_DTYPE)
     store["y"], store["x"] = (places.ravel() for places in np.indices(shape))
@@ -127,13 +140,14 @@ def test_kernels_refuse_arrays_that_do_not_fit():
     states, tracks, balance, moments = arrays(shape)
     store, waves = one_event_each(shape), np.zeros(0, WAVE_DTYPE)
 
-    def sample(tuning, policy, states, balance, moments, store=store):
+    def sample(tuning, policy, states, balance, moments, flags, store=store):
         _kernels.redundancy_sample(0, 0, (store, tracks), store, (tuning, waves),
-                                   policy, (states, balance, moments))
+                                   policy, (states, balance, moments), flags)
 
-    shaped = [TUNING, POLICY, states, balance, moments]
+    flags = np.zeros(shape, np.uint8)
+    shaped = [TUNING, POLICY, states, balance, moments, flags]
     sample(*shaped)
-    for i in range(5):
+    for i in range(6):
         wrong = [*shaped]
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_sample: "):
@@ -141,9 +155,9 @@ def test_kernels_refuse_arrays_that_do_not_fit():
     with pytest.raises(ValueError, match="redundancy_sample: an array has a wrong"):
         sample(*shaped, store=store[:0])
     with pytest.raises(TypeError, match="must be arrays, got None"):
-        sample(*shaped[:-1], None)
-    solved = [POLICY, moments, states]
-    for i in range(3):
+        sample(*shaped[:-2], None, flags)
+    solved = [POLICY, moments, states, flags]
+    for i in range(4):
         wrong = [*solved]
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_solve: "):

@@ -3,9 +3,9 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["EXPOSURE_DTYPE", "GAP_DTYPE", "NODE_DTYPE", "PAST_DTYPE", "REST_PLANES",
-           "SAMPLE_DTYPE", "STATE_DTYPE", "STORED_DTYPE", "TRACK_DTYPE",
-           "TUNING_DTYPE", "WAVE_DTYPE"]
+__all__ = ["EXPOSURE_DTYPE", "GAP_DTYPE", "LANES", "LANE_VALUES", "NODE_DTYPE",
+           "PAST_DTYPE", "REST_PLANES", "SAMPLE_DTYPE", "SMOOTH_PLANES", "STATE_DTYPE",
+           "STORED_DTYPE", "TRACK_DTYPE", "TUNING_DTYPE", "WAVE_DTYPE"]
 
 STORED_DTYPE = np.dtype([
     ("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1"), ("next", "<i4")])
@@ -83,6 +83,11 @@ GAP_DTYPE = np.dtype([
     ("before", PAST_DTYPE), ("after", PAST_DTYPE), ("drift", "<f8")])
 """What those on both sides say."""
 
-REST_PLANES = 4
-"""Of a pixel at rest: log intensity, its variance at an epoch, what is added to that
-per second, and the variance of an offset of all frames; float32."""
+REST_PLANES, SMOOTH_PLANES = 4, 6
+"""Of a pixel at rest, float32: log intensity, its variance at an epoch, what is added
+to that per second, and the variance of an offset of all frames; where later samples
+count, also what is added to log intensity per second, and to variance per squared
+second."""
+
+LANES, LANE_VALUES = 64, 16
+"""Moving pixels that are read together, and numbers that are kept of each."""

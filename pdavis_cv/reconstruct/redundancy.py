@@ -65,6 +65,9 @@ MOMENTS_DTYPE = np.dtype([
     ("ratio", "<f4"), ("smallest", "<f4")])
 """Moments of a macropixel's weighted intensities, and what their eigenvalues tell."""
 
+# A reader writes no variance and validity there: it knows them from frames alone.
+_NOT_ASKED = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint8)
+
 
 class EventRedundancy(Reconstructor):
     """Log intensity up to one offset per macropixel, from events alone.
@@ -136,7 +139,7 @@ class EventRedundancy(Reconstructor):
         self._moments = np.zeros(cells, MOMENTS_DTYPE)
         self._moments["ratio"] = self._moments["smallest"] = 1
         self._tracks = Tracks(self.shape, self.lookahead_us)
-        self._reader = Reader(self.shape, by_cell=True)
+        self._reader = Reader(self.shape)
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
@@ -237,7 +240,7 @@ class EventRedundancy(Reconstructor):
                     t, t + self.lookahead_us, (tracks.store, tracks.tracks),
                     tracks.store[before:tracks.committed],
                     (self._tuning, self._lamp.waves), self._policy,
-                    (self._states, self._balance, self._moments))
+                    (self._states, self._balance, self._moments), self._reader.flags)
                 self._unsolved = True
             else:
                 # Nothing happens until the next event, or the next solution.
@@ -248,7 +251,8 @@ class EventRedundancy(Reconstructor):
                     self._next = min(self._next, -(-(k + 1) // SOLVE_EVERY)
                                      * SOLVE_EVERY)
             if k % SOLVE_EVERY == 0 and self._unsolved:
-                _kernels.redundancy_solve(self._policy, self._moments, self._states)
+                _kernels.redundancy_solve(
+                    self._policy, self._moments, self._states, self._reader.flags)
                 self._unsolved = False
                 self._solved = None
         self._lamp.forget(until_us - MEMORY_US)
@@ -278,10 +282,9 @@ class EventRedundancy(Reconstructor):
     def _estimate(self, t: int, log: NDArray[np.float32]) -> Estimate:
         rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
         self._reader.read(
-            t, t + self.lookahead_us, rest, 0, self._tracks, self._states,
+            t, t + self.lookahead_us, rest, 0, self._tracks.chain, self._states,
             (self._tuning, self._lamp.waves),
-            (log, np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)),
-            self.workers)
+            (log, *_NOT_ASKED), self.workers)
         ratio, smallest = self._solution
         return Estimate(log, smallest.copy(), ratio < VALID_QUALITY)
 

@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._workers import Workers
-from pdavis_cv.reconstruct.model import REST_PLANES, STORED_DTYPE, TRACK_DTYPE
+from pdavis_cv.reconstruct.model import (
+    GAP_DTYPE,
+    LANE_VALUES,
+    LANES,
+    REST_PLANES,
+    SMOOTH_PLANES,
+    STORED_DTYPE,
+    TRACK_DTYPE,
+)
 
 __all__ = ["Reader", "Tracks", "as_bytes"]
 
@@ -22,6 +30,7 @@ LONG_AGO = -(2**62)
 SWEEP_US = 100_000
 """How often, in stream time, the reader looks for pixels that came to rest."""
 
+NO_GAPS = np.zeros((0, 0), GAP_DTYPE)
 _LEAST = 1 << 14
 """Events that there is room for at first; it doubles when it is full."""
 
@@ -75,12 +84,29 @@ class Tracks:
     def _all(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         return self.tracks, self.old, self.late
 
+    @property
+    def chain(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The store, chained from `tracks`, as a reader takes it."""
+        self._chain(self.tracks, self.committed, self._stop)
+        return self.store, self.tracks
+
+    def late_chain(
+        self, until_us: int, reader: Reader
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the same of `late`; list the pixels of the events up to until_us."""
+        self.chain_late(until_us)
+        assert self._chained is not None
+        _, start, stop = self._chained
+        reader.n = _kernels.store_mark(
+            self.store, start, stop, reader.pixels, reader.n, reader.flags)
+        return self.store, self.late
+
     def push(self, events: NDArray[Any], last_us: int, reader: Reader) -> int:
         """Append events and list their pixels; return how many were taken."""
         self._make_room(len(events))
         taken, reader.n = _kernels.store_push(
             events, last_us, self._stop, self.store, reader.pixels, reader.n,
-            reader.listed, reader.by_cell)
+            reader.flags)
         self._stop += taken
         return taken
 
@@ -202,7 +228,7 @@ class Tracks:
 
 
 class Reader:
-    """Reads states at a time; pixels at rest are computed once, not at each read.
+    """Reads states at a time; what did not change since the last read is kept.
 
     Nothing in it is a state: what is read does not depend on what it remembers.
 
@@ -210,8 +236,8 @@ class Reader:
     ----------
     shape : (int, int)
         (height, width).
-    by_cell : bool
-        Macropixels come to rest as a whole: events change all four states.
+    smooth : bool
+        Frames after the time count as well.
 
     Attributes
     ----------
@@ -219,17 +245,18 @@ class Reader:
         Begins with the list of the pixels that may not be at rest.
     n : int
         Length of the list.
-    listed : ndarray of uint8, shape (H, W)
-        1 = in the list.
+    flags : ndarray of uint8, shape (H, W)
+        Sum of 1 = in the list, 2 = changed since it was read, 4 = came to rest.
     """
 
-    def __init__(self, shape: tuple[int, int], *, by_cell: bool = False) -> None:
-        self.by_cell = by_cell
-        self.n = shape[0] * shape[1]
-        self.pixels = np.arange(self.n, dtype=np.int32)
-        self.listed = np.ones(shape, np.uint8)
-        self._every = self.pixels.copy()
-        self._planes = np.zeros((REST_PLANES, *shape), np.float32)
+    def __init__(self, shape: tuple[int, int], *, smooth: bool = False) -> None:
+        size = shape[0] * shape[1]
+        self.n = self._ordered = size
+        self.pixels = np.arange(size, dtype=np.int32)
+        self.flags = np.full(shape, 3, np.uint8)
+        self._lanes = np.zeros((-(-size // LANES), LANE_VALUES, LANES))
+        self._planes = np.zeros(
+            (SMOOTH_PLANES if smooth else REST_PLANES, *shape), np.float32)
         self._swept_us: int | None = None
 
     def forget(self) -> None:
@@ -237,10 +264,11 @@ class Reader:
         self._swept_us = None
 
     def read(
-        self, t_us: int, known_us: int, rest_us: int, epoch_us: int, tracks: Tracks,
-        states: NDArray[Any], model: tuple[NDArray[Any], NDArray[Any]],
+        self, t_us: int, known_us: int, rest_us: int, epoch_us: int,
+        chain: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
+        model: tuple[NDArray[Any], NDArray[Any]],
         shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
-        workers: Workers,
+        workers: Workers, gaps: NDArray[Any] = NO_GAPS,
     ) -> None:
         """Write log intensity, variance and validity at t_us.
 
@@ -252,7 +280,9 @@ class Reader:
             No later read is of a time before this one.
         epoch_us : int
             Not before the time of any state; a function of the stream alone.
-        tracks, states
+        chain : (ndarray of STORED_DTYPE, ndarray of TRACK_DTYPE, shape (H, W))
+            Store, and the tracks that it is chained to.
+        states : ndarray of STATE_DTYPE, shape (H, W)
             What is read.
         model : (ndarray of TUNING_DTYPE, shape (1,), ndarray of WAVE_DTYPE)
             Noise and bandwidth; waves of the lamp.
@@ -260,31 +290,34 @@ class Reader:
             Log intensity, variance, validity; shape (H, W).
         workers : Workers
             Share the rows.
+        gaps : ndarray of GAP_DTYPE, shape (H, W), optional
+            What frames on both sides say, if it is `smooth`.
         """
         tuning, waves = model
-        tracks.chain_pending()
-        steady = not len(waves)
-        if steady:
-            if self._swept_us is None:
-                self.pixels[:] = self._every
-                self.n = len(self.pixels)
-            if self._swept_us is None or rest_us - self._swept_us >= SWEEP_US:
-                self.n = _kernels.kalman_rest(
-                    rest_us, epoch_us, self.by_cell, tuning, tracks.tracks, states,
-                    (self.pixels[:self.n], self.listed), self._planes)
-                self._swept_us = rest_us
-        pixels = self.pixels[:self.n] if steady else self._every
 
-        def work(first: int, last: int) -> None:
-            if steady:
-                _kernels.rest_read(
-                    self._planes, 1e-6 * (t_us - epoch_us), tuning, (first, last),
+        def each(first: int, last: int) -> None:
+            if len(gaps):
+                rows = slice(first, last)
+                _kernels.smooth_read(
+                    t_us, known_us, (chain[0], chain[1][rows]), model, gaps[rows],
+                    states[rows], (shown[0][rows], shown[1][rows], shown[2][rows]))
+            else:
+                _kernels.kalman_read(
+                    t_us, known_us, epoch_us, chain, model, states, (first, last),
                     shown)
-            _kernels.kalman_read(
-                t_us, known_us, epoch_us, (tracks.store, tracks.tracks), model, states,
-                pixels, (first, last), shown)
 
-        workers.rows(len(states), work)
+        if len(waves):      # the light of a lamp is never at rest
+            workers.rows(len(states), each)
+            return
+        if self._swept_us is None or rest_us - self._swept_us >= SWEEP_US:
+            self.n = self._ordered = _kernels.kalman_rest(
+                rest_us, epoch_us, self._swept_us is None, tuning, chain[1], states,
+                gaps, (self.pixels, self.flags), self._planes)
+            self._swept_us = rest_us
+        listing = (self.pixels[:self.n], self._ordered, self.flags, self._lanes)
+        workers.rows(len(states), lambda first, last: _kernels.kalman_show(
+            t_us, known_us, epoch_us, chain, tuning, states, gaps, listing,
+            self._planes, (first, last), shown))
 
 
 def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:

@@ -213,7 +213,7 @@ class KalmanFilter(Reconstructor):
         self._tracks = Tracks(
             self.shape, max(_FIRST_KEEP_US, KEEP_US + self._wait_us), late=offline)
         self._smoother = Smoother(self.shape) if offline else None
-        self._reader = Reader(self.shape)
+        self._reader = Reader(self.shape, smooth=offline)
         self._epoch_us = 0      # not before the last sample of any pixel
         self._interval_us = 0   # between the last two frames used, 0 before
         self._mid_us = NEVER    # of the last frame fed
@@ -487,16 +487,17 @@ class KalmanFilter(Reconstructor):
         self, t: int, log: NDArray[np.float32], variance: NDArray[np.float32],
         valid: NDArray[np.uint8],
     ) -> None:
-        if self._smoother is not None:
-            self._smoother.read(
-                t, t + self._wait_us, self._tracks, self._model, self._states,
-                (log, variance, valid), self.workers)
-            return
         # Reads of an earlier time than the last one may follow, down to the last seen.
         rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
+        shown = log, variance, valid
+        if self._smoother is not None:
+            self._smoother.read(
+                t, t + self._wait_us, rest, self._tracks, self._reader, self._model,
+                self._states, shown, self.workers)
+            return
         self._reader.read(
-            t, t + self.lookahead_us, rest, self._epoch_us, self._tracks, self._states,
-            self._model, (log, variance, valid), self.workers)
+            t, t + self.lookahead_us, rest, self._epoch_us, self._tracks.chain,
+            self._states, self._model, shown, self.workers)
 
     @property
     def _model(self) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.model import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
-from pdavis_cv.reconstruct.tracks import Tracks, as_bytes
+from pdavis_cv.reconstruct.tracks import Reader, Tracks, as_bytes
 
 __all__ = ["Smoother"]
 
@@ -43,6 +43,8 @@ class Smoother:
         self._order: tuple[int, ...] = ()
         self._gap = np.zeros(shape, GAP_DTYPE)
         self._passed: NDArray[np.int32] | None = None
+        self._past_us = 0       # the last frame that was folded into the past
+        self._epoch_us = 0      # of what the reader keeps
         self.unknown = np.empty(0, np.intp)
 
     def slot(self, times: NDArray[np.int64]) -> NDArray[Any]:
@@ -79,19 +81,19 @@ class Smoother:
             at, *rest = self._order
             _kernels.smooth_past(
                 self._nodes[at], self._times[at], states, self._past)
+            self._past_us = int(self._times[at].max())
             self._order = tuple(rest)
             self._passed = None
 
     def read(
-        self, t_us: int, known_us: int, tracks: Tracks,
+        self, t_us: int, known_us: int, rest_us: int, tracks: Tracks, reader: Reader,
         model: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
         shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
         workers: Workers,
     ) -> None:
-        """Write log intensity, variance and validity at t_us (see ``smooth_read``).
+        """Write log intensity, variance and validity at t_us (see `Reader.read`).
 
-        ``known_us`` is after t_us, and the events up to then count; ``model`` is
-        (tuning, waves); the workers share the rows.
+        ``known_us`` is after t_us, and the events up to then count.
         """
         order = np.array(self._order, np.int32)
         passed = (self._times[order] <= t_us).sum(0, np.int32)
@@ -101,37 +103,39 @@ class Smoother:
             self._passed = passed
             self.unknown = np.flatnonzero(
                 (self._gap["before"]["var"] < 0) & (self._gap["after"]["var"] < 0))
-        tracks.chain_late(known_us)
-        log, variance, valid = shown
-
-        def work(first: int, last: int) -> None:
-            rows = slice(first, last)
-            _kernels.smooth_read(
-                t_us, known_us, (tracks.store, tracks.late[rows]), model,
-                self._gap[rows], states[rows], (log[rows], variance[rows], valid[rows]))
-
-        workers.rows(len(states), work)
+            # Variances are told from a time near: that of a frame on either side.
+            at = min(int(passed.max(initial=0)), len(order) - 1)
+            self._epoch_us = (
+                int(self._times[order[at]].max()) if len(order) else self._past_us)
+            reader.forget()
+        reader.read(
+            t_us, known_us, rest_us, self._epoch_us,
+            tracks.late_chain(known_us, reader), states, model, shown, workers,
+            self._gap)
 
     def assign(self, other: Smoother) -> None:
         """Take over what an equal one holds."""
-        self._take(other._past, [other._nodes[at] for at in other._order],
+        self._take(other._past, other._past_us,
+                   [other._nodes[at] for at in other._order],
                    [other._times[at] for at in other._order])
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
         order = list(self._order)
-        return {"past": as_bytes(self._past).copy(), "times": [*self._times[order]],
+        return {"past": as_bytes(self._past).copy(), "past_us": self._past_us,
+                "times": [*self._times[order]],
                 "nodes": [as_bytes(self._nodes[at]).copy() for at in order]}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `state` returned."""
-        self._take(state["past"], state["nodes"], state["times"])
+        self._take(state["past"], state["past_us"], state["nodes"], state["times"])
 
     def _take(
-        self, past: NDArray[Any], nodes: Sequence[NDArray[Any]],
+        self, past: NDArray[Any], past_us: int, nodes: Sequence[NDArray[Any]],
         times: Sequence[NDArray[np.int64]],
     ) -> None:
         np.copyto(as_bytes(self._past), as_bytes(past))
+        self._past_us = past_us
         self._passed, self._order = None, ()
         for one, at in zip(nodes, times, strict=True):
             as_bytes(self.slot(at))[:] = as_bytes(one)

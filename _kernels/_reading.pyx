@@ -1,0 +1,408 @@
+"""What all pixels show at one time: those at rest from planes, the others by lanes.
+
+What is known of a pixel changes with its events and with frames.  In between, that of
+a pixel at rest is kept in planes (see rest_of in _estimate.pxd), and that of one which
+may move in a lane (see _lanes.h).
+"""
+from libc.stdint cimport int32_t, int64_t, uint8_t
+from libc.string cimport memchr, memcpy
+
+from _kernels._estimate cimport LEAST_VARIANCE, read_pixel, rest_of, rest_t, walk_to
+from _kernels._hot cimport is_hot
+from _kernels._lamp cimport lamp_of, lamp_t
+from _kernels._lanes cimport (
+    LANES, enter, lanes_t, reader_of, reader_t, show_lanes, shown_t)
+from _kernels._listing cimport CHANGED, LISTED, RESTS
+from _kernels._model cimport (
+    check_given, state_t, stored_t, track_t, tuning_t, wave_t)
+from _kernels._smoothed cimport (
+    enter_smoothed, gap_t, read_smoothed, resting_of, resting_t, show_resting)
+from _kernels._tracks cimport REST_US, at_rest, start, walk_t
+
+cdef extern from "_prefetch.h" nogil:
+    const Py_ssize_t AHEAD "PDAVIS_AHEAD"
+    void prefetch "PDAVIS_PREFETCH"(const void*)
+
+cdef extern from "_rest.h" nogil:
+    void rest_row(const float*, const float*, const float*, float, float, float,
+                  Py_ssize_t, float*, unsigned char*)
+    void smooth_row(const float*, const float*, const float*, const float*,
+                    const float*, const float*, float, float, float, Py_ssize_t, float*,
+                    float*, unsigned char*)
+
+cdef enum:
+    # Planes of a pixel at rest; beginning with these, or more if later samples count.
+    PLANES = 4
+    SMOOTH_PLANES = 6
+
+cdef struct images_t:
+    # What is written; without variance and validity if there is none.
+    float* log
+    float* variance
+    uint8_t* valid
+
+cdef struct known_t:
+    # All that is known of the pixels, and when it is asked for.
+    const stored_t* store
+    const track_t* tracks
+    const state_t* states
+    const gap_t* gaps       # NULL: later samples do not count
+    const tuning_t* tuning
+    lamp_t lamp
+    int64_t t
+    int64_t known
+    int64_t epoch
+
+
+cdef inline void show_one(const known_t* k, Py_ssize_t at,
+                          const images_t* out) noexcept nogil:
+    """Write what one pixel shows."""
+    cdef float variance
+    cdef uint8_t valid
+    cdef float* var = &variance
+    cdef uint8_t* good = &valid
+    cdef walk_t walk
+    cdef resting_t rest
+    if out.variance != NULL:
+        var = &out.variance[at]
+        good = &out.valid[at]
+    if k.gaps == NULL:
+        read_pixel(k.t, k.known, k.epoch, k.store, k.tuning, &k.lamp, &k.tracks[at],
+                   &k.states[at], &out.log[at], var, good)
+        return
+    walk_to(&walk, k.t, k.store, &k.tracks[at], k.tuning.refractory_us)
+    if at_rest(walk.t, k.t) and not is_hot(&k.states[at]) and (
+            walk.next < 0 or k.store[walk.next].t > k.known):
+        rest = resting_of(&k.gaps[at], &walk, &k.states[at], k.epoch, k.tuning)
+        show_resting(&rest, <float>(1e-6 * <double>(k.t - k.epoch)),
+                     <float>k.tuning.valid_variance, &out.log[at], var, good)
+        return
+    read_smoothed(k.t, k.known, k.store, k.tuning, &k.lamp, &k.tracks[at], &k.gaps[at],
+                  &k.states[at], &out.log[at], var, good)
+
+
+def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
+                model not None, const state_t[:, ::1] states not None, rows not None,
+                shown not None):
+    """Log intensity and its variance at t from the events up to known >= t.
+
+    The rows (first, last) are written to shown (log intensity, variance, valid).
+    chain is (store, tracks that chain the events not counted there yet), model
+    (tuning, waves); epoch is as in `kalman_rest`.  The variance is 0 where no frame
+    was used yet; the log intensity then counts from 0.  valid is 1 where the variance
+    without that of the lag and of the offset is small enough.  Neither is written where
+    their images are (0, 0).
+    """
+    cdef const stored_t[::1] store
+    cdef const track_t[:, ::1] tracks
+    cdef const tuning_t[::1] tuning
+    cdef const wave_t[::1] waves
+    cdef float[:, ::1] log, variance
+    cdef uint8_t[:, ::1] valid
+    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, first, last
+    cdef bint bare
+    cdef known_t k
+    cdef images_t out
+    first, last = rows
+    check_given((*chain, *model, *shown))
+    store, tracks = chain
+    tuning, waves = model
+    log, variance, valid = shown
+    bare = variance.shape[0] == 0
+    if (tracks.shape[0] != h or tracks.shape[1] != w or log.shape[0] != h
+            or log.shape[1] != w or valid.shape[0] != variance.shape[0]
+            or valid.shape[1] != variance.shape[1]
+            or not bare and (variance.shape[0] != h or variance.shape[1] != w)):
+        raise ValueError("kalman_read: all images must have one shape")
+    if tuning.shape[0] != 1 or store.shape[0] == 0:
+        raise ValueError("kalman_read: tuning or store has a wrong length")
+    if first < 0 or last > h:
+        raise ValueError("kalman_read: rows must lie in the image")
+    if h * w == 0:
+        return
+    k.store, k.tracks, k.states = &store[0], &tracks[0, 0], &states[0, 0]
+    k.gaps, k.tuning, k.lamp = NULL, &tuning[0], lamp_of(waves)
+    k.t, k.known, k.epoch = t, known, epoch
+    out.log = &log[0, 0]
+    out.variance = NULL
+    out.valid = NULL
+    if not bare:
+        out.variance = &variance[0, 0]
+        out.valid = &valid[0, 0]
+    with nogil:
+        for i in range(first * w, last * w):
+            show_one(&k, i, &out)
+
+
+cdef inline void show_planes(const known_t* k, Py_ssize_t at, float* planes,
+                             Py_ssize_t size) noexcept nogil:
+    """Write to the planes what a pixel at rest shows."""
+    cdef walk_t walk
+    cdef rest_t rest
+    cdef resting_t smoothed
+    start(&walk, &k.tracks[at])
+    walk.n_on = k.tracks[at].n_on
+    walk.n_off = k.tracks[at].n_off
+    if k.gaps == NULL:
+        rest = rest_of(&k.states[at], &walk, k.epoch, k.tuning)
+        planes[at] = rest.level
+        planes[size + at] = rest.variance
+        planes[2 * size + at] = rest.per_s
+        planes[3 * size + at] = rest.offset
+        return
+    smoothed = resting_of(&k.gaps[at], &walk, &k.states[at], k.epoch, k.tuning)
+    planes[at] = smoothed.level
+    planes[size + at] = smoothed.v0
+    planes[2 * size + at] = smoothed.v1
+    planes[3 * size + at] = smoothed.offset
+    planes[4 * size + at] = smoothed.slope
+    planes[5 * size + at] = smoothed.v2
+
+
+def kalman_rest(int64_t now, int64_t epoch, bint every,
+                const tuning_t[::1] tuning not None,
+                const track_t[:, ::1] tracks not None,
+                const state_t[:, ::1] states not None,
+                const gap_t[:, ::1] gaps not None, listing not None,
+                float[:, :, ::1] planes not None):
+    """List the pixels that are not at rest from `now` on; return how many.
+
+    listing is (pixels, flags by pixel): those whose flag says that they are listed, or
+    every one, are looked at; those that stay are marked as changed and fill the
+    beginning of pixels, in their order.  planes (4, h, w) receives what `kalman_show`
+    shows of the others; epoch is a time, not before any sample, that their variances
+    hold for.  tracks must chain the events that are not counted in it yet.  gaps is
+    what `smooth_gap` found, and planes (6, h, w), or (0, 0) where later samples do not
+    count.
+    """
+    cdef int32_t[::1] pixels
+    cdef uint8_t[:, ::1] flags
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, n = 0
+    cdef bint smooth = gaps.shape[0] > 0
+    cdef known_t k
+    cdef uint8_t* flag
+    cdef float* plane
+    check_given(listing)
+    pixels, flags = listing
+    if (states.shape[0] != h or states.shape[1] != w or flags.shape[0] != h
+            or flags.shape[1] != w or planes.shape[1] != h or planes.shape[2] != w
+            or planes.shape[0] != (SMOOTH_PLANES if smooth else PLANES)
+            or pixels.shape[0] != h * w
+            or smooth and (gaps.shape[0] != h or gaps.shape[1] != w)):
+        raise ValueError("kalman_rest: all images must have one shape")
+    if tuning.shape[0] != 1:
+        raise ValueError("kalman_rest: tuning must be one record")
+    if h * w == 0:
+        return 0
+    k.tracks, k.states, k.tuning = &tracks[0, 0], &states[0, 0], &tuning[0]
+    k.gaps, k.epoch = NULL, epoch
+    if smooth:
+        k.gaps = &gaps[0, 0]
+    flag = &flags[0, 0]
+    plane = &planes[0, 0, 0]
+    with nogil:
+        for i in range(h * w):
+            if not every and not flag[i] & LISTED:
+                continue
+            # What a hot pixel shows is no function that its planes could hold.
+            if (k.tracks[i].first >= 0 or not at_rest(k.tracks[i].last >> 1, now)
+                    or smooth and is_hot(&k.states[i])):
+                flag[i] = LISTED | CHANGED
+                pixels[n] = <int32_t>i
+                n += 1
+            else:
+                flag[i] = 0
+                show_planes(&k, i, plane, h * w)
+    return n
+
+
+cdef inline Py_ssize_t found(const int32_t[::1] pixels, Py_ssize_t n,
+                             Py_ssize_t at) noexcept nogil:
+    """Return how many of the first n pixels, which are in order, lie before `at`."""
+    cdef Py_ssize_t low = 0, middle
+    while low < n:
+        middle = (low + n) // 2
+        if pixels[middle] < at:
+            low = middle + 1
+        else:
+            n = middle
+    return low
+
+
+cdef inline void ask(const known_t* k, Py_ssize_t at) noexcept nogil:
+    """Ask for what is known of a pixel that is entered soon."""
+    prefetch(&k.tracks[at])
+    prefetch(&k.states[at].base)
+    prefetch(&k.states[at].prior_on)
+
+
+cdef inline bint renewed(const known_t* k, Py_ssize_t at, lanes_t* lanes, Py_ssize_t i,
+                         uint8_t* flag) noexcept nogil:
+    """Enter a pixel in its lane; False if it shows what no lane can say."""
+    cdef walk_t walk
+    cdef const state_t* s = &k.states[at]
+    walk_to(&walk, k.t, k.store, &k.tracks[at], k.tuning.refractory_us)
+    if (is_hot(s) or (walk.next >= 0 and k.store[walk.next].t <= k.known)
+            or (k.known > k.t and k.tuning.holds_part > 0.0)):
+        return False
+    if k.gaps == NULL:
+        enter(lanes, i, &walk, s, k.epoch, k.tuning)
+    else:
+        enter_smoothed(lanes, i, &walk, &k.gaps[at], s, k.epoch, k.tuning)
+    if k.tracks[at].first < 0:
+        flag[0] = LISTED
+    return True
+
+
+cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* pixels,
+                      Py_ssize_t begin, Py_ssize_t end, Py_ssize_t n,
+                      Py_ssize_t first, Py_ssize_t last, uint8_t* flags,
+                      lanes_t* lanes, float* planes, Py_ssize_t size,
+                      const images_t* out) noexcept nogil:
+    """Write what the listed pixels begin <= i < end show, if they lie in [first, last).
+
+    All are of one group; n is the length of the list, size that of the image.
+    """
+    cdef shown_t group
+    cdef uint8_t[LANES] done
+    cdef Py_ssize_t i, at, lane, base = begin // LANES * LANES
+    for i in range(begin, end):
+        at = pixels[i]
+        lane = i - base
+        done[lane] = at < first or at >= last
+        if i + AHEAD < n and first <= pixels[i + AHEAD] < last and (
+                flags[pixels[i + AHEAD]] & CHANGED):
+            ask(k, pixels[i + AHEAD])
+        if not done[lane] and flags[at] & CHANGED and not renewed(
+                k, at, lanes, lane, &flags[at]):
+            show_one(k, at, out)
+            done[lane] = 1
+    show_lanes(lanes, &group, reader, begin - base, end - base)
+    for i in range(begin, end):
+        at = pixels[i]
+        lane = i - base
+        if done[lane]:
+            continue
+        if group.since[lane] >= REST_US:
+            # Since the list was made; written already if it is in the planes.
+            if not flags[at] & RESTS:
+                show_one(k, at, out)
+                if flags[at] == LISTED:
+                    show_planes(k, at, planes, size)
+                    flags[at] = LISTED | RESTS
+            continue
+        out.log[at] = group.log[lane]
+        if out.variance != NULL:
+            out.variance[at] = group.variance[lane]
+            out.valid[at] = group.valid[lane]
+
+
+def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
+                const tuning_t[::1] tuning not None,
+                const state_t[:, ::1] states not None,
+                const gap_t[:, ::1] gaps not None, listing not None,
+                float[:, :, ::1] planes not None, rows not None, shown not None):
+    """As `kalman_read`, without a lamp, by what is kept of the pixels (`kalman_rest`).
+
+    listing is (the pixels listed, of which so many are in order, flags by pixel, lanes
+    (n, 16, 64) for all of them): what the flags say has changed is found anew.  With
+    gaps, as `smooth_read` with t < known.
+    """
+    cdef const stored_t[::1] store
+    cdef const track_t[:, ::1] tracks
+    cdef const int32_t[::1] pixels
+    cdef uint8_t[:, ::1] flags
+    cdef double[:, :, ::1] lanes
+    cdef float[:, ::1] log, variance
+    cdef uint8_t[:, ::1] valid
+    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], y, i, first, last
+    cdef Py_ssize_t ordered, n, end, stop
+    cdef bint bare, outside = False, smooth = gaps.shape[0] > 0
+    cdef known_t k
+    cdef images_t out
+    cdef reader_t reader
+    cdef uint8_t* flag
+    cdef float dt = <float>(1e-6 * <double>(t - epoch))
+    cdef const uint8_t* changed
+    cdef lanes_t* kept
+    cdef float* plane
+    first, last = rows
+    check_given((*chain, *listing, *shown))
+    store, tracks = chain
+    pixels, ordered, flags, lanes = listing
+    log, variance, valid = shown
+    bare = variance.shape[0] == 0
+    n = pixels.shape[0]
+    if (tracks.shape[0] != h or tracks.shape[1] != w or log.shape[0] != h
+            or log.shape[1] != w or flags.shape[0] != h or flags.shape[1] != w
+            or planes.shape[0] != (SMOOTH_PLANES if smooth else PLANES)
+            or planes.shape[1] != h or planes.shape[2] != w
+            or smooth and (gaps.shape[0] != h or gaps.shape[1] != w or t >= known)
+            or smooth and bare or valid.shape[0] != variance.shape[0]
+            or valid.shape[1] != variance.shape[1]
+            or not bare and (variance.shape[0] != h or variance.shape[1] != w)):
+        raise ValueError("kalman_show: all images must have one shape")
+    if tuning.shape[0] != 1 or store.shape[0] == 0 or ordered < 0 or ordered > n:
+        raise ValueError("kalman_show: an array has a wrong length")
+    if (lanes.shape[1] != sizeof(lanes_t) // (LANES * sizeof(double))
+            or lanes.shape[2] != LANES or lanes.shape[0] * LANES < n):
+        raise ValueError("kalman_show: lanes must have room for the pixels")
+    if first < 0 or last > h:
+        raise ValueError("kalman_show: rows must lie in the image")
+    for i in range(n):      # no way out of it: so it takes many at a time
+        outside |= (pixels[i] < 0) | (pixels[i] >= h * w)
+    if outside:
+        raise ValueError("kalman_show: pixels must lie in the image")
+    if h * w == 0:
+        return
+    k.store, k.tracks, k.states = &store[0], &tracks[0, 0], &states[0, 0]
+    k.tuning, k.lamp.waves, k.lamp.blocks, k.gaps = &tuning[0], NULL, 0, NULL
+    if smooth:
+        k.gaps = &gaps[0, 0]
+    k.t, k.known, k.epoch = t, known, epoch
+    reader = reader_of(&tuning[0], t, known, epoch, bare, smooth)
+    out.log = &log[0, 0]
+    out.variance = NULL
+    out.valid = NULL
+    if not bare:
+        out.variance = &variance[0, 0]
+        out.valid = &valid[0, 0]
+    flag = &flags[0, 0]
+    plane = &planes[0, 0, 0]
+    kept = NULL
+    if n > 0:
+        kept = <lanes_t*>&lanes[0, 0, 0]
+    with nogil:
+        for y in range(first, last):
+            changed = <const uint8_t*>memchr(&flags[y, 0], CHANGED, w)
+            while changed != NULL:
+                i = changed - flag
+                flag[i] = 0
+                show_planes(&k, i, plane, h * w)
+                changed = <const uint8_t*>memchr(&flag[i], CHANGED, (y + 1) * w - i)
+            if smooth:
+                smooth_row(&planes[0, y, 0], &planes[4, y, 0], &planes[1, y, 0],
+                           &planes[2, y, 0], &planes[5, y, 0], &planes[3, y, 0], dt,
+                           <float>LEAST_VARIANCE, <float>tuning[0].valid_variance, w,
+                           &log[y, 0], &variance[y, 0], <unsigned char*>&valid[y, 0])
+                continue
+            memcpy(&log[y, 0], &planes[0, y, 0], w * sizeof(float))
+            if not bare:
+                rest_row(&planes[1, y, 0], &planes[2, y, 0], &planes[3, y, 0], dt,
+                         <float>LEAST_VARIANCE, <float>tuning[0].valid_variance, w,
+                         &variance[y, 0], <unsigned char*>&valid[y, 0])
+        first *= w
+        last *= w
+        i = found(pixels, ordered, first)
+        end = found(pixels, ordered, last)
+        while i < end:
+            stop = min(i // LANES * LANES + LANES, end)
+            show_listed(&k, &reader, &pixels[0], i, stop, n, first, last, flag,
+                        kept + i // LANES, plane, h * w, &out)
+            i = stop
+        i = ordered
+        while i < n:
+            stop = min(i // LANES * LANES + LANES, n)
+            show_listed(&k, &reader, &pixels[0], i, stop, n, first, last, flag,
+                        kept + i // LANES, plane, h * w, &out)
+            i = stop
