@@ -30,6 +30,8 @@ html_theme = "furo"
 html_title = f"pdavis_cv {version}"
 html_math_renderer = "mathml"
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["math.css"]
 html_extra_path = ["fan.webm", "tendon.webm"]
 
 PARTS = {
