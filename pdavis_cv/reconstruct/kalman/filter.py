@@ -134,20 +134,17 @@ class KalmanFilter(Reconstructor):
 
     Notes
     -----
-    A sample that is not valid is not used.  A pixel is valid from its first usable
-    sample on while the variance, but for that of the lag, is at most 0.25.  One that
-    has not had any, as in light that saturates every frame, takes its offset from the
-    other three of its macropixel, by what `EventRedundancy` does; the scale of four
-    such pixels is not known.  Where the events do not tell enough either, it shows the
-    last sample, a bound, and is not valid.  Results do not depend on how the stream is
-    cut into packets.
+    Samples that are not valid are not used.  A pixel is valid from its first usable
+    sample on, while its variance (without that of the lag) is at most 0.25.  A pixel
+    without any, as in light that saturates every frame, takes its offset from the
+    other three of its macropixel (`EventRedundancy`); without these it shows its last
+    sample, a bound, and is not valid.  Packet borders do not change results.
 
-    Offline, a smoother with a fixed lag takes the place of one over the whole
-    recording: a frame says nothing of the time a few frames away, since leak and noise
-    move the events' sum by as much as a frame errs by.  So memory does not grow with
-    the recording: 28 bytes per pixel and frame within the look-ahead, and its events
-    (17 bytes each).  Where frames are dim and noisy, a longer look-ahead averages
-    over more of them.
+    Offline, a fixed-lag smoother replaces one over the whole recording: a few frames
+    away, leak and noise have moved the events' sum by as much as the error of a frame.
+    Memory does not grow with the recording: 28 bytes per pixel and frame within the
+    look-ahead, and 17 bytes per event.  Where frames are dim and noisy, a longer
+    look-ahead averages over more of them.
     """
 
     method = "kalman"
