@@ -70,3 +70,24 @@ def test_docstrings_do_not_cite_what_is_not_here():
             if path.suffix in (".py", ".pyx", ".pxd", ".pyi"):
                 for cited in re.findall(r"docs/theory/[\w-]+\.md", path.read_text()):
                     assert (root / cited).exists(), f"{path.name} cites {cited}"
+
+
+@pytest.fixture(scope="module")
+def source():
+    """Return the words of the source, and the names of its files."""
+    files = [path for folder in ("pdavis_cv", "_kernels", "tools", "studies", "tests")
+             for path in (DOCS.parent / folder).rglob("*")
+             if path.suffix in (".py", ".pyx", ".pxd", ".pyi", ".h")
+             and path.name != Path(__file__).name]
+    words = {word for path in files for word in re.findall(r"\w+", path.read_text())}
+    return words, {path.name for path in files}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_names_of_the_code_are_in_the_code(page, source):
+    words, files = source
+    named = set(re.findall(r"`([^`]+)`", page.read_text()))
+    for name in named:
+        if name.startswith("pdavis ") or name.rsplit("/", 1)[-1] in files:
+            continue
+        assert words.issuperset(re.findall(r"[A-Za-z_]\w+", name)), name
