@@ -31,11 +31,11 @@ FloatArray = NDArray[np.float64]
 
 CLASSES = ("moving", "moving, bright", "moving, dark", "static, bright", "static, dark",
            "moving, in cell")
-"""What pixels are sorted into; the first holds those of the next two.
+"""Classes of pixels; the first contains those of the next two.
 
-The last holds all four pixels of each 2x2 cell in which one moves, and its error is
-what is left once the cell's mean error is taken out: the ratios of the four channels,
-which polarization is made of.
+The last contains all four pixels of each 2x2 cell in which one moves.  Its error is
+that less the cell's mean error: the error of the ratios of the four channels, which
+determine polarization.
 """
 
 NEAR_US = 40_000   # us: the paper's cameras take a frame in 40 to 50 ms

@@ -13,7 +13,7 @@ from pdavis_cv.sensor import CHANNELS, Layout
 __all__ = ["RotationFit", "fit_rotation"]
 
 _LEAST_FRAMES = 6
-# Of a frame's contrast what its exposure must leave, and radians of the residual.
+# Least share of the contrast that remains after the exposure; greatest residual, rad.
 _LEAST_CONTRAST, _MOST_RESIDUAL = 0.1, 0.2
 # Events in bins of this length: speeds to 15,000 RPM.
 _BIN_US = 1000

@@ -39,8 +39,8 @@ MOST_HZ = 500_000.0
 MOST_HARMONICS = 64
 """A choice: the fit solves for two unknowns of each."""
 _LEAST_CYCLES = 0.05
-"""Of a tone over the record.  A choice: the cosine of fewer cannot be told from the
-offset and drift that are fitted with it."""
+"""Least cycles of a tone over the record.  A choice: the cosine of fewer cannot be told
+from the offset and drift that are fitted with it."""
 MOST_OVERSAMPLING = 50
 """Cycles per sample; a choice: the cost grows with it.  Frequencies beyond the sampling
 rate are looked for in unevenly sampled traces only."""

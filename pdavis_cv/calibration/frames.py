@@ -215,7 +215,7 @@ _HALVINGS = 40
 def _uncensored(mean: Mean) -> Mean:
     """Return mean and noise of the samples as they were before negative ones became 0.
 
-    Of a normal distribution (mu, sigma), rounded to steps of h, what is left has the
+    A normal distribution (mu, sigma), rounded to steps of h and cut at 0, has the
     mean sum over k >= 1 of h Q((k h - h / 2 - mu) / sigma), where Q = 1 - Phi, and
     zeros with the probability Phi((h / 2 - mu) / sigma). Each pixel's mean gives its
     mu; all share the sigma that gives as many zeros as there are.

@@ -163,7 +163,7 @@ class Reconstructor(ABC):
     """How many pixels around a pixel its result depends on."""
 
     needs: Needs = Needs()
-    """What it has to be given."""
+    """What the method must be given."""
 
     causal_parameters: Mapping[str, Any] = MappingProxyType({})
     """Parameters with which its `lookahead_us` is 0, where it is not without them."""

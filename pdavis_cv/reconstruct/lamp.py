@@ -56,7 +56,7 @@ class Wave(NamedTuple):
     cosine, sine : float
         Amplitudes in natural-log units, phase 0 at start_us.
     of_light : bool
-        Of the light, which pixels pass on as fast as they are; else as pixels do.
+        True: amplitudes of the light, before the pixels' low-pass; False: after it.
     """
 
     start_us: int
@@ -112,12 +112,12 @@ class Lamplight:
 class LampTracker:
     """Finds the flicker of a lamp on the mains (100 or 120 Hz) in the events.
 
-    The sensor is looked at as a whole.  What flickers by less than a threshold makes
-    no events where the light rests; where it changes, the ripple shifts them.  Of three
-    events of a pixel the middle one lies beside the straight line between the others
-    by what the lamp did: a least-squares fit of one wave over the last second, whose
-    frequency may be 0.6 Hz off.  What is not the same behind all four polarizers is
-    not the lamp.  Of a lamp whose light is no sine, the first harmonic is found.
+    One wave is fitted for the whole sensor.  Flicker of less than a threshold makes no
+    events where the light rests; where it changes, the ripple shifts them.  The middle
+    one of three events of a pixel then deviates from the straight line between the
+    others.  Least squares fit one wave to that over the last second, whose frequency
+    may be 0.6 Hz off.  A wave that differs between the four polarizers is not the
+    lamp's.  If the lamp's light is no sine, its first harmonic is found.
     Events show a lamp as the photoreceptors pass it on: it is divided out where their
     bandwidth is known, and taken to be alike in all pixels where it is not.
 

@@ -84,9 +84,9 @@ GAP_DTYPE = np.dtype([
 """What those on both sides say."""
 
 REST_PLANES, SMOOTH_PLANES = 4, 6
-"""Of a pixel at rest, float32: log intensity, its variance at an epoch, what is added
-to that per second, and the variance of an offset of all frames; where later samples
-count, also what is added to log intensity per second, and to variance per squared
+"""Planes of pixels at rest, float32: log intensity, its variance at an epoch, growth of
+the variance per second, and variance of an offset of all frames; where later samples
+count, also growth of log intensity per second, and of the variance per squared
 second."""
 
 LANES, LANE_VALUES = 64, 16

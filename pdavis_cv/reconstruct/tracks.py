@@ -53,17 +53,17 @@ class Tracks:
     Attributes
     ----------
     tracks : ndarray of TRACK_DTYPE, shape (H, W)
-        Of the committed events.
+        Last events and counts of each pixel, of the events committed.
     late : ndarray of TRACK_DTYPE, shape (H, W), or (0, 0)
-        Of the events that `commit_late` has committed; counts are never reset.
+        The same of those that `commit_late` has committed; counts are never reset.
     old : ndarray of TRACK_DTYPE, shape (H, W)
-        Of the events passed.
+        The same of the events passed.
     store : ndarray of STORED_DTYPE, shape (capacity,)
         Chained by pixel from one of the three, the one that was chained last.
     committed : int
         Index of the first event that is not committed.
     refractory_us : float
-        How long a pixel is held in reset after an event; what it loses is counted.
+        How long a pixel is held in reset after an event; counts include the loss.
     """
 
     def __init__(

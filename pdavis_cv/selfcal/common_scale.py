@@ -35,7 +35,7 @@ _STEPS = (0.4, 0.2, 0.1, 0.05)
 """Steps in ln of the parabolas that refine the scale and the ratio."""
 
 _EVIDENCE = 40.0
-"""By how much -ln L must fall for the nominal thresholds to be given up: model
+"""Fall of -ln L at which the nominal thresholds are given up: model
 selection between "nominal" and "anything within a factor of three".  An engineering
 choice: above what it falls by where thresholds are stated right (`nominal`,
 `realistic`, 30 to 1000 RPM: up to 28; studies/selfcal_common_scale.py)."""
@@ -83,7 +83,7 @@ class CommonScale(NamedTuple):
     sigma : float
         Standard deviation of the ln of both.
     evidence : float
-        By how much -ln L falls.
+        Fall of -ln L against the nominal thresholds.
     counts : bool
         Whether that suffices to give up the nominal thresholds.
     """

@@ -24,15 +24,15 @@ short gap, so without noise the second lies far beyond: 2.7 times on the real
 DAVIS346."""
 
 _LEAST_US = 50.0
-"""Less is not told from the resolution of stamps and the wait for the bus."""
+"""A shorter period cannot be told from resolution of stamps and waits for the bus."""
 
 _LEAST_SHARE = 0.02
 """A period that pixels spend less of their time in loses less than the scale of the
 thresholds is known to."""
 
 _EVIDENCE, _FALL = 40.0, 0.1
-"""By how much -ln L of the frames must fall, as for the common scale, and what part of
-the innovations' mean square with it: interpolation errs alike in every frame, so the
+"""Fall of -ln L of the frames that is required, as for the common scale, and relative
+fall of the innovations' mean square: interpolation errs alike in every frame, so the
 evidence that it fakes grows with their number.  Engineering choice: on `nominal`
 cameras a period of 1 to 3 ms makes 16 % and more of it where it matters."""
 

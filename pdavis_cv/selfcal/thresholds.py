@@ -48,7 +48,7 @@ _MAD_PER_SIGMA = 0.6745
 """Median of the absolute value of a standard normal number."""
 
 _LEAST_SPREAD = 0.01
-"""Of the prior standard deviation: numerical floor of the pixel-to-pixel one."""
+"""Numerical floor of the pixel-to-pixel sigma, as a share of the prior sigma."""
 
 # Ridge of a pixel's information matrix, over its trace and in itself (1 / ln^2): makes
 # the inverse exist for pixels that no frame told anything of; numerical.
@@ -89,7 +89,7 @@ def shrink_to_population(
     on, off = (np.asarray(value, np.float64) for value in nominal)
     precision = _inverse(covariance[..., 0, 0], covariance[..., 0, 1],
                          covariance[..., 1, 1])
-    # Of the samples alone: precision, and precision times shift from nominal.
+    # The samples' own precision, and precision times shift from nominal.
     own = (precision[0] - 1 / sigma**2, precision[1], precision[2] - 1 / sigma**2)
     pull = _times(precision, (theta[0] - on, theta[1] - off))
     correlated = FRAME_CORRELATION
@@ -148,7 +148,7 @@ def variance_inflation(
     Parameters
     ----------
     half, whole : (theta, covariance)
-        Of one filter after half of the data and after all of them, shapes (2, H, W)
+        One filter's, after half of the data and after all of them, shapes (2, H, W)
         and (H, W, 2, 2).
 
     Returns

@@ -26,7 +26,7 @@ SENSOR_MAX_US, SENSOR_MAX_EVENTS = 10_000_000, 5_000_000
 """Upper bounds of a `SensorWindow`: time, events (65 MB)."""
 
 USABLE_DN = 8
-"""Less is not a usable sample of a busy pixel."""
+"""Least DN of a usable sample of a busy pixel."""
 
 _EVER = -(2**62), 2**62
 """Times in us before and after all stamps; their sums fit 64 bits."""

@@ -52,17 +52,17 @@ SMOOTHING_US = 500_000
 """How far ahead of an image the offline mode takes frames into account."""
 
 NOISE = (0.01, 0.02, 0.0003)
-"""What de-blurring leaves in a frame (standard deviation of log intensity); variance
-of the sum of events per second (leak) and per event, in thresholds^2.
+"""Residual error of a de-blurred frame (standard deviation of log intensity); process
+noise per second (leak) and per event, variance in thresholds^2.
 
-Of pixels without events: the frames of the real DAVIS346 then have 68 to 77 % of their
-innovations within one sigma.  What events and motion leave is learned (`DOUBT`,
-`MOTION`); what pixels differ in (gains, angles of polarizers) is added to images.
+For pixels without events: 68 to 77 % of the innovations of the real DAVIS346 are then
+within one sigma.  Errors of events and motion are learned (`DOUBT`, `MOTION`); the
+differences between pixels (gains, angles of polarizers) are added to images.
 """
 
 CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.33)
-"""The same where a calibration takes the pixels' differences out: much less is left in
-frames, and a third of what is assumed of read and shot noise."""
+"""The same if a calibration corrects the pixels' differences: a smaller residual error,
+and a third of the variance that is assumed of read and shot noise."""
 
 STILL_US = 250_000.0
 """Gap between two events (us) at which rest and motion are as likely.  Engineering
@@ -72,9 +72,9 @@ frame, which frames tell better than interpolation."""
 # the first frame tells how late frames arrive, for exposures of half a second.
 KEEP_US, _FIRST_KEEP_US = 100_000, 500_000
 _DIM_SHARE = 0.12
-"""Of a pixel's light, where a lag in inverse proportion to it matters.  Log intensity
-changes fastest where light is dim: weighed by the squared slope of 1 + .9 cos, the mean
-square of the lag is that at .12 of the brightest."""
+"""Share of a pixel's brightest light at which a lag in inverse proportion to light is
+taken.  Log intensity changes fastest in dim light: weighted by the squared slope of
+ln(1 + .9 cos), the mean square of the lag is that at .12 of the brightest."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 # Rows that a frame is used by at a time, and what changes all states.
 _BAND = 32

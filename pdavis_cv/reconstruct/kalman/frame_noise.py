@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 __all__ = ["DN_PER_SHOT", "READ_NOISE_DN", "frame_noise"]
 
-# Of a frame: read noise in DN, and DN per unit of shot noise variance.
+# Prior of a frame: read noise in DN, and DN per unit of shot noise variance.
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
 FRAME_NOISE = ((4.0, 0.1), (1.0, 0.005), (400.0, 1.0))
-"""Of the variances of read noise (DN^2) and of shot noise (DN^2 per DN): standard
-deviation of the prior, as large as it; the least and the most.  Engineering choice:
-read noise of 1 to 20 DN, and from half of what 80 electrons per DN make to all of 1."""
+"""Variances of read noise (DN^2) and of shot noise (DN^2 per DN): sigma of the prior,
+as large as its mean; lower bounds; upper bounds.  Engineering choice: read noise of 1
+to 20 DN, shot noise from half of that of 80 electrons per DN to that of one."""
 
 # Turns of a least-squares fit of two numbers, which converges geometrically.
 _TURNS = 20

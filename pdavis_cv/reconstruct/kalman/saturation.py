@@ -52,7 +52,7 @@ class Saturated:
     response : array_like of shape (2, 2, 3) or (H, W, 3), or None
         As for `EventRedundancy`.
     lookahead_us : int
-        What will have been fed after the time of `fill`.
+        How far beyond the time of `fill` data will have been fed, us.
     bandwidth : (float, float, float)
         As for `KalmanFilter`.
     """
@@ -65,9 +65,9 @@ class Saturated:
         self.response = None if response is None else np.array(response, np.float64)
         self._shape, self._bandwidth = shape, bandwidth
         self._thresholds, self._lookahead_us = (theta_on, theta_off), lookahead_us
-        # Of the pixels of macropixel i, by place in the cell: flat index on the sensor.
+        # Flat index on the sensor of each pixel of macropixel i, by place in the cell.
         self._pixels = np.empty((4, 0), np.intp)
-        # What of a sensor's column, by pixel, is its cell's first column; -1: not here.
+        # By pixel of the sensor: first column of its cell side by side; -1: none.
         self._column = np.empty((0, 0), np.int32)
         self._bound = np.zeros(shape, np.float32)
         self._level: float | None = None    # log intensity that saturates
@@ -116,7 +116,7 @@ class Saturated:
         self, frame: ApsFrame, sample: NDArray[np.float32], noise: NDArray[np.float32]
     ) -> None:
         """Note a frame: its log samples, and their variance, 0 where not usable."""
-        # Of pixels that are not usable the converter's end: a bound is all there is.
+        # A pixel that is not usable has full scale here, which is a bound.
         self._bound = np.ascontiguousarray(sample)
         if self._level is None:
             level = math.log(frame.full_scale_dn) - float(log_exposure(frame)[0])
