@@ -1,6 +1,7 @@
 """Writing images and series of images to files that other programs open."""
 from pdavis_cv._beside import write_beside
 from pdavis_cv.export.animation import ANIMATIONS, AnimationFile, moving_file
+from pdavis_cv.export.aop_events import AopEventsFile, read_aop_events
 from pdavis_cv.export.arrays import ArrayFile
 from pdavis_cv.export.files import write_json
 from pdavis_cv.export.hdf5 import Hdf5File
@@ -16,6 +17,7 @@ __all__ = [
     "ANIMATIONS",
     "QUANTITIES",
     "AnimationFile",
+    "AopEventsFile",
     "ArrayFile",
     "Hdf5File",
     "NpzFile",
@@ -26,6 +28,7 @@ __all__ = [
     "moving_file",
     "plane",
     "provenance",
+    "read_aop_events",
     "read_embedded",
     "to_xarray",
     "write_beside",

@@ -93,7 +93,8 @@ class AopEvents:
             raise ValueError(
                 f"cutoff_hz must be a time constant within 2**61 us, got {cutoff_hz!r}")
         self._correct = bool(correct_phase)
-        self._axes = _axes(Layout.of(layout))
+        self.layout = Layout.of(layout)
+        self._axes = _axes(self.layout)
         self._span = float(round(_SPAN / self._rate))
         self._turns = np.zeros(((height + 1) // 2, (width + 1) // 2), TURN_DTYPE)
         self._epoch = np.full(1, -np.inf)
