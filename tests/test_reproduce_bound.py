@@ -6,8 +6,15 @@ import pytest
 
 from pdavis_cv.simulation import FULL, Camera, FlatLight, Optics
 from pdavis_cv.tools.reproduce import run as runs
-from pdavis_cv.tools.reproduce.bound import frame_bound, optics_bound
-from pdavis_cv.tools.reproduce.rotation import SCENES
+from pdavis_cv.tools.reproduce.bound import (
+    Bound,
+    Limits,
+    frame_bound,
+    held_errors,
+    optics_bound,
+)
+from pdavis_cv.tools.reproduce.rotation import SCENES, Comparison
+from pdavis_cv.tools.reproduce.rotation_page import below_bound
 
 RPM = 200.0
 TURN_US = 60e6 / RPM
@@ -138,3 +145,85 @@ def test_no_method_beats_it_by_more_than_its_standard_error(rotation):
         bound = optics_bound(camera.optics, scene, TURN_US)
         assert row.aop_error_deg > bound.aop_deg - bound.aop_error_deg(64), row.method
         assert row.dolp_error > bound.dolp - bound.dolp_spread / 8, row.method
+
+
+def test_held_frames_err_by_delay_and_blur():
+    # A frame is shown from 22 to 72 ms after its middle: AoP turns by 47 ms' worth on
+    # average, and an exposure takes sinc of what AoP turns by in it off DoLP.
+    slow, fast = (held_errors(NOMINAL, light(TURNING, rpm), 60e6 / rpm)
+                  for rpm in (10.0, 200.0))
+    assert slow[0] == pytest.approx(360 * 10 / 60 * 0.047, rel=1e-3)
+    blur = 2 * math.pi * 200 / 60 * 0.02
+    assert fast[1] == pytest.approx(1 - math.sin(blur) / blur, rel=1e-3)
+    # Behind a plate DoLP is |cos|; a blur that is whole leaves a half of it: its mean
+    # distance from that is (2 / pi) (sqrt(3) - 1 - pi / 12).
+    long = Camera.preset("nominal", aps={"fps": 1.0, "exposure_us": 1_000_000})
+    whole = held_errors(long, light(PLATE, 1000 * runs.OFF_LOCK), 60e3 / runs.OFF_LOCK)
+    assert whole[1] == pytest.approx(
+        2 / math.pi * (math.sqrt(3) - 1 - math.pi / 12), abs=0.01)
+    with pytest.raises(ValueError, match="must have frames"):
+        held_errors(Camera.preset("nominal", aps=None), light(TURNING), TURN_US)
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("rotation", [TURNING, PLATE, BEFORE_PLATE])
+@pytest.mark.parametrize("rpm", [60.0, 1000.0])
+def test_simulated_frames_err_as_theory_says(rotation, rpm):
+    case = runs.Case(scene=rotation.name, rpm=rpm, light=rotation.light(
+        rpm * runs.OFF_LOCK, math.radians(17)), seconds=3.0)
+    settings = runs.Settings(
+        step_us=5077, methods=("frames", "Sony 50 fps", "Sony 75 fps"))
+    found = list(runs.run(case, settings, runs.Takes(case)))
+    assert len(found) == 3
+    for row in found:
+        method = runs.METHODS[row.method]
+        s0 = case.sony_dn_per_ms if method.preset else case.event_dn_per_ms
+        aop, dolp = held_errors(case.specimen(method), case.light(s0), case.turn_us)
+        if rotation is not BEFORE_PLATE:    # there AoP is one of two, at times few
+            assert row.aop_error_roi_deg == pytest.approx(aop, rel=0.06, abs=0.3), row
+        assert row.dolp_error_roi == pytest.approx(dolp, rel=0.04, abs=0.008), row
+
+
+def test_a_regions_mean_errs_by_the_root_of_its_super_pixels_less():
+    one = optics_bound(NOMINAL.optics, light(TURNING), TURN_US)
+    region = one.of_region(36)
+    assert (region.aop_deg, region.dolp) == (one.aop_deg / 6, one.dolp / 6)
+    # Twin: the mean light of super-pixels whose optics the posterior is drawn of.
+    scene = light(TURNING)
+    stokes = np.array(scene.stokes(np.arange(60) * TURN_US / 60, 0, 0))
+    errors = []
+    for seed in range(40):
+        camera = Camera.preset("nominal", seed=seed, size=(12, 12), optics={
+            "gain_sigma": 0.0, "extinction_ratio_sigma": 0.0})
+        analyser = camera.maps["analyser"].reshape(6, 2, 6, 2, 3).transpose(
+            0, 2, 1, 3, 4).reshape(36, 4, 3)
+        nominal = Camera.preset("nominal", size=(2, 2), optics=Optics()).maps[
+            "analyser"].reshape(4, 3)
+        mean = (np.linalg.pinv(nominal) @ (analyser @ stokes)).mean(0)
+        off = (np.arctan2(mean[2], mean[1]) - np.arctan2(stokes[2], stokes[1])) / 2
+        errors.append(np.rad2deg(np.abs((off + np.pi / 2) % np.pi - np.pi / 2)).mean())
+    angles = Optics(angle_sigma=NOMINAL.optics.angle_sigma, extinction_ratio=40.0)
+    expected = optics_bound(angles, scene, TURN_US).of_region(36)
+    assert np.mean(errors) == pytest.approx(
+        expected.aop_deg, abs=3 * expected.aop_spread_deg / math.sqrt(40))
+
+
+def test_what_lies_below_the_bound_by_more_than_its_error_is_named():
+    bound = Bound(0.4, 0.01, 0.6, 0.006)        # of 36 super-pixels .1 and .001
+    limits = [Limits("event camera", RPM, bound, bound, (1.0, 0.1), 1.0, 36),
+              Limits("Sony 50 fps", RPM, Bound(0.1, 0.002, 0.06, 0.0006), bound,
+                     (1.0, 0.1), 1.0, 36)]
+    numbers = {name: math.nan for name in runs.Row.columns()}
+
+    def row(method, aop, dolp):
+        return runs.Row(**{**numbers, "scene": "", "region": "", "camera": "",
+                           "seed": 1, "start_deg": 0.0, "rpm": RPM, "method": method,
+                           "aop_error_deg": aop, "dolp_error": dolp})
+
+    good = [row("kalman", 0.31, 0.0091), row("joint", 0.5, 0.02),
+            row("Sony 50 fps, own times", 0.2, 0.003)]
+    assert below_bound(Comparison(TURNING, good, limits=limits)) == []
+    bad = [*good, row("cf", 0.29, 0.02), row("Sony 50 fps", 0.2, 0.0015)]
+    cf, sony = below_bound(Comparison(TURNING, bad, limits=limits))
+    assert cf.startswith("cf, 200 RPM, aop_error_deg")
+    assert sony.startswith("Sony 50 fps, 200 RPM, dolp_error")

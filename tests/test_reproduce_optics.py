@@ -1,4 +1,5 @@
 """Extinction ratios and the errors of optics are those that were simulated."""
+import itertools
 import math
 
 import numpy as np
@@ -30,13 +31,28 @@ def test_no_shift_changes_nothing():
         np.testing.assert_array_equal(one[name], other[name])
 
 
+def test_between_published_ratios_the_truth_is_a_line_of_their_logarithm():
+    for camera, known in optics_bench.PUBLISHED.items():
+        for (a, low, _), (b, high, _) in itertools.pairwise(known):
+            assert optics_bench.published_ratio(camera, a) == pytest.approx(low)
+            assert optics_bench.published_ratio(camera, b) == pytest.approx(high)
+            assert optics_bench.published_ratio(
+                camera, (a + b) / 2) == pytest.approx(math.sqrt(low * high))
+
+
 @pytest.mark.gate
 def test_the_bench_measures_what_was_simulated():
     found = list(optics_bench.points(Settings(quick=True)))
-    assert {point.what for point in found} == {"wavelength", "shift"}
+    assert {(point.what, point.camera) for point in found} == {
+        ("wavelength", "PDAVIS"), ("wavelength", "sony"), ("shift", "PDAVIS")}
     for point in found:
         assert point.ratio == pytest.approx(point.true, rel=0.04), point
-    assert math.isclose(min(p.at for p in found if p.what == "wavelength"), 500)
+    at_500 = {point.camera: point.true for point in found
+              if point.what == "wavelength" and abs(point.at - 500) < 25}
+    assert at_500["PDAVIS"] == pytest.approx(40, rel=0.05)
+    page = "\n".join(optics_bench.bench_page(found))
+    assert page.count("agrees") == 4
+    assert "95 at 700 nm ([Gruev 2011]" in page
 
 
 def test_a_lens_does_what_its_equations_say_and_a_calibration_undoes_it():

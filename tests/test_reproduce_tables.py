@@ -92,3 +92,14 @@ def test_the_command_writes_both_tables(tmp_path, capsys):
     assert (tmp_path / "tables.csv").exists()
     assert (tmp_path / "tables-methods.csv").exists()
     assert page.strip() in capsys.readouterr().out
+
+
+def test_operations_are_those_of_the_kernels_and_of_the_weights():
+    # Three by three weights of (in, out) planes: head, two of gates, new and r.
+    inside = 2 * (32 * 32 + 16 * 32 + 2 * 16 * 16)
+    for name, head, last, pixels in (("firenet", 5, 16, 1), ("joint", 28, 6 * 24, 4)):
+        event, image = spec.operations(name)
+        assert np.isnan(event)
+        assert image == 2 * (9 * (16 * head + inside) + last) / pixels + 11 / 4
+    assert spec.operations("cf") == (6, 7 + 11 / 4)
+    assert np.isnan(spec.operations("kalman")).all()

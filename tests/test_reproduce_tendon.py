@@ -48,3 +48,12 @@ def test_truth_and_frames_have_the_amplitude_of_the_retardance():
     assert tendon_images.error(frames, made) < 0.01
     np.testing.assert_allclose(frames.amplitude.mean(), truth.amplitude.mean(),
                                rtol=0.05)
+
+
+def test_a_trace_follows_if_it_has_most_of_the_swing():
+    t = np.arange(0, 1_000_000, 1000)
+    wave = 0.4 + 0.2 * np.cos(2e-6 * np.pi * 2.0 * t)
+    made = [a_pull("truth", t, wave), a_pull("kalman", t, wave * 0.9 + 0.1),
+            a_pull("cf", t, 0.4 + (wave - 0.4) / 2)]
+    assert tendon_images._follows(made, 2.0) == (
+        "follow: kalman; do not: cf (0.50 of the swing)")

@@ -37,6 +37,8 @@ def test_the_command_writes_them_side_by_side(tmp_path):
     stem = tmp_path / "transfer"
     assert reproduce.main(["transfer", "-o", str(stem), "--quick",
                            "--methods", "cf", "kalman offline"]) == 0
+    page = (tmp_path / "transfer.md").read_text()
+    assert page.rstrip().endswith("| agrees |")
     with open(f"{stem}.csv") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 10

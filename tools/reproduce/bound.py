@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.simulation import ApsPixel, Camera, Optics, Scene
 
-__all__ = ["Bound", "frame_bound", "optics_bound"]
+__all__ = ["Bound", "Limits", "frame_bound", "held_errors", "limits", "optics_bound"]
 
 FloatArray = NDArray[np.float64]
 
@@ -19,6 +19,7 @@ _NODES = 720  # of a turn: AoP of the fastest scene makes 4 cycles in them
 _RANK = 1e-6  # singular values below this part of the largest one are rounding
 _DRAWS = 1000  # of super-pixels: their spread to 2 %
 _EXPOSURE_NODES = 33  # Simpson's rule: exact to 1e-6 for two cycles per exposure
+_LAGS = 64  # between a frame's middle and when it is looked at
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,59 @@ class Bound:
     def aop_error_deg(self, pixels: int) -> float:
         """Return the standard error of the mean of so many super-pixels, degrees."""
         return self.aop_spread_deg / math.sqrt(pixels)
+
+    def dolp_error(self, pixels: int) -> float:
+        """Return the same of DoLP."""
+        return self.dolp_spread / math.sqrt(pixels)
+
+    def of_region(self, pixels: int) -> Bound:
+        """Return the bound of the mean of so many super-pixels in uniform light.
+
+        Their pixels differ independently of each other, and each tells as much of the
+        light that all of them see: errors fall with the root of their number.
+        """
+        root = math.sqrt(pixels)
+        return Bound(self.aop_deg / root, self.dolp / root, self.aop_spread_deg / root,
+                     self.dolp_spread / root)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What physics says of a camera before a scene that turns.
+
+    Parameters
+    ----------
+    camera : str
+        Preset.
+    rpm : float
+    optics, frame : Bound
+        Of `optics_bound` and `frame_bound`.
+    held : (float, float)
+        Of `held_errors`.
+    mean_dolp : float
+        Of the light.
+    pixels : int
+        Super-pixels of the region.
+    """
+
+    camera: str
+    rpm: float
+    optics: Bound
+    frame: Bound
+    held: tuple[float, float]
+    mean_dolp: float
+    pixels: int
+
+
+def limits(name: str, camera: Camera, rpm: float, scene: Scene, turn_us: float
+           ) -> Limits:
+    """Return the limits of a camera before a scene that repeats after ``turn_us``."""
+    s0, s1, s2 = _turn(scene, turn_us)
+    return Limits(name, rpm, optics_bound(camera.optics, scene, turn_us),
+                  frame_bound(camera, scene, turn_us),
+                  held_errors(camera, scene, turn_us),
+                  float((np.hypot(s1, s2) / s0).mean()),
+                  camera.size[0] * camera.size[1] // 4)
 
 
 def optics_bound(
@@ -124,6 +178,40 @@ def frame_bound(
     return Bound(
         math.degrees(_MEAN_OF_SIGMA * float(np.sqrt(variances[0][counted]).mean())),
         _MEAN_OF_SIGMA * float(np.sqrt(variances[1]).mean()), 0.0, 0.0)
+
+
+def held_errors(
+    camera: Camera, scene: Scene, turn_us: float, least_dolp: float = 0.2
+) -> tuple[float, float]:
+    """Return what delay and blur alone make held frames err by.
+
+    An ideal camera's frame is the mean light of its exposure, and is shown from the end
+    of its readout to the end of the next one's; no speed is locked to its clock.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its frames.
+    scene, turn_us, least_dolp
+        As for `optics_bound`.
+
+    Returns
+    -------
+    aop_deg, dolp : float
+        Mean absolute errors.
+    """
+    aps = camera.aps
+    if aps is None:
+        raise ValueError("camera must have frames, got one of events only")
+    first = aps.exposure_us / 2 + aps.readout_us
+    lags = first + (np.arange(_LAGS) + 0.5) / _LAGS * 1e6 / aps.fps
+    middle = np.arange(_NODES) * turn_us / _NODES
+    s0, s1, s2 = (plane[:, None] for plane in _turn(scene, turn_us, aps.exposure_us))
+    now = np.array(scene.stokes(middle[:, None] + lags, 0, 0))
+    dolp = np.hypot(now[1], now[2]) / now[0]
+    off = np.arctan2(s2 * now[1] - s1 * now[2], s1 * now[1] + s2 * now[2]) / 2
+    return (math.degrees(float(np.abs(off[dolp > least_dolp]).mean())),
+            float(np.abs(np.hypot(s1, s2) / s0 - dolp).mean()))
 
 
 def noise_variance(aps: ApsPixel, signal_dn: FloatArray) -> FloatArray:

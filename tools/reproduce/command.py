@@ -53,6 +53,7 @@ from . import (
     robustness,
     rotation,
     rotation_networks,
+    rotation_page,
     specification,
     tendon_images,
     together,
@@ -137,7 +138,7 @@ def _compared(
             if result.traces:
                 save_figure(beside_stem(stem, f"{ending}-traces"),
                             plots.traces_figure(result))
-    return write_page(stem, rotation.page(figure, results, settings, head)), rows
+    return write_page(stem, rotation_page.page(figure, results, settings, head)), rows
 
 
 def _range(figure: str, stem: Path, settings: Settings) -> Result:
@@ -165,6 +166,8 @@ def _networks(figure: str, stem: Path, settings: Settings) -> Result:
                   **{f"{name} weights": w.digest for name, w in weights.items()}})
     costs = network.step_costs(
         network.network_steps(weights), 2 if settings.quick else 20)
+    if rows and _plots() is not None:
+        save_figure(stem, network.network_figure(rows))
     lines = network.network_page(rows, weights, costs, settings.seeds)
     return write_page(stem, lines), []  # its rows have columns of their own
 
@@ -174,6 +177,8 @@ def _denoising(figure: str, stem: Path, settings: Settings) -> Result:
     rows = list(denoise.denoise_cases(settings))
     write_csv(beside_stem(stem, ".csv"), denoise.columns(),
               (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
+    if _plots() is not None:
+        save_figure(stem, denoise.denoise_figure(rows, denoise.example(settings)))
     return write_page(stem, denoise.denoise_page(rows)), []
 
 
@@ -239,6 +244,9 @@ def _fan_images(figure: str, stem: Path, settings: Settings) -> Result:
     if _plots() is not None:
         save_figure(stem, fan_images.views_figure(views))
         save_figure(beside_stem(stem, "-profile"), fan_images.profiles_figure(views))
+        stated = fan_images.uncertainty_figure(views)
+        if stated is not None:
+            save_figure(beside_stem(stem, "-uncertainty"), stated)
     return write_page(stem, fan_images.fan_images_page(views)), []
 
 
@@ -313,7 +321,8 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 }
 
 
-_IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "optics", "tables")
+_IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "optics", "transfer", "denoise",
+           "network", "tables", "videos")
 
 
 # Of figures 2 and 3 ten specimens, each at its own start angle, make up for fewer

@@ -225,6 +225,11 @@ def _because(name: str) -> str:
     return "ends are those of what was simulated"
 
 
+# Where the paper has the angle: camera, ends in uW/cm2, place of the bar, colour, dB.
+_STATED = (("Sony", LOW_UW_CM2, _SONY_HIGH_UW_CM2, 0.02, "#777777", 77.5),
+           ("PDAVIS, network", LOW_UW_CM2, HIGH_UW_CM2, 0.07, "#B15928", 120.0))
+
+
 def span_figure(lines: Sequence[Level]) -> Figure:
     """Draw angles that are right, the paper's span, and the error, by irradiance."""
     panels = (("right_deg", "angles right (of 180 degrees)"),
@@ -232,30 +237,41 @@ def span_figure(lines: Sequence[Level]) -> Figure:
               ("error_deg", "AoP error, region (degrees)"))
     cameras = [name for name in dict.fromkeys(line.camera for line in lines)
                if name != "sony"] or ["sony"]
-    drawing = new_figure(PAGE_IN, 0.7 + 2.2 * len(cameras))
+    drawing = new_figure(PAGE_IN, 0.9 + 2.2 * len(cameras))
     grid = drawing.subplots(len(cameras), len(panels), squeeze=False)
     letters(grid.reshape(-1))
     for row, camera in zip(grid, cameras, strict=True):
+        shown = [line for line in lines if line.camera in (camera, "sony")]
         for axes, (column, label) in zip(row, panels, strict=True):
-            shown = [line for line in lines if line.camera in (camera, "sony")]
-            for name in dict.fromkeys(line.method for line in shown):
-                mine = [line for line in shown if line.method == name]
-                axes.plot([line.irradiance_uw_cm2 for line in mine],
-                          [getattr(line, column) for line in mine], label=name,
-                          **look(name))
+            if column != "error_deg":
+                axes.axhline(180, color="0.78", linewidth=3, label="truth", zorder=0)
+                axes.set(ylim=(-8, 192), yticks=(0, 45, 90, 135, 180))
+            for place, name in enumerate(dict.fromkeys(
+                    line.method for line in shown)):
+                _draw_levels(axes, name, column, place,
+                             [line for line in shown if line.method == name])
             axes.set_xscale("log")
             axes.set_xlabel("irradiance (µW/cm²)")
             axes.set_ylabel(label)
             if column == "error_deg":
                 axes.set_yscale("log")
                 axes.yaxis.set_major_formatter("{x:g}")
-            else:
-                axes.axhline(180, color="black", linewidth=0.8, label="truth")
-                axes.set(ylim=(-5, 190), yticks=(0, 45, 90, 135, 180))
             if column == "right_deg":
-                axes.axvspan(LOW_UW_CM2, _SONY_HIGH_UW_CM2, ymax=0.03, color="0.6",
-                             linewidth=0, label="paper: Sony's 77.5 dB")
-        row[1].set_title(f"`{camera}`" if camera != "sony" else "")
+                for name, low, high, at, colour, range_db in _STATED:
+                    axes.axvspan(low, high, ymin=at - 0.02, ymax=at + 0.02,
+                                 color=colour, linewidth=0,
+                                 label=f"paper, {name}: {range_db:g} dB")
+        row[1].set_title(f"{camera} camera" if len(cameras) > 1 else "")
     drawing.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center",
                    ncols=4)
     return drawing
+
+
+def _draw_levels(axes: Any, name: str, column: str, place: int,
+                 mine: Sequence[Level]) -> None:
+    """Draw a method with hollow marks on every other level, so that all are seen."""
+    step = 4 if name == _SONY else 1
+    axes.plot([line.irradiance_uw_cm2 for line in mine],
+              [getattr(line, column) for line in mine], label=name,
+              markevery=(place % step, step), markerfacecolor="none",
+              **{**look(name), "markersize": 3.5 + 0.8 * place})

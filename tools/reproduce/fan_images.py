@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,20 +11,21 @@ from numpy.typing import NDArray
 
 from pdavis_cv.analysis.score import KnownLight, axial_difference
 from pdavis_cv.fusion import fuse
+from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render import aop_bgr, fade
 from pdavis_cv.simulation import FULL, Camera, Fan
 
 from . import run as runs
 from .network import all_weights
 from .page import table
-from .print_style import PAGE_IN, look, new_figure
+from .print_style import PAGE_IN, letters, look, new_figure
 from .run import OFF_LOCK, SONY_FULL, Settings, Take, fuse_parameters
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["View", "count", "fan_images_page", "fan_views", "profile_columns",
-           "profile_rows", "profiles_figure", "views_figure"]
+           "profile_rows", "profiles_figure", "uncertainty_figure", "views_figure"]
 
 _NETWORKS = ("firenet", "joint")
 _LEFT_OUT = ("kalman offline", "Sony 75 fps")
@@ -53,6 +54,9 @@ class View:
         not valid.
     around_deg, along_deg, true_deg : ndarray of float, shape (N,)
         Places on a circle half way to the rim, AoP there, and the true one.
+    sigma_deg, error_deg : ndarray of float, shape (H, W), or empty
+        Uncertainty of AoP as the method states it, and the true error; NaN at sectors'
+        edges and outside.
     """
 
     method: str
@@ -63,6 +67,8 @@ class View:
     around_deg: NDArray[np.float64]
     along_deg: NDArray[np.float64]
     true_deg: NDArray[np.float64]
+    sigma_deg: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
+    error_deg: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
 
 
 def fan_views(settings: Settings) -> Iterator[View]:
@@ -154,8 +160,30 @@ def _view(name: str, rpm: float, take: Take, circle: _Circle, at_us: int,
     aop = np.where(image.valid, image.aop, np.nan)
     i0, dolp = (np.where(image.valid, plane, np.nan)
                 for plane in (image.quad[0], image.dolp))
+    if name in runs.METHODS and not runs.METHODS[name].gives_dolp:
+        dolp = np.full_like(dolp, np.nan)
     return View(name, rpm, i0, aop, dolp, circle.around_deg,
-                circle.along_deg(aop, 2.0), circle.true_deg)
+                circle.along_deg(aop, 2.0), circle.true_deg,
+                *_uncertainty(image, take.truth, at_us))
+
+
+_SURE_DOLP = 0.97
+"""Of the light: less of it means that sectors mix."""
+
+
+def _uncertainty(image: PolarFrame, truth: KnownLight, at_us: int
+                 ) -> tuple[NDArray[np.float64], ...]:
+    """Return stated sigma and error of AoP, degrees, nothing where none is stated."""
+    if image.sigma_aop is None:
+        return ()
+    y, x = (2 * place + 0.5 for place in np.indices(image.shape))
+    corners = [(dx, dy) for dx in (-1, 1) for dy in (-1, 1)]
+    sure = image.valid & np.all([truth.dolp(at_us, x + dx, y + dy) > _SURE_DOLP
+                                 for dx, dy in corners], axis=0)
+    off = np.abs(axial_difference(
+        image.aop.astype(np.float64), truth.aop(at_us, x, y)))
+    return tuple(np.where(sure, np.rad2deg(plane), np.nan)
+                 for plane in (image.sigma_aop, off))
 
 
 def _window_us(rpm: float) -> int:
@@ -194,18 +222,60 @@ def fan_images_page(views: Sequence[View]) -> list[str]:
             rows.append([name, *("; ".join(
                 _half(mine[rpm], bright) for bright in (False, True))
                 for rpm in speeds)])
-    return lines + table(("method", *(f"{rpm:g} RPM" for rpm in speeds)), rows)
+    return [*lines, *table(("method", *(f"{rpm:g} RPM" for rpm in speeds)), rows),
+            *_beside(views)]
+
+
+_SEEN = 15.0
+"""Degrees: half a sector's step; within it the sectors are told apart."""
+
+
+def _beside(views: Sequence[View]) -> list[str]:
+    """Set the paper's words on the halves beside what is seen."""
+    slow = min(view.rpm for view in views)
+    here = {view.method: [_middle_of(view, bright)[0] for bright in (False, True)]
+            for view in views if view.rpm == slow and view.method != "truth"}
+
+    def told(names: Sequence[str]) -> str:
+        return "; ".join(f"{name} " + " and ".join(
+            "none" if math.isnan(error) else f"{error:.1f}" for error in here[name])
+            for name in names)
+
+    sony = [name for name in here if name.startswith("Sony")]
+    fused = [name for name in here
+             if not name.startswith("Sony") and name != "frames"]
+    blind = [name for name in fused
+             if not all(error < _SEEN for error in here[name])]
+    rows = []
+    if sony:
+        rows.append((
+            f"Sony at {slow:g} RPM, dark and bright half, degrees",
+            "motion blur; saturated in the bright half, no AoP", told(sony),
+            "agrees" if all(not here[name][1] < _SEEN for name in sony) else
+            "differs"))
+    if fused:
+        rows.append((
+            f"methods that use events at {slow:g} RPM, the same",
+            "AoP in both lighting conditions, sharp", told(fused),
+            "agrees" if not blind else f"agrees, but for {', '.join(blind)}: held to "
+            "frames, which are saturated there"))
+    return ["## Beside the paper", "", *table(("quantity", "paper", "here", ""), rows)]
 
 
 def _half(view: View, bright: bool) -> str:
-    """Return median error / part valid of a half of the circle."""
+    """Return median error / part valid of a half of the circle, as text."""
+    middle, valid = _middle_of(view, bright)
+    return f"{'-' if math.isnan(middle) else f'{middle:.1f}'} / {valid:.2f}"
+
+
+def _middle_of(view: View, bright: bool) -> tuple[float, float]:
+    """Return median error (NaN if nothing is valid) and part valid of a half."""
     left = np.cos(np.deg2rad(view.around_deg)) < 0
     counted = (left == bright) & np.isfinite(view.true_deg)
     off = np.abs(np.rad2deg(axial_difference(
         np.deg2rad(view.along_deg), np.deg2rad(view.true_deg))))[counted]
     valid = np.isfinite(off)
-    middle = f"{np.median(off[valid]):.1f}" if valid.any() else "-"
-    return f"{middle} / {valid.mean():.2f}"
+    return float(np.median(off[valid])) if valid.any() else math.nan, valid.mean()
 
 
 def views_figure(views: Sequence[View]) -> Figure:
@@ -220,8 +290,11 @@ def views_figure(views: Sequence[View]) -> Figure:
              for name in ("gray", "viridis")}
     speeds = list(dict.fromkeys(view.rpm for view in views))
     names = list(dict.fromkeys(view.method for view in views))
-    drawing = new_figure(PAGE_IN, min(9.5, 0.4 + 1.12 * len(names)))
-    grid = drawing.subplots(len(names), 3 * len(speeds), squeeze=False)
+    drawing = new_figure(PAGE_IN, min(9.6, 1.0 + 1.08 * len(names)))
+    places = drawing.add_gridspec(len(names) + 1, 3 * len(speeds),
+                                  height_ratios=(*[1] * len(names), 0.12))
+    grid = np.array([[drawing.add_subplot(places[y, x])
+                      for x in range(3 * len(speeds))] for y in range(len(names))])
     by_name = {(view.method, view.rpm): view for view in views}
     for line, name in zip(grid, names, strict=True):
         for k, rpm in enumerate(speeds):
@@ -231,16 +304,22 @@ def views_figure(views: Sequence[View]) -> Figure:
             low, high = np.nanquantile(log, (0.01, 0.99))
             three[0].imshow(log, cmap=ramps["gray"], vmin=low, vmax=high)
             three[1].imshow(_faded(view))
-            three[2].imshow(view.dolp, cmap=ramps["viridis"], vmin=0, vmax=1)
+            shown = three[2].imshow(view.dolp, cmap=ramps["viridis"], vmin=0, vmax=1)
             if name == names[0]:
-                for axes, title in zip(three, ("I0, log", "AoP", "DoLP"), strict=True):
-                    axes.set_title(f"{title}, {rpm:g} RPM")
+                for n, title in enumerate(("I0, log", "AoP", "DoLP")):
+                    three[n].set_title(f"{title}\n{rpm:g} RPM")
+                    three[n].annotate("abcdef"[3 * k + n], (0, 1), (0, 14), va="bottom",
+                                      xycoords="axes fraction", fontweight="bold",
+                                      textcoords="offset points")
         for axes in line:
             axes.set_xticks([])
             axes.set_yticks([])
             axes.grid(visible=False)
         line[0].set_ylabel(name.replace(", ", ",\n"), rotation=0, ha="right",
                            va="center")
+    width = 3 * len(speeds) // 3
+    _keys(drawing, [drawing.add_subplot(places[-1, n * width:(n + 1) * width])
+                    for n in range(3)], shown)
     return drawing
 
 
@@ -248,8 +327,60 @@ def _faded(view: View) -> NDArray[np.uint8]:
     """Return AoP as RGB, black where the light is not polarized, grey if not valid."""
     valid = np.isfinite(view.aop)
     picture = aop_bgr(np.nan_to_num(view.aop), valid)
-    fade(picture, np.nan_to_num(view.dolp), valid)
+    if np.isfinite(view.dolp).any():
+        fade(picture, np.nan_to_num(view.dolp), valid)
     return picture[..., ::-1]
+
+
+def _keys(drawing: Figure, places: Sequence[Any], shown: Any) -> None:
+    """Draw what the colours mean."""
+    angle, dolp, none = places
+    hues = aop_bgr(np.linspace(0, np.pi, 181)[None])[..., ::-1]
+    angle.imshow(hues, aspect="auto", extent=(0, 180, 0, 1))
+    angle.set(xticks=(0, 45, 90, 135, 180), yticks=(), xlabel="AoP (degrees)")
+    angle.grid(visible=False)
+    drawing.colorbar(shown, cax=dolp, orientation="horizontal", label="DoLP")
+    none.set_axis_off()
+    none.text(0, 1, "AoP is black where DoLP is 0.\nGrey: not valid, or no DoLP.",
+              va="top")
+
+
+def uncertainty_figure(views: Sequence[View]) -> Figure | None:
+    """Draw the uncertainty of AoP that methods state beside its error.
+
+    None if there is no such method.
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import LogNorm
+
+    stated = [view for view in views if view.sigma_deg.size]
+    if not stated:
+        return None
+    speeds = list(dict.fromkeys(view.rpm for view in stated))
+    names = list(dict.fromkeys(view.method for view in stated))
+    drawing = new_figure(PAGE_IN, 0.9 + 1.55 * len(names))
+    grid = drawing.subplots(len(names), 2 * len(speeds), squeeze=False)
+    letters(grid[0])
+    ramp = colormaps["cividis"].with_extremes(bad="0.8")
+    for view in stated:
+        y, k = names.index(view.method), 2 * speeds.index(view.rpm)
+        part = np.nanmean(view.error_deg < view.sigma_deg, where=np.isfinite(
+            view.error_deg))
+        for axes, plane, title in (
+                (grid[y, k], view.sigma_deg, f"sigma, {view.rpm:g} RPM"),
+                (grid[y, k + 1], view.error_deg, "error")):
+            shown = axes.imshow(np.maximum(plane, 0.1), cmap=ramp,
+                                norm=LogNorm(0.1, 30))
+            axes.set(xticks=(), yticks=())
+            axes.grid(visible=False)
+            if y == 0:
+                axes.set_title(title)
+        grid[y, k + 1].set_xlabel(f"{100 * part:.0f} % within sigma")
+    for axes, name in zip(grid[:, 0], names, strict=True):
+        axes.set_ylabel(name.replace(", ", ",\n"), rotation=0, ha="right", va="center")
+    drawing.colorbar(shown, ax=grid, location="bottom", fraction=0.05, aspect=50,
+                     format="{x:g}", label="AoP (degrees); honest: 68 % within sigma")
+    return drawing
 
 
 def profiles_figure(views: Sequence[View]) -> Figure:
@@ -276,6 +407,7 @@ def profiles_figure(views: Sequence[View]) -> Figure:
         if view.method == names[-1]:
             axes.set_xticks((0, 90, 180, 270, 360))
             axes.set_xlabel("place on the circle (degrees); grey: the bright half")
+    letters(grid[0])
     for axes, name in zip(grid[:, 0], names, strict=True):
         axes.set_ylabel(name.replace(", ", ",\n"), rotation=0, ha="right", va="center")
     drawing.suptitle("error of AoP along a circle half way to the rim (degrees)")

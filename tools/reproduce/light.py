@@ -25,6 +25,7 @@ Light = Callable[[float], Scene]
 _STRIP, _PLACE = (12, 32), (54, 156)
 _FROM_EDGE = 3.0
 FAN_RPMS = (200.0, 1000.0)
+_SEEN_DEG = 15.0  # half the step between sectors, which are told apart within it
 
 
 def halves(camera: Camera) -> Mapping[str, NDArray[np.bool_]]:
@@ -67,12 +68,23 @@ def fan_page(rows: Sequence[Row], settings: Settings) -> list[str]:
                       "Part of the AoP errors within one sigma (honest: 0.68).", "",
                       *pivot(mine, "rpm", ("aop_coverage",), average=False)]
     slow = [row for row in rows if row.rpm == min(r.rpm for r in rows)]
-    lines += ["## Beside the paper", "", *table(("quantity", "paper", "here"), [
+    here = {name: [mean([row for row in slow if (row.method, row.region) == (
+        name, half)], "aop_error_deg") for half in ("dark half", "bright half")]
+        for name in METHODS if any(r.method == name for r in slow)}
+    blind = [name for name, errors in here.items()
+             if METHODS[name].preset is None and "frames" not in name
+             and not all(error < _SEEN_DEG for error in errors)]
+    sony = all(not errors[1] < _SEEN_DEG for name, errors in here.items()
+               if METHODS[name].preset is not None)
+    head = ("quantity", "paper", "here", "")
+    lines += ["## Beside the paper", "", *table(head, [
         (f"AoP in both halves at {slow[0].rpm:g} RPM",
          "PDAVIS measures it in both, the Sony not in the bright one",
          "; ".join(f"{name}: {_error(slow, name, 'dark half')} in the dark half, "
                    f"{_error(slow, name, 'bright half')} in the bright one"
-                   for name in METHODS if any(r.method == name for r in slow)))])]
+                   for name in here),
+         "differs" if not sony else "agrees" if not blind else
+         f"agrees, but for {', '.join(blind)}: held to frames, saturated there")])]
     return lines
 
 
@@ -138,16 +150,17 @@ def dynamic_range_page(rows: Sequence[Row], settings: Settings) -> list[str]:
                       "DoLP.", "",
                       *pivot(mine, columns=("aop_coverage", "dolp_coverage"),
                              average=False, **across)]  # type: ignore[arg-type]
-    lines += ["## Beside the paper", "", *table(("quantity", "paper", "here"), [
+    lines += ["## Beside the paper", "", *table(("quantity", "paper", "here", ""), [
         (f"irradiances with a range over {_NEARLY_FULL_DEG:g} degrees, `{camera}`",
          "PDAVIS 120 dB (40 nW/cm2 to 42 mW/cm2), Sony 77.5 dB (to 300 uW/cm2)",
          "; ".join(f"{name} {_decibels(rows, camera, name, 'range')}"
-                   for name in METHODS))
+                   for name in METHODS),
+         "says little: noise fills a range too; see `pdavis reproduce range`")
         for camera in _event_cameras(rows)] + [
         (f"irradiances with an AoP error of the region below {_USABLE_DEG:g} degrees, "
          f"`{camera}`", "-",
          "; ".join(f"{name} {_decibels(rows, camera, name, 'error')}"
-                   for name in METHODS))
+                   for name in METHODS), "not in the paper")
         for camera in _event_cameras(rows)])]
     return lines
 

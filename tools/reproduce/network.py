@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +40,17 @@ from .light import (
     halves,
 )
 from .page import table
+from .print_style import PAGE_IN, letters, look, new_figure
 from .rotation import RPMS
 from .run import OFF_LOCK, TAIL_US, Case, Settings, Take
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["METHODS", "SCENES", "SETTLING", "SIDE", "TEXTURE_SEEDS", "NetworkCase",
            "NetworkRow", "all_weights", "columns", "measure", "middle_of",
-           "network_cases", "network_page", "network_steps", "parameters_of",
-           "step_costs", "window_ends", "window_us"]
+           "network_cases", "network_figure", "network_page", "network_steps",
+           "parameters_of", "step_costs", "window_ends", "window_us"]
 
 _TABLE = "firenet, table"
 METHODS: dict[str, Mapping[str, Any]] = {
@@ -521,3 +525,42 @@ def _cell(rows: Sequence[NetworkRow], columns: Sequence[str]) -> str:
 def columns() -> tuple[str, ...]:
     """Return the names of a row's cells."""
     return tuple(item.name for item in dataclasses.fields(NetworkRow))
+
+
+def network_figure(rows: Sequence[NetworkRow]) -> Figure:
+    """Draw the errors of super-pixels: a line per scene, a mark per method.
+
+    Marks are medians of speeds, textures and so on, lines reach from the least of them
+    to the largest.
+    """
+    places = list(dict.fromkeys((row.scene, row.region) for row in rows))
+    names = [name for name in METHODS if any(row.method == name for row in rows)]
+    drawing = new_figure(PAGE_IN, 1.2 + 0.42 * len(places))
+    panels = drawing.subplots(1, 2, sharey=True)
+    letters(panels)
+    for axes, (column, label) in zip(panels, (
+            ("aop_error_deg", "AoP error (degrees)"), ("dolp_error", "DoLP error")),
+            strict=True):
+        for n, name in enumerate(names):
+            style = look(name) | {"linestyle": "none"}
+            for y, (scene, region) in enumerate(places):
+                values = [getattr(row, column) for row in rows if (
+                    row.scene, row.region, row.method) == (scene, region, name)]
+                if not np.isfinite(values).any():
+                    continue
+                at = y + 0.09 * (n - (len(names) - 1) / 2)
+                axes.plot(np.nanmedian(values), at, **style,
+                          label=name if name not in axes.get_legend_handles_labels()[1]
+                          else None)
+                axes.plot((np.nanmin(values), np.nanmax(values)), (at, at),
+                          color=style["color"], linewidth=0.7)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_xlabel(label)
+    panels[0].set_yticks(range(len(places)), [
+        scene if region in ("all", "middle") else f"{scene},\n{region}"
+        for scene, region in places])
+    panels[0].invert_yaxis()
+    drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center",
+                   ncols=4)
+    return drawing

@@ -34,7 +34,7 @@ __all__ = ["AopCloud", "NetworkView", "Step", "aop_cloud", "network_views",
 # ---- a pixel's answer to a step --------------------------------------------------
 
 _STEP_US, _BACK_US, _END_S = 20_000, 60_000, 0.1
-_RATIO = 4.0  # of light: seven ON events
+_RATIO = 4.0  # of light: eight ON events
 _RISE_US = 20.0  # of the light: far below the photoreceptor's time constant
 
 
@@ -411,7 +411,7 @@ def _draw_angles(axes: Any, cloud: AopCloud, colours: NDArray[np.float64]) -> No
                  label="AoP events inside")
     axes.set(xlabel="time (ms)", ylabel="AoP (degrees)", ylim=(-5, 185),
              yticks=(0, 45, 90, 135, 180))
-    axes.legend(loc="lower left")
+    axes.legend(loc="upper right")
 
 
 def views_figure(frame: NDArray[np.float64], counts: NDArray[np.float64],
@@ -440,6 +440,7 @@ def views_figure(frame: NDArray[np.float64], counts: NDArray[np.float64],
         line[0].set_ylabel(view.name)
     for axes, title in zip(grid[0, 1:4], ("log S0", "AoP", "DoLP"), strict=True):
         axes.set_title(title)
+    letters([grid[0, 0], *grid[0, 1:4]])
     drawing.colorbar(dolp, cax=grid[0, 4].inset_axes((0, 0, 0.1, 1)), label="DoLP")
     _hues(grid[1, 4])
     grid[2, 4].set_axis_off()

@@ -67,7 +67,7 @@ def errors(
     growth : bool
         Draw 100 times the difference from the lowest setting.
     """
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator
 
     for name in SHOWN:
         mine = [row for row in rows if row.method == name]
@@ -88,10 +88,11 @@ def errors(
         axes.xaxis.set_major_formatter(plain)
         axes.xaxis.set_minor_formatter("")
     if scale == "log":
-        axes.yaxis.set_major_formatter(plain)
         bottom, top = axes.get_ylim()
-        if top < 30 * bottom:  # else there are too many
-            axes.yaxis.set_minor_formatter(plain)
+        if top < 200 * bottom:  # else there are too many
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.yaxis.set_minor_formatter("")
+        axes.yaxis.set_major_formatter(plain)
     axes.set_ylabel(label)
 
 
@@ -135,6 +136,7 @@ def rotation_figure(figure: str, result: Comparison) -> Figure:
     else:
         errors(second, rows, "rpm", "aop_error_roi_deg", label="AoP error (degrees)")
         second.set_title("mean of the region")
+        _bounds(second, result, "aop_deg", region=True)
         _limits(second, _PAPER_AOP, "paper, with events: less")
         errors(third, rows, "rpm", "dolp_roi", scale="linear", label="DoLP")
         third.axhline(1, color="black", linewidth=0.8, label="truth")
@@ -149,16 +151,33 @@ def rotation_figure(figure: str, result: Comparison) -> Figure:
     return drawing
 
 
-def _bounds(axes: Any, result: Comparison, what: str) -> None:
-    """Draw the least errors, AoP or DoLP, that the physics allows."""
-    if not result.bounds:
-        return
-    speeds, optics, frames = zip(*result.bounds, strict=True)
-    for bounds, dashes, colour, label in (
-            (optics, (0, (5, 1)), "black", "bound, not calibrated"),
-            (frames, (0, (4, 1, 1, 1, 1, 1)), "0.45", "bound, one frame")):
-        axes.plot(speeds, [getattr(each, what) for each in bounds], color=colour,
-                  linestyle=dashes, label=label)
+def _bounds(axes: Any, result: Comparison, what: str, region: bool = False) -> None:
+    """Draw the least errors, AoP or DoLP, and a band of their standard error.
+
+    Those of the event camera are black, those of the Sony camera as grey as its frames.
+    """
+    for camera, colour, label in (
+            ("event camera", "black", "bound, not calibrated"),
+            ("Sony 50 fps", "#777777", "bound, Sony not calibrated")):
+        mine = [each for each in result.limits if each.camera == camera]
+        if not mine:
+            continue
+        speeds = [each.rpm for each in mine]
+        bounds = [each.optics.of_region(each.pixels) if region else each.optics
+                  for each in mine]
+        least = np.array([getattr(bound, what) for bound in bounds])
+        spread = np.array([bound.aop_spread_deg if what == "aop_deg" else
+                           bound.dolp_spread for bound in bounds])
+        if not region:
+            spread /= np.sqrt([each.pixels for each in mine])
+        spread /= np.sqrt(max(1, result.specimens))
+        axes.plot(speeds, least, color=colour, linestyle=(0, (5, 1)), label=label)
+        axes.fill_between(speeds, np.maximum(least - spread, least / 10),
+                          least + spread, color=colour, alpha=0.2, linewidth=0)
+        if camera == "event camera" and not region:
+            axes.plot(speeds, [getattr(each.frame, what) for each in mine],
+                      color="0.45", linestyle=(0, (4, 1, 1, 1, 1, 1)),
+                      label="bound, one frame")
 
 
 def _limits(axes: Any, stated: Sequence[tuple[float, float]], label: str) -> None:
@@ -190,9 +209,9 @@ def traces_figure(result: Comparison) -> Figure:
         truth = by_name["truth", rpm]
         start_us = int(truth.t_us[0])
         axes.set_xlim(0, (truth.t_us[-1] - start_us) / 1000)
-        _trace(axes, truth, start_us, quantity, color="0.6", linewidth=2.5)
-        _trace(axes, trace, start_us, quantity, color=look(name)["color"],
-               linewidth=0.9)
+        _trace(axes, truth, start_us, quantity, color="0.78", linewidth=3.0)
+        _trace(axes, trace, start_us, quantity, linewidth=0.9,
+               color="black" if "Sony" in name else look(name)["color"])
         if axes in grid[0]:
             axes.set_title(("AoP (°)" if quantity == "aop" else "DoLP")
                            + f", {rpm:g} RPM")
@@ -227,19 +246,21 @@ def _rates(axes: Any, result: Comparison) -> None:
     speeds = sorted({row.rpm for row in rows})
     rates = [mean([row for row in rows if row.rpm == rpm], "events_per_pixel_s")
              for rpm in speeds]
-    axes.loglog(speeds, rates, "o-", color="#009E73", label="events")
-    axes.loglog(speeds, np.array(speeds) * rates[-1] / speeds[-1], ":", color="black",
-                label="in proportion")
-    if np.isfinite(result.outside_hz):
-        axes.axhline(result.outside_hz, color="#D55E00", linestyle="--",
-                     label="constant light")
-    if np.isfinite(result.denoised_hz) and result.denoised_hz > 0:
-        axes.axhline(result.denoised_hz, color="#D55E00", linestyle=":",
-                     label="the same, denoised")
+    axes.loglog(speeds, rates, "o-", color="#009E73")
+    axes.loglog(speeds, np.array(speeds) * rates[-1] / speeds[-1], ":", color="black")
+    axes.annotate("dotted: in proportion", (speeds[-1], rates[-1]), (0, 7),
+                  textcoords="offset points", ha="right", fontsize=7)
+    for rate, dashes, told in ((result.outside_hz, "--", "constant light"),
+                               (result.denoised_hz, ":", "the same, denoised")):
+        if np.isfinite(rate) and rate > 0:
+            axes.axhline(rate, color="#D55E00", linestyle=dashes)
+            axes.annotate(told, (speeds[-1], rate), (0, 3),
+                          textcoords="offset points", ha="right", fontsize=7)
+    axes.set_xticks(speeds, [f"{rpm:g}" for rpm in speeds])
+    axes.xaxis.set_minor_formatter("")
+    axes.set_ylim(top=10 * max(rates))
     axes.set_xlabel("turns per minute")
     axes.set_ylabel("events per pixel and second")
-    axes.set_ylim(top=1e8)  # room for the legend
-    axes.legend(loc="upper left")
 
 
 def _intervals(axes: Any, result: Comparison) -> None:
@@ -252,7 +273,10 @@ def _intervals(axes: Any, result: Comparison) -> None:
     axes.set_xlim(0.05, 1000)
     axes.set_xlabel("time between a pixel's events (ms)")
     axes.set_ylabel("part of the events")
-    axes.legend()
+    axes.set_ylim(top=1.2 * axes.get_ylim()[1])  # room for the legend
+    axes.annotate("1 ms", (1, 0.86 * axes.get_ylim()[1]), (-2, 0), rotation=90,
+                  textcoords="offset points", ha="right", va="top", fontsize=7)
+    axes.legend(loc="upper center", ncols=2)
 
 
 def _raster(axes: Any, result: Comparison) -> None:
@@ -277,7 +301,7 @@ def range_figure(figure: str, rows: Sequence[Row]) -> Figure:
     panels = [(group, "aop_error_deg", "AoP error of super-pixels (degrees)")
               for group in groups]
     if figure == "dr":
-        panels.append((groups[0], "aop_range_deg", "range of AoP (degrees)"))
+        panels.append((groups[0], "aop_error_roi_deg", "AoP error, region (degrees)"))
     drawing = new_figure(PAGE_IN if len(panels) > 1 else COLUMN_IN,
                          0.9 + 2.4 * len(cameras))
     grid = drawing.subplots(len(cameras), len(panels), squeeze=False)
@@ -286,13 +310,10 @@ def range_figure(figure: str, rows: Sequence[Row]) -> Figure:
         for axes, (group, column, label) in zip(line, panels, strict=True):
             mine = [row for row in rows if (row.scene, row.region) == group
                     and (row.camera == camera or "Sony" in row.method)]
-            wide = column == "aop_range_deg"
-            errors(axes, mine, across, column, label=label,
-                   scale="linear" if wide else "log")
-            if wide:
-                axes.set_ylim(0, 190)
+            errors(axes, mine, across, column, label=label)
             region = "" if group[1] == "all" else f", {group[1]}"
-            axes.set_title(f"{group[0]}{region}\n`{camera}`")
+            axes.set_title(f"{group[0]}{region}"
+                           + (f"\n{camera} camera" if len(cameras) > 1 else ""))
             axes.set_xlabel("irradiance (µW/cm²)" if figure == "dr" else
                             "turns per minute")
     _legend(drawing, [grid[0, 0]])

@@ -37,6 +37,8 @@ _LOOKS: dict[str, tuple[str, Any, str]] = {
     "kalman": ("#0072B2", "-", "o"),
     "kalman offline": ("#003A5C", "-", "."),
     "firenet": ("#B15928", (0, (3, 1, 1, 1)), "*"),
+    "firenet, minimum": ("#B15928", ":", "<"),
+    "firenet, table": ("#B15928", "--", ">"),
     "joint": ("#6A3D9A", (0, (3, 1, 1, 1)), "P"),
 }
 

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,11 +20,9 @@ from pdavis_cv.simulation import (
     Scene,
 )
 
-from .bound import Bound, frame_bound, optics_bound
-from .page import mean, pivot, table
+from .bound import Limits, limits
 from .run import (
     METHODS,
-    NETWORKS,
     OFF_LOCK,
     Case,
     Row,
@@ -35,7 +33,7 @@ from .run import (
 )
 
 __all__ = ["INTERVALS_US", "RPMS", "SCENES", "Comparison", "Rotation",
-           "Spectrum", "Trace", "cases", "compare", "mean_traces", "page"]
+           "Spectrum", "Trace", "cases", "compare", "mean_traces"]
 
 RPMS = (30.0, 60.0, 100.0, 200.0, 500.0, 1000.0)
 # A fixed plate along 0 or 45 degrees would leave two channels without a change.
@@ -137,8 +135,19 @@ class Comparison:
     spectra: list[Spectrum] = field(default_factory=list)
     outside_hz: float = math.nan
     denoised_hz: float = math.nan
-    bounds: list[tuple[float, Bound, Bound]] = field(default_factory=list)
-    """Turns per minute; least errors of a camera that is not calibrated; of a frame."""
+    limits: list[Limits] = field(default_factory=list)
+    """Of the event camera and of the Sony cameras that are shown, by speed."""
+
+    def limits_of(self, method: str) -> list[Limits]:
+        """Return the limits of the camera that a method looks through."""
+        wanted = METHODS[method] if method in METHODS else METHODS["frames"]
+        return [each for each in self.limits if each.camera == (
+            method.split(",")[0] if wanted.preset else "event camera")]
+
+    @property
+    def specimens(self) -> int:
+        """How many there are."""
+        return len({(row.seed, row.start_deg) for row in self.rows})
 
 
 def cases(
@@ -179,7 +188,7 @@ def compare(rotation: Rotation, settings: Settings, made: Sequence[Case],
             result.spectra.append(_spectrum(case, takes))
         tick()
     if made[0].existing is None:
-        result.bounds = [_bounds(case) for case in first]
+        result.limits = [each for case in first for each in _limits(case, settings)]
         flat = Case(scene="constant light", rpm=0.0, camera=made[0].camera,
                     seed=made[0].seed, light=lambda s0: FlatLight(s0=s0), seconds=2.0)
         still = Takes(flat)(METHODS["frames"])
@@ -191,10 +200,13 @@ def compare(rotation: Rotation, settings: Settings, made: Sequence[Case],
     return result
 
 
-def _bounds(case: Case) -> tuple[float, Bound, Bound]:
-    camera, scene = case.specimen(METHODS["frames"]), case.light(case.event_dn_per_ms)
-    return (case.rpm, optics_bound(camera.optics, scene, case.turn_us),
-            frame_bound(camera, scene, case.turn_us))
+def _limits(case: Case, settings: Settings) -> Iterator[Limits]:
+    yield limits("event camera", case.specimen(METHODS["frames"]), case.rpm,
+                 case.light(case.event_dn_per_ms), case.turn_us)
+    for name in ("Sony 50 fps", "Sony 75 fps"):
+        if any(each.startswith(name) for each in settings.methods):
+            yield limits(name, case.specimen(METHODS[name]), case.rpm,
+                         case.light(case.sony_dn_per_ms), case.turn_us)
 
 
 def _traces(
@@ -258,178 +270,3 @@ def _spectrum(case: Case, takes: Takes) -> Spectrum:
         case.rpm, np.histogram(gaps, INTERVALS_US)[0],
         float((gaps < 1000).mean()) if len(gaps) else math.nan, phases, (off, on),
         (one["t"] / turn_us, one["p"].copy()))
-
-
-# ---- words -----------------------------------------------------------------------
-
-_USE_EVENTS = ("events", "cf", "firenet", "joint", "kalman")
-
-
-def page(figure: str, results: Sequence[Comparison], settings: Settings,
-         head: Sequence[str] | None = None) -> list[str]:
-    """Return the Markdown of a figure: tables, and the paper's words beside ours."""
-    cameras = sorted({row.camera for r in results for row in r.rows if "Sony" not in
-                      row.method})
-    lines = list(head) if head is not None else [
-             f"# {figure}", "",
-             f"Cameras: {', '.join(cameras)}; {settings.told_specimens}. Mean "
-             "absolute errors, AoP in degrees where the true DoLP exceeds 0.2, by "
-             f"turns per minute (times {OFF_LOCK}: none is locked to the frame clock), "
-             "from 1 s on. Thresholds are those that the maker would state.", ""]
-    for result in results:
-        for camera in cameras:
-            rows = [row for row in result.rows
-                    if row.camera == camera or "Sony" in row.method]
-            lines += [f"## {result.rotation.title}, `{camera}` camera", "",
-                      "Super-pixels: AoP / DoLP.", "",
-                      *pivot(rows, "rpm", ("aop_error_deg", "dolp_error")),
-                      "Mean of the region: AoP / DoLP.", "",
-                      *pivot(rows, "rpm", ("aop_error_roi_deg", "dolp_error_roi")),
-                      "Part of the errors within one sigma (honest: 0.68): AoP / "
-                      "DoLP.", "",
-                      *pivot(rows, "rpm", ("aop_coverage", "dolp_coverage"))]
-        lines += [*_bounds_table(result), *_events_table(result)]
-    stated = _stated2(results[0]) if figure == "fig2" else _stated3(results)
-    lines += ["## Beside the paper", "",
-              *table(("quantity", "paper", "here"), stated),
-              "Frames are held from the end of their readout, and `own times` at "
-              "their mid-exposure: held ones are wrong because they are late, those "
-              "because they are blurred. `kalman causal` knows a frame when its "
-              "readout ends; other methods use it from its mid-exposure on. Sony "
-              "cameras are simulated: 12 bits, extinction ratio 350, 20 ms exposure "
-              "(13.3 ms at 75 fps), the same part of the converter's range. The paper "
-              "gives its errors in pictures and states limits, which the pictures "
-              "here have as arrows.", ""]
-    if any(row.method in NETWORKS for result in results for row in result.rows):
-        lines += ["`firenet` and `joint` are the networks that come with the package: "
-                  "the paper's and one over four channels, trained on simulated "
-                  "textures, polarizers, retarders and wheels (docs/networks.md), not "
-                  "on these recordings and not anew for them, without the paper's "
-                  "calibration per speed. They see events only, of 40 x 40 pixels, of "
-                  "which the middle 12 x 12 count, and are scored at the ends of their "
-                  "windows, 1/25 of a period, once their memory has settled.", ""]
-    return lines
-
-
-def _bounds_table(result: Comparison) -> list[str]:
-    """Return the least errors of super-pixels, AoP in degrees / DoLP, by speed."""
-    if not result.bounds:
-        return []
-    speeds, optics, frames = zip(*result.bounds, strict=True)
-    return ["Least errors of super-pixels that the physics allows: AoP / DoLP "
-            "(docs/theory/limits.md).", "",
-            *table(("", *(f"{rpm:g}" for rpm in speeds)), [
-                (name, *(f"{each.aop_deg:.2f} / {each.dolp:.3f}" for each in bounds))
-                for name, bounds in (
-                    ("any method, camera not calibrated", optics),
-                    ("one frame's noise, all of the camera known", frames))])]
-
-
-def _events_table(result: Comparison) -> list[str]:
-    rows = [row for row in result.rows if row.method == "kalman"] or [
-        row for row in result.rows if np.isfinite(row.events_per_pixel_s)]
-    speeds = sorted({row.rpm for row in rows})
-    per = [[row for row in rows if row.rpm == rpm] for rpm in speeds]
-    return ["Events.", "", *table(
-        ("", *(f"{rpm:g}" for rpm in speeds)),
-        [("events per pixel and second",
-          *(f"{mean(each, 'events_per_pixel_s'):.1f}" for each in per)),
-         ("median interval, ms",
-          *(f"{mean(each, 'median_interval_us') / 1000:.2f}" for each in per))])]
-
-
-def _over(result: Comparison, column: str, methods: Sequence[str],
-          rpms: Callable[[float], bool] = lambda rpm: True) -> str:
-    """Return the worst speed's mean of each method, as text."""
-    parts = []
-    for name in methods:
-        mine = [row for row in result.rows if row.method == name and rpms(row.rpm)]
-        by_speed = [mean([row for row in mine if row.rpm == rpm], column)
-                    for rpm in {row.rpm for row in mine}]
-        if np.isfinite(by_speed).any():
-            digits = 1 if column.endswith("_deg") else 3
-            parts.append(f"{name} {max(by_speed):.{digits}f}")
-    return "; ".join(parts) or "-"
-
-
-def _exponent(result: Comparison) -> str:
-    """Return d ln(rate less noise) / d ln(rpm)."""
-    rows = [row for row in result.rows if np.isfinite(row.events_per_pixel_s)]
-    speeds = sorted({row.rpm for row in rows})
-    rates = [mean([row for row in rows if row.rpm == rpm], "events_per_pixel_s")
-             - np.nan_to_num(result.outside_hz) for rpm in speeds]
-    if len(speeds) < 2 or min(rates) <= 0:
-        return "-"
-    return f"rate ~ RPM^{np.polyfit(np.log(speeds), np.log(rates), 1)[0]:.3f}"
-
-
-def _stated2(result: Comparison) -> list[tuple[str, str, str]]:
-    at, slow = "aop_error_roi_deg", (lambda rpm: rpm <= 60)
-    low = min(row.rpm for row in result.rows)
-    return [
-        ("AoP error to 60 RPM, both cameras, region's mean", "< 5 degrees", _over(
-            result, at, ("Sony 50 fps", "Sony 50 fps, own times", "frames",
-                         "frames, own times", *_USE_EVENTS), slow)),
-        ("AoP error to 1000 RPM with events, region's mean", "< 10 degrees",
-         _over(result, at, _USE_EVENTS)),
-        ("frames above 100 RPM", "alias and blur", _over(
-            result, at, ("Sony 50 fps", "Sony 75 fps", "frames"),
-            lambda rpm: rpm > 100) + " degrees at worst"),
-        ("DoLP of a polarizer at low speed", "nearly 1", _over(
-            result, "dolp_error_roi",
-            ("Sony 50 fps", "frames", "cf", "firenet", "joint", "kalman"),
-            lambda rpm: rpm == low) + " from 1"),
-        ("DoLP to 1000 RPM", "events keep it beyond the frames' Nyquist limit", _over(
-            result, "dolp_error_roi", ("Sony 50 fps", "frames", *_USE_EVENTS))
-         + " from 1"),
-        ("event rate", "grows with RPM", _exponent(result)),
-        ("event rate outside the polarizer", "< 1 Hz per pixel after denoising",
-         "-" if np.isnan(result.outside_hz) else
-         f"{result.denoised_hz:.3f} Hz under constant light, before denoising "
-         f"{result.outside_hz:.2f}"),
-    ]
-
-
-def _growth(result: Comparison, methods: Sequence[str]) -> str:
-    parts = []
-    for name in methods:
-        mine = [row for row in result.rows if row.method == name]
-        speeds = sorted({row.rpm for row in mine})
-        if len(speeds) > 1 and np.isfinite(mean(mine, "dolp_error_roi")):
-            by_speed = [mean([row for row in mine if row.rpm == rpm], "dolp_error_roi")
-                        for rpm in speeds]
-            parts.append(f"{name} {100 * (max(by_speed) - by_speed[0]):+.1f}")
-    return "; ".join(parts) or "-"
-
-
-def _stated3(results: Sequence[Comparison]) -> list[tuple[str, str, str]]:
-    lines = []
-    for result in results:
-        name = result.rotation.name
-        lines += [
-            (f"growth of the DoLP error from the lowest speed, worst speed, {name}",
-             "< 8 points for the network, > 50 for Sony frames",
-             _growth(result, ("Sony 50 fps", "Sony 75 fps", "frames", *_USE_EVENTS))
-             + " points"),
-            (f"event rate, {name}", "directly proportional to RPM", _exponent(result)),
-            *_structure(result)]
-    return lines
-
-
-def _structure(result: Comparison) -> list[tuple[str, str, str]]:
-    name = result.rotation.name
-    ends = sorted(result.spectra, key=lambda spectrum: spectrum.rpm)
-    if len(ends) < 2:
-        return []
-    slow, fast = ends[0], ends[-1]
-    alike = np.corrcoef(slow.by_phase.reshape(-1), fast.by_phase.reshape(-1))[0, 1]
-    return [
-        (f"interval between a pixel's events at {fast.rpm:g} RPM, {name}",
-         "down to less than 1 ms",
-         f"{100 * fast.below_1ms:.0f} % below 1 ms ({100 * slow.below_1ms:.1f} % at "
-         f"{slow.rpm:g} RPM)"),
-        (f"ON and OFF events per I0 pixel and turn, {name}",
-         "similar structure at 30 and 1000 RPM",
-         f"ON {slow.per_turn[1]:.0f} and {fast.per_turn[1]:.0f}, OFF "
-         f"{slow.per_turn[0]:.0f} and {fast.per_turn[0]:.0f}; correlation over the "
-         f"turn {alike:.2f}")]

@@ -171,10 +171,32 @@ def tendon_page(made: Sequence[Pull]) -> list[str]:
             "one / mean absolute error of the trace, straight between images. Frames: "
             "20 per second, at their own times.", "",
             *table(("method", *(f"{hz / OFF_LOCK:g} Hz" for hz in speeds)), rows),
-            "## Beside the paper", "", *table(("quantity", "paper", "here"), [
-                ("1 Hz", "frames and network similar", _line(made, min(speeds))),
+            "## Beside the paper", "", *table(("quantity", "paper", "here", ""), [
+                ("1 Hz", "frames and network similar", _line(made, min(speeds)),
+                 _follows(made, min(speeds))),
                 ("10 Hz", "frames at 20 per second severely aliased; the network "
-                 "reconstructs it", _line(made, max(speeds)))])]
+                 "reconstructs it", _line(made, max(speeds)),
+                 _follows(made, max(speeds)))])]
+
+
+_FOLLOWS = 0.7
+"""Part of the true amplitude, in phase with it, from which a trace follows the load."""
+
+
+def _follows(made: Sequence[Pull], hz: float) -> str:
+    """Say which methods follow the load at a speed: the swing of truth in a trace."""
+    truth, = (one for one in made if (one.method, one.hz) == ("truth", hz))
+    swing = truth.dolp - truth.dolp.mean()
+    parts = {}
+    for pull in made:
+        if pull.hz == hz and pull.method != "truth":
+            between = np.interp(truth.t_us, pull.t_us, pull.dolp)
+            parts[pull.method] = float(between @ swing / (swing @ swing))
+    told = [name for name, part in parts.items() if part > _FOLLOWS]
+    lost = [f"{name} ({part:.2f} of the swing)" for name, part in parts.items()
+            if part <= _FOLLOWS]
+    return "; ".join([f"follow: {', '.join(told) or 'none'}",
+                      *([f"do not: {', '.join(lost)}"] if lost else [])])
 
 
 def _told(pull: Pull, made: Sequence[Pull]) -> str:

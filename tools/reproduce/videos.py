@@ -234,6 +234,8 @@ class _Drawing:
         self._scale = max(1, round(_WIDTH / side))
         self._tones = [_tone([one.images[k] for one in seen[::10]])
                        for k in range(len(video.shown))]
+        # All channels of all methods by one scale: what the light itself reaches.
+        self._white = max(float(np.quantile(one.images[0].quad, 0.999)) for one in seen)
         self._sheet = PanelSheet(
             [Panel(_TITLES[what].format(one.name),
                    _LEGENDS.get(what) if one is video.shown[-1] else None)
@@ -267,7 +269,7 @@ class _Drawing:
     def _panel(self, what: str, k: int, moment: Moment) -> Picture:
         image = moment.images[k]
         if what == "channels":
-            return quad_picture(image, self._tones[k].white)
+            return quad_picture(image, self._white)
         if what == "i0":
             return self._tones[k].seen(image.quad[0], image.valid)
         if what == "events":
