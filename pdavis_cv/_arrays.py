@@ -54,7 +54,7 @@ def read_arrays(
     ----------
     path : path
     most_bytes : int
-        Of all arrays together: a few kilobytes can unpack to a thousand times as much.
+        Bound on all arrays together: a few kilobytes can unpack to 1000 times as much.
 
     Returns
     -------

@@ -23,7 +23,7 @@ class Unfinished:
     path : path
         Final name; a file that is there stays as it is until `finish`.
     suffix : str, optional
-        Of the name to write to, for a writer that goes by it; default that of `path`.
+        Suffix of the name to write to, for a writer that needs it; default: `path`'s.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Unfinished:
 def clear(path: str | os.PathLike[str]) -> None:
     """Remove what processes that were killed left of a file that is to be made again.
 
-    Of a live recording it stays: that is all there is of it.
+    That of a live recording stays: it is all there is of it.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def write_beside(
     path : path
         Final name; an existing file is replaced at the end.
     suffix : str, optional
-        Of the name to write to, for a writer that goes by it; default that of `path`.
+        Suffix of the name to write to, for a writer that needs it; default: `path`'s.
 
     Yields
     ------

@@ -40,7 +40,7 @@ class Workers:
         Parameters
         ----------
         height : int
-            Of the image.
+            Height of the image.
         work : callable
             Works on the rows first <= row < last.
         least : int

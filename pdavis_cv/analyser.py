@@ -76,7 +76,7 @@ class Analyser:
         Returns
         -------
         ndarray of float32, shape (4,) or (4, H, W)
-            Of no particular length; (1, -1, 1, -1) times a factor for equal channels.
+            Its length has no meaning; (1, -1, 1, -1) times a factor for equal channels.
         """
         a = self.response
         rows = []

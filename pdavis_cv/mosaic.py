@@ -15,7 +15,7 @@ __all__ = ["DEMOSAIC_METHODS", "HALF_SIZE", "demosaic", "demosaic_valid",
            "demosaic_variance"]
 
 DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
-"""What the ``demosaic`` arguments take."""
+"""Values of the ``demosaic`` arguments."""
 
 HALF_SIZE = frozenset(("superpixel", "binned"))
 """Those whose images have one pixel per 2x2 cell."""
@@ -88,7 +88,7 @@ def demosaic(
         the usable ones of their channel two pixels away.  The other methods pass
         on what they are given, and `demosaic_valid` tells where.
     variance : ndarray of float32, shape (H, W), optional
-        Of each usable sample's logarithm (relative variance).  ``"guided"`` then takes
+        Variance of each usable sample's logarithm.  ``"guided"`` then takes
         less of what its first fit leaves, as part of that is noise; the other methods
         do not use it.
 
@@ -206,7 +206,7 @@ def demosaic_variance(
     Parameters
     ----------
     variance : ndarray of float32, shape (H, W)
-        Of each sample, in any unit.
+        Variance of each sample, in any unit.
     layout : Layout or str
         Polarizer in front of each pixel.
     method : {"bilinear", "superpixel", "binned", "guided"}

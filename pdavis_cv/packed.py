@@ -41,8 +41,8 @@ def unpack(
         Packed pixels; what follows the last one is left alone.
     packing : {"10p", "12p", "10packed", "12packed"}
     shape : tuple of int
-        Of the result, e.g. (2048, 2448), or (frames, height, width); pixels run on
-        from row to row and from frame to frame.
+        Shape of the result, e.g. (2048, 2448), or (frames, height, width); pixels run
+        on from row to row and from frame to frame.
 
     Returns
     -------

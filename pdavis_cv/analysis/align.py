@@ -41,7 +41,7 @@ class Clock:
     how : str
         ``"offset"``, ``"trigger"`` or ``"correlation"``.
     correlation : float
-        Of the two signals after alignment; NaN where none was computed.
+        Correlation of both signals after alignment; NaN where none was computed.
     """
 
     origin_us: int

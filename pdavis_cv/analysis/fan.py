@@ -161,7 +161,7 @@ class SectorSummary:
     pixel_sd : float
         Mean spread over the pixels of an image.
     error : float
-        Of ``aop`` from equal spacing, after a common offset.
+        Deviation of ``aop`` from equal spacing, after a common offset.
     dolp : float
         Mean.
     """

@@ -20,7 +20,7 @@ def pixel_intervals(events: NDArray[Any], width: int) -> NDArray[np.int64]:
     events : ndarray of EVENT_DTYPE, shape (N,)
         Time-ordered.
     width : int
-        Of the sensor, in pixels.
+        Width of the sensor, pixels.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def events_by_phase(
     Parameters
     ----------
     events : ndarray of EVENT_DTYPE, shape (N,)
-        Of pixels that see the same light.
+        Events of pixels that see the same light.
     period_us : float
         Microseconds.
     bins : int

@@ -34,7 +34,7 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class LoadTrace:
-    """What a test frame recorded, on its own clock.
+    """Record of a test frame, on its own clock.
 
     Parameters
     ----------

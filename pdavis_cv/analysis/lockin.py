@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LockInMaps:
-    """What a lock-in found; every map is float64, shape (H, W).
+    """Result of a lock-in; every map is float64, shape (H, W).
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class LockInMaps:
     mean : ndarray
         Mean value.
     amplitude, amplitude_se : ndarray
-        Of ``mean + amplitude * cos(2 pi f (t - t0) + phase)``; NaN where a pixel
+        Those of ``mean + amplitude * cos(2 pi f (t - t0) + phase)``; NaN where a pixel
         was usable fewer than five times.  ``amplitude_se`` is the standard error
         of each of the two quadratures.
     phase : ndarray

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["Roi", "parse_roi", "read_rois"]
 
 _MOST_BYTES = 1 << 26
-"""Of all regions of an archive; one has a few hundred."""
+"""Bound on the bytes of all regions of an archive; one has a few hundred."""
 _UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")
 
 
@@ -28,7 +28,7 @@ class Roi:
     Parameters
     ----------
     name : str
-        What plots and columns call it.
+        Its name in plots and columns.
     rings : tuple of ndarray of float64, shape (N, 2)
         Corners (x, y) in pixels; the top left corner of the sensor is (0, 0).
     rectangle : (int, int, int, int), optional
@@ -50,7 +50,7 @@ class Roi:
         x, y, width, height : int
             In sensor pixels.
         name : str
-            What plots and columns call it.
+            Its name in plots and columns.
 
         Returns
         -------
@@ -77,7 +77,7 @@ class Roi:
         corners : array_like, shape (N, 2)
             (x, y) in pixels, N >= 3.
         name : str
-            What plots and columns call it.
+            Its name in plots and columns.
 
         Returns
         -------

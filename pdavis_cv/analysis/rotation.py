@@ -83,13 +83,13 @@ def fit_rotation(
     Parameters
     ----------
     recording : Recording
-        Of a polarizer turning at a constant speed, with frames and events.
+        Frames and events of a polarizer that turns at a constant speed.
     layout : Layout, optional
         Polarizers of the whole sensor; default the recording's.
     roi : (int, int, int, int), optional
         (x, y, width, height) in sensor pixels, filled by the polarizer; default all.
     extinction_ratio : float, optional
-        Of the pixels' polarizers, which S1 and S2 are corrected for.
+        That of the pixels' polarizers; S1 and S2 are corrected for it.
 
     Returns
     -------

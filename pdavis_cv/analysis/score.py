@@ -35,10 +35,10 @@ class Score:
     images : int
         Images scored.
     aop_error, dolp_error : float
-        Of every pixel of the images, valid or not; one that is not finite counts as
-        45 degrees (what guessing gives) and as 1.
+        Errors of every pixel, valid or not; one that is not finite counts as 45
+        degrees (the mean error of guesses) and as 1.
     roi_aop_error, roi_dolp_error : float
-        Of the region's mean Stokes vector; NaN where the truth differs over it.
+        Errors of the region's mean Stokes vector; NaN where the truth differs over it.
     roi_dolp : float
         DoLP of that mean, itself.
     roi_aop_range : float

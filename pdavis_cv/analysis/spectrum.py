@@ -63,7 +63,7 @@ class Tone:
     slope_per_s : float
         Linear drift of the mean.
     amplitude, amplitude_se : ndarray of float64, shape (K,)
-        Of the fundamental and its harmonics.
+        Those of the fundamental and its harmonics.
     phase, phase_se : ndarray of float64, shape (K,)
         Radians, -pi..pi, of the cosine at ``reference_us``.
     reference_us : int
@@ -123,7 +123,7 @@ class Drift:
     cycle : ndarray of int64, shape (C,)
         Numbers of the complete cycles.
     mean, amplitude : ndarray of float64, shape (C,)
-        Of each cycle.
+        Those of each cycle.
     mean_per_cycle, mean_per_cycle_se : float
         Slope of the mean, and its standard error.
     amplitude_per_cycle, amplitude_per_cycle_se : float
@@ -289,7 +289,7 @@ def complete_cycles(
     ------
     number : int
     phase : ndarray of float64, shape (N,)
-        Of all samples, in cycles since the reference.
+        Phase of all samples, in cycles since the reference.
     part : slice
         The cycle's samples.
     """

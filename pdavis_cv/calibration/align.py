@@ -51,7 +51,7 @@ def alignment(
     Parameters
     ----------
     frames : Recording or iterable of ApsFrame
-        Of uniform light through a linear polarizer.
+        Frames of uniform light through a linear polarizer.
     layout : Layout
         Polarizer layout.
     dark : ndarray of float32, shape (H, W), optional

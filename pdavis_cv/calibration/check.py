@@ -31,7 +31,7 @@ class Finding:
     message : str
         One sentence for a person.
     scores : dict of str to float
-        What was compared; larger is more likely.
+        Measures that were compared; larger is more likely.
     """
 
     what: str

@@ -12,12 +12,12 @@ __all__ = ["Clipping", "FrameCorrection"]
 
 @dataclass(frozen=True)
 class Clipping:
-    """What the frames so far tell of the DN at which pixels are full.
+    """Estimate, from the frames so far, of the DN at which pixels are full.
 
     Parameters
     ----------
     full_scale_dn : int
-        Of these frames.
+        Full scale of these frames.
     level_dn : float or None
         Lower edge of the pile-up; None where none was seen.
     top_dn : int
@@ -84,7 +84,7 @@ class FrameCorrection:
         Parameters
         ----------
         frame : ApsFrame
-            Of the whole sensor.
+            A frame of the whole sensor.
         """
         known = self._known
         dark, gain, clip_dn = (None, None, None) if known is None else (

@@ -91,7 +91,7 @@ def place_signals(
     Parameters
     ----------
     recording : Recording
-        Of a polarizer rotating in uniform light.
+        Recording of a polarizer that rotates in uniform light.
     source : {"frames", "events"}
         Frames at mid-exposure, or sums of events in bins of 1 ms.
     roi : (int, int, int, int), optional

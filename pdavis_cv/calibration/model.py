@@ -25,7 +25,7 @@ FORMAT_VERSION = 1
 """Version of the file format; a file of a newer one is refused."""
 
 _MOST_BYTES = 1 << 29
-"""Of all planes: 41 bytes for each of 13 million pixels."""
+"""Bound on all planes together: 41 bytes for each of 13 million pixels."""
 _POSITIVE = ("theta_on", "theta_off", "gain")
 _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",

@@ -48,7 +48,7 @@ class SweepFit:
     analyser : ndarray of float32, shape (H, W, 3)
         Responses to S0, S1, S2, scaled so that the median response to S0 is 1/2.
     covariance : ndarray of float32, shape (H, W, 3, 3)
-        Of the three responses of a pixel.
+        Covariance of the three responses of a pixel.
     usable : ndarray of bool, shape (H, W)
         False where the fit is impossible or its residual far above the others'.
     scale_dn : float
@@ -128,7 +128,7 @@ def read_sweep(
     steps : iterable of (float, Recording or iterable of ApsFrame)
         Angle in radians, and what was recorded at it.
     dark, gain : ndarray of float32, shape (H, W), optional
-        Of the camera.
+        Dark values and gain of the camera.
     dark_sigma : float or array_like of shape (H, W)
         Standard error of `dark`, DN.  It is the same at all angles, and with many
         frames the largest part of an extinction ratio's error.

@@ -86,7 +86,7 @@ def write_traces(
     path : path
         File to write; appears when it is whole.
     traces : Traces
-        Of `analysis.TraceRecorder`.
+        Traces of `analysis.TraceRecorder`.
     origin_us : int
         Time of ``t_s`` 0.
     facts : mapping of str to object, optional
@@ -133,7 +133,7 @@ def write_jaer_csv(
     path : path
         File to write; with several regions ``-NAME`` goes before the suffix.
     traces : Traces
-        Of `analysis.TraceRecorder`.
+        Traces of `analysis.TraceRecorder`.
     origin_us : int
         Time of timestamp 0.
     facts : mapping of str to object, optional

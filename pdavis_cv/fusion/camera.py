@@ -69,7 +69,7 @@ def response_of(
     Parameters
     ----------
     layout : Layout
-        Of the window.
+        Layout of the window.
     calibration : Calibration or None
         Its analyser matrix is used if it has one; otherwise polarizers are ideal.
     rows, columns : slice
@@ -98,7 +98,7 @@ def analyser_of(
     window : (slice, slice)
         Rows and columns of the sensor.
     layout : Layout
-        Of the window.
+        Layout of the window.
     demosaic : {"bilinear", "superpixel", "binned", "guided"}
         How intensities are interpolated.  The responses are interpolated the same way;
         for ``"guided"`` bilinearly, after division by the pixels' gain.

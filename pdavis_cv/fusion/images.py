@@ -29,14 +29,14 @@ __all__ = ["ImageMaker", "Samples", "samples_of"]
 
 
 class Samples(NamedTuple):
-    """What a method tells of the pixels of a window, or of a part of it.
+    """Estimate of a method for the pixels of a window, or of a part of it.
 
     Parameters
     ----------
     intensity : ndarray of float32, shape (H, W)
         Linear.
     variance : ndarray of float32, shape (H, W), or None
-        Of its natural log.
+        Variance of its natural log.
     valid : ndarray of bool, shape (H, W)
     quality : ndarray of float32, shape (H, W), or None
     """
@@ -68,7 +68,7 @@ class ImageMaker:
     roi : (int, int, int, int)
         The region that is the image, (x, y, width, height) on the sensor.
     layout : Layout
-        Of the whole sensor.
+        Layout of the whole sensor.
     demosaic : str
         One of ``DEMOSAIC_METHODS``.
     extinction_ratio : float or None

@@ -38,7 +38,7 @@ class StateTransfer:
     Parameters
     ----------
     snapshot : Snapshot
-        Of the method.
+        State of the method.
     fed_us, committed_us : int or None
         As the attributes of `ArrivalState`.
     pending : tuple of ndarray of EVENT_DTYPE
@@ -60,7 +60,7 @@ class InOrderState:
     Parameters
     ----------
     method : Reconstructor
-        Of the size of the window.
+        A method for the size of the window.
     window : Window
     camera : SelfCalibration, optional
         Is fed the same events and frames, of the whole sensor.
@@ -149,7 +149,7 @@ class ArrivalState:
     Parameters
     ----------
     method : Reconstructor
-        Of the size of the window; one that `takes_late_frames`.
+        A method for the size of the window that `takes_late_frames`.
     window : Window
     camera : SelfCalibration, optional
         Is fed the same events and frames, of the whole sensor, in time order.

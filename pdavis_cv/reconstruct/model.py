@@ -73,15 +73,15 @@ WAVE_DTYPE = np.dtype([
 NODE_DTYPE = np.dtype([
     ("level", "<f4"), ("h_on", "<f4"), ("h_off", "<f4"), ("noise", "<f4"),
     ("drift", "<f4"), ("n_on", "<f8"), ("n_off", "<f8")])
-"""What a frame said of one pixel."""
+"""A frame's measurement of one pixel."""
 
 PAST_DTYPE = np.dtype([
     ("base", "<f8"), ("var", "<f8"), ("t", "<i8"), ("n_on", "<f8"), ("n_off", "<f8")])
-"""What the frames on one side of a time say of one pixel."""
+"""Estimate of one pixel from the frames on one side of a time."""
 
 GAP_DTYPE = np.dtype([
     ("before", PAST_DTYPE), ("after", PAST_DTYPE), ("drift", "<f8")])
-"""What those on both sides say."""
+"""Estimates from both sides."""
 
 REST_PLANES, SMOOTH_PLANES = 4, 6
 """Planes of pixels at rest, float32: log intensity, its variance at an epoch, growth of

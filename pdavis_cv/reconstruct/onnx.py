@@ -99,7 +99,7 @@ def network_onnx(weights: Weights, height: int, width: int) -> bytes:
     ----------
     weights : Weights
     height, width : int
-        Of the planes, in macropixels.
+        Shape of the planes, in macropixels.
 
     Returns
     -------

@@ -15,7 +15,7 @@ from pdavis_cv.reconstruct.weights import Weights
 __all__ = ["BACKENDS", "chosen_backend", "make_runner"]
 
 BACKENDS = ("onnxruntime", "cv2")
-"""What can run a network, the quicker one first."""
+"""Runners of a network, the quicker one first."""
 
 _SMALL = 4096  # cells that are not worth a second thread
 
@@ -64,7 +64,7 @@ def make_runner(weights: Weights, height: int, width: int, backend: str) -> Runn
     ----------
     weights : Weights
     height, width : int
-        Of the planes, in macropixels.
+        Shape of the planes, in macropixels.
     backend : {"onnxruntime", "cv2"}
 
     Returns

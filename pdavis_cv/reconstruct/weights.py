@@ -30,7 +30,7 @@ MEMORY = (8.0, 64.0)
 _ENDS = {"firenet": (BINS, 1, 0), "joint": (4 * BINS + 8, 6, 8)}
 _META = "about"
 _MOST_BYTES = 1 << 24
-"""Of all weights of a network; those that ship have 0.2 MB."""
+"""Bound on all weights of a network; those that ship have 0.2 MB."""
 
 
 def expected_shapes(network: str) -> dict[str, tuple[int, ...]]:

@@ -1,4 +1,4 @@
-"""What passing frames and events tell about their own camera.
+"""Estimates of a camera's parameters from its own frames and events.
 
 For whoever feeds a stream: `SelfCalibration` looks on and gives a `CameraEstimate`
 (contrast thresholds, bandwidth of the photoreceptors, event noise, refractory period)

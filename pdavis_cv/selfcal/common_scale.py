@@ -56,7 +56,7 @@ _MAX_SIGMA = 0.05
 much as the models have wrong (`_MODEL_SIGMA`)."""
 
 _MODEL_SIGMA = 0.03
-"""What the models of frames and interpolation have wrong in the scale (ln): rms error
+"""Error of the scale (ln) by the models of frames and interpolation: rms error
 where thresholds are stated right (studies/selfcal_common_scale.py)."""
 
 _LEAST_BEND = 1.0
@@ -126,9 +126,9 @@ def fit_common_scale(
         Whether another bandwidth may belong to another scale.  The search then begins
         at the usual one too: what fits wrong thresholds best may be far off.
     clock_us : int
-        By how much frames must be moved for nominal thresholds to fit best.
+        Shift of the frames with which nominal thresholds fit best, us.
     before : CommonScale, optional
-        What was found with other stamps: the search begins there too.
+        Result with other stamps; the search begins there too.
     """
     clean = sample.without_dim_samples().with_leak_in_frames()
     # Elsewhere interpolation errs by as much as a threshold, and attenuates the scale.

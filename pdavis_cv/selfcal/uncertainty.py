@@ -37,7 +37,7 @@ _MIN_ON_RATE_HZ = 3.0
 
 @dataclass(frozen=True, eq=False)
 class PixelActivity:
-    """What each pixel of the sensor has shown.
+    """Activity of each pixel of the sensor.
 
     Parameters
     ----------

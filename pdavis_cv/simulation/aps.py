@@ -115,13 +115,13 @@ class ApsPixel:
         maps : mapping of str to ndarray
             What `maps` returned.
         seed : int
-            Of the noise.
+            Seed of the noise.
         frame : int
             Number of the frame since the recording's start.
         origin : (int, int)
             (row, column) of the first pixel on the sensor.
         current : float
-            What the dark current is multiplied by.
+            Factor on the dark current.
 
         Returns
         -------

@@ -38,7 +38,7 @@ _NOMINAL_OPTICS = Optics(
     angle_sigma=math.radians(0.7), gain_sigma=0.02)
 _REALISTIC_DVS = dataclasses.replace(
     _NOMINAL_DVS, cutoff_hz=None, cutoff_hz_per_dn_ms=0.42 * 20, burst_chance=0.002)
-# What the maker of a camera states: thresholds of 0.2, whatever a specimen has.
+# The maker of a camera states thresholds of 0.2, whatever a specimen has.
 _STATED_DVS = dataclasses.replace(_REALISTIC_DVS, theta_on=0.2, theta_off=0.2)
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
@@ -87,9 +87,9 @@ class Camera:
     bus : Bus, optional
         Read-out bus of the events; None for one without limits.
     faults : Faults, optional
-        What is wrong with stamps and streams; None for nothing.
+        Faults of stamps and streams; None for none.
     temperature : Temperature, optional
-        Of the chip; None for that at which the parameters of the parts hold.
+        Temperature of the chip; None: that at which the parts' parameters hold.
     seed : int
         Names the specimen: its maps, and with ``run`` its noise.
     size : (int, int)

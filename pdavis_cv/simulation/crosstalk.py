@@ -43,8 +43,8 @@ class Neighbours:
     shares : sequence of 3 sequences of 3 floats
         Share of a pixel's light that comes from above left, above, ... below right.
     responses : ndarray of float64, shape (H + 2, W + 2, C)
-        Of each pixel by itself; the first and last rows and columns are neighbours of
-        the region, 0 where the sensor ends.
+        Those of each pixel by itself; the first and last rows and columns are
+        neighbours of the region, 0 where the sensor ends.
     """
 
     def __init__(self, shares: Kernel, responses: FloatArray) -> None:
@@ -76,7 +76,7 @@ class Neighbours:
             As many as the responses' components, in front of these rows and of the
             pixels around them.
         rows : slice
-            Of the region.
+            Rows of the region.
 
         Returns
         -------

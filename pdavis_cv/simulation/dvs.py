@@ -168,7 +168,7 @@ class PixelArray:
     maps : mapping of str to ndarray, shape (H, W)
         What `DvsPixel.maps` returned, or measured ones.
     seed : int
-        Of the noise.
+        Seed of the noise.
     origin : (int, int)
         (row, column) of the first pixel on the sensor.
     """

@@ -47,7 +47,7 @@ class Waveplate:
     order : int
         Whole waves of retardance beyond: 0 for a zero-order plate.
     achromatic : bool
-        Of the same retardance at each wavelength; else of quartz.
+        Whether the retardance is the same at each wavelength; else that of quartz.
 
     Examples
     --------

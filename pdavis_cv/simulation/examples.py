@@ -21,7 +21,7 @@ class Example:
     Parameters
     ----------
     scene : Scene
-        What it looks at.
+        The scene that it looks at.
     size : (int, int)
         (height, width) of the part of the sensor, its middle.
     seconds : float

@@ -18,7 +18,7 @@ _LARGEST_DRIFT = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """What is wrong with stamps and streams; the defaults are nothing.
+    """Faults of stamps and streams; the defaults are none.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class EventFaults:
     Parameters
     ----------
     faults : Faults
-        How much.
+        Their amounts.
     seed : int
-        Of the noise.
+        Seed of the noise.
     """
 
     def __init__(self, faults: Faults, seed: int) -> None:

@@ -64,7 +64,7 @@ def rotating_polarizer(
     dolp : float
         Degree of linear polarization of the light, 0..1.
     extinction_ratio : float
-        Of the camera's analysers, above 1; the smallest intensity behind one is
+        That of the camera's analysers, above 1; the smallest intensity behind one is
         the largest divided by this.
 
     Returns

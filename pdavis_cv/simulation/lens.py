@@ -32,8 +32,8 @@ class Lens:
         Angle of incidence, radians, at which a polarizer's extinction ratio is half:
         ``ER / (1 + (angle / half_ratio)^2)``.
     diattenuation, retardance : float
-        Of the glass at the sensor's corners, 0..1 and radians, growing with the square
-        of the distance from the middle, as Fresnel's equations do with the angle.
+        Those of the glass at the sensor's corners, 0..1 and radians, growing with the
+        square of the distance from the middle, as Fresnel's equations do with the angle.
         Light polarized towards the middle passes best, and fastest.
 
     Notes

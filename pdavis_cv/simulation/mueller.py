@@ -65,7 +65,7 @@ def rotated(matrix: ArrayLike, angle: ArrayLike) -> FloatArray:
     Parameters
     ----------
     matrix : array_like, shape (..., 4, 4)
-        Of the element before.
+        Matrix of the element before.
     angle : array_like, shape (...)
         Radians.
     """
@@ -93,7 +93,7 @@ def is_physical(matrix: ArrayLike, tolerance: float = 1e-9) -> bool:
     matrix : array_like, shape (..., 4, 4)
         All of them must be.
     tolerance : float
-        Of an eigenvalue, relative to the mean transmission.
+        Tolerance of an eigenvalue, relative to the mean transmission.
     """
     matrix = np.asarray(matrix, np.float64)
     products = np.einsum("iab,jcd->ijacbd", _PAULI, _PAULI.conj()).reshape(4, 4, 4, 4)

@@ -55,7 +55,7 @@ def named_scene(
     hz : float
         Cycles of the tendon per second.
     seed : int
-        Of the texture.
+        Seed of the texture.
     start_angle : float
         Angle at time 0, radians.
     light : float, optional

@@ -43,7 +43,7 @@ class Optics:
     gain_sigma, gain_smooth : float
         Relative spread of sensitivity: per pixel, and the fall towards the corners.
     lens : Lens, optional
-        What is in front of the polarizers; None: light falls straight on them.
+        Elements in front of the polarizers; None: light falls straight on them.
     crosstalk : 3 rows of 3 floats, optional
         Share of its light that a pixel has from each of those around it, in the middle
         from itself, behind their polarizers; `crosstalk.kernel` makes one.  None: none.

@@ -55,7 +55,7 @@ class Fan(Scene):
     centre : (float, float)
         x and y of the axis in pixels of the sensor.
     radius, hub : float
-        Of the wheel and of its opaque hub, pixels.
+        Radii of the wheel and of its opaque hub, pixels.
     edge : float
         Width of the soft edges, pixels.
     opaque : float
@@ -269,7 +269,7 @@ class Texture(Scene):
     waves : int
         Plane waves per field.
     seed : int
-        Of the texture.
+        Seed of the texture.
     """
 
     velocity: tuple[float, float] = (200.0, 60.0)

@@ -208,7 +208,7 @@ class Flicker(Scene):
     Parameters
     ----------
     scene : Scene
-        What the lamp lights.
+        The scene that the lamp lights.
     hz : float
         100 or 120 for a lamp on the mains.
     depth : float
@@ -502,7 +502,7 @@ class MalusSweep(Scene):
     move_us : float
         Part of it that the turn takes.
     s0, dolp, start_angle : float
-        Of the light, DN per ms, 0..1 and radians.
+        Those of the light: DN per ms, 0..1 and radians.
     """
 
     step: float = math.radians(5)

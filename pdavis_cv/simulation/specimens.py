@@ -119,7 +119,7 @@ def drawn(name: str, parts: Mapping[str, Any], seed: int) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        Of the preset; one without a population stays as it is.
+        Name of the preset; one without a population stays as it is.
     parts : mapping of str to dataclass
         The preset's parts.
     seed : int

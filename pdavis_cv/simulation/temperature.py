@@ -13,7 +13,7 @@ BOLTZMANN_EV = 8.617333e-5
 ZERO_C = 273.15
 
 Conditions = tuple[float, float, float]
-"""What thresholds ON and OFF, and thermal currents, are multiplied by."""
+"""Factors on thresholds ON and OFF, and on thermal currents."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -112,7 +112,7 @@ class KalmanFilter(Reconstructor):
         intensity (Hz per DN/ms), and the relative error of both, default 0.03, which
         counts in the variance.  Default: no lag.
     noise : (float, float, float) or (float, float, float, float)
-        What de-blurring leaves in a frame (standard deviation of log intensity), and
+        Residual error of a de-blurred frame (standard deviation of log intensity), and
         the variance of the sum of events per second and per event, in units of the
         threshold squared; then what the variance of the frames' read and shot noise
         is multiplied by, default 1.  `CALIBRATED_NOISE` is for pixels whose responses

@@ -37,7 +37,7 @@ squares."""
 
 
 class Saturated:
-    """What events alone tell of pixels that frames measure badly or not at all.
+    """Estimates from events alone of pixels that frames measure badly or not at all.
 
     Macropixels with such a pixel in the first frame are put side by side, as the cells
     of a sensor of their own that `EventRedundancy` sees.  Where there are none this
