@@ -33,8 +33,8 @@ class Lens:
         ``ER / (1 + (angle / half_ratio)^2)``.
     diattenuation, retardance : float
         Those of the glass at the sensor's corners, 0..1 and radians, growing with the
-        square of the distance from the middle, as Fresnel's equations do with the angle.
-        Light polarized towards the middle passes best, and fastest.
+        square of the distance from the middle, as Fresnel's equations do with the
+        angle.  Light polarized towards the middle passes best, and fastest.
 
     Notes
     -----
