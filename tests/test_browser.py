@@ -11,6 +11,7 @@ from pdavis_cv.export import AnimationFile, VideoFile
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
+from pdavis_cv.viewer.panes import pane
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or (
@@ -91,6 +92,23 @@ def test_a_recording_plays_to_its_end_and_seeks_back(page):
     assert int(page.input_value("#seek")) == 4
 
 
+def test_colours_on_the_page_are_those_of_the_pictures(page, served):
+    page.keyboard.press("4")
+    until(page, "document.querySelector('#pane-events')?.width === 24")
+    _, image = served.show.latest(0, 1)
+    for name in ("s0", "aop", "dolp", "events"):
+        found = page.evaluate("""name => {
+            const canvas = document.getElementById('pane-' + name);
+            return [...canvas.getContext('2d').getImageData(
+                0, 0, canvas.width, canvas.height).data];
+        }""", name)
+        shown = np.array(found).reshape(16, 24, 4)
+        picture = pane(name, served.show, image)[..., ::-1].astype(int)
+        # A part in 255 of a turn of hue is six of its colours, of the ramp at most 7.
+        most = 7 if name in ("aop", "dolp") else 0
+        assert np.abs(shown[..., :3] - picture).max() <= most
+
+
 def test_pointing_tells_values_and_dragging_makes_a_trace(page):
     box = page.locator("#pane-aop").bounding_box()
     x, y = box["x"] + box["width"] / 3, box["y"] + box["height"] / 3
@@ -130,7 +148,7 @@ def test_two_pages_and_a_narrow_screen(page, browser, served):
         drawn(page, before + 1)
 
 
-def test_a_live_source_is_drawn_with_its_statistics(browser, recording):
+def test_a_live_source_is_shownwith_its_statistics(browser, recording):
     source = ReplaySource(recording, "test", loop=True)
     with Session(source, **OPTIONS) as session, serve(session, port=0) as running, (
             browser.new_page()) as page:

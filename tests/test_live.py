@@ -26,6 +26,7 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.live.clock import HostClock, in_order
 from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.inbox import Inbox, Waiting
+from pdavis_cv.live.recorder import HURRY_BYTES, Recorder, _Pace
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.reconstruct.frames import FrameHold
 from pdavis_cv.recording.files import ProblemLog
@@ -316,6 +317,57 @@ def test_what_arrives_is_recorded_to_the_last_sample(recording, tmp_path):
         np.testing.assert_array_equal(written.events(), recording.events())
         for one, two in zip(frames_of(written), frames_of(recording), strict=True):
             np.testing.assert_array_equal(one.dn, np.maximum(np.rint(two.dn), 0))
+
+
+def test_what_the_disk_is_behind_with_is_stored_and_all_of_it(
+        recording, tmp_path, monkeypatch):
+    monkeypatch.setattr("pdavis_cv.live.recorder.HURRY_BYTES", -1)
+    recorder = Recorder(tmp_path / "run.aedat4", recording.info, False,
+                        ProblemLog("test"))
+    for packet in recording.packets():
+        recorder.add(packet)
+    recorder.close()
+    plain = tmp_path / "plain.aedat4"
+    pdavis_cv.write_aedat4(plain, recording)
+    assert recorder.path.stat().st_size > 1.2 * plain.stat().st_size
+    with pdavis_cv.open_recording(recorder.path, layout=Layout.PDAVIS) as written:
+        np.testing.assert_array_equal(written.events(), recording.events())
+        assert not written.problems
+
+
+def test_packets_are_stored_only_where_that_is_faster():
+    pace = _Pace()
+    assert not pace.hurries(HURRY_BYTES + 1)        # not known yet how long it takes
+    pace.took(2.0, 1)
+    assert not pace.hurries(0)
+    assert pace.hurries(HURRY_BYTES + 1)            # tried
+    pace.took(3.0, 1)
+    assert not pace.hurries(HURRY_BYTES + 1)        # the disk is slow
+    pace.took(2.0, 1)
+    again = [pace.hurries(HURRY_BYTES + 1) for _ in range(20)]
+    assert again.index(True) > 5                    # it may have been a bad moment
+    pace.took(1.0, 1)
+    assert pace.hurries(HURRY_BYTES + 1)
+
+
+def test_packets_that_wait_are_handed_out_as_one_of_ten_milliseconds():
+    events = random_events(900, (8, 8), stop_us=30_000)
+    parts = [events[i:i + 30] for i in range(0, 900, 30)]
+    inbox = Inbox(True, ProblemLog("test"), waits=False)
+    for part in parts:
+        inbox.put(Packet(part, (random_frame((8, 8), 1_000),) if part is parts[1]
+                         or part is parts[2] else ()))
+    inbox.put(Packet(until_us=31_000))
+    given = []
+    with pytest.raises(Waiting):
+        given.extend(inbox)
+    np.testing.assert_array_equal(
+        np.concatenate([packet.events for packet in given]), events)
+    assert len(given) <= 6
+    assert all(len(packet.frames) <= 1 for packet in given)
+    assert max(packet.stop_us - packet.start_us
+               for packet in given if len(packet.events)) <= 10_000
+    assert given[-1].until_us == 31_000
 
 
 def frames_of(recording):

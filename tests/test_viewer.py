@@ -22,7 +22,7 @@ from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
 from pdavis_cv.viewer import handler, server
-from pdavis_cv.viewer.panes import PANES, values
+from pdavis_cv.viewer.panes import NONE, palettes, pane, planes, values
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "method": "cf"}
 PATIENCE_S = 60
@@ -63,16 +63,20 @@ def frame(running, **values):
     query = "&".join(f"{name}={value}" for name, value in values.items())
     status, body = ask(running, f"/frame?{query}")
     assert status == 200, body
+    return parted(body)
+
+
+def parted(body):
+    """Return the JSON text and the planes of what the page gets."""
     length, = struct.unpack_from("<I", body)
-    told, at, pictures = json.loads(body[4:4 + length]), 4 + length, {}
-    for one in told["panes"]:
-        shape = one["height"], one["width"], 3
+    told, at, planes = json.loads(body[4:4 + length]), 4 + length, {}
+    for name in told["planes"]:
+        shape = told["height"], told["width"]
         size = int(np.prod(shape))
-        pictures[one["name"]] = np.frombuffer(
-            body, np.uint8, size, at).reshape(shape)[..., ::-1]
+        planes[name] = np.frombuffer(body, np.uint8, size, at).reshape(shape)
         at += size
     assert at == len(body)
-    return told, pictures
+    return told, planes
 
 
 def image_at(recording, t_us):
@@ -91,16 +95,34 @@ def test_the_page_and_its_files_are_there_and_name_no_other_address(served):
         assert b"//" not in body.replace(b"// ", b"").replace(b"://localhost", b"")
 
 
-def test_a_frame_holds_the_pictures_and_values_of_its_image(served, recording):
-    told, pictures = frame(served, panes=",".join(PANES), region="2,1,4,3")
+def test_a_frame_holds_the_planes_and_values_of_its_image(served, recording):
+    told, found = frame(served, panes="uncertainty,aop,s0", region="2,1,4,3")
     image = image_at(recording, told["t_us"])
+    assert list(found) == ["uncertainty", "aop", "s0", "dolp"]
     np.testing.assert_array_equal(
-        pictures["aop_bgr"], pdavis_cv.render.aop_bgr(image.aop, image.valid))
-    np.testing.assert_array_equal(
-        pictures["dolp"], pdavis_cv.render.dolp_bgr(image.dolp, image.valid))
-    assert set(pictures) == set(PANES)
+        found["s0"], pane("s0", served.show, image)[..., 0])
+    np.testing.assert_array_equal(found["dolp"] == NONE, ~image.valid)
+    np.testing.assert_array_equal(found["uncertainty"], NONE)     # cf gives none
     assert told["values"] == json.loads(json.dumps(values(image, (2, 1, 4, 3))))
     assert told["values"]["pixels"] == np.count_nonzero(image.valid[1:4, 2:6])
+
+
+def test_colours_of_planes_are_those_of_the_pictures():
+    quad = np.random.default_rng(3).uniform(1, 100, (4, 20, 30)).astype(np.float32)
+    valid = np.random.default_rng(4).random((20, 30)) > 0.1
+    image = pdavis_cv.PolarFrame(
+        quad, variance=np.full_like(quad, 30), t_us=7, valid=valid)
+    found = planes(["aop", "uncertainty"], None, image)
+    colours = palettes()
+    ramp, hues = (np.array(colours[name], int) for name in ("ramp", "aop"))
+    part = np.minimum(found["dolp"][..., None] / 254 / colours["full_dolp"], 1)
+    part[~valid] = 1
+    for drawn, name in ((ramp[found["dolp"]], "dolp"),
+                        (ramp[found["uncertainty"]], "uncertainty"),
+                        (hues[found["aop"]] * part, "aop")):
+        picture = pane(name, None, image)[..., ::-1].astype(int)
+        # A part in 255 of a turn of hue is six of its colours.
+        assert np.abs(drawn - picture).max() <= 7, name
 
 
 def test_values_are_those_of_the_mean_stokes_vector():
@@ -132,10 +154,11 @@ def test_a_file_plays_seeks_and_steps(served, recording):
     told, _ = frame(served, panes="aop")
     number, first = told["number"], told["t_us"]
     assert command(served, "seek", 5)[1]["index"] == 5
-    told, pictures = frame(served, panes="aop_bgr", after=number)
+    told, pictures = frame(served, panes="aop", after=number)
     assert told["t_us"] == first + round(5 * 1e6 / 60)
-    np.testing.assert_array_equal(pictures["aop_bgr"], pdavis_cv.render.aop_bgr(
-        image_at(recording, told["t_us"]).aop, image_at(recording, told["t_us"]).valid))
+    image = image_at(recording, told["t_us"])
+    np.testing.assert_array_equal(
+        pictures["aop"], planes(["aop"], served.show, image)["aop"])
     assert command(served, "step", 1)[1]["index"] == 6
     assert command(served, "step", -2)[1]["index"] == 4
     assert command(served, "speed", 100)[1]["speed"] == 100
@@ -174,7 +197,7 @@ def test_a_live_source_is_shown_and_recorded(recording, tmp_path):
             session, port=0, record_to=tmp_path) as running:
         told, pictures = frame(running, panes="aop,events")
         assert told["status"]["live"]
-        assert pictures["events"].shape == (8, 12, 3)
+        assert pictures["events"].shape == (8, 12)
         told = command(running, "record", True)[1]
         name = told["stats"]["recording"]
         assert "/" not in name
@@ -193,11 +216,11 @@ def test_cv2_reads_the_stream(served, recording):
     assert capture.isOpened()
     ok, picture = capture.read()
     capture.release()
-    _, pictures = frame(served, panes="aop_bgr")
+    shown = pane("aop_bgr", served.show, served.show.latest(0, 1)[1])
     assert ok
-    assert picture.shape == pictures["aop_bgr"].shape
+    assert picture.shape == shown.shape
     # 4:4:4: colours at half the size would be far off on this picture.
-    rms = np.sqrt(np.mean((picture.astype(float) - pictures["aop_bgr"]) ** 2))
+    rms = np.sqrt(np.mean((picture.astype(float) - shown) ** 2))
     assert rms < 25
 
 
@@ -220,6 +243,101 @@ def test_the_stream_repeats_its_last_picture_where_none_comes(served, monkeypatc
 
 
 # ---- who is refused ----------------------------------------------------------------
+
+
+def opened(running, path="/images", **headers):
+    """Return a connection that asked for a WebSocket, and the answer's first line."""
+    link = socket.create_connection(("127.0.0.1", running.port), PATIENCE_S)
+    named = {"Host": f"127.0.0.1:{running.port}", "Upgrade": "websocket",
+             "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+             "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", **headers}
+    link.sendall("\r\n".join(
+        [f"GET {path} HTTP/1.1", *(f"{n}: {v}" for n, v in named.items()), "", ""]
+    ).encode())
+    file = link.makefile("rb")
+    first = file.readline().decode()
+    while (line := file.readline()) not in (b"\r\n", b""):
+        if line.lower().startswith(b"sec-websocket-accept"):   # RFC 6455, 1.3
+            assert line.split()[1] == b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo="
+    return link, file, first
+
+
+def sent(link, data, kind=1):
+    mask = bytes((1, 2, 3, 4))
+    size = (bytes((0x80 | len(data),)) if len(data) < 126
+            else struct.pack(">BH", 0xFE, len(data)))
+    link.sendall(bytes((0x80 | kind,)) + size + mask + bytes(
+        byte ^ mask[i % 4] for i, byte in enumerate(data)))
+
+
+def message(file):
+    kind, size = file.read(2)
+    if size == 126:
+        size, = struct.unpack(">H", file.read(2))
+    elif size == 127:
+        size, = struct.unpack(">Q", file.read(8))
+    return kind & 15, file.read(size)
+
+
+def test_a_socket_gives_an_image_for_each_message(served):
+    link, file, first = opened(served)
+    with link, file:
+        assert " 101 " in first
+        sent(link, b'{"after": 0, "panes": ["s0", "dolp"], "id": 1}')
+        kind, body = message(file)
+        told, found = parted(body)
+        assert (kind, told["id"], list(found)) == (2, 1, ["s0", "dolp"])
+        # While it waits for the next image it is asked for the newest again.
+        sent(link, json.dumps({"after": told["number"], "id": 2}).encode())
+        sent(link, b"hello", kind=9)
+        sent(link, b'{"panes": ["aop"], "region": [1, 1, 2, 2], "id": 3}')
+        told, found = parted(message(file)[1])
+        assert (told["id"], list(found)) == (3, ["aop", "dolp"])
+        assert told["values"]["x"] == 1
+        sent(link, b"", kind=8)
+        assert file.read() == b""
+
+
+@pytest.mark.parametrize(("data", "message_"), [
+    (b"no", "Expecting value"), (b"[]", "must be {"), (b'{"panes": 7}', "panes"),
+    (b'{"panes": ["no"]}', "panes must be of"), (b'{"after": 1.5}', "after"),
+    (b'{"region": [1, 2, 3]}', "region"), (b"[" * 3000, ""), (b"x" * 5000, "at most"),
+    (b'{"panes": [' + b'"s0", ' * 99 + b'"s0"]}', "at most")])
+def test_what_a_socket_does_not_take_ends_it(served, data, message_):
+    link, file, _ = opened(served)
+    with link, file:
+        sent(link, data)
+        kind, body = message(file)
+        assert kind == 8
+        assert body[:2] == struct.pack(">H", 1008)
+        assert message_ in body.decode("latin-1")
+        assert file.read() == b""
+
+
+@pytest.mark.parametrize("data", [b"\x81\x02{}", b"\x01\x82....{}", b"\xc1\x80....",
+                                  b"\x81\xff" + b"\xff" * 12, b"\x82\x80...."])
+def test_a_socket_takes_whole_plain_masked_text_only(served, data):
+    link, file, _ = opened(served)
+    with link, file:
+        link.sendall(data)
+        assert message(file)[0] == 8
+
+
+@pytest.mark.parametrize(("headers", "status"), [
+    ({"Origin": "http://evil.example"}, 403), ({"Host": "evil.example"}, 403),
+    ({"Upgrade": "h2c"}, 400), ({"Sec-WebSocket-Version": "8"}, 400),
+    ({"Sec-WebSocket-Key": "short"}, 400)])
+def test_strangers_get_no_socket(served, headers, status):
+    link, file, first = opened(served, **headers)
+    with link, file:
+        assert f" {status} " in first
+
+
+def test_a_silent_socket_is_closed(served, monkeypatch):
+    monkeypatch.setattr("pdavis_cv.viewer.handler.PATIENCE_S", 0.2)
+    link, file, _ = opened(served)
+    with link, file:
+        assert file.read() == b""
 
 
 @pytest.mark.parametrize(("path", "headers", "status"), [

@@ -212,7 +212,7 @@ def _look(url: str, ended: threading.Event) -> None:
     """Ask for pictures as the viewer's page does."""
     number = 0
     while not ended.is_set():
-        address = (f"{url}frame?panes=s0,aop_bgr,dolp_bgr,events_bgr&after={number}"
+        address = (f"{url}frame?panes=s0,aop,dolp,events&after={number}"
                    "&region=2,2,4,4")
         with urllib.request.urlopen(address, timeout=60) as answer:
             answer.read()

@@ -4,12 +4,17 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
-from pdavis_cv.recording.base import Packet
+from pdavis_cv.recording.base import (
+    MAX_PACKET_EVENTS,
+    MAX_PACKET_US,
+    Packet,
+    joined,
+)
 from pdavis_cv.recording.files import ProblemLog
 
-__all__ = ["Inbox", "Waiting", "size_of"]
+__all__ = ["Inbox", "Waiting", "fitting", "size_of", "together"]
 
 LONGEST_LAG_US = 500_000
 """Stream time that may wait to be fused; beyond, time jumps to now; us."""
@@ -129,13 +134,54 @@ class Inbox:
                 if not self._waits:
                     raise Waiting
                 self._change.wait()
-            packet = self._packets.popleft()
-            self._bytes -= size_of(packet)
+            parts = [self._packets.popleft()]
+            if self._lossy:     # each packet costs, whatever it holds
+                n = fitting(parts[0], self._packets)
+                parts += [self._packets.popleft() for _ in range(n)]
+            self._bytes -= sum(map(size_of, parts))
             self._change.notify_all()
-            return packet
+        return together(parts)
 
 
 def size_of(packet: Packet) -> int:
     """Return the bytes of a packet's arrays."""
     return (packet.events.nbytes + packet.imu.nbytes + packet.triggers.nbytes
             + sum(frame.dn.nbytes for frame in packet.frames))
+
+
+def fitting(first: Packet, others: Iterable[Packet]) -> int:
+    """Return how many of the next packets fit into one with the first.
+
+    Parameters
+    ----------
+    first : Packet
+    others : iterable of Packet
+        Those that follow it.
+    """
+    begin = first.until_us if first.start_us is None else first.start_us
+    events, frames, n = len(first.events), len(first.frames), 0
+    for other in others:
+        end = other.until_us if other.stop_us is None else other.stop_us
+        events, frames = events + len(other.events), frames + len(other.frames)
+        if (begin is None or end is None or end - begin > MAX_PACKET_US
+                or events > MAX_PACKET_EVENTS or frames > 1):
+            break
+        n += 1
+    return n
+
+
+def together(parts: Sequence[Packet]) -> Packet:
+    """Return packets that follow each other, at least one, as one.
+
+    Parameters
+    ----------
+    parts : sequence of Packet
+    """
+    if len(parts) == 1:
+        return parts[0]
+    until = [part.until_us for part in parts if part.until_us is not None]
+    return Packet(
+        joined([part.events for part in parts]),
+        tuple(frame for part in parts for frame in part.frames),
+        joined([part.imu for part in parts]),
+        joined([part.triggers for part in parts]), max(until, default=None))

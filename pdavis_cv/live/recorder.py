@@ -5,11 +5,12 @@ import os
 import shutil
 import tempfile
 import threading
+import time
 from collections import deque
 from pathlib import Path
 
 from pdavis_cv.errors import DeviceError
-from pdavis_cv.live.inbox import size_of
+from pdavis_cv.live.inbox import size_of, together
 from pdavis_cv.recording.aedat4.reader import Aedat4Recording
 from pdavis_cv.recording.aedat4.writer import Aedat4Writer
 from pdavis_cv.recording.base import (
@@ -19,7 +20,6 @@ from pdavis_cv.recording.base import (
     Recording,
     RecordingInfo,
     Source,
-    joined,
 )
 from pdavis_cv.recording.files import ProblemLog
 
@@ -27,6 +27,13 @@ __all__ = ["Recorder", "recorded"]
 
 MOST_BYTES = 256 * 2**20
 """Packets that wait for the disk are at most so large: 2 s of 10 million events/s."""
+HURRY_BYTES = MOST_BYTES // 16
+"""From so many bytes that wait on, packets may be written without compression."""
+_MEMORY = 32
+"""Packets over which the time of writing is averaged: a third of a second's."""
+_FORGOTTEN = 1 - 1 / _MEMORY
+"""Factor per packet of a time that is too long to be tried: it may have been the disk's
+bad moment."""
 
 
 class Recorder:
@@ -68,6 +75,7 @@ class Recorder:
         self._ended = False
         self.events = self.dropped_events = 0
         self.error: str | None = None
+        self._pace = _Pace()
         self._thread = threading.Thread(
             target=self._write, name="pdavis recorder", daemon=True)
         self._thread.start()
@@ -105,8 +113,11 @@ class Recorder:
     def _write(self) -> None:
         try:
             while (packet := self._next()) is not None:
+                self._writer.hurried = self._pace.hurries(self._bytes)
+                begun = time.perf_counter()
                 self._writer.add(packet)
                 self._writer.flush()
+                self._pace.took(time.perf_counter() - begun, size_of(packet))
                 self.events += len(packet.events)
             self._writer.close()
         except (OSError, ValueError) as error:
@@ -147,13 +158,36 @@ class Recorder:
                         or count + len(after.events) > MAX_PACKET_EVENTS):
                     break
             self._change.notify_all()
-        if len(parts) == 1:
-            return parts[0]
-        return Packet(
-            joined([part.events for part in parts]),
-            tuple(frame for part in parts for frame in part.frames),
-            joined([part.imu for part in parts]),
-            joined([part.triggers for part in parts]))
+        return together(parts)
+
+
+class _Pace:
+    """Whether packets are compressed: not where that keeps the disk waiting.
+
+    Without compression twice as much is written, which a slow disk takes longer for
+    than a processor to compress.  Which is which shows when both have been tried.
+    """
+
+    def __init__(self) -> None:
+        self._hurried = False
+        self._seconds: dict[bool, float] = {}       # per byte of packets, by manner
+
+    def hurries(self, waiting_bytes: int) -> bool:
+        """Say whether the next packet is only stored, so many bytes being behind it."""
+        behind = waiting_bytes > HURRY_BYTES
+        plain, stored = self._seconds.get(False), self._seconds.get(True)
+        self._hurried = behind and plain is not None and (
+            stored is None or stored < plain)
+        if behind and not self._hurried and stored is not None:
+            self._seconds[True] = stored * _FORGOTTEN
+        return self._hurried
+
+    def took(self, seconds: float, size: int) -> None:
+        """Note how long a packet of this size took."""
+        if not size:
+            return
+        before = self._seconds.get(self._hurried, seconds / size)
+        self._seconds[self._hurried] = before + (seconds / size - before) / _MEMORY
 
 
 class _Temporary(Aedat4Recording):

@@ -411,7 +411,7 @@ class Session:
             raise ValueError("read needs a source; images come from push")
         with self._change:
             come = self._change.wait_for(
-                lambda: self._images or self._over, timeout)
+                lambda: self._images or self.over, timeout)
             if not come:
                 raise TimeoutError(
                     f"{self._log.name}: no image for {timeout:g} s")
@@ -424,7 +424,8 @@ class Session:
             return None
 
     @property
-    def _over(self) -> bool:
+    def over(self) -> bool:
+        """Whether no image will be made any more."""
         return self._closed or self._state in ("ended", "failed")
 
     def latest(
@@ -447,7 +448,7 @@ class Session:
         """
         with self._change:
             self._change.wait_for(
-                lambda: self._latest[0] > after or self._over, timeout)
+                lambda: self._latest[0] > after or self.over, timeout)
             return self._latest if self._latest[0] > after else (after, None)
 
     def __iter__(self) -> Iterator[PolarFrame]:

@@ -6,15 +6,19 @@ import io
 import json
 import logging
 import socket
+import ssl
 import struct
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
+from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.viewer.page import page
-from pdavis_cv.viewer.panes import PANES, archive, pane, ramp, values
+from pdavis_cv.viewer.panes import PANES, archive, palettes, planes, values
+from pdavis_cv.viewer.socket import accepted_key, binary, closing, received
 
 if TYPE_CHECKING:
     from pdavis_cv.viewer.server import Server
@@ -28,7 +32,10 @@ PATIENCE_S = 10.0
 POLL_S = 1.0
 """Where no image comes, a page is answered, and a stream repeats its last, after this
 time; s."""
+LOOK_S = 0.05
+"""A page that waits for an image is heard this often: it may want another; s."""
 MOST_BODY = 65_536
+MOST_WHOLE = 10**15
 BOUNDARY = "pdavis"
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _HEADERS = {
@@ -67,17 +74,20 @@ class _Deadline(io.RawIOBase):
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         self.until_s = time.monotonic() + PATIENCE_S
+        self.waits = True
 
     def readable(self) -> bool:
         return True
 
-    def readinto(self, buffer: Any) -> int:
+    def readinto(self, buffer: Any) -> int | None:
         left = self.until_s - time.monotonic()
         if left <= 0:
             raise TimeoutError("the request took too long")
-        self._connection.settimeout(left)
+        self._connection.settimeout(left if self.waits else 0)
         try:
             return self._connection.recv_into(buffer)
+        except (BlockingIOError, ssl.SSLWantReadError):
+            return None
         finally:
             self._connection.settimeout(PATIENCE_S)
 
@@ -100,7 +110,7 @@ class Handler(BaseHTTPRequestHandler):
         """Put a deadline on what is read."""
         super().setup()
         self._deadline = _Deadline(self.connection)
-        self.rfile = io.BufferedReader(self._deadline)
+        self.rfile = self._buffered = io.BufferedReader(self._deadline)
 
     def handle_one_request(self) -> None:
         """Answer a request that arrives in time."""
@@ -119,7 +129,8 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer a GET."""
         self._answer({path: self._file for path in _FILES} | {
-            "/frame": self._frame, "/status": self._status,
+            "/frame": self._frame, "/images": self._images_asked,
+            "/status": self._status,
             "/snapshot.npz": self._snapshot, "/stream.mjpg": self._stream})
 
     def do_POST(self) -> None:
@@ -191,8 +202,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def _status(self) -> None:
         told = self._owner.show.status()
-        if "ramp" in self.query:        # once for each page, for its legends
-            told["ramp"] = ramp()
+        if "palettes" in self.query:        # once for each page
+            told["palettes"] = palettes()
         self._send(json.dumps(told).encode(), "application/json")
 
     def _snapshot(self) -> None:
@@ -202,42 +213,92 @@ class Handler(BaseHTTPRequestHandler):
         self._send(archive(image), "application/octet-stream")
 
     def _frame(self) -> None:
-        """Send the next image: length of a JSON text, the text, pictures as RGB."""
-        names = [name for name in self.query.get("panes", "").split(",") if name]
-        if len(names) > len(PANES):
-            raise ValueError(f"panes must be at most {len(PANES)}, got {len(names)}")
-        after = _whole("after", self.query.get("after", "0"))
-        region = self._region()
+        """Send the next image."""
+        asked = _Asked.of({
+            "panes": [name for name in self.query.get("panes", "").split(",") if name],
+            "after": _whole("after", self.query.get("after", "0")),
+            "region": [_whole("region", part)
+                       for part in self.query.get("region", "").split(",") if part]})
         with self._place():
-            show = self._owner.show
-            number, image = show.latest(after, POLL_S)
-            told: dict[str, Any] = {"number": number, "panes": [],
-                                    "status": show.status()}
-            parts = []
-            if image is not None:
-                told["t_us"] = image.t_us
-                for name in names:
-                    picture = pane(name, show, image)
-                    height, width = picture.shape[:2]
-                    told["panes"].append(
-                        {"name": name, "width": width, "height": height})
-                    parts.append(picture[..., ::-1].tobytes())
-                if region is not None:
-                    told["values"] = values(image, region)
-            text = json.dumps(told).encode()
-            text += b" " * (-len(text) % 4)
-            self._send(b"".join((struct.pack("<I", len(text)), text, *parts)),
+            number, image = self._owner.show.latest(asked.after, POLL_S)
+            self._send(b"".join(self._parts(asked, number, image)),
                        "application/octet-stream")
 
-    def _region(self) -> tuple[int, int, int, int] | None:
-        text = self.query.get("region")
-        if not text:
+    def _images_asked(self) -> None:
+        """Send an image for each message that asks for one, until the page is gone."""
+        key = accepted_key(dict(self.headers.items()))
+        with self._place():
+            self.close_connection = True
+            self.send_response(101)
+            for name, value in (("Upgrade", "websocket"), ("Connection", "Upgrade"),
+                                ("Sec-WebSocket-Accept", key)):
+                self.send_header(name, value)
+            self.end_headers()
+            try:
+                while (text := self._message()) is not None:
+                    asked = _Asked.of(json.loads(text))
+                    found = self._image(asked)
+                    if found is None:
+                        continue
+                    parts = self._parts(asked, *found)
+                    self.connection.settimeout(PATIENCE_S)
+                    self.wfile.write(b"".join(
+                        (binary(sum(memoryview(part).nbytes for part in parts)),
+                         *parts)))
+            except (ImportError, RecursionError, ValueError) as error:
+                self.wfile.write(closing(str(error)))
+
+    def _message(self) -> bytes | None:
+        if self._owner.closing.is_set():
             return None
-        parts = text.split(",")
-        if len(parts) != 4:
-            raise ValueError(f"region must be x,y,width,height, got {text[:40]!r}")
-        x, y, width, height = (_whole("region", part) for part in parts)
-        return x, y, width, height
+        self._deadline.until_s = time.monotonic() + PATIENCE_S
+        return received(self._buffered)
+
+    def _image(self, asked: _Asked) -> tuple[int, PolarFrame | None] | None:
+        """Wait for an image; None where the page asks for another first."""
+        due_s = time.monotonic() + POLL_S
+        while True:
+            found = self._owner.show.latest(asked.after, LOOK_S)
+            if found[1] is not None:
+                return found
+            if self._heard():
+                return None
+            left = due_s - time.monotonic()
+            if left <= 0 or self._owner.closing.is_set():
+                return found
+            if self._owner.show.over:       # nothing is waited for
+                self._owner.closing.wait(min(left, LOOK_S))
+
+    def _heard(self) -> bool:
+        """Tell whether something of the client's is there to be read."""
+        self._deadline.waits = False
+        try:
+            return bool(self._buffered.peek(1))
+        finally:
+            self._deadline.waits = True
+
+    def _parts(
+        self, asked: _Asked, number: int, image: PolarFrame | None
+    ) -> list[bytes | memoryview]:
+        """Return an image as a page takes it.
+
+        Length of a JSON text, the text, and the planes that it names, a byte a pixel.
+        """
+        show = self._owner.show
+        told: dict[str, Any] = {"number": number, "id": asked.id, "planes": [],
+                                "status": show.status()}
+        parts: list[bytes | memoryview] = []
+        if image is not None:
+            told["t_us"] = image.t_us
+            told["height"], told["width"] = image.s0.shape
+            for name, plane in planes(asked.panes, show, image).items():
+                told["planes"].append(name)
+                parts.append(plane.data)
+            if asked.region is not None:
+                told["values"] = values(image, asked.region)
+        text = json.dumps(told).encode()
+        text += b" " * (-len(text) % 4)
+        return [struct.pack("<I", len(text)), text, *parts]
 
     def _stream(self) -> None:
         """Send pictures one after the other; the last one again where none comes."""
@@ -309,7 +370,41 @@ class _Place:
         self._owner.clients.release()
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a page asks for: an image after this one, these pictures of it, a region."""
+
+    after: int
+    panes: tuple[str, ...]
+    region: tuple[int, int, int, int] | None
+    id: int
+
+    @classmethod
+    def of(cls, given: Any) -> _Asked:
+        """Return what a JSON value asks for; anything else is an error."""
+        if not isinstance(given, dict):
+            raise ValueError('what is asked for must be {"after": number, ...}')
+        panes, region = given.get("panes", []), given.get("region")
+        if not isinstance(panes, list) or not all(isinstance(n, str) for n in panes):
+            raise ValueError("panes must be a list of names")
+        if len(panes) > len(PANES):
+            raise ValueError(f"panes must be at most {len(PANES)}, got {len(panes)}")
+        if region and not (isinstance(region, list) and len(region) == 4):
+            raise ValueError("region must be x,y,width,height, got "
+                             f"{str(region)[:40]!r}")
+        x, y, width, height = (_integer("region", part) for part in region or (0,) * 4)
+        return cls(_integer("after", given.get("after", 0)), tuple(panes),
+                   (x, y, width, height) if region else None,
+                   _integer("id", given.get("id", 0)))
+
+
+def _integer(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or abs(value) > MOST_WHOLE:
+        raise ValueError(f"{name} must be integer, got {str(value)[:40]!r}")
+    return value
+
+
 def _whole(name: str, text: str) -> int:
-    if not text.lstrip("-").isdigit() or len(text) > 15:
+    if not text.lstrip("-").isdigit() or len(text) > len(str(MOST_WHOLE)):
         raise ValueError(f"{name} must be integer, got {text[:40]!r}")
     return int(text)

@@ -10,7 +10,7 @@ const ENDS = {s0: ["0", "full scale"], aop: ["0\u00b0", "180\u00b0"], dolp: ["0"
 const shown = new Set(["s0", "aop", "dolp"]);
 const figures = {};
 let large = null, region = null, drag = null, status = {}, after = 0, drawn = 0;
-let trace = [], lastImage = null, pending = null;
+let trace = [], lastImage = null, lastValues = null, socket = null, asked = 0, colours = null;
 
 function address(path, values) {
   const query = new URLSearchParams(values);
@@ -34,66 +34,111 @@ function say(text) { $("said").textContent = text; }
 
 // ---- images -----------------------------------------------------------------------
 
-async function follow() {
-  for (;;) {
-    try {
-      const values = {after: after, panes: [...shown].join(",")};
-      if (region) values.region = region.join(",");
-      pending = new AbortController();
-      const answer = await fetch(address("frame", values), {signal: pending.signal});
-      if (!answer.ok) throw new Error((await answer.json()).error);
-      take(await answer.arrayBuffer());
-    } catch (error) {
-      if (error.name === "AbortError") continue;
-      say(error.message);
-      await new Promise(done => setTimeout(done, 1000));
-    }
-  }
+// One image is asked for at a time: a page that is slow gets fewer, and none late.
+function follow() {
+  const where = new URL(address("images", {}), location.href);
+  where.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+  socket = new WebSocket(where);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => { asked = 0; ask(false); };
+  socket.onmessage = event => {
+    const told = take(event.data);
+    if (told.id === asked) ask(false);
+  };
+  socket.onclose = async event => {
+    socket = null;
+    let why = event.reason;
+    try {           // a refusal says why only to who asks without a socket
+      if (!why) why = (await (await fetch(address("status", {}))).json()).error;
+    } catch (error) { why = error.message; }
+    if (why) say(why);
+    setTimeout(follow, why ? 1000 : 100);
+  };
+}
+
+// Ask for the next image, or for the newest again: a region or a picture is new.
+function ask(again) {
+  if (again) after = 0;
+  asked += 1;
+  if (socket && socket.readyState === WebSocket.OPEN)
+    socket.send(JSON.stringify({after, panes: [...shown], region, id: asked}));
 }
 
 function take(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const told = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  let at = 4 + length;
-  for (const one of told.panes) {
-    const size = one.width * one.height * 3;
-    draw(one, new Uint8Array(buffer, at, size));
-    at += size;
-  }
+  const size = told.width * told.height, planes = {};
+  told.planes.forEach((name, i) => {
+    planes[name] = new Uint8Array(buffer, 4 + length + i * size, size);
+  });
+  for (const name of shown) if (planes[name]) draw(name, told, planes);
   after = told.number;
-  if (told.panes.length) {
+  if (told.planes.length) {
     drawn += 1;
     document.body.dataset.drawn = drawn;
     document.body.dataset.t = told.t_us;
   }
   if (told.values) measure(told.values);
   tell(told.status);
+  return told;
 }
 
-function draw(one, pixels) {
-  const figure = figures[one.name];
-  if (!figure) return;
-  const canvas = figure.canvas;
-  if (canvas.width !== one.width || canvas.height !== one.height) {
-    canvas.width = one.width;
-    canvas.height = one.height;
-    figure.image = null;
-  }
-  const context = canvas.getContext("2d");
-  if (!figure.image) {
-    figure.image = context.createImageData(one.width, one.height);
+// A plane has a number for each pixel: its colour is looked up here.
+function draw(name, {width, height}, planes) {
+  const figure = figures[name], canvas = figure.canvas;
+  if (canvas.width !== width || canvas.height !== height || !figure.image) {
+    canvas.width = width;
+    canvas.height = height;
+    figure.context = canvas.getContext("2d", {alpha: false});
+    figure.image = figure.context.createImageData(width, height);
     figure.words = new Uint32Array(figure.image.data.buffer);
   }
-  const words = figure.words;
-  for (let i = 0, j = 0; i < words.length; i++, j += 3)
-    words[i] = 0xff000000 | pixels[j + 2] << 16 | pixels[j + 1] << 8 | pixels[j];
-  context.putImageData(figure.image, 0, 0);
-  if (one.name === "s0") { lastImage = {...one, pixels}; histogram(); }
+  const words = figure.words, pixels = planes[name], n = words.length;
+  if (name === "aop") {
+    const faded = colours.aop, dolp = planes.dolp;
+    for (let i = 0; i < n; i++) words[i] = faded[dolp[i] << 8 | pixels[i]];
+  } else {
+    const table = colours[name];
+    for (let i = 0; i < n; i++) words[i] = table[pixels[i]];
+  }
+  figure.context.putImageData(figure.image, 0, 0);
+  if (name === "s0") { lastImage = {width, height, pixels}; seldom(histogram, 200); }
+}
+
+// Tables from a plane's number to a pixel of a canvas; of AoP, by DoLP's number too.
+function makeColours({aop, ramp, full_dolp: full}) {
+  const word = ([r, g, b], part) => (0xff000000 | Math.round(b * part) << 16
+    | Math.round(g * part) << 8 | Math.round(r * part)) >>> 0;
+  const greys = Uint32Array.from({length: 256}, (_, i) => word([i, i, i], 1));
+  const ramps = Uint32Array.from(ramp, colour => word(colour, 1));
+  const faded = new Uint32Array(256 * 256);
+  for (let d = 0; d < 256; d++)
+    for (let a = 0; a < 256; a++)
+      faded[d << 8 | a] = word(aop[a], a === 255 ? 1 : Math.min(d / 254 / full, 1));
+  colours = {s0: greys, events: greys, dolp: ramps, uncertainty: ramps, aop: faded};
+}
+
+// Numbers and curves change four to ten times a second, as fast as one can read; the
+// last change is never left out.
+const done = new Map(), waiting = new Set();
+function seldom(does, ms) {
+  if (waiting.has(does)) return;
+  waiting.add(does);
+  const now = performance.now(), due = (done.get(does) || 0) + ms;
+  setTimeout(() => {
+    waiting.delete(does);
+    done.set(does, performance.now());
+    does();
+  }, Math.max(due - now, 0));
+}
+
+function put(id, text) {
+  if ($(id).textContent !== text) $(id).textContent = text;
 }
 
 function histogram() {
   const {width, height, pixels} = lastImage, counts = new Float64Array(256);
-  for (let j = 0; j < pixels.length; j += 3) counts[pixels[j]]++;
+  for (const value of pixels) counts[value]++;
   const canvas = $("histogram"), context = canvas.getContext("2d");
   const style = getComputedStyle(document.documentElement);
   const most = Math.max(...counts, 1);
@@ -110,14 +155,14 @@ function histogram() {
   let sum = 0, n = 0;
   for (let y = Math.max(y0, 1); y < Math.min(y0 + h, height - 1); y++)
     for (let x = Math.max(x0, 1); x < Math.min(x0 + w, width - 1); x++) {
-      const i = 3 * (y * width + x);
-      const d = 4 * pixels[i] - pixels[i - 3] - pixels[i + 3]
-        - pixels[i - 3 * width] - pixels[i + 3 * width];
+      const i = y * width + x;
+      const d = 4 * pixels[i] - pixels[i - 1] - pixels[i + 1]
+        - pixels[i - width] - pixels[i + width];
       sum += d * d;
       n++;
     }
-  $("focus").textContent = `sharpness ${(sum / Math.max(n, 1)).toFixed(1)}   `
-    + `full scale ${(100 * full).toFixed(1)} %`;
+  put("focus", `sharpness ${(sum / Math.max(n, 1)).toFixed(1)}   `
+    + `full scale ${(100 * full).toFixed(1)} %`);
 }
 
 // ---- pictures and regions -----------------------------------------------------------
@@ -158,16 +203,9 @@ function makeFigures() {
         Math.abs(x - drag[0]) + 1, Math.abs(y - drag[1]) + 1];
       arrange();
     };
-    canvas.onpointerup = () => { drag = null; trace = []; ask(); };
+    canvas.onpointerup = () => { drag = null; trace = []; ask(true); };
   }
   arrange();
-  legends();
-}
-
-// Ask for the newest image again: a region or a picture is new.
-function ask() {
-  after = 0;
-  if (pending) pending.abort();
 }
 
 function place(canvas, event) {
@@ -179,7 +217,7 @@ function place(canvas, event) {
 function toggle(name) {
   if (shown.has(name)) shown.delete(name); else shown.add(name);
   arrange();
-  ask();
+  ask(true);
 }
 
 function arrange() {
@@ -198,7 +236,7 @@ function arrange() {
   }
 }
 
-function legends() {
+function legends(palettes) {
   const fill = (name, colour) => {
     const context = figures[name].bar.getContext("2d");
     for (let x = 0; x < 144; x++) {
@@ -209,9 +247,9 @@ function legends() {
   const grey = part => `rgb(${[0, 0, 0].map(() => Math.round(255 * part))})`;
   fill("s0", grey);
   fill("events", grey);
-  fill("aop", part => `hsl(${360 * part} 100% 50%)`);
+  fill("aop", part => `rgb(${palettes.aop[Math.round(254 * part)]})`);
   for (const name of ["dolp", "uncertainty"])
-    fill(name, part => `rgb(${status.ramp ? status.ramp[Math.round(255 * part)] : [0, 0, 0]})`);
+    fill(name, part => `rgb(${palettes.ramp[Math.round(254 * part)]})`);
 }
 
 // ---- numbers and traces --------------------------------------------------------------
@@ -221,19 +259,27 @@ function number(value, digits) {
 }
 
 function measure(v) {
-  if (v.aop_deg === undefined) { $("angle").textContent = "\u2013"; return; }
+  lastValues = v;
+  if (v.aop_deg !== undefined) {
+    while (trace.length && v.t_us <= trace[trace.length - 1].t_us) trace.pop();
+    trace.push(v);
+    if (trace.length > MOST_POINTS) trace.splice(0, MOST_POINTS / 10);
+    document.body.dataset.points = trace.length;
+  }
+  seldom(showValues, 100);
+}
+
+function showValues() {
+  const v = lastValues;
+  if (v.aop_deg === undefined) { put("angle", "\u2013"); return; }
   const pm = (sigma, digits) => sigma === undefined || sigma === null ? ""
     : " \u00b1 " + sigma.toFixed(digits);
-  $("angle").textContent = `${v.aop_deg.toFixed(2)}\u00b0`
-    + (v.aop_sigma_deg === undefined ? "" : pm(v.aop_sigma_deg, 2) + "\u00b0");
-  $("numbers").textContent = `(${v.x}, ${v.y})  ${v.pixels} pixel${v.pixels > 1 ? "s" : ""}`
+  put("angle", `${v.aop_deg.toFixed(2)}\u00b0`
+    + (v.aop_sigma_deg === undefined ? "" : pm(v.aop_sigma_deg, 2) + "\u00b0"));
+  put("numbers", `(${v.x}, ${v.y})  ${v.pixels} pixel${v.pixels > 1 ? "s" : ""}`
     + `   DoLP ${v.dolp.toFixed(4)}${pm(v.dolp_sigma, 4)}   S0 ${number(v.s0, 2)}\n`
     + `I0 ${number(v.quad[0], 2)}   I45 ${number(v.quad[1], 2)}   `
-    + `I90 ${number(v.quad[2], 2)}   I135 ${number(v.quad[3], 2)}`;
-  while (trace.length && v.t_us <= trace[trace.length - 1].t_us) trace.pop();
-  trace.push(v);
-  if (trace.length > MOST_POINTS) trace.splice(0, MOST_POINTS / 10);
-  document.body.dataset.points = trace.length;
+    + `I90 ${number(v.quad[2], 2)}   I135 ${number(v.quad[3], 2)}`);
   plot();
 }
 
@@ -293,38 +339,47 @@ async function snapshot() {
 // ---- status and controls -------------------------------------------------------------
 
 function tell(told) {
-  const before = status;
   status = told;
-  if (told.ramp && !before.ramp) legends();
-  if (!told.ramp) status.ramp = before.ramp;
   const method = $("method");
   if (!method.options.length)
     for (const name of told.methods) method.add(new Option(name, name));
-  if (document.activeElement !== method) method.value = told.method;
-  if (document.activeElement !== $("fps")) $("fps").value = told.fps;
-  $("timeline").hidden = told.live;
-  $("record").hidden = !told.live;
+  change(method, "value", told.method);
+  change($("fps"), "value", String(told.fps));
+  change($("timeline"), "hidden", told.live);
+  change($("record"), "hidden", !told.live);
   if (told.live) {
-    const s = told.stats;
-    $("record").setAttribute("aria-pressed", s.recording !== null);
-    $("stats").textContent = [
-      `${s.state}   ${(s.events_per_s / 1e6).toFixed(3)} Mev/s   `
-      + `${s.images_per_s.toFixed(1)} images/s   latency ${number(s.latency_ms, 1)} ms, `
-      + `95 % ${number(s.latency_p95_ms, 1)} ms   queue ${s.queued_ms.toFixed(0)} ms`,
-      `${s.method}   dropped ${s.dropped_events} events, ${s.jumps} jumps   skipped `
-      + `${s.skipped_images} images` + (s.recording ? `   recording ${s.recording}: `
-      + `${s.recorded_events} events` : ""),
-      ...told.problems].join("\n");
-    if (s.error) say(s.error);
+    const recording = String(told.stats.recording !== null);
+    if ($("record").getAttribute("aria-pressed") !== recording)
+      $("record").setAttribute("aria-pressed", recording);
   } else {
-    $("play").textContent = told.playing ? "pause" : "play";
-    $("seek").max = Math.max(told.count - 1, 0);
-    if (document.activeElement !== $("seek") || told.playing) $("seek").value = told.index;
-    $("speed").value = told.speed;
-    $("stats").textContent = [`image ${told.index + 1} of ${told.count}   ${told.method}`,
-      ...told.problems].join("\n");
-    if (told.error) say(told.error);
+    put("play", told.playing ? "pause" : "play");
+    change($("seek"), "max", String(Math.max(told.count - 1, 0)));
+    if (told.playing) $("seek").value = told.index;
+    else change($("seek"), "value", String(told.index));
+    change($("speed"), "value", String(told.speed));
   }
+  const error = told.live ? told.stats.error : told.error;
+  if (error) say(error);
+  seldom(showStatus, 250);
+}
+
+// What did not change is left alone: the browser would lay the page out again.
+function change(element, name, value) {
+  if (element[name] !== value && document.activeElement !== element)
+    element[name] = value;
+}
+
+function showStatus() {
+  const told = status, s = told.stats;
+  put("stats", (told.live ? [
+    `${s.state}   ${(s.events_per_s / 1e6).toFixed(3)} Mev/s   `
+    + `${s.images_per_s.toFixed(1)} images/s   latency ${number(s.latency_ms, 1)} ms, `
+    + `95 % ${number(s.latency_p95_ms, 1)} ms   queue ${s.queued_ms.toFixed(0)} ms`,
+    `${s.method}   dropped ${s.dropped_events} events, ${s.jumps} jumps   skipped `
+    + `${s.skipped_images} images` + (s.recording ? `   recording ${s.recording}: `
+    + `${s.recorded_events} events` : ""),
+  ] : [`image ${told.index + 1} of ${told.count}   ${told.method}`])
+    .concat(told.problems).join("\n"));
 }
 
 function zoom() {
@@ -364,9 +419,13 @@ function begin() {
     }
   };
   addEventListener("resize", arrange);
-  fetch(address("status", {ramp: 1})).then(answer => answer.json()).then(told => {
-    if (told.error) say(told.error); else { tell(told); follow(); }
-  }, error => say(error.message));
+  fetch(address("status", {palettes: 1})).then(answer => answer.json()).then(told => {
+    if (told.error) { say(told.error); return; }
+    makeColours(told.palettes);
+    legends(told.palettes);
+    tell(told);
+    follow();
+  }).catch(error => say(error.message));
 }
 
 begin();

@@ -3,21 +3,31 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv._opencv import opencv
 from pdavis_cv.capture.picture import event_counts, events_bgr
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, fade
+from pdavis_cv.render.colours import (
+    AOP_SCALE,
+    FULL_COLOUR_DOLP,
+    HUE_TABLE,
+    INVALID,
+    table_of,
+    through_table,
+)
 from pdavis_cv.stokes_vector import aop, dolp
 from pdavis_cv.viewer.show import Show
 
-__all__ = ["PANES", "archive", "jpeg", "pane", "ramp", "values"]
+__all__ = [
+    "PANES", "PLANES", "archive", "jpeg", "palettes", "pane", "planes", "values"]
 
 LARGEST_SIGMA_RAD = math.pi / 4
 """Uncertainty of AoP that has the last colour: an angle of which nothing is known has a
@@ -34,7 +44,7 @@ def _events(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
 
 def _aop(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
     picture = aop_bgr(image.aop, image.valid)
-    fade(picture, image.dolp)
+    fade(picture, image.dolp, image.valid)
     return picture
 
 
@@ -56,6 +66,88 @@ PANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
 }
 """Pictures by name, uint8 (H, W, 3), BGR: grey S0, AoP faded by DoLP, DoLP, events
 since the image before, the standard deviation of AoP, and AoP in full colour."""
+
+NONE = 255
+"""In a plane: of this pixel nothing is known."""
+_PARTS = 255    # values 0 .. 254 of a plane
+
+
+def _numbers(count: int) -> NDArray[np.uint8]:
+    """Return a table that gives count colours the number of their part."""
+    number = (np.arange(count) * _PARTS // count).astype(np.uint8)
+    return table_of(np.repeat(number[:, None], 3, axis=1), (NONE,) * 3, (NONE,) * 3)
+
+
+_HUES, _RAMP = _numbers(len(HUE_TABLE) - 2), _numbers(_PARTS)
+
+
+def _grey(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(picture[..., 0])
+
+
+def _ramp_plane(
+    value: NDArray[np.float32], valid: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    return _grey(through_table(
+        _kernels.ramp_bgr, value, valid, _PARTS - 1, _RAMP))
+
+
+def _uncertainty_plane(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
+    sigma = image.sigma_aop
+    if sigma is None:           # the method gives none
+        return np.full(image.s0.shape, NONE, np.uint8)
+    return _ramp_plane(sigma / np.float32(LARGEST_SIGMA_RAD), image.valid)
+
+
+PLANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
+    "s0": lambda show, image: _grey(PANES["s0"](show, image)),
+    "aop": lambda show, image: _grey(through_table(
+        _kernels.hue_bgr, image.aop, image.valid, AOP_SCALE, _HUES)),
+    "dolp": lambda show, image: _ramp_plane(image.dolp, image.valid),
+    "events": lambda show, image: _grey(_events(show, image)),
+    "uncertainty": _uncertainty_plane,
+}
+"""What a page colours, by name; uint8 (H, W): grey of S0 and of events, else 0 .. 254
+from 0 to 180 degrees, 1 or `LARGEST_SIGMA_RAD`, or `NONE`.  Colours would be
+three times as many bytes, which a browser takes three times as long to receive."""
+
+
+def planes(names: Iterable[str], show: Show, image: PolarFrame
+           ) -> dict[str, NDArray[np.uint8]]:
+    """Return the planes that a page needs to draw pictures: AoP is faded by DoLP.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Of `PLANES`.
+    show : Show
+    image : PolarFrame
+
+    Raises
+    ------
+    ValueError
+        If there is no such picture.
+    """
+    wanted = list(names)
+    for name in wanted:
+        if name not in PLANES:
+            raise ValueError(f"panes must be of {', '.join(PLANES)}, got {name!r}")
+    if "aop" in wanted:
+        wanted.append("dolp")
+    return {name: PLANES[name](show, image) for name in dict.fromkeys(wanted)}
+
+
+def palettes() -> dict[str, Any]:
+    """Return the colours of planes that are not grey, as RGB, and what fades AoP."""
+    middle = (np.arange(_PARTS, dtype=np.float32) + 0.5) * np.float32(math.pi / _PARTS)
+    steps = np.arange(_PARTS, dtype=np.float32) / np.float32(_PARTS - 1)
+
+    def rgb(colours: NDArray[np.uint8]) -> list[list[int]]:
+        found: list[list[int]] = colours[0, :, ::-1].tolist()
+        return [*found, [*INVALID[::-1]]]
+
+    return {"aop": rgb(aop_bgr(middle[None])), "ramp": rgb(dolp_bgr(steps[None])),
+            "full_dolp": FULL_COLOUR_DOLP}
 
 
 def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
@@ -87,13 +179,6 @@ def jpeg(picture: NDArray[np.uint8]) -> bytes:
     if not done:
         raise ValueError("cv2 could not encode a picture")
     return bytes(data)
-
-
-def ramp() -> list[list[int]]:
-    """Return the 256 colours from 0 to 1 of DoLP, as RGB."""
-    steps = np.linspace(0, 1, 256, dtype=np.float32)[None]
-    colours: list[list[int]] = dolp_bgr(steps)[0, :, ::-1].tolist()
-    return colours
 
 
 def values(image: PolarFrame, region: tuple[int, int, int, int]) -> dict[str, Any]:

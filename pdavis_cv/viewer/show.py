@@ -50,6 +50,11 @@ class Show(ABC):
     def latest(self, after: int, timeout: float) -> tuple[int, PolarFrame | None]:
         """Return the newest image and its number, waiting for one after a number."""
 
+    @property
+    @abstractmethod
+    def over(self) -> bool:
+        """Whether `latest` waits for nothing any more."""
+
     @abstractmethod
     def events(self, until_us: int) -> Iterable[NDArray[Any]]:
         """Return the events of the interval of an image that ends at until_us."""
@@ -157,6 +162,11 @@ class LiveShow(Show):
         """Return the newest image."""
         return self._session.latest(after, timeout)
 
+    @property
+    def over(self) -> bool:
+        """Whether no image will come."""
+        return self._session.over
+
     def events(self, until_us: int) -> Iterable[NDArray[Any]]:
         """Return the events since the image before."""
         period = round(1e6 / float(self.fusion.options.rate or DEFAULT_FPS))
@@ -237,6 +247,11 @@ class FileShow(Show):
             self._change.wait_for(
                 lambda: self._latest[0] > after or self._closed, timeout)
             return self._latest if self._latest[0] > after else (after, None)
+
+    @property
+    def over(self) -> bool:
+        """Whether no image will come."""
+        return self._closed
 
     def events(self, until_us: int) -> Iterable[NDArray[Any]]:
         """Return the events since the image before."""

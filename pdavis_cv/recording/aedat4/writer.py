@@ -1,8 +1,10 @@
 """Writing AEDAT-4 as DV does: packets, LZ4, index."""
 from __future__ import annotations
 
+import functools
 import os
 import struct
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from html import escape
 from typing import Any
@@ -40,6 +42,8 @@ _TRIGGER_VTABLE = struct.pack("<4H", 8, 13, 4, 12)
 _INDEX = np.dtype([("back", "<i4"), ("offset", "<i8"), ("stream", "<i4"),
                    ("size", "<i4"), ("count", "<i8"), ("start", "<i8"),
                    ("stop", "<i8"), ("pad", "<u4")])
+_STORED = -65_537
+"""LZ4's largest acceleration: it looks for repetitions so seldom that it finds none."""
 _INDEX_VTABLE = struct.pack("<7H", 14, 44, 4, 12, 20, 28, 36)
 
 
@@ -64,6 +68,12 @@ class Aedat4Writer(RecordingWriter):
     full_scale_dn : int
         Largest DN of 16-bit frames, kept in the header.
 
+    Attributes
+    ----------
+    hurried : bool
+        True: what is added from now on is stored as LZ4 has it, but not made smaller,
+        which takes a fraction of the time; readers see no difference.
+
     Raises
     ------
     ValueError
@@ -87,9 +97,13 @@ class Aedat4Writer(RecordingWriter):
         if frame_bits not in (None, 8, 16):
             raise ValueError(f"frame_bits must be 8 or 16, got {frame_bits!r}")
         self._compress = _compressor(compression)
+        # What only stores, in the same format.
+        self._store = (functools.partial(_lz4, level=_STORED) if compression == "lz4"
+                       else self._compress)
         super().__init__(path, sensor_size)
+        self.hurried = False
         self._bits = frame_bits
-        self._index: list[tuple[int, int, int, int, int, int]] = []
+        self._index = array("q")    # of each packet: offset, stream, size, ...
         self._file.write(MAGIC + _header(
             self._numbers, self.sensor_size, layout, camera, compression,
             full_scale_dn))
@@ -118,9 +132,9 @@ class Aedat4Writer(RecordingWriter):
 
     def _put(self, stream: int, payload: bytes | NDArray[Any], count: int,
              start: int, stop: int) -> None:
-        data = self._compress(payload)
+        data = (self._store if self.hurried else self._compress)(payload)
         self._file.write(struct.pack("<ii", stream, len(data)))
-        self._index.append((self._file.tell(), stream, len(data), count, start, stop))
+        self._index.extend((self._file.tell(), stream, len(data), count, start, stop))
         self._file.write(data)
 
     def _frame_bits(self, frame: ApsFrame) -> int:
@@ -135,9 +149,10 @@ class Aedat4Writer(RecordingWriter):
 
     def _finish(self) -> None:
         position = self._file.tell()
-        table = np.zeros(len(self._index), _INDEX)
-        for name, column in zip(("offset", "stream", "size", "count", "start", "stop"),
-                                zip(*self._index, strict=True), strict=False):
+        names = ("offset", "stream", "size", "count", "start", "stop")
+        rows = np.array(self._index, np.int64).reshape(-1, len(names))
+        table = np.zeros(len(rows), _INDEX)
+        for name, column in zip(names, rows.T, strict=True):
             table[name] = column
         self._file.write(self._compress(_tables(b"FTAB", _INDEX_VTABLE, table)))
         self._file.seek(self._position_at)
@@ -227,7 +242,7 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
     if name == "none":
         return lambda data: bytes(memoryview(data))
     if name == "lz4":
-        return lambda data: bytes(lz4.frame.compress(data, store_size=False))
+        return _lz4
     try:
         import zstandard
     except ImportError:
@@ -235,6 +250,10 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
             "zstd needs a package: pip install zstandard") from None
     compressor = zstandard.ZstdCompressor(level=3)
     return lambda data: bytes(compressor.compress(memoryview(data).cast("B")))
+
+
+def _lz4(data: Any, level: int = 0) -> bytes:
+    return bytes(lz4.frame.compress(data, compression_level=level, store_size=False))
 
 
 def _events(events: NDArray[Any]) -> NDArray[Any]:
