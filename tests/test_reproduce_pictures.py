@@ -69,7 +69,7 @@ def test_pictures_are_as_wide_as_a_page_and_legible(result, figure):
     width, height = drawing.get_size_inches()
     assert round(width * 25.4) in (89, 183)
     assert height * 25.4 < 247        # what a journal's page holds
-    assert 6.5 <= min(text.get_fontsize() for text in all_text(drawing)) <= 9
+    assert min(text.get_fontsize() for text in all_text(drawing)) == 8
 
 
 def test_errors_are_medians_with_the_spread_of_the_specimens(result):

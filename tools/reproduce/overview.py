@@ -284,7 +284,7 @@ def overview_figure(step: Step, cloud: AopCloud) -> Figure:
     from matplotlib.colors import hsv_to_rgb
 
     drawing = new_figure(PAGE_IN, 4.9)
-    grid = drawing.add_gridspec(2, 3, width_ratios=(1, 1.15, 1.35))
+    grid = drawing.add_gridspec(2, 3, width_ratios=(1, 1.25, 1.25))
     places = [drawing.add_subplot(grid[0, k]) for k in range(3)]
     cloud_axes = drawing.add_subplot(grid[1, :2], projection="3d")
     angle_axes = drawing.add_subplot(grid[1, 2])
@@ -316,8 +316,7 @@ def _draw_layout(axes: Any, layout_deg: NDArray[np.float64]) -> None:
                 axes.plot([at_x - 0.2 * dx, at_x + 0.2 * dx],
                           [at_y - 0.2 * dy, at_y + 0.2 * dy], color="0.2",
                           linewidth=0.7)
-            axes.text(x + 0.5, y + 0.96, f"{angle:g}°", ha="center", va="bottom",
-                      fontsize=6.5)
+            axes.text(x + 0.5, y + 0.96, f"{angle:g}°", ha="center", va="bottom")
     axes.add_patch(Rectangle((0, 0), 2, 2, fill=False, edgecolor="black"))
     axes.set(xlim=(-0.05, 4.05), ylim=(4.05, -0.05), aspect="equal",
              xticks=[0.5, 1.5, 2.5, 3.5], yticks=[0.5, 1.5, 2.5, 3.5],
@@ -352,17 +351,16 @@ def _draw_stack(axes: Any) -> None:
         if name == "silicon":
             for x in (0.5, 1.5):
                 axes.add_patch(Rectangle((x - 0.28, y), 0.56, 0.4, color="#B07A3B"))
-            axes.text(1, y + 0.72, "photodiode, DVS and APS", ha="center", va="center",
-                      fontsize=6.5)
-        axes.text(2.08, y + height / 2, name, va="center", fontsize=6.5)
+            axes.text(1, y + 0.72, "photodiode, DVS, APS", ha="center", va="center")
+        axes.text(2.08, y + height / 2, name, va="center")
         y += height
     axes.annotate("", (1, -0.05), (1, -0.75),
                   arrowprops={"arrowstyle": "->", "linewidth": 0.8})
-    axes.text(1.08, -0.45, "light", va="center", fontsize=6.5)
+    axes.text(1.08, -0.45, "light", va="center")
     axes.annotate("", (0, y + 0.15), (1, y + 0.15),
                   arrowprops={"arrowstyle": "<->", "linewidth": 0.8})
-    axes.text(0.5, y + 0.2, "18.5 µm", ha="center", va="top", fontsize=6.5)
-    axes.set(xlim=(-0.05, 3.1), ylim=(y + 0.6, -0.8))
+    axes.text(0.5, y + 0.2, "18.5 µm", ha="center", va="top")
+    axes.set(xlim=(-0.05, 3.4), ylim=(y + 0.7, -0.8))
     axes.set_axis_off()
     axes.set_title("two pixels, not to scale")
 
@@ -378,7 +376,7 @@ def _draw_step(axes: Any, step: Step) -> None:
     axes.set_xlim(15, 75)
     axes.set_xlabel("time (ms)")
     axes.set_ylabel("ln units")
-    axes.legend(loc="lower center")
+    axes.legend(loc="lower center", handlelength=1.4)
 
 
 def _draw_cloud(axes: Any, cloud: AopCloud, colours: NDArray[np.float64]) -> None:
@@ -394,7 +392,7 @@ def _draw_cloud(axes: Any, cloud: AopCloud, colours: NDArray[np.float64]) -> Non
     axes.set_yticks([0, 15, 30])
     axes.set_zticks([-30, -15, 0], ["30", "15", "0"])
     axes.tick_params(pad=-2)
-    axes.set_box_aspect((2.2, 1, 1), zoom=1.25)
+    axes.set_box_aspect((2.2, 1, 1), zoom=1.4)
     axes.view_init(18, -62)
 
 
@@ -408,10 +406,10 @@ def _draw_angles(axes: Any, cloud: AopCloud, colours: NDArray[np.float64]) -> No
     axes.plot(ms[order], line, color="black", linewidth=0.8, label="truth", zorder=3)
     axes.scatter(ms[inside], np.rad2deg(cloud.events["aop"][inside]), s=2.0,
                  c=colours[inside], linewidths=0, rasterized=True,
-                 label="AoP events inside")
+                 label="AoP events")
     axes.set(xlabel="time (ms)", ylabel="AoP (degrees)", ylim=(-5, 185),
              yticks=(0, 45, 90, 135, 180))
-    axes.legend(loc="upper right")
+    axes.legend(loc="upper right", handlelength=1.0)
 
 
 def views_figure(frame: NDArray[np.float64], counts: NDArray[np.float64],

@@ -249,13 +249,13 @@ def _rates(axes: Any, result: Comparison) -> None:
     axes.loglog(speeds, rates, "o-", color="#009E73")
     axes.loglog(speeds, np.array(speeds) * rates[-1] / speeds[-1], ":", color="black")
     axes.annotate("dotted: in proportion", (speeds[-1], rates[-1]), (0, 7),
-                  textcoords="offset points", ha="right", fontsize=7)
+                  textcoords="offset points", ha="right")
     for rate, dashes, told in ((result.outside_hz, "--", "constant light"),
                                (result.denoised_hz, ":", "the same, denoised")):
         if np.isfinite(rate) and rate > 0:
             axes.axhline(rate, color="#D55E00", linestyle=dashes)
             axes.annotate(told, (speeds[-1], rate), (0, 3),
-                          textcoords="offset points", ha="right", fontsize=7)
+                          textcoords="offset points", ha="right")
     axes.set_xticks(speeds, [f"{rpm:g}" for rpm in speeds])
     axes.xaxis.set_minor_formatter("")
     axes.set_ylim(top=10 * max(rates))
@@ -268,15 +268,13 @@ def _intervals(axes: Any, result: Comparison) -> None:
         part = spectrum.intervals / max(spectrum.intervals.sum(), 1)
         axes.stairs(part, INTERVALS_US / 1000, label=f"{spectrum.rpm:g} RPM",
                     linestyle=line)
-    axes.axvline(1, color="black", linestyle=":", linewidth=0.8)
+    axes.axvline(1, ymax=0.78, color="black", linestyle=":", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_xlim(0.05, 1000)
     axes.set_xlabel("time between a pixel's events (ms)")
     axes.set_ylabel("part of the events")
-    axes.set_ylim(top=1.2 * axes.get_ylim()[1])  # room for the legend
-    axes.annotate("1 ms", (1, 0.86 * axes.get_ylim()[1]), (-2, 0), rotation=90,
-                  textcoords="offset points", ha="right", va="top", fontsize=7)
-    axes.legend(loc="upper center", ncols=2)
+    axes.set_ylim(0, 1.2 * axes.get_ylim()[1])  # room for the legend
+    axes.legend(loc="upper center", ncols=2, handlelength=1.2, columnspacing=0.8)
 
 
 def _raster(axes: Any, result: Comparison) -> None:
