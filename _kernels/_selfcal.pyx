@@ -19,9 +19,15 @@ from _kernels._types cimport event_t
 from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST)
 
+cdef enum:
+    # Candidates that are evaluated together, at most.
+    TOGETHER = 32
+
 cdef packed struct pixel_t:
     int32_t start           # its events: from start to before stop
     int32_t stop
+    int32_t first           # its frames: from first to before last
+    int32_t last
     double theta_on         # prior
     double theta_off
 
@@ -215,90 +221,124 @@ cdef inline void place(walk_t* walk, const event_t* events, const pixel_t* pixel
     walk.n_off = 0.0
 
 
-cdef void run_pixel(const event_t* events, const pixel_t* pixel,
-                    const reading_t* reading, Py_ssize_t frames, Py_ssize_t stride,
-                    double theta_sigma, int64_t clock_us, const lamp_t* lamp,
-                    const tuning_t* camera, innovations_t* out) noexcept nogil:
-    cdef reading_t frame
-    cdef state_t s
-    cdef walk_t walk, since
-    cdef blur_t total
-    cdef double n_on, n_off, h_on, h_off, theta2, blur, level
-    cdef int64_t reference = 0
+cdef inline void advance(walk_t* since, walk_t* walk, const event_t* events,
+                         const pixel_t* pixel, const reading_t* frame,
+                         double refractory_us, double* n_on,
+                         double* n_off) noexcept nogil:
+    """Count events up to the middle of an exposure, and begin before those of it."""
     cdef int32_t i
-    cdef bint fresh = True
-    cdef Py_ssize_t k
-    place(&since, events, pixel, pixel.start)
+    cdef double on, off
+    since.n_on = 0.0
+    since.n_off = 0.0
+    while since.next >= 0 and events[since.next].t <= frame.middle:
+        pass_event(since, events, pixel.stop, refractory_us)
+    n_on[0] = since.n_on
+    n_off[0] = since.n_off
+    i = since.next if since.next >= 0 else pixel.stop
+    while i > pixel.start and events[i - 1].t > frame.begin:
+        i -= 1
+    place(walk, events, pixel, i)
+    while walk.next >= 0 and events[walk.next].t <= frame.middle:
+        pass_event(walk, events, pixel.stop, refractory_us)
+    on = walk.n_on
+    off = walk.n_off
+    place(walk, events, pixel, i)
+    walk.n_on = -on
+    walk.n_off = -off
+
+
+cdef inline void begin_pixel(state_t* s, double on, double off,
+                             double theta_sigma) noexcept nogil:
     s.base = 0.0
-    s.on = pixel.theta_on
-    s.off = pixel.theta_off
+    s.on = on
+    s.off = off
     s.p00 = FIRST_VARIANCE
     s.p01 = 0.0
     s.p02 = 0.0
     s.p11 = theta_sigma * theta_sigma
     s.p12 = 0.0
     s.p22 = s.p11
-    for k in range(frames):
-        frame = reading[k * stride]
+
+
+cdef void take_frame(state_t* s, const walk_t* begin, const event_t* events,
+                     const pixel_t* pixel, const reading_t* frame, double n_on,
+                     double n_off, int64_t reference, bint fresh, double on, double off,
+                     const lamp_t* lamp, const tuning_t* camera,
+                     innovations_t* out) noexcept nogil:
+    """Update a candidate's state by a frame, n_on and n_off events after the last."""
+    cdef walk_t walk = begin[0]
+    cdef blur_t total
+    cdef double h_on, h_off, theta2, blur, level
+    if fresh:
+        level = frame.log
+    else:
+        theta2 = 0.25 * (s.on + s.off) * (s.on + s.off)
+        propagate(s, n_on, n_off, theta2 * drift(
+            frame.middle - reference, n_on + n_off, camera))
+        level = s.base
+    if (walk.next < 0 or events[walk.next].t >= frame.end) and not lit(
+            lamp, <double>frame.begin, <double>frame.end):
+        # Less than a threshold over the whole exposure: its middle says it all.
+        blur = log_at(&walk, events, frame.known, 0.5 * (
+            <double>frame.begin + <double>frame.end), s, level, camera, lamp,
+            &h_on, &h_off)
+        h_off = -h_off
+    else:
+        total = integral(&walk, events, pixel.stop, frame, s, level, camera, lamp)
+        blur = log_f(<float>(total.whole / <double>(frame.end - frame.begin)))
+        h_on = total.on / total.whole
+        h_off = -total.off / total.whole
+    if fresh:
+        s.base = frame.log - blur
+    update(s, h_on, h_off,
+           frame.variance + camera.frame_sigma * camera.frame_sigma,
+           frame.log - s.base - blur,
+           not fresh and n_on + n_off >= LEARN_EVENTS, out)
+    s.on = limited(s.on, on)
+    s.off = limited(s.off, off)
+
+
+cdef void run_pixel(const event_t* events, const pixel_t* pixel,
+                    const reading_t* reading, double theta_sigma,
+                    const candidate_t* candidates, const tuning_t* cameras, int many,
+                    const lamp_t* lamp, innovations_t* out) noexcept nogil:
+    """Run over a pixel's frames, for candidates whose clock is that of the first."""
+    cdef reading_t frame
+    cdef state_t states[TOGETHER]
+    cdef walk_t walk, since
+    cdef double n_on, n_off
+    cdef int64_t reference = 0, clock_us = candidates[0].clock_us
+    cdef int32_t k
+    cdef int c
+    cdef bint fresh = True
+    for c in range(many):
+        begin_pixel(&states[c], pixel.theta_on * candidates[c].scale_on,
+                    pixel.theta_off * candidates[c].scale_off, theta_sigma)
+    place(&since, events, pixel, pixel.start)
+    for k in range(pixel.first, pixel.last):
+        frame = reading[k]
         if not frame.variance > 0.0:
             continue
         frame.begin += clock_us
         frame.middle += clock_us
         frame.end += clock_us
         frame.known += clock_us
-        # Events since the reference, and those of the exposure before its middle.
-        since.n_on = 0.0
-        since.n_off = 0.0
-        while since.next >= 0 and events[since.next].t <= frame.middle:
-            pass_event(&since, events, pixel.stop, camera.refractory_us)
-        n_on = since.n_on
-        n_off = since.n_off
-        i = since.next if since.next >= 0 else pixel.stop
-        while i > pixel.start and events[i - 1].t > frame.begin:
-            i -= 1
-        place(&walk, events, pixel, i)
-        while walk.next >= 0 and events[walk.next].t <= frame.middle:
-            pass_event(&walk, events, pixel.stop, camera.refractory_us)
-        total.on = walk.n_on
-        total.off = walk.n_off
-        place(&walk, events, pixel, i)
-        walk.n_on = -total.on
-        walk.n_off = -total.off
-        if fresh:
-            level = frame.log
-        else:
-            theta2 = 0.25 * (s.on + s.off) * (s.on + s.off)
-            propagate(&s, n_on, n_off, theta2 * drift(
-                frame.middle - reference, n_on + n_off, camera))
-            level = s.base
-        if (walk.next < 0 or events[walk.next].t >= frame.end) and not lit(
-                lamp, <double>frame.begin, <double>frame.end):
-            # Less than a threshold over the whole exposure: its middle says it all.
-            blur = log_at(&walk, events, frame.known, 0.5 * (
-                <double>frame.begin + <double>frame.end), &s, level, camera, lamp,
-                &h_on, &h_off)
-            h_off = -h_off
-        else:
-            total = integral(&walk, events, pixel.stop, &frame, &s, level, camera, lamp)
-            blur = log_f(<float>(total.whole / <double>(frame.end - frame.begin)))
-            h_on = total.on / total.whole
-            h_off = -total.off / total.whole
-        if fresh:
-            s.base = frame.log - blur
-        update(&s, h_on, h_off,
-               frame.variance + camera.frame_sigma * camera.frame_sigma,
-               frame.log - s.base - blur,
-               not fresh and n_on + n_off >= LEARN_EVENTS, out)
-        s.on = limited(s.on, pixel.theta_on)
-        s.off = limited(s.off, pixel.theta_off)
+        advance(&since, &walk, events, pixel, &frame, cameras[0].refractory_us, &n_on,
+                &n_off)
+        for c in range(many):
+            take_frame(&states[c], &walk, events, pixel, &frame, n_on, n_off, reference,
+                       fresh, pixel.theta_on * candidates[c].scale_on,
+                       pixel.theta_off * candidates[c].scale_off, lamp, &cameras[c],
+                       &out[c])
         fresh = False
         reference = frame.middle
-    out.log_theta += log_f(<float>s.on) + log_f(<float>s.off)
+    for c in range(many):
+        out[c].log_theta += log_f(<float>states[c].on) + log_f(<float>states[c].off)
 
 
 def sample_innovations(const event_t[::1] events not None,
                        const pixel_t[::1] pixels not None,
-                       const reading_t[:, ::1] frames not None,
+                       const reading_t[::1] frames not None,
                        const wave_t[::1] waves not None, double theta_sigma,
                        double refractory_us,
                        const candidate_t[::1] candidates not None,
@@ -306,44 +346,51 @@ def sample_innovations(const event_t[::1] events not None,
     """Add up the innovations of all pixels for each candidate.
 
     events are those of the pixels, one pixel after the other, each in order of time;
-    frames (frame, pixel) in order of time, end > begin.  waves are the lamp's,
+    frames too, end > begin.  waves are the lamp's,
     as in kalman_frame.  theta_sigma is the prior standard deviation of a threshold,
     refractory_us how long a pixel is held in reset after an event.
     out is overwritten.
     """
     cdef Py_ssize_t n = pixels.shape[0], c, i, m = candidates.shape[0]
+    cdef int many, k
     cdef lamp_t lamp
-    cdef tuning_t camera
-    cdef pixel_t pixel
+    cdef tuning_t cameras[TOGETHER]
     cdef const event_t* first = NULL
-    camera.refractory_us = refractory_us
+    cdef const reading_t* reading = NULL
     if out.shape[0] != m:
         raise ValueError("sample_innovations: out must have one row per candidate")
-    if frames.shape[1] != n:
-        raise ValueError("sample_innovations: frames has a wrong shape")
     for i in range(n):
         if not 0 <= pixels[i].start <= pixels[i].stop <= events.shape[0]:
             raise ValueError("sample_innovations: a pixel's events lie outside events")
+        if not 0 <= pixels[i].first <= pixels[i].last <= frames.shape[0]:
+            raise ValueError("sample_innovations: a pixel's frames lie outside frames")
     if events.shape[0] > 0:
         first = &events[0]
+    if frames.shape[0] > 0:
+        reading = &frames[0]
     lamp = lamp_of(waves)
     with nogil:
-        for c in range(m):
-            out[c].chi2 = 0.0
-            out[c].deviation = 0.0
-            out[c].log_variance = 0.0
-            out[c].count = 0.0
-            out[c].log_theta = 0.0
-            if frames.shape[0] == 0:
-                continue
-            camera.leak_per_s = candidates[c].noise_per_s
-            camera.noise_per_event = candidates[c].noise_per_event
-            camera.bandwidth_hz = candidates[c].hz
-            camera.bandwidth_hz_per_intensity = candidates[c].hz_per_intensity
-            camera.frame_sigma = candidates[c].frame_sigma
+        c = 0
+        while c < m:
+            # Those that move frames alike walk over a pixel's events once.
+            many = 0
+            while (many < TOGETHER and c + many < m
+                   and candidates[c + many].clock_us == candidates[c].clock_us):
+                k = many
+                out[c + k].chi2 = 0.0
+                out[c + k].deviation = 0.0
+                out[c + k].log_variance = 0.0
+                out[c + k].count = 0.0
+                out[c + k].log_theta = 0.0
+                cameras[k].refractory_us = refractory_us
+                cameras[k].leak_per_s = candidates[c + k].noise_per_s
+                cameras[k].noise_per_event = candidates[c + k].noise_per_event
+                cameras[k].bandwidth_hz = candidates[c + k].hz
+                cameras[k].bandwidth_hz_per_intensity = (
+                    candidates[c + k].hz_per_intensity)
+                cameras[k].frame_sigma = candidates[c + k].frame_sigma
+                many += 1
             for i in range(n):
-                pixel = pixels[i]
-                pixel.theta_on *= candidates[c].scale_on
-                pixel.theta_off *= candidates[c].scale_off
-                run_pixel(first, &pixel, &frames[0, i], frames.shape[0], n,
-                          theta_sigma, candidates[c].clock_us, &lamp, &camera, &out[c])
+                run_pixel(first, &pixels[i], reading, theta_sigma, &candidates[c],
+                          cameras, many, &lamp, &out[c])
+            c += many

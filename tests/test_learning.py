@@ -287,9 +287,9 @@ def test_the_stream_is_looked_at_ever_more_rarely(realistic):
         again.restore(online.state())
         assert again.look() == online.look()
         assert again.next_us == online.next_us
-    # From 3 s on each estimate is gone on with after an eighth of the time more.
-    assert times == [1_500_000, 2_000_000, 3_000_000, 5_000_000, 5_500_000, 9_000_000,
-                     10_000_000, 17_000_000]
+    # Each estimate is gone on with after an eighth of the time more.
+    assert times == [1_500_000, 1_562_500, 2_000_000, 2_125_000, 3_000_000, 3_250_000,
+                     5_000_000, 5_500_000]
     late = OnlineLearning(online._learning)
     late.saw_frame(1_000_000, 1_700_000)         # it took long to arrive
     assert late.next_us == 2_000_000

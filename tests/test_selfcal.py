@@ -66,11 +66,11 @@ def test_the_kernel_is_its_twin(recording, deaf):
     got = sample.innovations(candidates, every=20)
     expected = np.zeros((3, 5))
     for i in range(0, len(sample.pixels), 20):
-        start, stop, *theta = sample._traits[i]
+        start, stop, *_, on, off = sample._traits[i]
         mine = [(int(e["t"]), int(e["p"])) for e in sample._events[start:stop]]
         for k, candidate in enumerate(candidates):
             expected[k] += reference_selfcal.innovations(
-                mine, sample._frames[:, i].tolist(), theta, 0.035, candidate, deaf)
+                mine, sample._frames[:, i].tolist(), (on, off), 0.035, candidate, deaf)
     np.testing.assert_allclose(got.view(np.float64).reshape(3, 5), expected, rtol=1e-4)
 
 
@@ -111,7 +111,10 @@ def test_the_innovations_are_those_of_the_kalman_filter(recording):
 def arguments(n=2, frames=3):
     """Valid arguments of the kernel, the output last."""
     events = np.zeros(0, EVENT_DTYPE)
-    return [events, np.zeros(n, PIXEL_DTYPE), np.zeros((frames, n), READING_DTYPE),
+    pixels = np.zeros(n, PIXEL_DTYPE)
+    pixels["first"] = frames * np.arange(n)
+    pixels["last"] = pixels["first"] + frames
+    return [events, pixels, np.zeros(frames * n, READING_DTYPE),
             np.zeros(0, WAVE_DTYPE), 0.035, 0.0, np.zeros(2, CANDIDATE_DTYPE),
             np.zeros(2, INNOVATIONS_DTYPE)]
 
@@ -130,12 +133,41 @@ def test_the_kernel_takes_nothing(n, frames):
 def test_the_kernel_refuses_shapes_that_do_not_fit():
     for at, other, message in (
             (-1, np.zeros(3, INNOVATIONS_DTYPE), "one row per candidate"),
-            (2, np.zeros((3, 1), READING_DTYPE), "wrong shape"),
-            (1, np.array([(0, 1, .2, .2)] * 2, PIXEL_DTYPE), "lie outside events")):
+            (2, np.zeros(5, READING_DTYPE), "lie outside frames"),
+            (1, np.array([(0, 0, 0, -1, .2, .2)] * 2, PIXEL_DTYPE), "outside frames"),
+            (1, np.array([(0, 1, 0, 0, .2, .2)] * 2, PIXEL_DTYPE), "outside events")):
         given = arguments()
         given[at] = other
         with pytest.raises(ValueError, match=message):
             _kernels.sample_innovations(*given)
+
+
+def test_many_candidates_find_the_same_as_each_alone(recording):
+    sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
+    candidates = candidates_of([(250.0, 0.0), (0.0, 8.0), (60.0, 2.0)] * 30)
+    candidates["clock_us"] = np.repeat([0, 1500, 0, -4000], [40, 10, 1, 39])
+    candidates["scale_on"] = np.linspace(0.5, 2, len(candidates))
+    together = sample.innovations(candidates)
+    alone = [sample.innovations(candidates[i:i + 1])[0] for i in range(90)]
+    assert together.tolist() == [each.tolist() for each in alone]
+
+
+def test_frames_between_like_events_are_those_that_a_search_per_pixel_finds(recording):
+    sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
+    t, p = sample._events["t"], sample._events["p"]
+    for delay, least in ((0.0, None), (-3000.4, 3), (9000.0, 2), (1e9, 1)):
+        got = sample.between_like_events(delay, least)._frames["variance"] > 0
+        for i, (start, stop) in enumerate(zip(
+                sample._traits["start"], sample._traits["stop"], strict=True)):
+            mine, sign = t[start:stop], p[start:stop]
+            for frame, kept in zip(sample._frames[:, i], got[:, i], strict=True):
+                begin, middle, end = (int(frame[name]) + round(delay)
+                                      for name in ("begin", "middle", "end"))
+                k = np.count_nonzero(mine <= middle)
+                like = 2 <= k < len(mine) and len(set(sign[k - 2:k + 1].tolist())) == 1
+                if least is not None:
+                    like |= np.count_nonzero((mine >= begin) & (mine < end)) >= least
+                assert kept == (like and frame["variance"] > 0)
 
 
 def test_eight_threads_find_the_same(recording):

@@ -2,8 +2,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,8 +74,10 @@ _BRIGHT_QUANTILE = 0.9
 """A bright pixel: this quantile of the frames' intensity."""
 
 PIXEL_DTYPE = np.dtype([
-    ("start", "<i4"), ("stop", "<i4"), ("theta_on", "<f8"), ("theta_off", "<f8")])
-"""A pixel's events, from start to before stop, and its prior thresholds (ln units)."""
+    ("start", "<i4"), ("stop", "<i4"), ("first", "<i4"), ("last", "<i4"),
+    ("theta_on", "<f8"), ("theta_off", "<f8")])
+"""A pixel's events, from start to before stop, its frames, from first to before last,
+and its prior thresholds (ln units)."""
 
 READING_DTYPE = np.dtype([
     ("log", "<f4"), ("variance", "<f4"), ("begin", "<i8"), ("middle", "<i8"),
@@ -132,6 +135,7 @@ class PixelSample:
     ) -> None:
         self.events_per_s, self.leak_hz = events_per_s, leak_hz
         self.refractory_us = 0.0
+        self._packed: dict[int, tuple[NDArray[np.void], NDArray[np.void]]] = {}
         self.pixels = window.pixels[chosen]
         place = np.full(len(window.pixels), -1, np.int32)
         place[chosen] = np.arange(len(chosen))
@@ -175,9 +179,15 @@ class PixelSample:
         self._frames["variance"] = np.where(
             usable, (READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2, 0)
 
+    def _copy(self) -> PixelSample:
+        """Return the sample as it is, to be changed."""
+        other = copy(self)
+        other._packed = {}
+        return other
+
     def with_thresholds_scaled(self, on: float, off: float) -> PixelSample:
         """Return the sample with other prior thresholds."""
-        other = copy(self)
+        other = self._copy()
         other._traits = self._traits.copy()
         other._traits["theta_on"] *= on
         other._traits["theta_off"] *= off
@@ -194,7 +204,7 @@ class PixelSample:
 
     def with_refractory(self, us: float) -> PixelSample:
         """Return the sample of pixels that are held in reset so long after an event."""
-        other = copy(self)
+        other = self._copy()
         other.refractory_us = us
         return other
 
@@ -207,7 +217,7 @@ class PixelSample:
 
         The leak, left in, looks like a photoreceptor up to 7 % too slow.
         """
-        other = copy(self)
+        other = self._copy()
         other._frames = self._frames.copy()
         middle = other._frames["middle"]
         rate = self.leak_hz[0] * float(self._traits["theta_on"].mean()) / 1e6
@@ -217,7 +227,7 @@ class PixelSample:
 
     def with_frames_moved(self, us: int) -> PixelSample:
         """Return the sample with frames that were exposed so much later."""
-        other = copy(self)
+        other = self._copy()
         other._frames = self._frames.copy()
         for name in ("begin", "middle", "end", "known"):
             other._frames[name] += us
@@ -242,24 +252,42 @@ class PixelSample:
         or_in_exposure : int, optional
             Also those with at least so many events within the exposure.
         """
-        t, p = self._events["t"], self._events["p"]
+        p, start, stop = (self._events["p"], self._traits["start"],
+                          self._traits["stop"])
         like = np.zeros(self._frames.shape, np.bool_)
-        middle = self._frames["middle"] + round(delay_us)
-        for i, (start, stop) in enumerate(zip(
-                self._traits["start"], self._traits["stop"], strict=True)):
-            after = start + np.searchsorted(t[start:stop], middle[:, i], "right")
-            inside = (after >= start + 2) & (after < stop)
-            k = after[inside]
-            like[inside, i] = (p[k] == p[k - 1]) & (p[k] == p[k - 2])
-            if or_in_exposure is not None:
-                begin, end = (np.searchsorted(
-                    t[start:stop], self._frames[name][:, i] + round(delay_us))
-                    for name in ("begin", "end"))
-                like[:, i] |= end - begin >= or_in_exposure
+        find = self._places(delay_us)
+        after = find("middle", "right")
+        inside = (after >= start + 2) & (after < stop)
+        k = after[inside]
+        like[inside] = (p[k] == p[k - 1]) & (p[k] == p[k - 2])
+        if or_in_exposure is not None:
+            like |= find("end", "left") - find("begin", "left") >= or_in_exposure
         return self._with_usable(like)
 
+    def _places(
+        self, delay_us: float
+    ) -> Callable[[str, Literal["left", "right"]], NDArray[np.intp]]:
+        """Return what finds times of exposures, so much later, among the events.
+
+        Events lie one pixel after the other: one search finds the times of all, (F, N).
+        """
+        if not self._frames.size:
+            return lambda name, side: np.zeros(self._frames.shape, np.intp)
+        before = int(self._frames["begin"].min()) + round(delay_us) - 1
+        after = int(self._frames["end"].max()) + round(delay_us) + 1
+        pixel = np.arange(len(self._traits)) * (after - before + 1)
+        times = np.repeat(pixel, self._traits["stop"] - self._traits["start"])
+        times += self._events["t"].clip(before, after) - before
+
+        def find(name: str, side: Literal["left", "right"]) -> NDArray[np.intp]:
+            """Return the first event after a time, or that is not before it."""
+            wanted = self._frames[name] + (round(delay_us) - before)
+            return np.searchsorted(times, wanted + pixel, side)
+
+        return find
+
     def _with_usable(self, usable: NDArray[np.bool_]) -> PixelSample:
-        other = copy(self)
+        other = self._copy()
         other._frames = self._frames.copy()
         other._frames["variance"][~usable] = 0
         return other
@@ -280,11 +308,22 @@ class PixelSample:
         ndarray of INNOVATIONS_DTYPE, shape (C,)
         """
         out = np.zeros(len(candidates), INNOVATIONS_DTYPE)
+        traits, frames = self._readings(every)
         _kernels.sample_innovations(
-            self._events, np.ascontiguousarray(self._traits[::every]),
-            np.ascontiguousarray(self._frames[:, ::every]), self._waves,
-            THRESHOLD_SIGMA, self.refractory_us, candidates, out)
+            self._events, traits, frames, self._waves, THRESHOLD_SIGMA,
+            self.refractory_us, candidates, out)
         return out
+
+    def _readings(self, every: int) -> tuple[NDArray[np.void], NDArray[np.void]]:
+        """Return one in `every` pixels, and their usable frames, pixel after pixel."""
+        if every not in self._packed:
+            frames = np.ascontiguousarray(self._frames[:, ::every].T)
+            usable = frames["variance"] > 0
+            traits = self._traits[::every].copy()
+            ends = np.append(0, np.cumsum(usable.sum(1)))
+            traits["first"], traits["last"] = ends[:-1], ends[1:]
+            self._packed[every] = traits, frames[usable]
+        return self._packed[every]
 
     def systematics(
         self, law: tuple[float, float], activity: PixelActivity,
@@ -314,7 +353,7 @@ class PixelSample:
 
     def _with_offset(self, offset_dn: float) -> PixelSample:
         """Return the sample with an offset added to the frames, `MIN_DN` or more."""
-        other = copy(self)
+        other = self._copy()
         other._frames = self._frames.copy()
         dn = self._dn + np.float32(offset_dn)
         other._read(dn, self._usable & (dn >= MIN_DN))
