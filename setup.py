@@ -77,6 +77,7 @@ SHARED = (
     "_prefetch.h",
     "_rest.h",
     "_rows.pxd",
+    "_smooth.h",
     "_smoothed.pxd",
     "_stencil.h",
     "_tracks.pxd",

@@ -11,6 +11,34 @@ from _kernels._model cimport (
     check_given, node_t, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport gap_t, past_t, read_smoothed
 
+cdef extern from "_prefetch.h" nogil:
+    void prefetch "PDAVIS_PREFETCH"(const void*)
+
+cdef extern from "_smooth.h" nogil:
+    enum:
+        SIDE
+    ctypedef struct nodes_t:
+        double level[SIDE]
+        double h_on[SIDE]
+        double h_off[SIDE]
+        double noise[SIDE]
+        double drift[SIDE]
+        double n_on[SIDE]
+        double n_off[SIDE]
+        int64_t t[SIDE]
+    ctypedef struct side_t:
+        double base[SIDE]
+        double var[SIDE]
+        double n_on[SIDE]
+        double n_off[SIDE]
+        int64_t t[SIDE]
+        double drift[SIDE]
+    ctypedef struct pair_t:
+        double on[SIDE]
+        double off[SIDE]
+    void advance_side(side_t*, const nodes_t*, const pair_t*, Py_ssize_t)
+    void retreat_side(side_t*, const nodes_t*, const pair_t*, Py_ssize_t)
+
 cdef inline double measured(const node_t* node, double on, double off) noexcept nogil:
     return node.level - node.h_on * on - node.h_off * off
 
@@ -33,25 +61,6 @@ cdef inline void advance(past_t* past, const node_t* node, int64_t t, double on,
     past.n_off = node.n_off
 
 
-cdef inline double retreat(past_t* after, const node_t* node, int64_t t,
-                           double gap, double on, double off) noexcept nogil:
-    """Take in the sample before, gap being the drift since; return that before it."""
-    cdef double z = measured(node, on, off), k
-    if after.var < 0:
-        after.base = z
-        after.var = node.noise
-    else:
-        after.base -= on * (after.n_on - node.n_on) - off * (after.n_off - node.n_off)
-        after.var += gap
-        k = after.var / (after.var + node.noise)
-        after.base += k * (z - after.base)
-        after.var *= 1.0 - k
-    after.t = t
-    after.n_on = node.n_on
-    after.n_off = node.n_off
-    return node.drift
-
-
 def smooth_past(const node_t[:, ::1] nodes not None, const int64_t[::1] times not None,
                 const state_t[:, ::1] states not None, past_t[:, ::1] past not None):
     """Take a frame into the past: nodes as kalman_frame left them, times by column."""
@@ -72,17 +81,22 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
                const int32_t[::1] order not None,
                const int32_t[::1] passed not None,
                const state_t[:, ::1] states not None,
-               const past_t[:, ::1] past not None, gap_t[:, ::1] out not None):
+               const past_t[:, ::1] past not None, rows not None,
+               gap_t[:, ::1] out not None, gap_t[:, ::1] following not None):
     """What frames before and after a time say of each pixel's base.
 
     nodes and times are by slot; order holds the slots in the order of time, passed how
-    many of them lie before the time, by column.
+    many of them lie before the time, by column.  following receives the same of a time
+    that has passed one more in each column, where there is one.  Rows (first, last) are
+    written.
     """
     cdef Py_ssize_t h = past.shape[0], w = past.shape[1], n = order.shape[0]
-    cdef Py_ssize_t slots = nodes.shape[0], y, x, i
+    cdef Py_ssize_t slots = nodes.shape[0], y, x, i, first, last, width
+    first, last = rows
     if (nodes.shape[1] != h or nodes.shape[2] != w or times.shape[0] != slots
             or times.shape[1] != w or passed.shape[0] != w or states.shape[0] != h
-            or states.shape[1] != w or out.shape[0] != h or out.shape[1] != w):
+            or states.shape[1] != w or out.shape[0] != h or out.shape[1] != w
+            or following.shape[0] != h or following.shape[1] != w):
         raise ValueError("smooth_gap: all images must have one shape")
     for i in range(n):
         if order[i] < 0 or order[i] >= slots:
@@ -90,33 +104,99 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
     for i in range(w):
         if passed[i] < 0 or passed[i] > n:
             raise ValueError("smooth_gap: passed must lie in 0..len(order)")
+    if first < 0 or last > h:
+        raise ValueError("smooth_gap: rows must lie in the image")
     with nogil:
-        for y in range(h):
-            for x in range(w):
-                meet(nodes, times, order, passed[x], y, x, states[y, x].theta_on,
-                     states[y, x].theta_off, &past[y, x], &out[y, x])
+        for y in range(first, last):
+            x = 0
+            while x < w:
+                width = 1
+                while (width < SIDE and x + width < w
+                       and passed[x + width] == passed[x]):
+                    width += 1
+                meet(nodes, times, order, passed[x], y, x, width, &states[y, x],
+                     &past[y, x], &out[y, x], &following[y, x])
+                x += width
 
 
-cdef inline void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
-                      const int32_t[::1] order, Py_ssize_t passed, Py_ssize_t y,
-                      Py_ssize_t x, double on, double off, const past_t* past,
-                      gap_t* out) noexcept nogil:
-    cdef Py_ssize_t i = 0, slot
-    out.before = past[0]
-    while i < passed:
-        slot = order[i]
-        if nodes[slot, y, x].noise > 0:
-            advance(&out.before, &nodes[slot, y, x], times[slot, x], on, off)
-        i += 1
-    out.after.var = -1.0
-    out.drift = 0.0
-    i = order.shape[0] - 1
-    while i >= passed:
-        slot = order[i]
-        if nodes[slot, y, x].noise > 0:
-            out.drift = retreat(&out.after, &nodes[slot, y, x], times[slot, x],
-                                out.drift, on, off)
-        i -= 1
+cdef inline void lay_out(const node_t* of, const int64_t* times, Py_ssize_t n,
+                         const node_t* following, nodes_t* out) noexcept nogil:
+    """Bring the samples of n pixels side by side; ask for those that come next."""
+    cdef Py_ssize_t i
+    for i in range(n):
+        if following != NULL:
+            prefetch(&following[i])
+        out.level[i] = of[i].level
+        out.h_on[i] = of[i].h_on
+        out.h_off[i] = of[i].h_off
+        out.noise[i] = of[i].noise
+        out.drift[i] = of[i].drift
+        out.n_on[i] = of[i].n_on
+        out.n_off[i] = of[i].n_off
+        out.t[i] = times[i]
+
+
+cdef inline void write_side(const side_t* side, Py_ssize_t i,
+                            past_t* out) noexcept nogil:
+    out.base = side.base[i]
+    out.var = side.var[i]
+    out.t = side.t[i]
+    out.n_on = side.n_on[i]
+    out.n_off = side.n_off[i]
+
+
+cdef void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
+               const int32_t[::1] order, Py_ssize_t passed, Py_ssize_t y, Py_ssize_t x,
+               Py_ssize_t width, const state_t* states, const past_t* past, gap_t* out,
+               gap_t* following) noexcept nogil:
+    """Do it for some pixels of a row, from x on, that have passed as many frames."""
+    cdef pair_t theta
+    cdef nodes_t samples
+    cdef side_t side
+    cdef const node_t* ahead
+    cdef Py_ssize_t i, k, n = order.shape[0]
+    for i in range(width):
+        theta.on[i] = states[i].theta_on
+        theta.off[i] = states[i].theta_off
+        side.base[i] = past[i].base
+        side.var[i] = past[i].var
+        side.t[i] = past[i].t
+        side.n_on[i] = past[i].n_on
+        side.n_off[i] = past[i].n_off
+        side.drift[i] = 0.0
+    for k in range(min(passed + 1, n)):
+        if k == passed:
+            for i in range(width):
+                write_side(&side, i, &out[i].before)
+        lay_out(&nodes[order[k], y, x], &times[order[k], x], width, NULL, &samples)
+        advance_side(&side, &samples, &theta, width)
+    for i in range(width):
+        write_side(&side, i, &following[i].before)
+        if passed >= n:
+            write_side(&side, i, &out[i].before)
+        side.base[i] = 0.0
+        side.var[i] = -1.0
+        side.t[i] = 0
+        side.n_on[i] = 0.0
+        side.n_off[i] = 0.0
+        side.drift[i] = 0.0
+    k = n
+    while k >= passed:
+        if k <= passed + 1:     # what has been taken in so far
+            for i in range(width):
+                if k == passed:
+                    write_side(&side, i, &out[i].after)
+                    out[i].drift = side.drift[i]
+                else:
+                    write_side(&side, i, &following[i].after)
+                    following[i].drift = side.drift[i]
+        k -= 1
+        if k >= passed:
+            ahead = NULL
+            if k > passed:
+                ahead = &nodes[order[k - 1], y, x]
+            lay_out(&nodes[order[k], y, x], &times[order[k], x], width, ahead, &samples)
+            retreat_side(&side, &samples, &theta, width)
 
 
 def smooth_read(int64_t t, int64_t known, chain not None, model not None,

@@ -255,7 +255,7 @@ def sample_innovations(
 def smooth_gap(
     nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],
     passed: NDArray[np.int32], states: NDArray[Any], past: NDArray[Any],
-    out: NDArray[Any],
+    rows: tuple[int, int], out: NDArray[Any], following: NDArray[Any],
 ) -> None: ...
 def smooth_past(
     nodes: NDArray[Any], times: NDArray[np.int64], states: NDArray[Any],

@@ -117,7 +117,7 @@ def constants(node):
 
 def kernel(path, text):
     """Literals of Cython and of the C inside it: a name is one of a declaration."""
-    code, comments = stripped(text)
+    code, comments = stripped(text, header=Path(path).suffix == ".h")
     found, before = [], ""
     for k, line in enumerate(code.splitlines(), 1):
         said = comments.get(k, "")
@@ -142,13 +142,14 @@ def kernel(path, text):
     return found
 
 
-def stripped(text):
+def stripped(text, header=False):
     """Return Cython without comments, strings and docstrings, and the comments.
 
-    The C of ``cdef extern from *`` stays.
+    The C of ``cdef extern from *`` stays, and that of a header, which is C throughout.
     """
     out, comments, i, line = [], {}, 0, 1
-    verbatim = None         # the quote that ends the C we are in
+    # The quote that ends the C we are in; nothing ends a header.
+    verbatim = "\0" if header else None
 
     def skip(stop):
         nonlocal i, line

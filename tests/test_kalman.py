@@ -377,6 +377,7 @@ def shown(*shape):
     (_kernels.smooth_gap, {"order": np.array([7], np.int32)}, "order must hold"),
     (_kernels.smooth_gap, {"passed": np.array([0, 2], np.int32)}, "passed must lie"),
     (_kernels.smooth_gap, {"times": np.zeros((2, 2), np.int64)}, "smooth_gap: all"),
+    (_kernels.smooth_gap, {"rows": (0, 3)}, "smooth_gap: rows must lie"),
     (_kernels.smooth_read, {"model": (np.zeros(2, TUNING_DTYPE), STEADY)},
      "smooth_read: tuning"),
     (_kernels.smooth_read, {"shown": shown(2, 3)}, "smooth_read: all"),
@@ -394,7 +395,7 @@ def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
             nodes=nodes[0], times=times[0], states=states, past=past),
         _kernels.smooth_gap: dict(
             nodes=nodes, times=times, order=order, passed=passed, states=states,
-            past=past, out=gaps),
+            past=past, rows=(0, 2), out=gaps, following=gaps.copy()),
         _kernels.smooth_read: dict(
             t=0, known=1, chain=(np.zeros(1, STORED_DTYPE), tracks),
             model=(np.zeros(1, TUNING_DTYPE), STEADY), gaps=gaps, states=states,

@@ -11,8 +11,9 @@ ROOMS = ("pdavis_cv/selfcal/*.py", "pdavis_cv/reconstruct/kalman/*.py",
              "cf", "denoise", "events", "lamp", "model", "redundancy", "tracks")),
          "pdavis_cv/recording/advice.py",
          *(f"_kernels/_{name}.*" for name in (
-             "estimate", "kalman", "lag", "lamp", "leaky", "model", "redundancy",
-             "rest", "selfcal", "smooth", "store", "tracks")))
+             "estimate", "kalman", "lag", "lamp", "lanes", "leaky", "listing", "model",
+             "reading", "redundancy", "rest", "selfcal", "smooth", "smoothed", "store",
+             "tracks")))
 FILES = sorted(path.relative_to(ROOT).as_posix() for room in ROOMS
                for path in ROOT.glob(room)
                if path.suffix in (".py", ".pyx", ".pxd", ".h"))

@@ -42,6 +42,8 @@ class Smoother:
         self._times = np.zeros((_LEAST, shape[1]), np.int64)
         self._order: tuple[int, ...] = ()
         self._gap = np.zeros(shape, GAP_DTYPE)
+        # The same once one more frame lies before the time, if it is still that.
+        self._following, self._followed = np.zeros(shape, GAP_DTYPE), False
         self._passed: NDArray[np.int32] | None = None
         self._past_us = 0       # the last frame that was folded into the past
         self._epoch_us = 0      # of what the reader keeps
@@ -68,7 +70,7 @@ class Smoother:
         at = min(free)
         self._times[at] = times
         self._order = (*self._order, at)
-        self._passed = None
+        self._forget()
         nodes: NDArray[Any] = self._nodes[at]
         return nodes
 
@@ -83,7 +85,11 @@ class Smoother:
                 self._nodes[at], self._times[at], states, self._past)
             self._past_us = int(self._times[at].max())
             self._order = tuple(rest)
-            self._passed = None
+            self._forget()
+
+    def _forget(self) -> None:
+        """Note that what frames on both sides say is another now."""
+        self._passed, self._followed = None, False
 
     def read(
         self, t_us: int, known_us: int, rest_us: int, tracks: Tracks, reader: Reader,
@@ -98,8 +104,16 @@ class Smoother:
         order = np.array(self._order, np.int32)
         passed = (self._times[order] <= t_us).sum(0, np.int32)
         if self._passed is None or not np.array_equal(passed, self._passed):
-            _kernels.smooth_gap(
-                self._nodes, self._times, order, passed, states, self._past, self._gap)
+            if self._passed is not None and self._followed and np.array_equal(
+                    passed, self._passed + 1):
+                # A frame was passed, and none has come: that was found with the last.
+                self._gap, self._following = self._following, self._gap
+                self._followed = False
+            else:
+                workers.rows(len(states), lambda first, last: _kernels.smooth_gap(
+                    self._nodes, self._times, order, passed, states, self._past,
+                    (first, last), self._gap, self._following))
+                self._followed = bool(np.all(passed < len(order)))
             self._passed = passed
             self.unknown = np.flatnonzero(
                 (self._gap["before"]["var"] < 0) & (self._gap["after"]["var"] < 0))
@@ -136,6 +150,7 @@ class Smoother:
     ) -> None:
         np.copyto(as_bytes(self._past), as_bytes(past))
         self._past_us = past_us
-        self._passed, self._order = None, ()
+        self._order = ()
+        self._forget()
         for one, at in zip(nodes, times, strict=True):
             as_bytes(self.slot(at))[:] = as_bytes(one)
