@@ -19,7 +19,7 @@ from pdavis_cv import (
     recording_from_arrays,
     write_aedat4,
 )
-from pdavis_cv.batch.jobs import Job, described
+from pdavis_cv.batch.jobs import Job, describe
 from pdavis_cv.batch.results import Results
 from pdavis_cv.tools.main import main
 
@@ -129,10 +129,10 @@ def test_a_new_version_does_its_own(monkeypatch):
 
 
 def test_arrays_are_described_by_what_they_hold():
-    one = described({"theta": np.ones((2, 2), np.float32)})
-    assert one == described({"theta": np.ones((2, 2), np.float32)})
-    assert one != described({"theta": np.ones((2, 2))})
-    assert one != described({"theta": np.zeros((2, 2), np.float32)})
+    one = describe({"theta": np.ones((2, 2), np.float32)})
+    assert one == describe({"theta": np.ones((2, 2), np.float32)})
+    assert one != describe({"theta": np.ones((2, 2))})
+    assert one != describe({"theta": np.zeros((2, 2), np.float32)})
 
 
 @pytest.mark.parametrize(("work", "figures", "files"), [

@@ -1,8 +1,9 @@
-"""Many recordings, any `concurrent.futures.Executor`.  For laboratories with hundreds.
+"""Process many recordings with any `concurrent.futures.Executor`.
 
-`jobs` say what is to be done and name it by its content, `works` do it, `worker` does
-one of them in whatever process it finds itself, `results` keep what came out, `pools`
-are what runs them, `engine` hands them out, `table` shows them.
+A *job* is one recording, one set of options and one *work* (what is done with it).
+`jobs` defines jobs and names them by their content; `works` holds the built-in works;
+`worker` does one job, in whatever process calls it; `results` stores what it returns;
+`pools` makes executors; `engine` distributes the jobs; `table` lists the results.
 """
 from pdavis_cv.batch.engine import plan, run
 from pdavis_cv.batch.jobs import Job, Work

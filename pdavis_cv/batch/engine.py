@@ -1,4 +1,4 @@
-"""run(): hands jobs to an executor and sees that each one ends in a row."""
+"""run(): submit jobs to an executor; each one ends as a row of a table."""
 from __future__ import annotations
 
 import contextlib
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pdavis_cv.batch.jobs import Job, Work
-from pdavis_cv.batch.pools import Pool, maker_of
+from pdavis_cv.batch.pools import Pool, pool_factory
 from pdavis_cv.batch.results import DONE, FAILED, Claim, Results, results_at
 from pdavis_cv.batch.table import Table
 from pdavis_cv.batch.worker import Row, failed_row, perform
@@ -29,10 +29,10 @@ from pdavis_cv.fusion.options import FusionOptions
 
 __all__ = ["plan", "run"]
 
-_PER_WORKER = 2     # jobs submitted for each worker: the next one waits at its side
-_LOOK_S = 0.5       # how often the run looks round while nothing happens
-_PATIENCE_S = 10.0  # for what a broken executor still has to say
-_TELL_S = 1.0       # how often it says how far it is
+_PER_WORKER = 2     # submitted jobs per worker: one in work, one that waits
+_POLL_S = 0.5       # interval at which the run polls while nothing finishes
+_BROKEN_WAIT_S = 10.0   # time given to a broken executor's jobs to end
+_REPORT_S = 1.0     # interval of progress reports
 
 
 def run(
@@ -47,52 +47,52 @@ def run(
     timeout_s: float | None = None,
     progress: bool | None = None,
 ) -> Table:
-    """Do a work with every recording and every set of options.
+    """Do a work for every recording with every set of options.
 
-    What was done before is not done again, whether this run or another one did it:
-    results have names made of the recording's content, the options, the work and the
-    version.  So an interrupted run is called again to go on, and two at once share
-    the jobs.  A job that fails, or brings its process down, is a row with its error;
-    the next run tries it again.
+    Jobs that are done are not done again: the name of a result is made of the
+    recording's content, the options, the work and the version.  So an interrupted run
+    continues when it is called again, and two runs at the same time share the jobs.  A
+    job that fails or crashes its process becomes a row with its error; the next run
+    tries it again.
 
     Parameters
     ----------
     recordings : iterable of path
-        Read when it is their turn; an iterator may be long.
+        Paths; an iterator is consumed as jobs are submitted.
     jobs : FusionOptions, or iterable of FusionOptions
-        Each recording is fused with each.
+        Every recording is processed with each of them.
     out : path
-        Folder of the results, or with a scheme their place in object storage; all
-        workers must see it.  Holds ``NAME/`` and ``NAME.json`` for each job,
+        Folder for the results, or a URL in object storage, which all workers must be
+        able to reach.  It receives ``NAME/`` and ``NAME.json`` for each job,
         ``summary.csv`` and ``index.html``.
     work : str or Work
-        One of ``WORKS`` or a function of your own module:
-        ``(recording, options, folder)`` writes files into `folder` and returns
-        figures for the table, or None.
+        One of ``WORKS``, or a function ``(recording, options, folder)`` of a module of
+        your own, which writes files into `folder` and returns figures for the table,
+        or None.
     executor : str, Executor or callable, optional
-        ``"process"`` (default), ``"loky"``, ``"dask"`` (a cluster of this machine),
-        ``"dask:tcp://HOST:PORT"``, ``"MODULE:FUNCTION"``; any
-        `concurrent.futures.Executor`; or a function that makes one, called again
-        should it break.
+        ``"process"`` (default), ``"loky"``, ``"dask"`` (a cluster on this machine),
+        ``"dask:tcp://HOST:PORT"`` or ``"MODULE:FUNCTION"``; a
+        `concurrent.futures.Executor`; or a function that makes one, which is called
+        again if it breaks.
     workers : int, optional
-        Default: one per core, or what the executor has.
+        Number of workers; default: one per core, or what the executor has.
     retries : int
-        How often a job that failed is tried again; not after errors that the same
-        input will meet again, such as a damaged header.
+        Number of further attempts at a job that failed.  Errors that would come again,
+        such as a damaged header, are not retried.
     timeout_s : float, optional
-        Of each job, seconds.
+        Time limit of each job, seconds.
     progress : bool, optional
-        Show it on standard error; default: if that is a terminal.
+        Show progress on standard error; default: only on a terminal.
 
     Returns
     -------
     Table
-        A row per job, in their order.
+        One row per job, in the order of the jobs.
 
     Raises
     ------
     ValueError
-        If `work` or `executor` is another word, or a number is out of range.
+        If `work` or `executor` is unknown, or a number is out of range.
     OSError
         If the folder cannot be written.
 
@@ -119,10 +119,10 @@ def run(
     every = [jobs] if isinstance(jobs, FusionOptions) else list(jobs)
     total = (len(recordings) * len(every)  # type: ignore[arg-type]
              if hasattr(recordings, "__len__") else None)
-    batch = _Batch(results, maker_of(executor, workers), retries, timeout_s)
+    batch = _Batch(results, pool_factory(executor, workers), retries, timeout_s)
     with _shown(total, progress) as show:
-        batch.go(_planned(recordings, every, results, work_of(work)),
-                 _Told(results, total, show))
+        batch.run(_planned(recordings, every, results, work_of(work)),
+                  _Progress(results, total, show))
     table = Table(results, batch.names, batch.unwritten)
     try:
         table.write()
@@ -139,7 +139,7 @@ def plan(
     *,
     work: str | Work = "export",
 ) -> Iterator[tuple[Job, bool]]:
-    """Yield each job that `run` would have, and whether it is done already.
+    """Yield each job that `run` would do, and whether it is already done.
 
     Parameters
     ----------
@@ -170,13 +170,13 @@ def _planned(
 
 @dataclass(eq=False)
 class _Attempt:
-    """A job that is being done.
+    """An attempt at a job.
 
     Attributes
     ----------
     alone : bool
-        Among those that were there when a process died; done singly, it shows
-        whether it was the one.
+        Whether no other job may run at the same time.  That is so after a process died
+        while this job was submitted: it shows whether this job was the cause.
     """
 
     job: Job
@@ -186,22 +186,22 @@ class _Attempt:
 
 
 class _Batch:
-    """The jobs that are in an executor's hands, and those that have to go back there.
+    """Submit jobs, collect their rows, and resubmit those that have to be repeated.
 
     Parameters
     ----------
     results : Results
     make : callable
-        Makes a pool.
+        Makes a Pool.
     retries : int
     timeout_s : float or None
 
     Attributes
     ----------
     names : list of str
-        Of the jobs so far, in their order.
+        Names of the jobs so far, in order.
     unwritten : dict of str to Row
-        Rows whose marker could not be written, by name.
+        Rows whose marker could not be written, by name of the job.
     """
 
     def __init__(
@@ -218,24 +218,24 @@ class _Batch:
         self._suspects: deque[_Attempt] = deque()
         self._elsewhere: list[Job] = []     # claimed by another run
 
-    def go(self, plan: Iterator[Job], told: _Told) -> None:
+    def run(self, plan: Iterator[Job], progress: _Progress) -> None:
         """Do every job of a plan."""
-        fresh = self._fresh(plan, told)
+        fresh = self._claimed(plan, progress)
         try:
             while True:
                 self._fill(fresh)
                 if self._pending:
                     finished, _ = wait(
-                        self._pending, _LOOK_S, return_when=FIRST_COMPLETED)
+                        self._pending, _POLL_S, return_when=FIRST_COMPLETED)
                     for future in [one for one in self._pending if one in finished]:
-                        self._settle(future, told)
+                        self._collect(future, progress)
                 elif self._elsewhere:
-                    time.sleep(_LOOK_S)
-                    fresh = self._fresh(iter(self._elsewhere), told, listed=True)
+                    time.sleep(_POLL_S)
+                    fresh = self._claimed(iter(self._elsewhere), progress, listed=True)
                     self._elsewhere = []
                 else:
                     break
-                told.now(len(self._pending))
+                progress.report(len(self._pending))
         except BaseException:
             self._close(at_once=True)
             raise
@@ -244,35 +244,35 @@ class _Batch:
         finally:
             for attempt in (*self._pending.values(), *self._again, *self._suspects):
                 attempt.claim.release()
-            told.end()
+            progress.end()
 
-    def _fresh(
-        self, plan: Iterator[Job], told: _Told, *, listed: bool = False
+    def _claimed(
+        self, plan: Iterator[Job], progress: _Progress, *, listed: bool = False
     ) -> Iterator[_Attempt]:
-        """Yield those that are neither done nor in the hands of another run."""
+        """Claim and yield the jobs that are neither done nor claimed by another run."""
         known = set(self.names)
         for job in plan:
             if not listed:
                 if job.name in known:
-                    told.count(DONE)    # the same content twice
+                    progress.count(DONE)    # two recordings of equal content
                     continue
                 known.add(job.name)
                 self.names.append(job.name)
             claim = None if self._results.is_done(job.name) else (
                 self._results.claim(job.name))
-            # Another run may have done it just before it let go.
+            # Another run may have finished the job just before it released its claim.
             if claim is None and not self._results.is_done(job.name):
                 self._elsewhere.append(job)
             elif claim is None or self._results.is_done(job.name):
                 if claim is not None:
                     claim.release()
-                told.count(DONE)
+                progress.count(DONE)
             else:
                 self._results.clean(job.name)
                 yield _Attempt(job, claim)
 
     def _fill(self, fresh: Iterator[_Attempt]) -> None:
-        """Submit as many as there is room for; suspects one at a time."""
+        """Submit jobs until all workers are busy; suspects one at a time."""
         while True:
             if self._suspects:
                 if self._pending:
@@ -303,20 +303,23 @@ class _Batch:
         else:
             self._pending[future] = attempt
 
-    def _settle(self, future: Future[tuple[Row, bool]], told: _Told) -> None:
+    def _collect(
+        self, future: Future[tuple[Row, bool]], progress: _Progress
+    ) -> None:
+        """Take the row of a finished future, or arrange for another attempt."""
         attempt = self._pending.pop(future, None)
         if attempt is None:
-            return                      # `_recover` has taken it back
+            return                      # `_recover` has already removed it
         try:
             row, again = future.result()
-        except BrokenExecutor as error:
+        except BrokenExecutor:
             if attempt.alone or not self._pending:
-                self._guilty(attempt, error, told)
+                self._blame(attempt, progress)
             else:
                 self._suspects.append(attempt)
             self._recover()
             return
-        except Exception as error:      # of the executor: it could not be sent, ...
+        except Exception as error:      # of the executor, e.g. while pickling the job
             row = failed_row(attempt.job, attempt.number,
                              f"{type(error).__name__}: {error}")
             again = not isinstance(error, TypeError | AttributeError)
@@ -325,18 +328,18 @@ class _Batch:
             attempt.number += 1
             self._again.append(attempt)
             return
-        self._end(attempt, row, told)
+        self._end(attempt, row, progress)
 
-    def _end(self, attempt: _Attempt, row: Row, told: _Told) -> None:
+    def _end(self, attempt: _Attempt, row: Row, progress: _Progress) -> None:
         name = attempt.job.name
         found = self._results.marker(name)
         if found is None or found["row"]["state"] != row["state"]:
             self.unwritten[name] = row
         attempt.claim.release()
-        told.count(row["state"])
+        progress.count(row["state"])
 
-    def _guilty(self, attempt: _Attempt, error: Exception, told: _Told) -> None:
-        """Note that a process died of this job, which had it for itself."""
+    def _blame(self, attempt: _Attempt, progress: _Progress) -> None:
+        """Record that a process died while it did this job and no other."""
         if attempt.number <= self._retries:
             attempt.number, attempt.alone = attempt.number + 1, True
             self._suspects.append(attempt)
@@ -345,15 +348,15 @@ class _Batch:
             attempt.job, attempt.number,
             "the process that did it died: killed, out of memory, or crashed")
         self._mark(row)
-        self._end(attempt, row, told)
+        self._end(attempt, row, progress)
 
     def _mark(self, row: Row) -> None:
         with contextlib.suppress(OSError):
             self._results.mark(row["name"], {"row": row, "provenance": {}})
 
     def _recover(self) -> None:
-        """Take back what a broken executor held; each is to be done singly."""
-        finished, _ = wait(self._pending, _PATIENCE_S)
+        """Take back the jobs of a broken executor; each is repeated alone."""
+        finished, _ = wait(self._pending, _BROKEN_WAIT_S)
         kept = {future: self._pending[future] for future in finished
                 if not isinstance(_failure(future), BrokenExecutor)}
         self._suspects += [attempt for future, attempt in self._pending.items()
@@ -377,11 +380,11 @@ def _failure(future: Future[Any]) -> BaseException | None:
     return None if future.cancelled() else future.exception()
 
 
-# ---- how far it is ---------------------------------------------------------------
+# ---- progress --------------------------------------------------------------------
 
 
-class _Told:
-    """Says how far a run is: to `show`, and in a file to `batch.status`."""
+class _Progress:
+    """Report the progress of a run to `show`, and in a file to `batch.status`."""
 
     def __init__(
         self, results: Results, total: int | None, show: Callable[[int, int], None]
@@ -390,10 +393,10 @@ class _Told:
         host = platform.node()
         self._results, self._run = results, f"{host}-{os.getpid()}-{id(self):x}"
         self._done = self._failed = 0
-        self._told_s = 0.0
+        self._reported_s = 0.0
         self._facts = {"host": host, "pid": os.getpid(), "total": total,
                        "started_s": time.time()}
-        self.now(0)
+        self.report(0)
 
     def count(self, state: str) -> None:
         """Count a job that has ended."""
@@ -401,20 +404,20 @@ class _Told:
         self._failed += state != DONE
         self._show(self._done, self._failed)
 
-    def now(self, running: int) -> None:
-        """Say it, unless it was said a moment ago."""
-        if time.monotonic() - self._told_s < _TELL_S:
+    def report(self, running: int) -> None:
+        """Write the progress, at most once per second."""
+        if time.monotonic() - self._reported_s < _REPORT_S:
             return
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
         with contextlib.suppress(OSError):
-            self._results.tell(self._run, {
+            self._results.write_progress(self._run, {
                 **self._facts, "done": self._done, "failed": self._failed,
                 "running": running, "seen_s": time.time()})
 
     def end(self) -> None:
-        """Say no more."""
+        """Remove the file for `batch.status`."""
         with contextlib.suppress(OSError):
-            self._results.forget(self._run)
+            self._results.remove_progress(self._run)
 
 
 @contextlib.contextmanager
@@ -429,6 +432,6 @@ def _shown(
             bar.update(done + failed - bar.n)
             if failed:
                 bar.set_postfix_str(f"{failed} failed", refresh=False)
-            bar.refresh()   # jobs may be long, and the clock shall go on
+            bar.refresh()   # also between jobs, so that the clock runs
 
         yield show

@@ -1,4 +1,4 @@
-"""What is to be done, and names that stay the same as long as it does."""
+"""Jobs, and names for them that depend only on their content."""
 from __future__ import annotations
 
 import dataclasses
@@ -18,53 +18,54 @@ import pdavis_cv
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Job", "Work", "described", "given"]
+__all__ = ["Job", "Work", "changed_options", "describe"]
 
 _DIGITS = 12
-"""Of the hash in a name: 48 bits, a collision among 10^5 jobs has odds of 2 in 10^5."""
-_SAME_BITS = frozenset({"threads"})
-"""Options that no result depends on."""
+"""Hexadecimal digits of the hash in a name: 48 bits.  The probability of a collision
+among 10^5 jobs is 2e-5."""
+_WITHOUT_EFFECT = frozenset({"threads"})
+"""Options that do not change any result."""
 
 
 class Work(Protocol):
-    """What is done with one recording: a function, or an object that can be called.
+    """What is done with one recording: a function or another callable.
 
-    It must pickle; a function must therefore be one of a module.  Where it has an
-    attribute ``opens`` that is False, it gets the text that stands for the recording
-    instead, and nothing is opened.
+    It must be picklable; a function must therefore be defined in a module.  If it has
+    an attribute ``opens`` that is False, no recording is opened: it is called with the
+    text that is given in place of the path.
     """
 
     def __call__(
         self, recording: Any, options: FusionOptions, folder: Path, /
     ) -> Mapping[str, Any] | None:
-        """Do it.
+        """Process a recording.
 
         Parameters
         ----------
         recording : Recording
-            Open; closed afterwards.
+            Open; the caller closes it.
         options : FusionOptions
         folder : Path
-            Empty; what is written there becomes the result when the work is done.
+            Empty; its content becomes the result when the work is done.
 
         Returns
         -------
         mapping of str to object, or None
-            Figures: numbers and texts, columns of the table.
+            Figures (numbers and texts) by the name of their column in the table.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Job:
-    """One recording, one set of options, one work.
+    """One recording, one set of options and one work.
 
     Parameters
     ----------
     source : str
-        Path of the recording, or what stands for it.
+        Path of the recording, or the text that is given in its place.
     identity : str
-        SHA-256 of its content, or another text that changes with it.
+        SHA-256 of its content, or another text that changes with the content.
     options : FusionOptions
     work : Work
     """
@@ -76,8 +77,8 @@ class Job:
 
     @functools.cached_property
     def name(self) -> str:
-        """Stem of the recording and a hash of all that the result depends on."""
-        facts = [self.identity, given(self.options), described(self.work),
+        """The recording's stem and a hash of everything that the result depends on."""
+        facts = [self.identity, changed_options(self.options), describe(self.work),
                  pdavis_cv.__version__]
         text = json.dumps(facts, sort_keys=True)
         stem = self.source.rstrip("/").rpartition("/")[2].partition(".")[0]
@@ -85,26 +86,26 @@ class Job:
         return f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
 
 
-def given(options: FusionOptions) -> dict[str, Any]:
-    """Return the options that are not as they are by default, for JSON.
+def changed_options(options: FusionOptions) -> dict[str, Any]:
+    """Return the options that differ from their defaults, for JSON.
 
-    Without those that no result depends on; parameters of the method stand beside the
-    others.
+    Options that do not change any result are left out; the method's parameters are
+    merged with the options.
     """
     found = {}
     for one in dataclasses.fields(FusionOptions):
-        if one.name in _SAME_BITS or one.name == "parameters":
+        if one.name in _WITHOUT_EFFECT or one.name == "parameters":
             continue
-        value = described(getattr(options, one.name))
-        if value != described(one.default):
+        value = describe(getattr(options, one.name))
+        if value != describe(one.default):
             found[one.name] = value
-    return {**found, **{name: described(value)
+    return {**found, **{name: describe(value)
                         for name, value in options.parameters.items()}}
 
 
 @functools.singledispatch
-def described(value: Any) -> Any:
-    """Return what JSON can hold and changes if, and only if, a value does.
+def describe(value: Any) -> Any:
+    """Return a description of a value that JSON can hold; equal for equal values only.
 
     Arrays become shape, dtype and SHA-256, functions their name and the SHA-256 of
     their source, objects their class and attributes.
@@ -114,59 +115,59 @@ def described(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {"class": _home(type(value)),
-                **{one.name: described(getattr(value, one.name))
+        return {"class": _qualified_name(type(value)),
+                **{one.name: describe(getattr(value, one.name))
                    for one in dataclasses.fields(value)}}
     if callable(value) and hasattr(value, "__qualname__"):
-        return {"function": _home(value), "source": _source_of(value)}
-    return {"class": _home(type(value)), **{
-        str(name): described(part) for name, part in getattr(
+        return {"function": _qualified_name(value), "source": _source_of(value)}
+    return {"class": _qualified_name(type(value)), **{
+        str(name): describe(part) for name, part in getattr(
             value, "__dict__", {"value": repr(value)}).items()}}
 
 
-@described.register
+@describe.register
 def _(value: np.ndarray) -> Any:
     content = hashlib.sha256(np.ascontiguousarray(value).tobytes())
     return {"shape": list(value.shape), "dtype": str(value.dtype),
             "sha256": content.hexdigest()}
 
 
-@described.register
+@describe.register
 def _(value: Layout) -> Any:
     return str(value)
 
 
-@described.register(Mapping)
+@describe.register(Mapping)
 def _(value: Mapping[Any, Any]) -> Any:
-    return {str(name): described(value[name]) for name in sorted(value, key=str)}
+    return {str(name): describe(value[name]) for name in sorted(value, key=str)}
 
 
-@described.register(list)
-@described.register(tuple)
+@describe.register(list)
+@describe.register(tuple)
 def _(value: list[Any] | tuple[Any, ...]) -> Any:
-    return [described(part) for part in value]
+    return [describe(part) for part in value]
 
 
-@described.register(set)
-@described.register(frozenset)
+@describe.register(set)
+@describe.register(frozenset)
 def _(value: set[Any] | frozenset[Any]) -> Any:
-    return sorted((described(part) for part in value), key=str)
+    return sorted((describe(part) for part in value), key=str)
 
 
-@described.register
+@describe.register
 def _(value: functools.partial) -> Any:  # type: ignore[type-arg]
-    return {"partial": [described(value.func), described(value.args),
-                        described(value.keywords)]}
+    return {"partial": [describe(value.func), describe(value.args),
+                        describe(value.keywords)]}
 
 
-def _home(value: Any) -> str:
+def _qualified_name(value: Any) -> str:
     return f"{value.__module__}:{value.__qualname__}"
 
 
 def _source_of(value: Any) -> str | None:
-    """Return a hash of the text that a function or class stands in, if that is known.
+    """Return the SHA-256 of the source of a function or class, None if unavailable.
 
-    Of this library's own the version says as much.
+    None as well for those of this library, which its version identifies.
     """
     if value.__module__.partition(".")[0] == "pdavis_cv":
         return None

@@ -1,4 +1,4 @@
-"""What runs the jobs: processes of our own, or anybody's Executor."""
+"""Pools that run the jobs: processes started here, or any Executor."""
 from __future__ import annotations
 
 import importlib
@@ -9,25 +9,25 @@ from typing import Any
 
 from pdavis_cv._workers import usable_cores
 
-__all__ = ["EXECUTORS", "Pool", "maker_of"]
+__all__ = ["EXECUTORS", "Pool", "pool_factory"]
 
 EXECUTORS = "process, loky, dask, dask:tcp://HOST:PORT or MODULE:FUNCTION"
-"""What `maker_of` takes, in words."""
+"""The texts that `pool_factory` accepts, for error messages."""
 _UNKNOWN = 32
-"""Workers that an executor is taken to have, if it does not say."""
+"""Number of workers assumed for an executor that does not tell it."""
 
 
 @dataclass(frozen=True)
 class Pool:
-    """An executor at work.
+    """A running executor.
 
     Parameters
     ----------
     executor : Executor
     workers : int
-        How many jobs it does at a time.
+        Number of jobs that it runs at a time.
     close : callable
-        Called with whether to end at once, in the middle of jobs.
+        Shuts it down; called with True to stop running jobs as well.
     """
 
     executor: Executor
@@ -35,35 +35,35 @@ class Pool:
     close: Callable[[bool], None]
 
 
-def maker_of(
+def pool_factory(
     executor: str | Executor | Callable[[], Executor] | None, workers: int | None
 ) -> Callable[[], Pool]:
-    """Return what makes a pool, and another one when that has broken.
+    """Return a function that makes a pool; it is called again if the pool breaks.
 
     Parameters
     ----------
     executor : str, Executor or callable, optional
-        One of `EXECUTORS`; an Executor, which stays its owner's to shut down and is
-        followed by a process pool should it break; or a function that makes one.
+        One of `EXECUTORS`; an Executor, which is not shut down here and is replaced by
+        a process pool if it breaks; or a function that makes one.
     workers : int, optional
-        How many, of what is made here; default: one per core.
+        Number of workers of a pool that is made here; default: one per core.
     """
     count = workers or usable_cores()
     if executor is None or executor == "process":
-        return lambda: _own(count)
+        return lambda: _process_pool(count)
     if isinstance(executor, Executor):
         given: list[Pool] = [Pool(
             executor, workers or _workers_of(executor), lambda at_once: None)]
-        return lambda: given.pop() if given else _own(count)
+        return lambda: given.pop() if given else _process_pool(count)
     if callable(executor):
-        return lambda: _foreign(executor(), workers)
+        return lambda: _executor_pool(executor(), workers)
     if executor == "loky":
-        return lambda: _loky(count)
+        return lambda: _loky_pool(count)
     if executor == "dask":
-        return lambda: _dask(None, count)
+        return lambda: _dask_pool(None, count)
     kind, _, rest = executor.partition(":")
     if kind == "dask":
-        return lambda: _dask(rest, workers)
+        return lambda: _dask_pool(rest, workers)
     if not rest:
         raise ValueError(f"executor must be {EXECUTORS}, got {executor!r}")
     try:
@@ -71,11 +71,11 @@ def maker_of(
     except (ImportError, AttributeError) as error:
         raise ValueError(
             f"executor must be {EXECUTORS}, got {executor!r}: {error}") from None
-    return lambda: _foreign(function(), workers)
+    return lambda: _executor_pool(function(), workers)
 
 
-def _own(count: int) -> Pool:
-    # Loads what talks to processes: a run that finds everything done needs none.
+def _process_pool(count: int) -> Pool:
+    # Imported late: a run that finds every job done needs no processes.
     from pdavis_cv.batch.processes import ProcessPool
 
     pool = ProcessPool(count)
@@ -86,14 +86,14 @@ def _workers_of(executor: Executor) -> int:
     return int(getattr(executor, "_max_workers", None) or _UNKNOWN)
 
 
-def _foreign(executor: Executor, workers: int | None) -> Pool:
+def _executor_pool(executor: Executor, workers: int | None) -> Pool:
     def close(at_once: bool) -> None:
         executor.shutdown(wait=not at_once, cancel_futures=at_once)
 
     return Pool(executor, workers or _workers_of(executor), close)
 
 
-def _loky(count: int) -> Pool:
+def _loky_pool(count: int) -> Pool:
     try:
         loky: Any = importlib.import_module("loky")
     except ImportError as error:
@@ -107,8 +107,8 @@ def _loky(count: int) -> Pool:
     return Pool(executor, count, close)
 
 
-def _dask(address: str | None, workers: int | None) -> Pool:
-    """Return a pool on the cluster at an address, or on one of this machine's own."""
+def _dask_pool(address: str | None, workers: int | None) -> Pool:
+    """Return a pool on the cluster at an address, or on a new one on this machine."""
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError as error:
@@ -119,7 +119,7 @@ def _dask(address: str | None, workers: int | None) -> Pool:
         n_workers=workers, threads_per_worker=1, dashboard_address=None
     ) if address is None else None
     client = distributed.Client(address if cluster is None else cluster)
-    # With pure=True it would hand out rows that it remembers.
+    # With pure=True, Dask would return cached rows instead of repeating a job.
     executor = client.get_executor(pure=False)
     count = workers or sum(client.ncores().values()) or _UNKNOWN
 

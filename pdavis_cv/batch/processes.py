@@ -1,4 +1,4 @@
-"""Processes of this machine that end when their parent does."""
+"""A process pool whose processes end when their parent does."""
 from __future__ import annotations
 
 import contextlib
@@ -14,11 +14,11 @@ __all__ = ["ProcessPool"]
 
 
 class ProcessPool(ProcessPoolExecutor):
-    """Processes that end when their parent does, or says so, whatever they are doing.
+    """A process pool that can be stopped at once, and stops when its parent dies.
 
-    Each waits, in a thread, for the end of a pipe whose other end the parent alone
-    holds: the system closes it even if the parent is killed.  They are started afresh
-    and never forked from a parent with threads; so a script needs
+    A thread of each process waits for the end of a pipe whose other end only the parent
+    holds; the system closes it even if the parent is killed.  Processes are started
+    afresh, never forked from a parent that may have threads, so a script needs
     ``if __name__ == "__main__"`` around its call.
 
     Parameters
@@ -32,9 +32,9 @@ class ProcessPool(ProcessPoolExecutor):
             "forkserver" if "forkserver" in methods else "spawn")
         if "forkserver" in methods:
             context.set_forkserver_preload(["pdavis_cv.batch.works"])
-        self._theirs, self._ours = context.Pipe(duplex=False)
-        super().__init__(workers, mp_context=context, initializer=_begin,
-                         initargs=(self._theirs,))
+        self._child_end, self._parent_end = context.Pipe(duplex=False)
+        super().__init__(workers, mp_context=context, initializer=_prepare_worker,
+                         initargs=(self._child_end,))
 
     def __exit__(self, kind: object, *rest: object) -> None:
         self.close(at_once=kind is not None)
@@ -45,17 +45,17 @@ class ProcessPool(ProcessPoolExecutor):
         Parameters
         ----------
         at_once : bool
-            Do not wait for the jobs that they are at.
+            Do not wait for the jobs in work.
         """
         if at_once:
-            self._ours.close()
+            self._parent_end.close()
         self.shutdown(wait=True, cancel_futures=at_once)
-        self._ours.close()
-        self._theirs.close()
+        self._parent_end.close()
+        self._child_end.close()
 
 
-def _begin(parent: Connection) -> None:
-    """Prepare a worker: Ctrl-C is the parent's, and its end is ours."""
+def _prepare_worker(parent: Connection) -> None:
+    """Prepare a worker: ignore Ctrl-C, which the parent handles; end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def wait() -> None:

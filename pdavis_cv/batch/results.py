@@ -1,4 +1,4 @@
-"""Where results lie: a folder and a marker for each job, whole or not at all."""
+"""Store results: a folder and a marker file for each job, complete or absent."""
 from __future__ import annotations
 
 import contextlib
@@ -18,7 +18,7 @@ from pdavis_cv.export.files import write_json
 
 try:
     import fcntl
-except ImportError:  # Windows: two runs at once may do a job twice, to the same end
+except ImportError:  # Windows: two runs at the same time may both do a job
     fcntl = None  # type: ignore[assignment]
 
 __all__ = ["DONE", "FAILED", "Claim", "Results", "results_at"]
@@ -29,16 +29,16 @@ _TRIES = 10
 
 
 class Claim:
-    """A job that this run has taken; other runs leave it alone until `release`.
+    """The claim of this run to a job, which other runs leave alone until `release`.
 
-    The system releases it when the process ends, however that ends.
+    The system releases it if the process is killed.
     """
 
     def __init__(self, path: Path, descriptor: int | None) -> None:
         self._path, self._descriptor = path, descriptor
 
     def release(self) -> None:
-        """Let others have it; nothing happens the second time."""
+        """Give up the claim; a second call does nothing."""
         if self._descriptor is not None:
             with contextlib.suppress(OSError):
                 self._path.unlink()
@@ -49,30 +49,30 @@ class Claim:
 class Results:
     """A folder of results.
 
-    Of each job there are ``NAME/``, what its work wrote, and ``NAME.json``, the marker:
-    its row of the table and where the numbers come from.  Both appear when they are
-    whole, the marker last.  What is not finished lies in ``.batch/``.
+    For each job it holds ``NAME/``, the files that its work wrote, and ``NAME.json``,
+    the marker, with the row of the table and its provenance.  Both appear when they are
+    complete, the marker last.  Unfinished files are in ``.batch/``.
 
     Parameters
     ----------
     out : path
-        Made if it is not there.
+        Created if it does not exist.
     """
 
     def __init__(self, out: str | os.PathLike[str]) -> None:
         self.out = Path(out)
-        self._own = self.out / ".batch"
-        self._parts, self._claims = self._own / "parts", self._own / "claims"
+        self._private = self.out / ".batch"
+        self._parts, self._claims = self._private / "parts", self._private / "claims"
 
     def begin(self) -> None:
-        """Make the folders."""
+        """Create the folders."""
         for name in ("parts", "claims", "identities", "runs"):
-            (self._own / name).mkdir(parents=True, exist_ok=True)
+            (self._private / name).mkdir(parents=True, exist_ok=True)
 
-    # ---- what is there -------------------------------------------------------
+    # ---- reading -------------------------------------------------------------
 
     def marker(self, name: str) -> Mapping[str, Any] | None:
-        """Return what the marker of a job holds, None if there is none."""
+        """Return the content of a job's marker, None if there is none."""
         try:
             facts: Mapping[str, Any] = json.loads(self._read(f"{name}.json"))
         except FileNotFoundError:
@@ -86,7 +86,7 @@ class Results:
         write_json(self.out / name, facts)
 
     def is_done(self, name: str) -> bool:
-        """Tell whether a job has been done, and not only tried."""
+        """Return whether a job was done successfully."""
         found = self.marker(name)
         return found is not None and found["row"]["state"] == DONE
 
@@ -98,7 +98,7 @@ class Results:
         FileNotFoundError
             If there are no results.
         """
-        if not self._own.is_dir():
+        if not self._private.is_dir():
             raise FileNotFoundError(
                 errno.ENOENT, "no results of pdavis batch", str(self.out))
         return sorted(path.stem for path in self.out.glob("*.json"))
@@ -106,7 +106,7 @@ class Results:
     # ---- doing a job ---------------------------------------------------------
 
     def claim(self, name: str) -> Claim | None:
-        """Take a job for this run; None if another one that lives has it."""
+        """Claim a job for this run; None if another running process has claimed it."""
         path = self._claims / name
         while True:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
@@ -119,18 +119,18 @@ class Results:
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(descriptor), path.stat()):
                     return Claim(path, descriptor)
-            os.close(descriptor)    # its last owner has removed it meanwhile
+            os.close(descriptor)    # removed by its last owner in the meantime: again
 
     def clean(self, name: str) -> None:
-        """Remove what a killed process left of a claimed job."""
+        """Remove the files that a killed process left of a claimed job."""
         for left in self._parts.glob(f"{name}.*"):
             _remove(left)
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[Path]:
-        """Give an empty folder to work in, which is gone afterwards."""
+        """Make an empty folder to work in, which is removed afterwards."""
         self._parts.mkdir(parents=True, exist_ok=True)
-        folder = self._beside(name)
+        folder = self._unfinished(name)
         folder.mkdir()
         try:
             yield folder
@@ -138,9 +138,9 @@ class Results:
             _remove(folder)
 
     def publish(self, name: str, folder: Path) -> None:
-        """Give a folder of `part` its final name, in place of an earlier one."""
+        """Rename a folder from `part` to its final name, replacing an earlier one."""
         for _ in range(_TRIES):
-            aside = self._beside(name)
+            aside = self._unfinished(name)
             with contextlib.suppress(FileNotFoundError):
                 (self.out / name).rename(aside)
             try:
@@ -148,35 +148,35 @@ class Results:
             except OSError:
                 if not (self.out / name).is_dir():
                     raise
-                continue        # another process has just published the same
+                continue        # another process has just published this job
             finally:
                 _remove(aside)
             return
-        raise OSError(f"{self.out / name}: another process keeps on writing it")
+        raise OSError(f"{self.out / name}: another process keeps writing it")
 
     def mark(self, name: str, facts: Mapping[str, Any]) -> None:
         """Write the marker of a job."""
-        part = self._beside(name)
+        part = self._unfinished(name)
         write_json(part, facts)
         part.replace(self.out / f"{name}.json")
 
-    def _beside(self, name: str) -> Path:
-        """Return a name that nobody else uses, for what is not finished."""
+    def _unfinished(self, name: str) -> Path:
+        """Return an unused path for an unfinished file or folder."""
         return self._parts / f"{name}.{secrets.token_hex(4)}"
 
-    # ---- beside the jobs -----------------------------------------------------
+    # ---- other files ---------------------------------------------------------
 
     @contextlib.contextmanager
     def written(self, name: str) -> Iterator[Path]:
-        """Let a file be written; it has its name when it is whole."""
+        """Yield a path to write to; it is renamed to `name` when it is complete."""
         with write_beside(self.out / name) as part:
             yield part
 
     def identity(self, source: str) -> str:
-        """Return the SHA-256 of a file's content, of a folder's files.
+        """Return the SHA-256 of the content of a file, or of all files of a folder.
 
-        Kept with size and time of the file, so that it is read once.  What cannot be
-        read has none: its path stands for it, and its job will say why.
+        It is stored with the files' sizes and times, so that they are read only once.
+        If a file cannot be read, its path is used instead; the job will report why.
         """
         if is_remote(source):
             try:
@@ -201,29 +201,29 @@ class Results:
             found = _digest(files)
         except OSError:
             return f"unread {source}"
-        with contextlib.suppress(OSError):      # it is looked at again then
+        with contextlib.suppress(OSError):      # then the next run reads it again
             self._write(kept, {"state": state, "sha256": found})
         return found
 
-    # ---- how far runs are ----------------------------------------------------
+    # ---- progress ------------------------------------------------------------
 
-    def tell(self, run: str, facts: Mapping[str, Any]) -> None:
-        """Note how far a run is."""
+    def write_progress(self, run: str, facts: Mapping[str, Any]) -> None:
+        """Write the progress of a run."""
         self._write(f".batch/runs/{run}.json", facts)
 
-    def forget(self, run: str) -> None:
-        """Note that a run has ended."""
-        (self._own / "runs" / f"{run}.json").unlink()
+    def remove_progress(self, run: str) -> None:
+        """Remove the progress of a run that has ended."""
+        (self._private / "runs" / f"{run}.json").unlink()
 
-    def told(self) -> Iterator[dict[str, Any]]:
-        """Yield what runs have told."""
-        for path in (self._own / "runs").glob("*.json"):
-            with contextlib.suppress(OSError, ValueError):  # it has just ended
+    def read_progress(self) -> Iterator[dict[str, Any]]:
+        """Yield the progress of each run."""
+        for path in (self._private / "runs").glob("*.json"):
+            with contextlib.suppress(OSError, ValueError):  # the run has just ended
                 yield json.loads(path.read_bytes())
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there."""
+    """Remove a file or a folder, if it exists."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -241,7 +241,7 @@ def _digest(files: list[Path]) -> str:
 
 
 def results_at(out: str | os.PathLike[str]) -> Results:
-    """Return the results at a path, which may have a scheme.
+    """Return the results at a path or URL.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far the jobs of a folder are, for whoever asks while they are done."""
+"""The progress of the runs that write to a folder of results."""
 from __future__ import annotations
 
 import os
@@ -11,27 +11,27 @@ from pdavis_cv.batch.results import DONE, FAILED, Results, results_at
 
 __all__ = ["Status", "status"]
 
-_SILENT_S = 30.0    # a run says something every second
+_SILENT_S = 30.0    # a run reports every second; one silent for longer has died
 
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
-    """How far the jobs of a folder are.
+    """Numbers of finished and running jobs of a folder of results.
 
     Parameters
     ----------
     done, failed : int
-        Jobs with a marker.
+        Number of jobs with a marker.
     running : int
-        Jobs in the hands of runs that live.
+        Number of jobs that active runs have submitted.
     runs : int
-        Runs that live.
+        Number of active runs.
     total : int or None
-        Jobs of these runs; None where one does not know.
+        Number of jobs of the active runs; None if unknown.
     left_s : float or None
-        Seconds that they still need, at the pace so far.
+        Estimated time until they end, s, from the rate so far.
     errors : mapping of str to int
-        How often each error occurs among the failed ones.
+        Number of failed jobs by error.
     """
 
     done: int
@@ -44,12 +44,12 @@ class Status:
 
 
 def status(out: str | os.PathLike[str]) -> Status:
-    """Return how far the jobs of a folder are.
+    """Return the progress of the jobs of a folder of results.
 
     Parameters
     ----------
     out : path
-        As `run` was given it.
+        As given to `run`.
 
     Returns
     -------
@@ -72,19 +72,20 @@ def status(out: str | os.PathLike[str]) -> Status:
         counts[row["state"]] += 1
         if row["state"] == FAILED:
             errors[row["error"]] += 1
-    alive = _alive(results)
-    totals = [run["total"] for run in alive]
-    left = [_left_s(run) for run in alive]
+    active = _active_runs(results)
+    totals = [run["total"] for run in active]
+    left = [_left_s(run) for run in active]
     known = [value for value in left if value is not None]
     return Status(
         done=counts[DONE], failed=counts[FAILED],
-        running=sum(run["running"] for run in alive), runs=len(alive),
+        running=sum(run["running"] for run in active), runs=len(active),
         total=sum(totals) if totals and None not in totals else None,
         left_s=max(known) if known else None, errors=dict(errors.most_common()))
 
 
-def _alive(results: Results) -> list[dict[str, Any]]:
-    return [run for run in results.told() if time.time() - run["seen_s"] < _SILENT_S]
+def _active_runs(results: Results) -> list[dict[str, Any]]:
+    return [run for run in results.read_progress()
+            if time.time() - run["seen_s"] < _SILENT_S]
 
 
 def _left_s(run: dict[str, Any]) -> float | None:

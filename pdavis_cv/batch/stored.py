@@ -1,4 +1,4 @@
-"""Results in object storage: each object is put whole, the marker of a job last."""
+"""Results in object storage: objects are complete or absent, the marker comes last."""
 from __future__ import annotations
 
 import contextlib
@@ -17,10 +17,10 @@ __all__ = ["StoredResults"]
 
 
 class StoredResults(Results):
-    """Results under a name with a scheme, as ``s3://bucket/out``.
+    """Results under a URL, e.g. ``s3://bucket/out``.
 
-    A work writes into a folder of this machine, whose files are then put.  There are no
-    locks: two runs at once may do a job twice, to the same end.
+    A work writes to a local folder, whose files are then uploaded.  There are no locks:
+    two runs at the same time may both do a job, with the same result.
 
     Parameters
     ----------
@@ -29,10 +29,10 @@ class StoredResults(Results):
 
     def __init__(self, out: str) -> None:
         self._store = RemotePath(out)
-        self.out = cast("Path", self._store)    # as far as this class and workers go
+        self.out = cast("Path", self._store)    # has what this class and workers use
 
     def begin(self) -> None:
-        """Nothing to do: folders are parts of names."""
+        """Do nothing: object storage has no folders."""
 
     def _read(self, name: str) -> bytes:
         return self._at(name).read_bytes()
@@ -59,42 +59,42 @@ class StoredResults(Results):
         return [name.removesuffix(".json") for name in found if name.endswith(".json")]
 
     def claim(self, name: str) -> Claim | None:
-        """Take a job for this run; others are not kept from it."""
+        """Return a claim to a job, which does not exclude other runs."""
         return Claim(Path(), None)
 
     def clean(self, name: str) -> None:
-        """Nothing to do: what a killed process left is on its own machine."""
+        """Do nothing: files of a killed process are on its own machine."""
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[Path]:
-        """Give an empty folder to work in, which is gone afterwards."""
+        """Make an empty folder to work in, which is removed afterwards."""
         with tempfile.TemporaryDirectory(prefix="pdavis-batch-") as folder:
             yield Path(folder)
 
     def publish(self, name: str, folder: Path) -> None:
-        """Put the files of a folder, in place of those of an earlier one."""
+        """Upload the files of a folder, replacing those of an earlier one."""
         self._at(name).remove()
         for path in sorted(folder.rglob("*")):
             if path.is_file():
                 self._at(f"{name}/{path.relative_to(folder).as_posix()}").put(path)
 
     def mark(self, name: str, facts: Mapping[str, Any]) -> None:
-        """Put the marker of a job."""
+        """Upload the marker of a job."""
         self._write(f"{name}.json", facts)
 
     @contextlib.contextmanager
     def written(self, name: str) -> Iterator[Path]:
-        """Let a file be written; it is put when it is whole."""
+        """Yield a path to write to; the file is uploaded when it is complete."""
         with tempfile.TemporaryDirectory(prefix="pdavis-batch-") as folder:
             yield Path(folder) / name
             self._at(name).put(Path(folder) / name)
 
-    def forget(self, run: str) -> None:
-        """Note that a run has ended."""
+    def remove_progress(self, run: str) -> None:
+        """Remove the progress of a run that has ended."""
         self._at(f".batch/runs/{run}.json").remove()
 
-    def told(self) -> Iterator[dict[str, Any]]:
-        """Yield what runs have told."""
+    def read_progress(self) -> Iterator[dict[str, Any]]:
+        """Yield the progress of each run."""
         for name in self._at(".batch/runs").below():
-            with contextlib.suppress(OSError):      # it has just ended
+            with contextlib.suppress(OSError):      # the run has just ended
                 yield json.loads(self._read(f".batch/runs/{name}"))

@@ -1,4 +1,4 @@
-"""The rows of many jobs: as a table to read, to plot and to look at."""
+"""The table of all jobs, as a sequence of rows, CSV, Parquet or a web page."""
 from __future__ import annotations
 
 import html
@@ -24,15 +24,15 @@ _PICTURE = ".png"
 
 
 class Table(Sequence[Row]):
-    """A row per job, read from its marker when it is asked for.
+    """A sequence of one row per job, read from its marker on access.
 
-    So it takes no more memory than the names of the jobs.
+    It needs no more memory than the names of the jobs.
 
     Parameters
     ----------
     results : Results
     names : sequence of str
-        Of the jobs, in their order.
+        Names of the jobs, in order.
     unwritten : mapping of str to Row, optional
         Rows of jobs whose marker could not be written.
     """
@@ -61,7 +61,7 @@ class Table(Sequence[Row]):
             return self._unwritten[name]
         found = self._results.marker(name)
         if found is None:
-            raise KeyError(f"{name}: its marker has been removed")
+            raise KeyError(f"{name}: the marker has been removed")
         row: Row = found["row"]
         return row
 
@@ -72,7 +72,7 @@ class Table(Sequence[Row]):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns: recording, state, error, options, figures, the rest."""
+        """Names of the columns: recording, state, error, options, figures, others."""
         return self._columns(self)
 
     def _columns(self, rows: Iterable[Row]) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ class Table(Sequence[Row]):
 
     @staticmethod
     def cells(row: Row, columns: Sequence[str]) -> list[Any]:
-        """Return the values of a row; what its work found goes before its options."""
+        """Return the values of a row; a figure hides an option of the same name."""
         values = {**row["options"], **row["figures"],
                   **{name: row[name] for name in (*_FIRST, *_LAST, "error")}}
         return [_cell(values.get(name)) for name in columns]
@@ -113,7 +113,7 @@ class Table(Sequence[Row]):
         write_csv(path, columns, (self.cells(row, columns) for row in self))
 
     def write_parquet(self, path: Any = None) -> None:
-        """Write all rows as Parquet; columns of numbers are numbers.
+        """Write all rows as Parquet; columns of numbers have a number type.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class Table(Sequence[Row]):
         Raises
         ------
         ImportError
-            If pyarrow, of the extra ``[parquet]``, is missing.
+            If pyarrow (extra ``[parquet]``) is not installed.
         """
         try:
             pyarrow: Any = importlib.import_module("pyarrow")
@@ -133,19 +133,19 @@ class Table(Sequence[Row]):
                 "Parquet needs pyarrow: pip install 'pdavis-cv[parquet]'") from error
         columns = self.columns
         values = list(zip(*(self.cells(row, columns) for row in self), strict=True))
-        made = {name: _of_one_type(column) for name, column in zip(
+        made = {name: _uniform(column) for name, column in zip(
             columns, values or [()] * len(columns), strict=True)}
         with self._results.written("summary.parquet") if path is None else (
                 pdavis_cv.export.write_beside(path)) as part:
             parquet.write_table(pyarrow.table(made), part)
 
     def write_page(self, path: Any) -> None:
-        """Write all rows as a page: columns sort at a click, pictures beside them.
+        """Write all rows as a web page with sortable columns and pictures.
 
         Parameters
         ----------
         path : path
-            In the folder of the results, which the pictures are shown from.
+            In the folder of the results, to which the pictures' links are relative.
         """
         template = Template(
             files("pdavis_cv.batch").joinpath("page.html").read_text("utf-8"))
@@ -156,36 +156,36 @@ class Table(Sequence[Row]):
         with open(path, "w", encoding="utf-8") as file:
             file.write(before)
             for row in self:
-                file.write(_line(row, self.cells(row, shown)))
+                file.write(_html_row(row, self.cells(row, shown)))
             file.write(after)
 
 
 def _cell(value: Any) -> Any:
-    """Return what a cell of a table can hold."""
+    """Return a value that a cell of a table can hold."""
     if isinstance(value, list | dict):
         return "; ".join(map(str, value)) if isinstance(value, list) and all(
             isinstance(part, str) for part in value) else json.dumps(value)
     return value
 
 
-def _of_one_type(column: Sequence[Any]) -> list[Any]:
+def _uniform(column: Sequence[Any]) -> list[Any]:
     kinds = {type(value) for value in column if value is not None}
     if kinds <= {int, float} or len(kinds) == 1:
         return list(column)
     return [None if value is None else str(value) for value in column]
 
 
-def _line(row: Row, cells: Sequence[Any]) -> str:
+def _html_row(row: Row, cells: Sequence[Any]) -> str:
     name = row["name"]
     picture = next((file for file in row["files"] if file.endswith(_PICTURE)), None)
     shown = "" if picture is None else (
         f'<a href="{html.escape(name)}/{html.escape(picture)}"><img loading="lazy" '
         f'alt="" src="{html.escape(name)}/{html.escape(picture)}"></a>')
-    rest = "".join(f"<td>{html.escape(_words(value))}</td>" for value in cells)
+    rest = "".join(f"<td>{html.escape(_text_of(value))}</td>" for value in cells)
     return f'<tr class="{row["state"]}"><td>{shown}</td>{rest}</tr>\n'
 
 
-def _words(value: Any) -> str:
+def _text_of(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return "" if value is None else str(value)

@@ -1,4 +1,4 @@
-"""One job, done in whatever process or thread an executor calls."""
+"""Do one job, in the process or thread that an executor chooses."""
 from __future__ import annotations
 
 import contextlib
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import pdavis_cv
-from pdavis_cv.batch.jobs import Job, described, given
+from pdavis_cv.batch.jobs import Job, changed_options, describe
 from pdavis_cv.batch.results import DONE, FAILED, results_at
 from pdavis_cv.errors import PdavisError, PdavisWarning
 from pdavis_cv.recording.base import Recording
@@ -28,45 +28,48 @@ __all__ = ["Row", "failed_row", "perform"]
 
 Row = dict[str, Any]
 
-_LASTING = (PdavisError, TypeError, ValueError, ImportError, NotImplementedError)
-"""Errors that the same input will meet again."""
+_PERMANENT = (PdavisError, TypeError, ValueError, ImportError, NotImplementedError)
+"""Errors that would occur again with the same input, so that a retry is useless."""
 
 
 class _OutOfTimeError(BaseException):
-    """Raised in the middle of a work; not an Exception, which works may catch."""
+    """Raised inside a work at its time limit.
+
+    It is not an Exception, as a work may catch those.
+    """
 
 
 def perform(
     job: Job, out: str, *, timeout_s: float | None = None, attempt: int = 1
 ) -> tuple[Row, bool]:
-    """Do a job, and put result and marker where they belong.
+    """Do a job, and write its result and its marker.
 
     Parameters
     ----------
     job : Job
     out : str
-        Where results lie.
+        Folder or URL of the results.
     timeout_s : float, optional
-        After which the work is interrupted.
+        Time limit, after which the work is interrupted.
     attempt : int
-        Which one it is, from 1.
+        Number of this attempt, from 1.
 
     Returns
     -------
     row : dict of str to object
-        Of the table; ``state`` says whether it went well.
+        Row of the table; ``state`` is "done" or "failed".
     again : bool
-        Whether another attempt may end otherwise.
+        Whether another attempt may succeed.
     """
     results = results_at(out)
     row = _row(job, attempt)
     start, cpu, again = time.perf_counter(), time.process_time(), False
-    _forget_peak()
-    with _told() as told:
+    _reset_peak()
+    with _collected_warnings() as collected:
         try:
             with results.part(job.name) as folder:
                 with _deadline(timeout_s):
-                    row |= _worked(job, folder)
+                    row |= _run_work(job, folder)
                 row["files"] = sorted(
                     path.relative_to(folder).as_posix()
                     for path in folder.rglob("*") if path.is_file())
@@ -75,41 +78,41 @@ def perform(
         except _OutOfTimeError:
             row["error"] = f"not done after {timeout_s:g} s"
         except Exception as error:
-            row["error"] = _words(error)
-            again = not isinstance(error, _LASTING)
-    row |= {"warnings": told, "wall_s": round(time.perf_counter() - start, 3),
+            row["error"] = _message(error)
+            again = not isinstance(error, _PERMANENT)
+    row |= {"warnings": collected, "wall_s": round(time.perf_counter() - start, 3),
             "cpu_s": round(time.process_time() - cpu, 3), "peak_mib": _peak_mib()}
     try:
         results.mark(job.name, {"row": row, "provenance": _provenance(job)})
     except OSError as error:
-        row |= {"state": FAILED, "error": row["error"] or _words(error)}
+        row |= {"state": FAILED, "error": row["error"] or _message(error)}
         again = True
     return row, again
 
 
 def failed_row(job: Job, attempt: int, error: str) -> Row:
-    """Return the row of a job of which nobody came back to tell."""
+    """Return the row of a job whose worker returned nothing."""
     return {**_row(job, attempt), "error": error}
 
 
 def _row(job: Job, attempt: int) -> Row:
     return {
         "name": job.name, "recording": job.source, "state": FAILED, "error": "",
-        "options": given(job.options), "figures": {}, "problems": 0, "warnings": [],
-        "files": [], "attempt": attempt, "wall_s": None, "cpu_s": None,
+        "options": changed_options(job.options), "figures": {}, "problems": 0,
+        "warnings": [], "files": [], "attempt": attempt, "wall_s": None, "cpu_s": None,
         "peak_mib": None, "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "host": platform.node(), "version": pdavis_cv.__version__}
 
 
 def _provenance(job: Job) -> dict[str, Any]:
     return {"recording": job.source, "content": job.identity,
-            "options": given(job.options), "work": described(job.work),
+            "options": changed_options(job.options), "work": describe(job.work),
             "pdavis_cv": pdavis_cv.__version__, "numpy": np.__version__,
             "python": platform.python_version(), "machine": platform.platform()}
 
 
-def _worked(job: Job, folder: Path) -> Row:
-    """Call the work; return its figures and what was wrong with the recording."""
+def _run_work(job: Job, folder: Path) -> Row:
+    """Call the work; return its figures and the number of problems of the recording."""
     if not getattr(job.work, "opens", True):
         return {"figures": _plain(job.work(job.source, job.options, folder))}
     source: Recording = open_recording(job.source, layout=job.options.layout)
@@ -120,7 +123,7 @@ def _worked(job: Job, folder: Path) -> Row:
 
 
 def _plain(figures: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return figures as JSON holds them; what is not finite becomes None."""
+    """Return figures as JSON can hold them; numbers that are not finite become None."""
     if figures is not None and not isinstance(figures, Mapping):
         raise TypeError(
             "a work must return a mapping of figures or None, got "
@@ -132,12 +135,12 @@ def _plain(figures: Mapping[str, Any] | None) -> dict[str, Any]:
         if isinstance(value, float) and not np.isfinite(value):
             value = None
         if not isinstance(value, bool | int | float | str | None):
-            value = json.dumps(described(value))
+            value = json.dumps(describe(value))
         found[str(name)] = value
     return found
 
 
-def _words(error: BaseException) -> str:
+def _message(error: BaseException) -> str:
     text = " ".join(str(error).split())
     if isinstance(error, PdavisError | OSError | ValueError | TypeError) and text:
         return text
@@ -147,17 +150,21 @@ def _words(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def _told() -> Iterator[list[str]]:
-    """Collect our warnings; only in a main thread, since filters are the process's."""
-    told: list[str] = []
+def _collected_warnings() -> Iterator[list[str]]:
+    """Collect this library's warnings as texts, and issue all others again.
+
+    Filters of warnings apply to the whole process, so in other threads than the main
+    one nothing is collected.
+    """
+    collected: list[str] = []
     if threading.current_thread() is not threading.main_thread():
-        yield told
+        yield collected
         return
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", PdavisWarning)
-        yield told
+        yield collected
     ours = [one for one in caught if issubclass(one.category, PdavisWarning)]
-    told += [" ".join(str(one.message).split()) for one in ours]
+    collected += [" ".join(str(one.message).split()) for one in ours]
     for one in caught:
         if one not in ours:
             warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
@@ -168,10 +175,10 @@ def _told() -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def _deadline(seconds: float | None) -> Iterator[None]:
-    """Interrupt the block after so many seconds.
+    """Raise `_OutOfTimeError` in the block after the given time.
 
-    In a main thread by a signal, which also ends waits; in others, as those of a Dask
-    worker, at the next step of Python.
+    In a main thread a signal does so, which also interrupts waits.  In other threads,
+    such as those of a Dask worker, it takes effect at the next Python bytecode.
     """
     if seconds is None:
         yield
@@ -197,9 +204,9 @@ _RING_AGAIN_S = 1.0
 
 @contextlib.contextmanager
 def _alarm_of_thread(seconds: float) -> Iterator[None]:
-    """Raise `_OutOfTimeError` in this thread, again and again until the block ends.
+    """Raise `_OutOfTimeError` in this thread repeatedly until the block ends.
 
-    Once is not enough: raised in a finalizer, an exception is printed and forgotten.
+    Once is not enough: an exception that is raised in a finalizer is only printed.
     """
     thread = ctypes.c_ulong(threading.get_ident())
     raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
@@ -216,7 +223,7 @@ def _alarm_of_thread(seconds: float) -> Iterator[None]:
     def silence() -> None:
         with lock:
             over.set()
-            raise_in(thread, None)  # what was raised and not yet met
+            raise_in(thread, None)  # cancels an exception that is still pending
 
     threading.Thread(target=ring, daemon=True).start()
     try:
@@ -224,7 +231,7 @@ def _alarm_of_thread(seconds: float) -> Iterator[None]:
     finally:
         try:
             silence()
-        except _OutOfTimeError:  # raised on the way there
+        except _OutOfTimeError:  # raised before it was cancelled
             silence()
             raise
 
@@ -232,14 +239,14 @@ def _alarm_of_thread(seconds: float) -> Iterator[None]:
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
-def _forget_peak() -> None:
-    """Let the peak of memory begin anew, where the system can."""
+def _reset_peak() -> None:
+    """Reset the process's peak of memory, on systems that can."""
     with contextlib.suppress(OSError):
         _CLEAR.write_text("5")
 
 
 def _peak_mib() -> float | None:
-    """Return the most memory that the process had, MiB; None where nobody knows."""
+    """Return the process's peak of memory, MiB; None on systems that do not tell."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         text = _STATUS.read_text().partition("VmHWM:")[2]
         return round(int(text.split()[0]) / 1024, 1)

@@ -1,4 +1,4 @@
-"""What is done with a recording: images, scores, traces, calibration."""
+"""The built-in works: export images, score, measure traces, calibrate."""
 from __future__ import annotations
 
 import contextlib
@@ -19,7 +19,7 @@ from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.reconstruct.methods import default_method
 from pdavis_cv.recording.base import Recording
 
-if TYPE_CHECKING:   # what does the work is loaded by those who do it
+if TYPE_CHECKING:   # imported by the workers only
     from pdavis_cv.analysis import LeftOutFrames, Roi, Traces
     from pdavis_cv.polarimetry import PolarFrame
     from pdavis_cv.reconstruct.base import Estimate
@@ -35,7 +35,7 @@ _PICTURE = "preview.png"
 
 @dataclass(frozen=True, kw_only=True)
 class _Part:
-    """The part of a recording that is looked at.
+    """The interval of a recording that a work uses.
 
     Parameters
     ----------
@@ -64,21 +64,21 @@ def start_of(recording: Recording) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Export(_Part):
-    """Images as a stack of float arrays, with a small picture.
+    """Export images as a stack of float arrays, with a small picture.
 
     Parameters
     ----------
     suffix : {".npz", ".h5", ".ome.tif"}
-        What is written.
+        Format of the stack.
     quantities : tuple of str
-        Of ``export.QUANTITIES``.
+        Names from ``export.QUANTITIES``.
     start_s, stop_s : float, optional
         Seconds after the recording's first sample, half-open; default all.
 
     Raises
     ------
     ValueError
-        If a word is none of these.
+        If the suffix or a quantity is unknown.
     """
 
     suffix: str = ".npz"
@@ -93,7 +93,7 @@ class Export(_Part):
     def __call__(
         self, recording: Recording, options: FusionOptions, folder: Path
     ) -> Mapping[str, Any]:
-        """Write ``images`` with the suffix, and ``preview.png`` where OpenCV is."""
+        """Write ``images`` with the suffix, and with OpenCV ``preview.png``."""
         images = pdavis_cv.fuse(recording, self._of(recording, options))
         first = _first(images)
         facts = export.provenance(first.provenance, recording.path)
@@ -110,12 +110,12 @@ class Export(_Part):
 
 @dataclass(frozen=True, kw_only=True)
 class Trace(_Part):
-    """Intensity, DoLP and AoP of regions over time, as a table.
+    """Measure intensity, DoLP and AoP of regions over time.
 
     Parameters
     ----------
     regions : tuple of str
-        As `analysis.parse_roi` takes them; default: the whole image.
+        Regions in the notation of `analysis.parse_roi`; default: the whole image.
     start_s, stop_s : float, optional
         Seconds after the recording's first sample, half-open; default all.
     """
@@ -166,12 +166,12 @@ def _means(traces: Traces) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How well frames that are left out are predicted: needs no truth.
+    """Score how well left-out frames are predicted, which needs no ground truth.
 
     Parameters
     ----------
     seconds : float
-        How much of the recording is scored.
+        Length of the beginning of the recording that is scored.
     """
 
     seconds: float = 10.0
@@ -179,7 +179,7 @@ class Score:
     def __call__(
         self, recording: Recording, options: FusionOptions, folder: Path
     ) -> Mapping[str, Any]:
-        """Return what ``pdavis score`` tells of one method, and write nothing."""
+        """Return the scores that ``pdavis score`` prints; write no file."""
         left_out = pdavis_cv.analysis.LeftOutFrames(
             recording, stop_us=start_of(recording) + round(self.seconds * 1e6))
         asked = {one.name: getattr(options, one.name)
@@ -196,11 +196,11 @@ class Score:
 
 
 def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
-    """Yield what a method makes of each left-out frame.
+    """Yield a method's prediction of each left-out frame.
 
-    Images are on the clock of the events.  Where frames' stamps are found to be off,
-    the left-out ones' are moved as those of the others: of a causal method too, whose
-    past may not have told it yet.
+    Predictions are on the clock of the events.  If an offset of the frames' clock is
+    found, the times of left-out frames are moved by it like those of the others; for a
+    causal method too, which may not have found it yet at that time.
 
     Parameters
     ----------
@@ -219,22 +219,22 @@ def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
 def predicted_images(
     left_out: LeftOutFrames, **options: Any,
 ) -> Iterator[tuple[PolarFrame, Estimate]]:
-    """Yield each image of super-pixels beside what `predicted` yields for it."""
-    seen: list[Estimate] = []
+    """Yield each super-pixel image with the estimate that `predicted` yields for it."""
+    estimates: list[Estimate] = []
     from pdavis_cv.fusion import Fusion
 
     options = {**options, "demosaic": "superpixel",
-               "method": pdavis_cv.analysis.observed(options["method"], seen)}
+               "method": pdavis_cv.analysis.observed(options["method"], estimates)}
     recording: Recording = left_out.kept
     clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
     times_us = left_out.times_us + clock_us
     for image in pdavis_cv.fuse(recording, times_us=times_us, **options):
-        yield image, seen[0]
+        yield image, estimates[0]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
-    """What a recording tells of its own camera, as a calibration file.
+    """Estimate parameters of the camera and write them as a calibration file.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class Calibrate:
     def __call__(
         self, recording: Recording, options: FusionOptions, folder: Path
     ) -> Mapping[str, Any]:
-        """Write ``camera.npz``; `options` give what is known, by ``calibration``."""
+        """Write ``camera.npz``, starting from the ``calibration`` of the options."""
         info, known = recording.info, options.calibration
         found = pdavis_cv.thresholds_in_situ(
             recording, nominal=self.nominal, calibration=known)
@@ -264,7 +264,7 @@ class Calibrate:
 
 
 def measured_parts(found: CameraEstimate) -> dict[str, Any]:
-    """Return the parts of a Calibration that an estimate gives; None = not told."""
+    """Return the fields of a Calibration from an estimate; None = not estimated."""
     sigma = found.sigma
     values: dict[str, Any] = {
         "theta_on": found.theta_on, "theta_off": found.theta_off,
@@ -287,18 +287,18 @@ def _first(images: Iterable[PolarFrame]) -> PolarFrame:
 
 
 def _draw(image: PolarFrame, folder: Path) -> None:
-    """Write a small picture, where OpenCV is there to draw it."""
+    """Write a small picture, if OpenCV is installed."""
     with contextlib.suppress(ImportError):
         export.write_png(folder / _PICTURE, pdavis_cv.render.summary(image))
 
 
 WORKS: dict[str, Work] = {"export": Export(), "traces": Trace(), "score": Score(),
                           "calibrate": Calibrate()}
-"""Works by name, with their defaults."""
+"""The built-in works by name, with default parameters."""
 
 
 def work_of(work: str | Work) -> Work:
-    """Return a work by name, or what is one already."""
+    """Return the work of that name; a work is returned as it is."""
     if callable(work):
         return work
     if work not in WORKS:
