@@ -1,4 +1,4 @@
-"""VideoCapture and the numbers that go with it."""
+"""VideoCapture, a replacement of cv2.VideoCapture, and its constants."""
 from pdavis_cv.capture.constants import (
     CAP_PDAVIS,
     CAP_PDAVIS_AOP,

@@ -1,4 +1,4 @@
-"""Numbers that OpenCV programs pass around: outputs, properties, the backend."""
+"""Constants in the style of OpenCV: outputs, properties and the backend."""
 from __future__ import annotations
 
 __all__ = [
@@ -43,9 +43,9 @@ __all__ = [
 ]
 
 CAP_PDAVIS = 9400
-"""Backend: ``apiPreference``, and what ``CAP_PROP_BACKEND`` gives."""
+"""Backend: a value of ``apiPreference`` and of ``CAP_PROP_BACKEND``."""
 
-# Outputs: the flag of retrieve(), and values of CAP_PROP_PDAVIS_OUTPUT.
+# Outputs: values of the flag of retrieve() and of CAP_PROP_PDAVIS_OUTPUT.
 CAP_PDAVIS_BGR = 0          # uint8 (H, W, 3): grey S0 / 2
 CAP_PDAVIS_I0 = 1           # float32 (H, W), DN per ms, as the next six
 CAP_PDAVIS_I45 = 2
@@ -64,12 +64,12 @@ CAP_PDAVIS_DOLP_BGR = 14
 CAP_PDAVIS_EVENTS_BGR = 15
 
 PLANES = range(CAP_PDAVIS_I0, CAP_PDAVIS_AOP_BGR)
-"""Outputs that are planes of values: float32, but VALID is uint8."""
+"""Outputs that are not pictures: planes of float32, except VALID, which is uint8."""
 
 NAMES_OF_OUTPUTS = (
     "bgr", "i0", "i45", "i90", "i135", "s0", "s1", "s2", "aop", "dolp", "valid", "quad",
     "stokes", "aop_bgr", "dolp_bgr", "events_bgr")
-"""Outputs by their number: texts that do as well wherever Python takes one."""
+"""Names of the outputs by number; Python functions accept either."""
 
 
 def output_of(value: int | str) -> int:
@@ -93,26 +93,26 @@ def output_of(value: int | str) -> int:
     return NAMES_OF_OUTPUTS.index(value.lower())
 
 
-# Properties.  "set": set() may change it, params of open() may give it.
-CAP_PROP_PDAVIS_OUTPUT = 94000       # set: what read() gives
+# Properties; "set" means that set() and the params of open() accept it.
+CAP_PROP_PDAVIS_OUTPUT = 94000       # set: output of read()
 CAP_PROP_PDAVIS_METHOD = 94001       # set: position in METHODS
 CAP_PROP_PDAVIS_CUTOFF_HZ = 94002    # set: high-pass corner of cf and events
 CAP_PROP_PDAVIS_FPS = 94003          # set: images per second of recording time
-CAP_PROP_PDAVIS_CAPTURE_FPS = 94004  # frames per second that the camera took
+CAP_PROP_PDAVIS_CAPTURE_FPS = 94004  # frames per second of the camera
 CAP_PROP_PDAVIS_EXPOSURE_US = 94005  # of the first frame
 CAP_PROP_PDAVIS_LAYOUT = 94006       # set: cell as digits angle/45, 3201 = PDAVIS
 CAP_PROP_PDAVIS_DEMOSAIC = 94007     # set: see CODE_OF_DEMOSAIC
 CAP_PROP_PDAVIS_START_US = 94008     # time of the first image
 CAP_PROP_PDAVIS_POS_US = 94009       # time of the last grabbed image
-CAP_PROP_PDAVIS_CAUSAL = 94010       # set: 1 = use only what had arrived
+CAP_PROP_PDAVIS_CAUSAL = 94010       # set: 1 = causal, see FusionOptions
 CAP_PROP_PDAVIS_GAIN = 94011         # set: brightness of the grey picture
 CAP_PROP_PDAVIS_GAMMA = 94012        # set: grey = 255 * x ** (1 / gamma)
 CAP_PROP_PDAVIS_LOG = 94013          # set: 1 = logarithmic grey
 CAP_PROP_PDAVIS_WHITE = 94014        # S0 / 2 that is white at gain 1
 
 CODE_OF_DEMOSAIC = ("bilinear", "superpixel", "binned", "guided")
-"""Demosaicing methods by their number; new ones come last."""
+"""Demosaicing methods by number; new ones are appended."""
 
-# OpenCV's own, the same in every version: longest waits for a live source, ms.
+# OpenCV's own constants, equal in all versions: timeouts of a live source, ms.
 CAP_PROP_OPEN_TIMEOUT_MSEC = 53
 CAP_PROP_READ_TIMEOUT_MSEC = 54

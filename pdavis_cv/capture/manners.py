@@ -1,4 +1,4 @@
-"""The manners of cv2: which error, which value for what is not known."""
+"""Errors and default values that imitate cv2."""
 from __future__ import annotations
 
 import functools
@@ -22,13 +22,13 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 StsError, StsBadArg = -2, -5
 
-# Type codes for a system without OpenCV: those of OpenCV 5.
+# Type codes of OpenCV 5, used if OpenCV is not installed.
 _CODES = {"CV_8UC1": 0, "CV_8UC3": 64, "CV_32FC1": 5, "CV_32FC3": 69, "CV_32FC4": 101}
 
 
 @functools.cache
 def _cv2() -> Any:
-    """Return cv2, None where it is not installed."""
+    """Return cv2, None if it is not installed."""
     try:
         return importlib.import_module("cv2")
     except ImportError:
@@ -36,14 +36,14 @@ def _cv2() -> Any:
 
 
 def raise_like_cv2(function: str, message: str, code: int = StsError) -> NoReturn:
-    """Raise cv2.error (PdavisError where there is no cv2) with cv2's attributes.
+    """Raise cv2.error (PdavisError without OpenCV) with cv2's attributes.
 
     Parameters
     ----------
     function : str
         Name of the method that failed.
     message : str
-        What was wrong.
+        Description of the error.
     code : int
         OpenCV's number for the kind of error.
     """
@@ -55,7 +55,7 @@ def raise_like_cv2(function: str, message: str, code: int = StsError) -> NoRetur
 
 
 def overloads(method: Method) -> Method:
-    """Let a method refuse arguments that it does not have as cv2 does."""
+    """Make a method reject unknown arguments with the error that cv2 raises."""
     @functools.wraps(method)
     def call(*args: Any, **keywords: Any) -> Any:
         try:
@@ -72,14 +72,14 @@ def overloads(method: Method) -> Method:
 
 
 def unknown_property() -> float:
-    """Return what get() gives for a property that does not exist.
+    """Return the value of get() for a property that does not exist.
 
-    OpenCV 5 answers -1 (``CAP_PROP_UNKNOWN``), OpenCV 4 answered 0.
+    It is -1 (``CAP_PROP_UNKNOWN``) in OpenCV 5 and 0 in OpenCV 4.
     """
     cv2 = _cv2()
     return 0.0 if cv2 is not None and int(cv2.__version__.split(".")[0]) < 5 else -1.0
 
 
 def type_code(name: str) -> float:
-    """Return the number of a matrix type, e.g. ``"CV_8UC3"``: it differs by version."""
+    """Return the number of a matrix type, e.g. ``"CV_8UC3"``, in the OpenCV in use."""
     return float(getattr(_cv2(), name, _CODES[name]))

@@ -1,4 +1,4 @@
-"""What retrieve() gives: float planes, and pictures with a fixed scale."""
+"""Outputs of retrieve(): float planes, and pictures with a fixed scale."""
 from __future__ import annotations
 
 import math
@@ -16,7 +16,7 @@ from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr
 __all__ = ["event_counts", "events_bgr", "first_frame", "plane", "tone", "white_level"]
 
 WHITE_WITHOUT_FRAMES = 2.0
-"""Intensity that is white where nothing is known but changes: they start from 1."""
+"""Intensity shown as white if there are no frames; it then starts from 1."""
 
 _CHANNEL = {c.CAP_PDAVIS_I0: 0, c.CAP_PDAVIS_I45: 1, c.CAP_PDAVIS_I90: 2,
             c.CAP_PDAVIS_I135: 3}
@@ -34,19 +34,19 @@ def first_frame(recording: Recording) -> ApsFrame | None:
 
 
 def white_level(uses_frames: bool, frame: ApsFrame | None) -> float:
-    """Return the intensity that is white: full scale of the converter.
+    """Return the intensity that is shown as white: full scale of the converter.
 
     Parameters
     ----------
     uses_frames : bool
-        Methods that use events alone have a scale of their own.
+        Whether the method uses frames; otherwise it has a scale of its own.
     frame : ApsFrame or None
-        The first one: gives the converter's range and the exposure.
+        The first frame, which has the converter's range and the exposure.
 
     Returns
     -------
     float
-        In the unit of S0 / 2: DN per ms of exposure, DN where no exposure is known.
+        In the unit of S0 / 2: DN per ms of exposure, or DN if the exposure is unknown.
     """
     if frame is None or not uses_frames:
         return WHITE_WITHOUT_FRAMES
@@ -63,7 +63,7 @@ def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
     gain, gamma : float
         Positive.
     log : bool
-        Over three decades, in place of linear.
+        Logarithmic over three decades instead of linear.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
 
 
 def plane(frame: PolarFrame, output: int) -> NDArray[Any]:
-    """Return the plane of an output; a picture's is what it is made from.
+    """Return the plane of an output; for a picture, the plane that it shows.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def plane(frame: PolarFrame, output: int) -> NDArray[Any]:
     Returns
     -------
     ndarray of float32, shape (H, W), or (H, W, 4) for QUAD, (H, W, 3) for STOKES
-        New; channels last, as cv2 has them.  VALID is uint8: 0, or 255 = usable.
+        A new array with channels last, as in cv2.  VALID is uint8: 0, or 255 = usable.
     """
     if output == c.CAP_PDAVIS_BGR:
         half: NDArray[np.float32] = frame.s0 * np.float32(0.5)
@@ -122,7 +122,7 @@ def colour(frame: PolarFrame, output: int) -> NDArray[np.uint8]:
 def event_counts(
     parts: Iterable[NDArray[Any]], roi: tuple[int, int, int, int], step: int,
 ) -> NDArray[np.float32]:
-    """Return ON less OFF events of each pixel.
+    """Return the number of ON minus OFF events of each pixel.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def event_counts(
     roi : (int, int, int, int)
         (x, y, width, height).
     step : int
-        Side of the square of sensor pixels that are added up.
+        Side of the squares of sensor pixels over which counts are summed.
 
     Returns
     -------
@@ -149,6 +149,6 @@ def event_counts(
 
 
 def events_bgr(counts: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the picture of event counts: grey 128, brighter by 42 per ON event."""
+    """Return the picture of event counts: grey 128 plus 42 for each ON event."""
     grey = np.rint(np.clip(128 + 42 * counts, 0, 255)).astype(np.uint8)
     return np.repeat(grey[..., None], 3, axis=-1)

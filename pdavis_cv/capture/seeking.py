@@ -16,7 +16,7 @@ from pdavis_cv.recording.base import Recording
 __all__ = ["Bookmark", "Cursor"]
 
 SPACING_US = 2_000_000
-"""Recording time between two snapshots, until they are thinned."""
+"""Recording time between two snapshots, before any are dropped, us."""
 
 MOST_SNAPSHOTS = 64
 MOST_BYTES = 256 * 2**20
@@ -24,7 +24,7 @@ MOST_BYTES = 256 * 2**20
 
 @dataclass(frozen=True, eq=False)
 class Bookmark:
-    """A place between two images that a Cursor can go back to; picklable.
+    """A position between two images to which a Cursor can return; picklable.
 
     Parameters
     ----------
@@ -38,24 +38,23 @@ class Bookmark:
 
 
 class Cursor:
-    """A place among the images of a Fusion that can be moved to any other.
+    """A position among the images of a Fusion, which can be moved to any other.
 
-    After any movement the state is what reading one image after the other up to
-    there would have left, to the bit: going back restores the last snapshot before
-    the place and replays from it, without making images.  Snapshots are kept as
-    they are passed, one in 2 s of recording time; there are at most 64 of them, and
-    all they hold is at most 256 MiB; beyond that every second one is given up and the
-    spacing doubles.
+    After any movement the state has the same bits as after reading all images up to
+    there.  To go back, the last snapshot before the position is restored, and the
+    recording is replayed from it without making images.  A snapshot is taken every 2 s
+    of recording time.  At most 64 snapshots of at most 256 MiB together are kept;
+    beyond that every second one is dropped and the interval doubles.
 
     Parameters
     ----------
     fusion : Fusion
-        Of a Recording, at its beginning; belongs to the Cursor from now on.
+        Of a Recording, at its beginning; from now on only the Cursor may use it.
 
     Raises
     ------
     TypeError
-        If the fusion is of a Source that is read once.
+        If the fusion's source can be read only once.
     """
 
     fusion: Fusion
@@ -83,11 +82,11 @@ class Cursor:
 
     @property
     def kept(self) -> tuple[int, ...]:
-        """Positions of which a snapshot is kept."""
+        """Positions for which a snapshot is kept."""
         return tuple(mark.snapshot.index for mark in self._kept)
 
     def advance(self) -> bool:
-        """Move past the next image; False at the end."""
+        """Move past the next image; return False at the end."""
         before = self.fusion.t_us
         if not self.fusion.advance():
             return False
@@ -96,13 +95,13 @@ class Cursor:
         return True
 
     def image(self) -> PolarFrame:
-        """Return the image that was last moved past."""
+        """Return the image that `advance` has just passed."""
         return self.fusion.image()
 
     # ---- movement ------------------------------------------------------------
 
     def seek(self, index: int) -> int:
-        """Make image number index the next one; beyond the end stop there.
+        """Move so that the next image is number index, or to the end if there is none.
 
         Parameters
         ----------
@@ -112,7 +111,7 @@ class Cursor:
         Returns
         -------
         int
-            Number of the image that is now next.
+            Number of the next image.
         """
         index = max(index, 0)
         place = bisect_right(self.kept, index) - 1
@@ -129,16 +128,16 @@ class Cursor:
         return self.index
 
     def rewind(self) -> None:
-        """Go back to before the first image."""
+        """Return to the position before the first image."""
         self.fusion.rewind()
         self.previous_us = None
 
     def bookmark(self) -> Bookmark:
-        """Return the place; an equal Cursor can `restore` it."""
+        """Return the position; an equal Cursor can `restore` it."""
         return Bookmark(self.fusion.snapshot(), self.previous_us)
 
     def restore(self, mark: Bookmark) -> None:
-        """Go to a bookmark."""
+        """Move to a bookmark."""
         self.fusion.restore(mark.snapshot)
         self.previous_us = mark.previous_us
 
@@ -147,7 +146,7 @@ class Cursor:
         last = self._kept[-1].snapshot.t_us if self._kept else self.fusion.start_us
         if t is None or last is None or t - last < self.spacing_us:
             return
-        # The next one is as large as the last: it must fit before it is taken.
+        # The next snapshot will be about as large as the last: make room for it.
         self._thin(MOST_BYTES - nbytes(self._kept[-1:]))
         self._kept.append(self.bookmark())
         self._thin(MOST_BYTES)
@@ -162,14 +161,14 @@ class Cursor:
 
     @property
     def count(self) -> int:
-        """Number of images; reads the recording once if it has no index."""
+        """Number of images; this reads the recording once if it has no index."""
         if self._count is None:
             self._count = self._counted()
         return self._count
 
     @property
     def fps(self) -> float:
-        """Images per second of the grid; the mean rate where there is no rate."""
+        """Images per second of the grid, or the mean rate if it is not regular."""
         if self.fusion.fps is not None:
             return float(self.fusion.fps)
         times = self.times_us
@@ -179,14 +178,14 @@ class Cursor:
 
     @property
     def times_us(self) -> NDArray[np.int64]:
-        """Times of the images of a grid without a rate."""
+        """Times of the images, if they are not on a regular grid."""
         if self._times is None:
             given = self.fusion.times_us
             self._times = self._frame_times() if given is None else given
         return self._times
 
     def index_at(self, t_us: float) -> int:
-        """Return the number of the image nearest to a time, the later one of two."""
+        """Return the number of the image nearest to a time; of two, the later one."""
         rate, start = self.fusion.fps, self.fusion.start_us
         if rate is not None:
             if start is None:
@@ -213,7 +212,7 @@ class Cursor:
         if not stops or min(stops) <= start:
             return 0
         period = Fraction(1_000_000) / rate
-        # The last k with start + round(k * period) < stop, which rounding can shift.
+        # The last k with start + round(k * period) < stop; rounding can shift it.
         k = int((min(stops) - start) / period) + 1
         while start + round(k * period) >= min(stops):
             k -= 1

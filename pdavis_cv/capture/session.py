@@ -1,4 +1,4 @@
-"""One opened recording: its position, its properties, its pictures."""
+"""An open recording or live source: its position, properties and pictures."""
 from __future__ import annotations
 
 import os
@@ -33,7 +33,7 @@ from pdavis_cv.render import ToneCurve
 __all__ = ["FAILURES", "Session", "View"]
 
 FAILURES = (OSError, PdavisError, ValueError, ImportError)
-"""What reading may raise: damage, what does not fit, a package that is missing."""
+"""Errors that reading may raise: damage, invalid values, a missing package."""
 
 # OpenCV's own numbers, the same in every version.
 _POS_MSEC, _POS_FRAMES, _POS_AVI_RATIO, _WIDTH, _HEIGHT, _FPS = 0, 1, 2, 3, 4, 5
@@ -42,20 +42,20 @@ _FRAME_COUNT, _FORMAT, _CONVERT_RGB, _BACKEND = 7, 8, 16, 42
 
 @dataclass(frozen=True)
 class View:
-    """How images are shown; all of it can be changed at any time.
+    """Settings of how images are shown, which can be changed at any time.
 
     Parameters
     ----------
     output : int
-        ``CAP_PDAVIS_*`` that ``read()`` gives.
+        Output of ``read()``, ``CAP_PDAVIS_*``.
     convert : bool
-        False: float planes in place of pictures (``CAP_PROP_CONVERT_RGB`` = 0).
+        False: float planes instead of pictures (``CAP_PROP_CONVERT_RGB`` = 0).
     gain, gamma : float
     log : bool
         See `picture.tone`.
     open_timeout_ms, read_timeout_ms : float
-        Longest waits for the first sample and for an image of a live source; cv2's own
-        defaults.
+        Timeouts for the first sample and for an image of a live source; the defaults
+        are those of cv2.
     """
 
     output: int = c.CAP_PDAVIS_BGR
@@ -74,15 +74,15 @@ class Session:
     ----------
     source : path, address or Source
     parameters : mapping of str to object
-        Of `fuse` and of `open_recording`.
+        Parameters of `fuse` and of `open_recording`.
     view : View
 
     Raises
     ------
     OSError
-        If the source cannot be opened or is not what it says.
+        If the source cannot be opened or has another format.
     TypeError, ValueError
-        If a parameter does not fit.
+        If a parameter is invalid.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Session:
         self.cursor: Cursor | LiveCursor
         self._live: LiveSession | None = None
         try:
-            self.cursor, self._first = self._begun()
+            self.cursor, self._first = self._initial_cursor()
             self._tone = self._made_tone(view)
         except BaseException:
             self.close()
@@ -105,8 +105,8 @@ class Session:
         self._broken: Exception | None = None
         self._capture_fps: float | None = None
 
-    def _begun(self) -> tuple[Cursor | LiveCursor, ApsFrame | None]:
-        """Return the place before the first image, and the first frame if known."""
+    def _initial_cursor(self) -> tuple[Cursor | LiveCursor, ApsFrame | None]:
+        """Return a cursor before the first image, and the first frame if known."""
         if isinstance(self.recording, Recording):
             return (Cursor(self._fusion(self.parameters)),
                     picture.first_frame(self.recording))
@@ -116,7 +116,7 @@ class Session:
                 self._live.first_frame)
 
     def close(self) -> None:
-        """Release what was opened here."""
+        """Close what this session opened."""
         if self._live is not None:
             self._live.close()
         if self._owned:
@@ -132,13 +132,13 @@ class Session:
     # ---- images ----------------------------------------------------------------
 
     def grab(self) -> bool:
-        """Move to the next image; it is made when asked for.
+        """Move to the next image; it is computed when it is retrieved.
 
         Raises
         ------
         OSError, ValueError, ImportError
-            If the recording cannot be read, or a package for it is missing; again
-            until something is sought.
+            If the recording cannot be read, or a package for it is missing.  The error
+            is raised again by each call until the position is changed.
         """
         self._frame = None
         self.grabbed = False
@@ -196,7 +196,7 @@ class Session:
         return picture.event_counts(parts, fusion.provenance["roi"], step)
 
     def _readable(self) -> Recording:
-        """Return what can be read again; ValueError where there is nothing such."""
+        """Return the recording; raise ValueError if it can be read only once."""
         if not isinstance(self.recording, Recording):
             raise ValueError("a live source is read once")
         return self.recording
@@ -204,7 +204,7 @@ class Session:
     # ---- position ----------------------------------------------------------------
 
     def seek(self, index: float) -> None:
-        """Make image number index the next one, clamped to the grid."""
+        """Move so that the next image is number index, clamped to the grid."""
         self._frame = None
         self.grabbed = False
         if self._broken is not None:
@@ -214,11 +214,11 @@ class Session:
         self.grabbed = self.cursor.index > 0
 
     def state(self) -> tuple[Bookmark, bool]:
-        """Return the position, for a Session that is equal otherwise."""
+        """Return the position, to be restored in an equal Session."""
         return self.cursor.bookmark(), self.grabbed
 
     def restore(self, state: tuple[Bookmark, bool]) -> None:
-        """Go to the position that `state` returned."""
+        """Move to the position that `state` returned."""
         mark, grabbed = state
         self._frame = None
         self.cursor.restore(mark)
@@ -227,17 +227,17 @@ class Session:
     # ---- properties --------------------------------------------------------------
 
     def get(self, prop: int) -> float | None:
-        """Return a property, None if there is none of this number."""
+        """Return the value of a property, None if the number is unknown."""
         getter = _GETTERS.get(prop)
         return None if getter is None else getter(self)
 
     def set(self, prop: int, value: float) -> bool:
-        """Change a property; False if there is no such property to change.
+        """Change a property; return False if it does not exist or cannot be changed.
 
         Raises
         ------
         TypeError, ValueError
-            If the property cannot have this value.
+            If the value is invalid.
         """
         if prop in (_POS_FRAMES, _POS_MSEC, _POS_AVI_RATIO):
             self.seek(self._wanted(prop, value))
@@ -264,7 +264,7 @@ class Session:
     def _wanted(self, prop: int, value: float) -> float:
         if value != value:
             return 0
-        # Far beyond any recording, and far within what integers hold.
+        # Far beyond any recording, and far within the range of an int64.
         value = min(max(value, -1e15), 1e15)
         if prop == _POS_FRAMES:
             return value
@@ -273,18 +273,18 @@ class Session:
         return self.cursor.index_at((self._start_us() or 0) + value * 1000)
 
     def _start_us(self) -> int | None:
-        """Return the time of the first image, None where it is not known yet."""
+        """Return the time of the first image, None if not known yet."""
         if isinstance(self.cursor, LiveCursor):
             return self.cursor.start_us
         return self.cursor.fusion.start_us
 
     def _change(self, name: str, value: Any) -> None:
-        """Go on with another parameter of `fuse`, at the same place."""
+        """Change a parameter of `fuse` and keep the position."""
         if isinstance(self.cursor, LiveCursor):
             self.cursor.session.change(**{name: value})
             return
         parameters = {**self.parameters, name: value}
-        if name == "method":  # what belongs to the old one is unknown to the new
+        if name == "method":  # the new method does not know the old one's parameters
             parameters = {key: kept for key, kept in parameters.items()
                           if key not in self.cursor.fusion.provenance["parameters"]}
         old, new = self.cursor, Cursor(self._fusion(parameters))

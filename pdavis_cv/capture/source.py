@@ -1,4 +1,4 @@
-"""Which sources are ours and which go to a real cv2.VideoCapture."""
+"""Decide whether this package or cv2.VideoCapture opens a source."""
 from __future__ import annotations
 
 import os
@@ -28,17 +28,17 @@ _OPEN = ("bad_events", "camera")
 
 
 def is_ours(source: Any, backend: int, layout: Layout | None) -> bool:
-    """Tell whether a source is opened here rather than by cv2.
+    """Return whether a source is opened here and not by cv2.
 
-    Ours are recordings and live sources, addresses of these, files with a recording's
-    name, and with a layout everything that has a path: a mosaic video or image
-    sequence.
+    That is so for recordings and live sources, their addresses, and files with the name
+    of a recording; and, if a layout is given, for every path, which is then a mosaic
+    video or image sequence.
 
     Parameters
     ----------
-    source : path, address, Source or anything that cv2 takes
+    source : path, address, Source or anything that cv2 accepts
     backend : int
-        ``CAP_PDAVIS`` makes it ours, another one cv2's; 0 lets the source decide.
+        ``CAP_PDAVIS`` = here, 0 = depends on the source, others = cv2.
     layout : Layout or None
     """
     if (backend == c.CAP_PDAVIS or isinstance(source, Source)
@@ -50,12 +50,12 @@ def is_ours(source: Any, backend: int, layout: Layout | None) -> bool:
 
 
 def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
-    """Open a source of ours.
+    """Open a source with this package.
 
     Raises
     ------
     OSError
-        If it cannot be opened or is not what it says.
+        If it cannot be opened or has another format.
     """
     if isinstance(source, Source):
         return source
@@ -71,7 +71,7 @@ def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
 
 
 def checked_parameters(parameters: Mapping[str, Any]) -> None:
-    """Raise TypeError if no method of `fuse` takes one of the parameters."""
+    """Raise TypeError if no method of `fuse` has one of the parameters."""
     of_methods = _method_parameters()
     for name in parameters:
         if name not in _FUSE and name not in _OPEN and name not in of_methods:
@@ -83,7 +83,7 @@ def _method_parameters() -> frozenset[str]:
 
 
 def fuse_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters that `fuse` takes."""
+    """Return those parameters that belong to `fuse`."""
     return {name: value for name, value in parameters.items() if name not in _OPEN}
 
 
@@ -91,7 +91,7 @@ def fuse_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parameters_of(params: Sequence[float]) -> dict[str, Any] | None:
-    """Return keyword arguments for cv2's open-time pairs of property and value.
+    """Return the keyword arguments for the pairs of property and value of cv2's open.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def parameters_of(params: Sequence[float]) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        None if a property or a value is not known.
+        None if a property or a value is unknown.
     """
     values = list(params)
     if len(values) % 2:
@@ -132,11 +132,11 @@ NAME_OF_PROPERTY = {
     c.CAP_PROP_OPEN_TIMEOUT_MSEC: "open_timeout_ms",
     c.CAP_PROP_READ_TIMEOUT_MSEC: "read_timeout_ms",
 }
-"""Properties that can be set, by the keyword that says the same."""
+"""Properties that can be set, by the name of the keyword of the same meaning."""
 
 
 def decoded_value(name: str, value: float) -> Any:
-    """Return the keyword argument for a property's number, None if it has none."""
+    """Return the keyword argument for a property's value, None if it is invalid."""
     if value != value:
         return None
     if name in ("causal", "log"):
@@ -155,7 +155,7 @@ def decoded_value(name: str, value: float) -> Any:
 
 
 def layout_code(layout: Layout) -> int:
-    """Return a layout as digits angle / 45 in reading order: PDAVIS is 3201.
+    """Return a layout as a number whose digits are angle / 45, in reading order.
 
     >>> from pdavis_cv import Layout
     >>> layout_code(Layout.PDAVIS), layout_code(Layout.SONY)
@@ -166,7 +166,7 @@ def layout_code(layout: Layout) -> int:
 
 
 def layout_of_code(code: float) -> Layout | None:
-    """Return the layout of `layout_code`, None if there is none."""
+    """Return the layout with this `layout_code`, None if there is none."""
     digits = [45 * int(digit) for digit in f"{code:04.0f}"[-4:] if digit.isdigit()]
     try:
         (a, b, c, d) = digits

@@ -1,4 +1,4 @@
-"""A place among images that come once, for what has no positions."""
+"""A cursor for live sources, whose images come once and have no positions."""
 from __future__ import annotations
 
 from typing import NoReturn
@@ -12,18 +12,18 @@ __all__ = ["LiveCursor"]
 
 
 class LiveCursor:
-    """The images of a live session, one after the other; what `Cursor` is for files.
+    """The images of a live session; the counterpart of `Cursor` for files.
 
     Parameters
     ----------
     session : live.Session
-        Belongs to the cursor.
+        From now on only the cursor may use it.
     timeout_s : float
-        Longest wait for an image.
+        Longest time to wait for an image, seconds.
     """
 
     count = -1
-    """How many images there will be is not known; cv2 says -1 of a camera."""
+    """Number of images: unknown, for which cv2 returns -1."""
 
     def __init__(self, session: Session, timeout_s: float) -> None:
         self.session, self.timeout_s = session, timeout_s
@@ -35,7 +35,7 @@ class LiveCursor:
 
     @property
     def fusion(self) -> Fusion:
-        """What makes the images."""
+        """The Fusion that makes the images."""
         return self.session.fusion
 
     @property
@@ -45,14 +45,14 @@ class LiveCursor:
         return 0.0 if rate is None else float(rate)
 
     def advance(self) -> bool:
-        """Wait for the next image; False where the stream has ended.
+        """Wait for the next image; return False at the end of the stream.
 
         Raises
         ------
         TimeoutError
-            If none came in time; asking again is possible.
+            If none came in time; the call may be repeated.
         DeviceError
-            If the device is gone.
+            If the device was disconnected.
         """
         image = self.session.read(self.timeout_s)
         if image is None:
@@ -68,12 +68,12 @@ class LiveCursor:
         return self._image
 
     def seek(self, index: int) -> int:
-        """Stay: there is no other place.
+        """Do nothing if index is the current position.
 
         Raises
         ------
         ValueError
-            If another place is asked for.
+            If it is any other.
         """
         if index != self.index:
             raise ValueError("a live source has no positions: images come once")
@@ -88,7 +88,7 @@ class LiveCursor:
         self._refuse()
 
     def bookmark(self) -> Bookmark:
-        """Raise TypeError: what a device sends cannot be pickled."""
+        """Raise TypeError: a live source cannot be pickled."""
         raise TypeError("cannot pickle a capture of a live source")
 
     def restore(self, mark: Bookmark) -> None:

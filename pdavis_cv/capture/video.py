@@ -1,4 +1,4 @@
-"""VideoCapture: cv2's manners over fused images."""
+"""VideoCapture: fused images through the interface of cv2.VideoCapture."""
 from __future__ import annotations
 
 import enum
@@ -42,7 +42,7 @@ class CaptureStatus(enum.StrEnum):
 
 
 class CaptureKeywords(FusionKeywords, total=False):
-    """What `VideoCapture` takes by name, for type checkers and editors."""
+    """The keyword arguments of `VideoCapture`, for type checkers and editors."""
 
     index: int | None
     output: int | str
@@ -53,46 +53,45 @@ class CaptureKeywords(FusionKeywords, total=False):
 
 @names_options
 class VideoCapture:
-    """A recording as a sequence of images, with the manners of cv2.VideoCapture.
+    """Read a recording as a sequence of images, like cv2.VideoCapture.
 
-    About the source it fails as cv2 does: no exception from opening or reading,
-    ``(False, None)`` at the end, ``isOpened()`` stays True there; `last_error` says
-    why.  Unlike cv2's, seeking is exact: after any ``set`` of a position, images
-    are the same to the bit as in reading from the beginning.  What is not a
-    recording goes to a real ``cv2.VideoCapture``; with a `layout`, a video or an
-    image is read as the mosaic of a polarization camera.
+    Errors of the source are reported as cv2 does: opening and reading raise no
+    exception, `read` returns ``(False, None)`` at the end, where ``isOpened()`` stays
+    True; `last_error` holds the reason.  Unlike in cv2, seeking is exact: after any
+    ``set`` of a position, images have the same bits as when reading from the beginning.
+    A source that is not a recording is passed to a real ``cv2.VideoCapture``; with a
+    `layout`, a video or an image is read as the mosaic of a polarization camera.
 
     Parameters
     ----------
     filename : path, address or Source, optional
-        What to open; None opens nothing.  A live source (see `open_source`) has no
-        positions and ``FRAME_COUNT`` -1; `grab` waits for the next image, at most
-        ``CAP_PROP_READ_TIMEOUT_MSEC``.
+        The source to open; None opens nothing.  A live source (see `open_source`) has
+        no positions, and its ``FRAME_COUNT`` is -1; `grab` waits for the next image, at
+        most ``CAP_PROP_READ_TIMEOUT_MSEC``.
     apiPreference : int
-        ``CAP_PDAVIS`` to have it opened here, a number as the camera of this number
-        (`pdavis devices`), another of ``cv2.CAP_*`` to have it
-        opened by cv2.
+        ``CAP_PDAVIS`` to open the source here, where a number is the number of a camera
+        (`pdavis devices`); another ``cv2.CAP_*`` to open it with cv2.
     params : sequence of number
-        Property, value, property, value ... to open with.
+        Properties to set on opening: property, value, property, value ...
     index : int, optional
         Number of a camera, for cv2.
     output : int or str
-        ``CAP_PDAVIS_*`` that ``read()`` gives, or its name, such as ``"aop"``.
+        Output of ``read()``: ``CAP_PDAVIS_*``, or its name, such as ``"aop"``.
     gain, gamma : float
-        Of the grey picture ``255 * (gain * S0 / 2 / white) ** (1 / gamma)``, where
+        Parameters of the grey picture ``255 * (gain * S0 / 2 / white) ** (1 / gamma)``;
         white is the converter's full scale at the recording's first exposure.
     log : bool
-        Grey in proportion to the logarithm, down to white / 1023.
+        Make grey proportional to the logarithm, down to white / 1023.
     {options}
     **method_parameters
-        Of the method of `fuse`, e.g. ``cutoff_hz``, and of `open_recording`.
+        Parameters of the method of `fuse`, e.g. ``cutoff_hz``, and of `open_recording`.
 
     Raises
     ------
     TypeError, ValueError
-        If a fuse parameter is unknown, ill-typed or out of range.
+        If a parameter of `fuse` is unknown, has the wrong type or is out of range.
     cv2.error
-        If the other arguments have types that cv2 refuses.
+        If another argument has a type that cv2 rejects.
 
     Examples
     --------
@@ -165,7 +164,7 @@ class VideoCapture:
         Returns
         -------
         bool
-            False, and `last_error`, if it cannot be opened.
+            False if it cannot be opened; `last_error` then holds the reason.
         """
         if filename is None and index is None:
             raise_like_cv2("open", "Overload resolution failed: open() is missing "
@@ -233,7 +232,7 @@ class VideoCapture:
         return True
 
     def isOpened(self) -> bool:
-        """Tell whether a source is open; True also at its end."""
+        """Return whether a source is open, which it is at its end too."""
         with self._lock:
             if self._foreign is not None:
                 return bool(self._foreign.isOpened())
@@ -253,7 +252,7 @@ class VideoCapture:
     # ---- reading ---------------------------------------------------------------
 
     def grab(self) -> bool:
-        """Move to the next image; False at the end."""
+        """Move to the next image; return False at the end."""
         with self._lock:
             if self._foreign is not None:
                 return self._noted(self._foreign.grab())
@@ -268,15 +267,15 @@ class VideoCapture:
         Parameters
         ----------
         image : ndarray, optional
-            Filled and returned if shape and dtype fit; else there is a new array.
-            An integer is ignored.
+            Filled and returned if its shape and dtype fit; otherwise a new array is
+            returned.  An integer is ignored.
         flag : int or str
             ``CAP_PDAVIS_*``, or its name, such as ``"aop"``.
 
         Returns
         -------
         ok : bool
-            False if nothing was grabbed or there is no such output.
+            False if no image was grabbed or the output is unknown.
         image : ndarray or None
         """
         with self._lock:
@@ -295,7 +294,7 @@ class VideoCapture:
 
     @overloads
     def read(self, image: Any = None) -> tuple[bool, NDArray[Any] | None]:
-        """Grab the next image and return the output ``CAP_PROP_PDAVIS_OUTPUT`` of it.
+        """Grab the next image and return its output ``CAP_PROP_PDAVIS_OUTPUT``.
 
         Parameters
         ----------
@@ -349,7 +348,7 @@ class VideoCapture:
         return True, made
 
     def __iter__(self) -> Self:
-        """Iterate over what `read` gives, to the end."""
+        """Iterate over the images that `read` returns, to the end."""
         return self
 
     def __next__(self) -> NDArray[Any]:
@@ -365,7 +364,7 @@ class VideoCapture:
     # ---- properties --------------------------------------------------------------
 
     def get(self, propId: int) -> float:
-        """Return a property; one that is unknown gives what cv2 gives."""
+        """Return the value of a property; for an unknown one, that of cv2."""
         with self._lock:
             if not _is_integer(propId):
                 raise TypeError("Argument 'propId' is required to be an integer")
@@ -381,11 +380,11 @@ class VideoCapture:
             return unknown_property() if value is None else value
 
     def set(self, propId: int, value: float) -> bool:
-        """Change a property or the position; False if that cannot be.
+        """Change a property or the position; return False if it cannot be changed.
 
-        Setting a position seeks exactly: afterwards everything is as after reading
-        one image after the other up to there.  A change of the rate keeps the time,
-        a change of any other parameter of `fuse` the number of the next image.
+        Setting a position seeks exactly: the state is the same as after reading all
+        images up to there.  A change of the rate keeps the time; a change of any other
+        parameter of `fuse` keeps the number of the next image.
         """
         with self._lock:
             if not _is_integer(propId):
@@ -429,18 +428,18 @@ class VideoCapture:
 
     @property
     def status(self) -> CaptureStatus:
-        """Whether the last image was read, and if not, whether it was the end."""
+        """Why the last call succeeded or failed, e.g. at the end."""
         return self._status
 
     @property
     def last_error(self) -> str | None:
-        """Why the last call failed, None if it did not."""
+        """Description of the last call's failure, None if it succeeded."""
         return self._error
 
     # ---- exceptions --------------------------------------------------------------
 
     def setExceptionMode(self, enable: bool) -> None:
-        """Let failures raise cv2.error."""
+        """Set whether failures raise cv2.error."""
         with self._lock:
             try:
                 self._exceptions = bool(enable + 0)
@@ -451,11 +450,11 @@ class VideoCapture:
                 self._foreign.setExceptionMode(self._exceptions)
 
     def getExceptionMode(self) -> bool:
-        """Tell whether failures raise."""
+        """Return whether failures raise cv2.error."""
         return self._exceptions
 
     def _fail(self, function: str, message: str) -> bool:
-        """Note why opening failed."""
+        """Record why opening failed."""
         self._status, self._error = CaptureStatus.ERROR, message
         return self._failed(function)
 
@@ -486,7 +485,7 @@ class VideoCapture:
     def waitAny(
         streams: Sequence[Any], timeoutNs: int = 0
     ) -> tuple[bool, Sequence[int]]:
-        """Refuse as cv2 does: only V4L cameras can be waited for."""
+        """Raise the error of cv2, which can wait only for V4L cameras."""
         if not len(streams):
             raise_like_cv2("waitAny", "!streams.empty()", -215)
         raise_like_cv2(
