@@ -26,7 +26,7 @@ def real():
 
 
 @pytest.mark.parametrize(("flip_x", "flip_y", "ok", "words"), [
-    (False, False, True, "one orientation"),
+    (False, False, True, "same orientation"),
     (True, False, False, "mirrored left-right"),
     (False, True, False, "upside down"), (True, True, False, "turned by 180")])
 def test_a_flip_between_events_and_frames_is_found(real, flip_x, flip_y, ok, words):

@@ -1,4 +1,4 @@
-"""What is known about one specimen of a camera, and how it is measured."""
+"""Calibration of one camera, and how its parts are measured."""
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, mean_frame
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.model import Calibration

@@ -1,4 +1,4 @@
-"""Numbers to watch while a filter array is brought onto a sensor."""
+"""Statistics to watch while a polarizer array is aligned on a sensor."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
@@ -24,9 +24,9 @@ class Alignment(NamedTuple):
     mean_dn, sd_dn : tuple of float
         Mean and standard deviation of each channel's pixels.
     ratio : (float, float)
-        Mean of each 0/90 pair's and each 45/135 pair's larger over smaller sample:
-        with a polarizer before the lens and turned, its largest value is the extinction
-        ratio, and it falls when the array is off or tilted.
+        Ratio of the larger to the smaller sample of each 0/90 pair and each 45/135
+        pair, averaged.  While a polarizer before the lens is turned, its largest value
+        is the extinction ratio; it decreases if the array is misaligned or tilted.
     """
 
     t_us: int
@@ -42,11 +42,12 @@ def alignment(
     dark: NDArray[np.float32] | None = None,
     roi: tuple[int, int, int, int] | None = None,
 ) -> Iterator[Alignment]:
-    """Yield the statistics of each frame as it comes.
+    """Yield the statistics of each frame.
 
-    The paper, "PDAVIS fabrication" steps 6 to 8: mean and standard deviation of the
-    pixels and the extinction ratio between orthogonal neighbours, while pitch, yaw and
-    position are adjusted; contact is reached when the ratios stay constant.
+    These are the numbers of steps 6 to 8 of the paper's section "PDAVIS fabrication":
+    mean and standard deviation of the pixels and the extinction ratio between
+    orthogonal neighbours, observed while pitch, yaw and position are adjusted.  Contact
+    is reached when the ratios stay constant.
 
     Parameters
     ----------
@@ -79,6 +80,9 @@ def alignment(
 
 
 def _ratio(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Sum of the brighter over sum of the darker: no pixel is divided by its noise."""
+    """Return the sum of the brighter over the sum of the darker samples.
+
+    Unlike a mean of ratios, this divides no sample by one that is mostly noise.
+    """
     low, high = sorted((float(one.sum()), float(other.sum())))
     return high / max(low, 1e-9)

@@ -1,4 +1,4 @@
-"""Whether the layout, the orientation and the mirror can be right."""
+"""Check that layout and orientation of a recording are plausible."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ _PAIRINGS = {"diagonal neighbours": ((0, 3), (1, 2)),
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was checked.
+    """Result of one check.
 
     Parameters
     ----------
     what : str
         ``"orientation"`` or ``"layout"``.
     ok : bool or None
-        None = the recording cannot tell.
+        None = the recording does not show it.
     message : str
-        One sentence for a person.
+        One sentence for the user.
     scores : dict of str to float
-        Measures that were compared; larger is more likely.
+        Scores of the alternatives; larger is more likely.
     """
 
     what: str
@@ -43,14 +43,14 @@ class Finding:
 def check_recording(
     recording: Recording, layout: Layout | None = None, *, frames: int = 40
 ) -> tuple[Finding, Finding]:
-    """Check a recording of any scene for what cannot be right.
+    """Check whether layout and orientation of a recording of any scene are plausible.
 
-    Orientation: what events say happened between two frames must look like the
-    difference of the frames; if it looks more like its mirror image, events and frames
-    were stored in different orientations.  Layout: orthogonal polarizers always add up
-    to the same, I0 + I90 = I45 + I135; if another pairing of the cell's places fits
-    better, the layout is wrong.  A common mirror of both, and a constant angle, cannot
-    be seen in a scene that is not known: see `detect_layout`.
+    Orientation: the sum of the events between two frames must resemble the difference
+    of the frames.  If its mirror image does so better, events and frames were stored in
+    different orientations.  Layout: orthogonal channels have the same sum,
+    I0 + I90 = I45 + I135.  If another pairing of the cell's places fits better, the
+    layout is wrong.  A mirror of both events and frames, and a constant angle, do not
+    show in an unknown scene: see `detect_layout`.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def check_recording(
     layout : Layout, optional
         Default: the recording's, else PDAVIS.
     frames : int
-        How many frames to look at.
+        Number of frames to use.
 
     Returns
     -------
@@ -74,8 +74,8 @@ def check_recording(
     change = np.zeros(recording.info.sensor_size, np.float64)
     seen = 0
     for packet in recording.packets():
-        # Events of a packet that ends with a frame are split at its mid-exposure only
-        # roughly: readout is short beside the time between frames.
+        # Events are split at the end of the frame's packet instead of its mid-exposure:
+        # readout is short compared with the time between frames.
         np.add.at(change, (packet.events["y"], packet.events["x"]),
                   packet.events["p"] * 2.0 - 1)
         for frame in packet.frames:
@@ -90,7 +90,7 @@ def check_recording(
 
 
 def _smooth(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Average 4x4 pixels: whole cells, so that no polarizer stands out."""
+    """Average 4x4 pixels: whole cells, so that the mosaic does not show."""
     h, w = image.shape[0] // 4 * 4, image.shape[1] // 4 * 4
     return np.asarray(image[:h, :w].reshape(h // 4, 4, w // 4, 4).mean((1, 3)))
 
@@ -117,8 +117,8 @@ def _add_residuals(frame: ApsFrame, residual: dict[str, float]) -> None:
     h, w = frame.shape[0] // 2 * 2, frame.shape[1] // 2 * 2
     cells = frame.dn[:h, :w].reshape(h // 2, 2, w // 2, 2).astype(np.float64)
     places = [cells[:, i // 2, :, i % 2] for i in range(4)]
-    # A slope of brightness looks like a wrong pairing of rows or of columns: take
-    # out what the neighbouring cells say of it.  The median leaves edges out.
+    # A gradient of brightness looks like a wrong pairing of rows or columns: subtract
+    # the one that the neighbouring cells show.  The median is robust against edges.
     level = np.pad(sum(places) / 4, 1, mode="edge")
     slope = {"neighbours in a row": (level[2:, 1:-1] - level[:-2, 1:-1]) / 2,
              "neighbours in a column": (level[1:-1, 2:] - level[1:-1, :-2]) / 2}
@@ -135,11 +135,11 @@ def _orientation(turned: dict[str, float], weights: float) -> Finding:
     rival = max(value for name, value in scores.items() if name != best)
     if not weights or scores[best] < 0.1 or scores[best] - rival < 0.05:
         return Finding("orientation", None,
-                       "events and frames do not tell their orientation (too little "
+                       "the orientation of events and frames does not show (too little "
                        "moves, or there are no events or frames)", scores)
     if best == "as they are":
-        return Finding("orientation", True, "events and frames have one orientation",
-                       scores)
+        return Finding("orientation", True,
+                       "events and frames have the same orientation", scores)
     return Finding(
         "orientation", False,
         f"events fit the frames better {best}: they were stored in different "

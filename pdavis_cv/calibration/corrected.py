@@ -1,4 +1,4 @@
-"""Frames as the reconstructions take them: dark and gain removed, clipping marked."""
+"""Correct frames for reconstruction: remove dark and gain, mark saturated pixels."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -12,18 +12,20 @@ __all__ = ["Clipping", "FrameCorrection"]
 
 @dataclass(frozen=True)
 class Clipping:
-    """Estimate, from the frames so far, of the DN at which pixels are full.
+    """Estimate, from the frames so far, of the DN at which pixels saturate.
+
+    Saturated pixels pile up in a peak at the upper end of a frame's histogram.
 
     Parameters
     ----------
     full_scale_dn : int
-        Full scale of these frames.
+        Full scale of the converter.
     level_dn : float or None
-        Lower edge of the pile-up; None where none was seen.
+        Lower edge of the peak; None if there was none.
     top_dn : int
-        Brightest value of the frame in which it was first seen.
+        Brightest value of the frame in which the peak first appeared.
     brightest_dn : int
-        Brightest value of all frames, hot pixels left out.
+        Brightest value of all frames, without hot pixels.
     """
 
     full_scale_dn: int
@@ -32,13 +34,13 @@ class Clipping:
     brightest_dn: int = 0
 
     def after(self, frame: ApsFrame) -> Clipping:
-        """Return what is known after one more frame.
+        """Return the estimate updated with one more frame.
 
         Notes
         -----
-        A full pixel never gets brighter, so a pile-up is believed until a frame
-        shows light that lies above it by more than its width, and one that lies as
-        much below what was seen before is part of the scene.
+        A saturated pixel never gets brighter.  So a peak is discarded when a frame
+        shows values above it by more than its width, and a peak that lies as far below
+        the values of earlier frames is taken as part of the scene.
         """
         full_scale = frame.full_scale_dn
         if full_scale != self.full_scale_dn:
@@ -57,12 +59,12 @@ class Clipping:
 
 
 class FrameCorrection:
-    """Corrects the frames of one stream, one after the other.
+    """Correct the frames of one stream, in order.
 
-    What is at the converter's full scale is clipped, however few pixels are, and
-    whatever clip level is known.  Without a calibrated clip level the pile-up at the
-    top of the histograms is taken: that of all frames so far, so that a pixel does not
-    turn valid because fewer others are full.  A still image is a stream of one frame.
+    Pixels at the converter's full scale are always saturated.  Without a calibrated
+    clip level, the level is estimated from the peak at the upper end of the histograms
+    of all frames so far, so that a pixel does not become valid because fewer others are
+    saturated.  A still image is a stream of one frame.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ class FrameCorrection:
     Attributes
     ----------
     clipping : Clipping
-        All that frames change; may be set to what it was before.
+        The estimate after the frames so far; may be set to an earlier one.
     """
 
     def __init__(self, known: Calibration | None) -> None:
@@ -79,12 +81,12 @@ class FrameCorrection:
         self.clipping = Clipping(0)
 
     def __call__(self, frame: ApsFrame) -> ApsFrame:
-        """Return the next frame without dark and gain, what is unusable not valid.
+        """Return the next frame without dark and gain; unusable pixels are not valid.
 
         Parameters
         ----------
         frame : ApsFrame
-            A frame of the whole sensor.
+            The whole sensor.
         """
         known = self._known
         dark, gain, clip_dn = (None, None, None) if known is None else (

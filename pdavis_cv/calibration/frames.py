@@ -1,4 +1,4 @@
-"""Dark and flat frames, and the pixels that cannot be used."""
+"""Dark and flat frames, and detection of unusable pixels."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
@@ -28,9 +28,9 @@ class Mean(NamedTuple):
     samples : ndarray of int32, shape (H, W)
         Number of valid samples.
     zeros : ndarray of int32, shape (H, W)
-        How many of them were 0, if none was negative.
+        Number of samples that were 0, if none was negative.
     step : float
-        Smallest sample above 0, DN: the converter's step where samples are whole.
+        Smallest sample above 0, DN: the converter's step if samples are integers.
     """
 
     mean: NDArray[np.float64]
@@ -41,7 +41,7 @@ class Mean(NamedTuple):
 
 
 class Dark(NamedTuple):
-    """Offset that remains without light.
+    """Dark offset of the pixels.
 
     Attributes
     ----------
@@ -52,10 +52,10 @@ class Dark(NamedTuple):
     usable : ndarray of bool, shape (H, W)
         False for hot and noisy pixels.
     frames : int
-        How many frames went in.
+        Number of frames used.
     clamped : float
-        Share of the samples that are 0 in a file without negative values: what the
-        format has lost of them is inferred, see `dark_frame`.
+        Fraction of samples that are 0 in a file without negative values; `dark_frame`
+        infers what these samples were before they were clamped.
     """
 
     dark: NDArray[np.float32]
@@ -66,16 +66,16 @@ class Dark(NamedTuple):
 
 
 class Flat(NamedTuple):
-    """Gain that evens out the pixels under uniform, unpolarized light.
+    """Gain that equalizes the pixels under uniform, unpolarized light.
 
     Attributes
     ----------
     gain : ndarray of float32, shape (H, W)
-        Factor for dark-subtracted DN; 1 where it cannot be known.
+        Factor for dark-subtracted DN; 1 where it could not be measured.
     usable : ndarray of bool, shape (H, W)
         False for dead and strongly deviating pixels.
     frames : int
-        How many frames went in.
+        Number of frames used.
     """
 
     gain: NDArray[np.float32]
@@ -88,13 +88,13 @@ def frames_of(
     start_us: int | None = None,
     stop_us: int | None = None,
 ) -> Iterator[ApsFrame]:
-    """Iterate over the frames that were exposed inside an interval.
+    """Iterate over the frames whose exposure lies inside an interval.
 
     Parameters
     ----------
     source : Recording or iterable of ApsFrame
     start_us, stop_us : int, optional
-        A frame counts if its exposure lies inside [start_us, stop_us).
+        Half-open interval; default all.
     """
     frames = (frame for packet in source.packets(start_us) for frame in packet.frames
               ) if isinstance(source, Recording) else iter(source)
@@ -107,13 +107,13 @@ def frames_of(
 
 
 def mean_frame(frames: Iterable[ApsFrame]) -> tuple[Mean, int]:
-    """Average frames of a constant scene; memory does not grow with their number.
+    """Average frames of a constant scene, in bounded memory.
 
     Returns
     -------
     mean : Mean
     frames : int
-        How many there were.
+        Number of frames.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def mean_frame(frames: Iterable[ApsFrame]) -> tuple[Mean, int]:
     n, sums = 0, None
     for frame in frames:
         if sums is None:
-            # Sums of differences from the first frame keep their digits.
+            # Sum differences from the first frame, to keep precision.
             sums = _Sums(frame.dn.astype(np.float64))
         elif frame.shape != sums.origin.shape:
             raise ValueError(
@@ -165,16 +165,16 @@ class _Sums:
 
 
 def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -> Dark:
-    """Measure the dark offset from frames of a covered camera (the paper: 100).
+    """Measure the dark offset from frames of a covered camera (100 in the paper).
 
     A pixel is hot when its mean lies more than `sigmas` robust standard deviations
     (of the means of all pixels, and of its own error) above the median, and noisy
     when the log of its noise does the same.
 
-    AEDAT-4 and other formats of unsigned numbers hold negative samples as 0, which
-    lifts the mean of a dark pixel. Where there is no negative sample, zeros are taken
-    for what is left of a normal distribution cut at 0 (a censored one, Tobin 1958),
-    whose mean is found from the mean of the samples and the number of zeros.
+    AEDAT-4 and other formats of unsigned numbers store negative samples as 0, which
+    raises the mean of a dark pixel.  If there is no negative sample, the samples are
+    taken as a normal distribution censored at 0 (Tobin 1958), whose mean is found from
+    the mean of the samples and the number of zeros.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
     noise = np.where(mean.samples > 1, mean.noise, np.nanmedian(mean.noise))
     own = noise / np.sqrt(np.maximum(mean.samples, 1))
     hot = dark - center > sigmas * np.hypot(spread, own)
-    # One DN of quantisation keeps a perfectly quiet sensor from having no scale.
+    # The added DN of quantisation gives a scale to a sensor without any noise.
     log_noise = np.log(noise + 1)
     middle, scale = _robust(log_noise)
     noisy = log_noise - middle > sigmas * max(scale, 1 / np.sqrt(2 * n))
@@ -207,18 +207,18 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
 
 
 _DEPTH = np.linspace(-2.5, 8, 211)
-"""Mean per standard deviation before the cut; further down all of 100 samples are 0."""
+"""Grid of mean / sigma before censoring; below it, all of 100 samples would be 0."""
 _MOST_STEPS = 200
 _HALVINGS = 40
 
 
 def _uncensored(mean: Mean) -> Mean:
-    """Return mean and noise of the samples as they were before negative ones became 0.
+    """Return mean and noise of the samples before negative ones were stored as 0.
 
-    A normal distribution (mu, sigma), rounded to steps of h and cut at 0, has the
-    mean sum over k >= 1 of h Q((k h - h / 2 - mu) / sigma), where Q = 1 - Phi, and
-    zeros with the probability Phi((h / 2 - mu) / sigma). Each pixel's mean gives its
-    mu; all share the sigma that gives as many zeros as there are.
+    A normal distribution (mu, sigma), rounded to steps of h and censored at 0, has the
+    mean sum over k >= 1 of h Q((k h - h / 2 - mu) / sigma), where Q = 1 - Phi, and the
+    probability Phi((h / 2 - mu) / sigma) of a zero.  The mean of each pixel determines
+    its mu; the common sigma is the one that predicts the number of zeros.
     """
     cut = (mean.zeros > 0) & (mean.mean > 0)
     if not cut.any():
@@ -234,7 +234,7 @@ def _uncensored(mean: Mean) -> Mean:
         return mu, step * ndtr((mu - above) / sigma).sum(axis=0)
 
     low, high = step / 8, 64 * step
-    for _ in range(_HALVINGS):  # the wider the noise, the more zeros at the same mean
+    for _ in range(_HALVINGS):  # bisection: at the same mean, more noise is more zeros
         sigma = float(np.sqrt(low * high))
         mu, rest = left(sigma)
         zeros = ndtr((step / 2 - np.interp(mean.mean[cut], rest, mu)) / sigma).sum()
@@ -242,7 +242,7 @@ def _uncensored(mean: Mean) -> Mean:
     lost = mean.zeros > 0
     middle, noise = mean.mean.copy(), mean.noise.copy()
     middle[lost] = np.interp(mean.mean[lost], rest, mu)
-    # A pixel noisier than what all share stays so; the cut has only taken noise away.
+    # Censoring only reduces the noise, so a larger measured value is kept.
     noise[lost] = np.maximum(noise[lost], sigma)
     return mean._replace(mean=middle, noise=noise)
 
@@ -255,9 +255,9 @@ def flat_frame(
 ) -> Flat:
     """Measure each pixel's gain under uniform, unpolarized light.
 
-    A pixel is dead or deviating when its response lies outside `limits` times the
-    median.  Gains of the four channels are relative to one median: unpolarized light
-    passes all polarizers alike.
+    A pixel is dead or deviating if its response lies outside `limits` times the
+    median.  All four channels share one median, as all polarizers transmit unpolarized
+    light equally.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def flat_frame(
     Raises
     ------
     ValueError
-        If there is no frame, or the light is too dim to measure by.
+        If there is no frame, or the light is too dim for a measurement.
     """
     mean, n = mean_frame(frames_of(frames))
     response = mean.mean if dark is None else mean.mean - dark
@@ -285,6 +285,6 @@ def flat_frame(
 
 
 def _robust(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the median and a standard deviation that outliers do not move."""
+    """Return the median and a standard deviation that is robust against outliers."""
     center = float(np.nanmedian(values))
     return center, _MAD * float(np.nanmedian(np.abs(values - center)))

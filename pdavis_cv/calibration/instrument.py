@@ -1,4 +1,4 @@
-"""What the instrument itself does to the light, without a sample."""
+"""Polarization background of an instrument without a sample."""
 from __future__ import annotations
 
 from collections.abc import Iterable
@@ -21,14 +21,13 @@ class Background(NamedTuple):
         Mean S0, S1, S2, divided by S0.
     dolp, dolp_sigma : float
         Degree of linear polarization of the mean over the valid pixels, and its
-        standard error.  For a circular polarizer as illumination it should be 0: its
-        square root of 1 - DoLP^2 is the circular purity.
+        standard error.  It should be 0 for illumination through a circular polarizer.
     aop : float
-        Angle of that mean, radians.
+        Angle of polarization of that mean, radians.
     circular_purity : float
-        sqrt(1 - DoLP^2): largest degree of circular polarization that is possible.
+        sqrt(1 - DoLP^2), the largest possible degree of circular polarization.
     frames : int
-        How many images went in.
+        Number of images used.
     """
 
     stokes: NDArray[np.float32]
@@ -45,7 +44,7 @@ def background(images: Iterable[PolarFrame]) -> Background:
     Parameters
     ----------
     images : iterable of PolarFrame
-        At full resolution, of the bare illumination.
+        Full-resolution images of the illumination alone.
 
     Raises
     ------
@@ -70,7 +69,8 @@ def background(images: Iterable[PolarFrame]) -> Background:
     if total is None or count is None or not each:
         raise ValueError(f"a background needs images with valid pixels, got {n} images")
     q, u = np.mean(each, 0)
-    # The spread of the images' means: drift of the lamp counts, fixed pattern does not.
+    # From the spread of the images' means, which includes drift of the lamp but not
+    # the fixed pattern.
     error = float(np.hypot(*np.std(each, 0)) / np.sqrt(max(len(each), 1)))
     degree = float(np.hypot(q, u))
     mean = total / np.maximum(count, 1)

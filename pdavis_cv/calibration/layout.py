@@ -1,9 +1,9 @@
-"""Which polarizer stands where: from a recording of a rotating polarizer.
+"""Find the polarizer layout from a recording of a rotating polarizer.
 
-A polarizer that turns at an unknown rate in an unknown sense from an unknown start
-shows which places of the 2x2 cell are orthogonal, and nothing else: I(theta, a) =
-I(-theta, -a) = I(theta + c, a + c).  Its sense as displayed gives the cyclic order, one
-known angle the zero.
+A polarizer that turns at an unknown rate, in an unknown direction, from an unknown
+angle only shows which places of the 2x2 cell are orthogonal, as I(theta, a) =
+I(-theta, -a) = I(theta + c, a + c).  The direction of rotation as displayed determines
+the cyclic order, and one known angle determines the zero.
 """
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _PAIRINGS = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
 
 ALL_LAYOUTS = tuple(
     Layout((a, b), (c, d)) for a, b, c, d in permutations(CHANNELS))
-"""The 24 ways to arrange four polarizers."""
+"""All 24 arrangements of four polarizers."""
 
 
 class Signals(NamedTuple):
-    """What the four places of the cell saw; place = 2 * (row % 2) + col % 2.
+    """Signals of the four places of the cell; place = 2 * (row % 2) + col % 2.
 
     Attributes
     ----------
@@ -48,23 +48,23 @@ class Signals(NamedTuple):
 
 @dataclass(frozen=True)
 class Candidates:
-    """Layouts that a recording leaves possible.
+    """Layouts that are compatible with a recording.
 
     Parameters
     ----------
     layouts : tuple of Layout
-        One if everything is known; most likely first if the families differ.
+        One if direction and zero are known; if families differ, the most likely first.
     pairs : ((int, int), (int, int))
         Places of orthogonal polarizers.
     pair_correlation : float
         Mean correlation of the two pairs; -1 for ideal intensities.
     rival_correlation : float
-        The same of the next best pairing.
+        The same for the next best pairing.
     cycles : float
-        How many periods of the polarization the recording showed.
+        Number of periods of the polarization in the recording.
     direction : int
-        Sense of rotation that was given or follows: 1 counter-clockwise as displayed,
-        -1 clockwise, 0 unknown.
+        Direction of rotation, given or inferred: 1 counter-clockwise as displayed, -1
+        clockwise, 0 unknown.
     source : str
         ``"frames"`` or ``"events"``.
     """
@@ -86,7 +86,7 @@ def place_signals(
     start_us: int | None = None,
     stop_us: int | None = None,
 ) -> Signals:
-    """Mean log intensity of each place of the cell against time.
+    """Return the mean log intensity of each place of the cell over time.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def place_signals(
     if len(times) < 8:
         raise ValueError(
             f"a layout needs at least eight samples of {source}, got {len(times)}")
-    # A constant is the gain, a slope the imbalance of ON and OFF thresholds.
+    # The constant is the gain; the slope comes from unequal ON and OFF thresholds.
     trend = np.stack([np.ones(len(times)), np.linspace(-1, 1, len(times))], 1)
     signal = signal - trend @ np.linalg.lstsq(trend, signal, rcond=None)[0]
     return Signals(times, signal, source)
@@ -128,7 +128,7 @@ def _from_frames(
     x0, y0, x1, y1 = box
     for packet in packets:
         for frame in packet.frames:
-            # Frame by frame: an exposure that varies is common to the four places.
+            # Log intensities of one frame: a varying exposure is common to the places.
             row = np.empty(4)
             for place in range(4):
                 top, left = y0 + (place // 2 - y0) % 2, x0 + (place % 2 - x0) % 2
@@ -181,16 +181,17 @@ def detect_layout(
     Parameters
     ----------
     recording : Recording
-        Uniform light through a polarizer that turns steadily, at least half a turn.
+        Uniform light through a steadily turning polarizer, for at least half a turn.
     direction : {1, -1, 0}
-        Sense of rotation: 1 counter-clockwise as displayed, -1 clockwise, 0 unknown.
+        Direction of rotation as displayed: 1 counter-clockwise, -1 clockwise, 0 if
+        unknown.
     known_angle : (int, float), optional
-        A time in microseconds and the polarizer's angle then, radians.
+        A time in microseconds and the polarizer's angle at that time, radians.
     family : Layout, optional
-        The layout up to a constant angle, if the make of the array is known; then the
-        sense of rotation follows.
+        The layout up to a constant angle, if the type of the array is known; the
+        direction of rotation follows from it.
     source : {"frames", "events"}, optional
-        Default: events if there are any, because they cannot alias.
+        Default: events if there are any, as they do not alias.
     roi : (int, int, int, int), optional
         (x, y, width, height) of the lit region.
     start_us, stop_us : int, optional
@@ -199,12 +200,12 @@ def detect_layout(
     Returns
     -------
     Candidates
-        All layouts that the recording and what was given leave possible.
+        All layouts that are compatible with the recording and the arguments.
 
     Raises
     ------
     ValueError
-        If the four places do not see a rotating polarizer.
+        If the recording does not show a rotating polarizer.
     """
     if direction not in (1, -1, 0):
         raise ValueError(f"direction must be 1, -1 or 0, got {direction!r}")
@@ -219,7 +220,7 @@ def detect_layout(
     if scores[best] > -0.4 or scores[rival] - scores[best] < 0.2:
         raise ValueError(
             "the four places must see a rotating polarizer, but no pairing of them is "
-            "opposite: mean correlations are "
+            "anticorrelated: mean correlations are "
             + ", ".join(f"{score:.2f}" for score in scores))
     (p, q), (r, s) = pairs
     phase = np.unwrap(np.arctan2(signal[:, r] - signal[:, s],
@@ -247,7 +248,7 @@ def detect_layout(
                 f"polarizer turned {'counter-' if follows > 0 else ''}clockwise")
         direction = follows
     if direction:
-        # The phase of the cell grows with the angle if r's polarizer is 45 deg on.
+        # The phase increases with the angle if the polarizer at r is at +45 deg.
         layouts = [layout for layout in layouts
                    if _step(layout, p, r) == sense * direction]
         if known_angle is not None:
@@ -272,12 +273,12 @@ def _orthogonal(layout: Layout, i: int, j: int) -> bool:
 
 
 def _step(layout: Layout, i: int, j: int) -> int:
-    """1 if the polarizer at place j is 45 degrees on from i, -1 if 45 back."""
+    """Return 1 if the polarizer at place j is at +45 degrees from i, -1 if at -45."""
     return 1 if (_angle(layout, j) - _angle(layout, i)) % 180 == 45 else -1
 
 
 def _same_family(one: Layout, other: Layout) -> bool:
-    """Tell whether two layouts differ by a constant angle."""
+    """Return whether two layouts differ by a constant angle only."""
     return len({(_angle(one, i) - _angle(other, i)) % 180 for i in range(4)}) == 1
 
 
@@ -290,7 +291,7 @@ def _angle_of_place(
     times: NDArray[np.int64], phase: NDArray[np.float64],
     known: tuple[int, float], sign: int,
 ) -> float:
-    """Angle of the first place's polarizer, from the angle of the light at one time."""
+    """Return the angle of the first place's polarizer from one known angle of light."""
     t, angle = known
     if not times[0] <= t <= times[-1]:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Calibration: what is known about one specimen of a camera."""
+"""Calibration: the measured parameters of one camera."""
 from __future__ import annotations
 
 import dataclasses
@@ -22,10 +22,10 @@ from pdavis_cv.sensor import Layout
 __all__ = ["FORMAT_VERSION", "Calibration"]
 
 FORMAT_VERSION = 1
-"""Version of the file format; a file of a newer one is refused."""
+"""Version of the file format; files of a newer version are rejected."""
 
 _MOST_BYTES = 1 << 29
-"""Bound on all planes together: 41 bytes for each of 13 million pixels."""
+"""Largest size of all planes together: 41 bytes for each of 13 million pixels."""
 _POSITIVE = ("theta_on", "theta_off", "gain")
 _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
@@ -33,13 +33,13 @@ _PLANES = (
 _POSITIVE_NUMBERS = (
     "clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn", "bandwidth_sigma")
 _NUMBERS = (*_POSITIVE_NUMBERS, "clock_offset_us")
-# Parts that only make sense together.
+# Fields that must be given together.
 _TOGETHER = (("theta_on", "theta_off"),)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """What was measured about one camera; every part is optional.
+    """The measured parameters of one camera; every field is optional.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Calibration:
     dark_noise : ndarray of float32, shape (H, W), optional
         Temporal standard deviation of one dark frame, DN.
     gain : ndarray of float32, shape (H, W), optional
-        Factor that the dark-subtracted DN are multiplied by.
+        Factor by which dark-subtracted DN are multiplied.
     analyser : ndarray of float32, shape (H, W, 3), optional
         Response of each pixel, after dark and gain, to S0, S1 and S2 of the light;
         an ideal polarizer at angle a has (1, cos 2a, sin 2a) / 2.
@@ -69,15 +69,15 @@ class Calibration:
     clip_dn : float, optional
         DN, before dark and gain, from which a pixel counts as saturated.
     bandwidth_hz : float, optional
-        Corner frequency of the event pixels' photoreceptor, where it is constant.
+        Corner frequency of the event pixels' photoreceptor, constant part.
     bandwidth_hz_per_dn : float, optional
-        Corner frequency per DN per ms, where it is proportional to intensity.
+        Corner frequency per DN per ms, the part proportional to intensity.
     bandwidth_sigma : float, optional
-        Relative error of both, one standard deviation.  With it ``kalman`` learns
-        onwards from each recording; without, the bandwidth is taken as it is.
+        Relative standard error of both.  If it is given, ``kalman`` refines the
+        bandwidth from each recording; otherwise the bandwidth is taken as exact.
     clock_offset_us : float, optional
-        What is added to the frames' exposure times to bring them to the clock of the
-        events, microseconds; positive where events trail frames.
+        Offset added to the frames' exposure times to bring them to the clock of the
+        events, microseconds; positive if events trail frames.
     notes : mapping of str to object
         Provenance and conditions, JSON values: wavelength in nm, f-number,
         temperature, how each part was measured.
@@ -85,7 +85,7 @@ class Calibration:
     Raises
     ------
     ValueError
-        If a part has another shape, is not finite, or is not positive where it must
+        If a field has the wrong shape, is not finite, or is not positive where it must
         be.
     """
 
@@ -155,7 +155,7 @@ class Calibration:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of the parts that are known."""
+        """Names of the fields that are set."""
         return tuple(name for name in ("layout", *_PLANES, *_NUMBERS)
                      if getattr(self, name) is not None)
 
@@ -177,18 +177,18 @@ class Calibration:
         return np.asarray(np.arctan2(a[..., 2], a[..., 1]) / 2 % np.pi)
 
     def replace(self, **parts: Any) -> Calibration:
-        """Return a copy with some parts replaced."""
+        """Return a copy with some fields replaced."""
         return dataclasses.replace(self, **parts)
 
     def merge(self, other: Calibration) -> Calibration:
-        """Return this calibration with the parts of another of the same camera.
+        """Return this calibration with the fields of another one of the same camera.
 
-        Where both know a part, the other's is taken.
+        A field that both have is taken from the other.
 
         Raises
         ------
         CalibrationError
-            If the two are of different cameras or say different layouts.
+            If the two belong to different cameras or have different layouts.
         """
         for name in ("sensor_size", "serial", "chip", "layout"):
             mine, theirs = getattr(self, name), getattr(other, name)
@@ -204,7 +204,7 @@ class Calibration:
     def check_fits(
         self, sensor_size: tuple[int, int], serial: str | None = None
     ) -> None:
-        """Raise CalibrationError unless it can be of the camera that recorded.
+        """Raise CalibrationError if it belongs to another camera.
 
         Raises
         ------
@@ -221,12 +221,12 @@ class Calibration:
                 f"{serial}")
 
     def cropped(self, rows: slice, columns: slice) -> Calibration:
-        """Return the calibration of a part of the sensor.
+        """Return the calibration cropped to a part of the sensor.
 
         Parameters
         ----------
         rows, columns : slice
-            With a start and a stop, inside the sensor.
+            Both with a start and a stop inside the sensor.
         """
         planes = {name: getattr(self, name)[rows, columns] for name in _PLANES
                   if getattr(self, name) is not None}
@@ -241,7 +241,7 @@ class Calibration:
         Raises
         ------
         TypeError
-            If ``notes`` hold something that JSON cannot.
+            If ``notes`` hold a value that JSON cannot represent.
         """
         path = Path(path)
         head = {
@@ -266,7 +266,7 @@ class Calibration:
         FileNotFoundError
             If there is no such file.
         CalibrationError
-            If the file is damaged, something else, or of a newer format.
+            If the file is damaged, has another format, or a newer version.
         """
         path = Path(path)
         try:
@@ -291,7 +291,7 @@ class Calibration:
         try:
             layout = head["layout"]
             for name in ("bandwidth_sigma", "clock_offset_us"):
-                head.setdefault(name, None)     # earlier files do not say
+                head.setdefault(name, None)     # missing in files of earlier versions
             return cls(
                 sensor_size=tuple(head["sensor_size"]), chip=head["chip"],
                 serial=head["serial"], notes=head["notes"],

@@ -1,4 +1,4 @@
-"""The analyser matrix: each pixel's response, from a polarizer turned before it."""
+"""Measure the analyser matrix: the response of each pixel to a turned polarizer."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,12 +14,12 @@ from pdavis_cv.recording.base import ApsFrame, Recording
 __all__ = ["Sweep", "SweepFit", "fit_sweep", "read_sweep", "steps_in_time"]
 
 _FULL_TURN = np.deg2rad(300)
-"""From this range of angles on, terms of period 360 degrees can be told apart."""
+"""Smallest range of angles from which terms of period 360 degrees are fitted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Means of frames at each angle of a linear polarizer in uniform light.
+    """Mean frames at each angle of a linear polarizer in uniform light.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Sweep:
     variance : ndarray of float32, shape (N, H, W)
         Variance of those means.
     offset_sigma : ndarray of float32, shape (H, W), or float
-        Standard deviation of an offset of a pixel in all of them, DN.
+        Standard deviation of a pixel's offset that all means share, DN.
     """
 
     angles: NDArray[np.float64]
@@ -41,7 +41,7 @@ class Sweep:
 
 @dataclass(frozen=True, eq=False)
 class SweepFit:
-    """Responses of the pixels, and what the light did.
+    """Responses of the pixels, and the variation of the light.
 
     Parameters
     ----------
@@ -50,17 +50,17 @@ class SweepFit:
     covariance : ndarray of float32, shape (H, W, 3, 3)
         Covariance of the three responses of a pixel.
     usable : ndarray of bool, shape (H, W)
-        False where the fit is impossible or its residual far above the others'.
+        False where the fit is impossible or its residual is an outlier.
     scale_dn : float
-        DN per unit of S0 that ``analyser`` was divided by, times 2.
+        Twice the DN per unit of S0 by which ``analyser`` was divided.
     source : (float, float)
-        Relative modulation of the light with cos 2a and sin 2a: polarization of the
-        lamp.
+        Relative modulation of the light with cos 2a and sin 2a, from polarization of
+        the lamp.
     wander : (float, float)
-        Relative modulation with cos a and sin a: the beam moves with the polarizer.
-        Zero for sweeps of less than 300 degrees, which cannot tell.
+        Relative modulation with cos a and sin a, from a beam that moves with the
+        polarizer.  Zero for sweeps of less than 300 degrees, which cannot show it.
     residual : ndarray of float32, shape (H, W)
-        Root of the reduced chi square.
+        Square root of the reduced chi square.
     """
 
     analyser: NDArray[np.float32]
@@ -109,7 +109,7 @@ class SweepFit:
             [-2 * swing / least**2, along * a[..., 1], along * a[..., 2]], -1))
 
     def _sigma_along(self, slope: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Propagate to what has these derivatives by the responses, (H, W, 3)."""
+        """Return the error of a quantity from its derivatives by the responses."""
         return np.asarray(np.sqrt(np.einsum(
             "...i,...ij,...j->...", slope, self.covariance.astype(np.float64), slope)))
 
@@ -126,12 +126,12 @@ def read_sweep(
     Parameters
     ----------
     steps : iterable of (float, Recording or iterable of ApsFrame)
-        Angle in radians, and what was recorded at it.
+        Angle in radians, and the recording or frames at that angle.
     dark, gain : ndarray of float32, shape (H, W), optional
-        Dark values and gain of the camera.
+        Dark offset and gain of the camera.
     dark_sigma : float or array_like of shape (H, W)
-        Standard error of `dark`, DN.  It is the same at all angles, and with many
-        frames the largest part of an extinction ratio's error.
+        Standard error of `dark`, DN.  It is common to all angles, and with many frames
+        the largest part of the error of an extinction ratio.
 
     Raises
     ------
@@ -161,12 +161,15 @@ def read_sweep(
 
 
 def _error(mean: Mean) -> NDArray[np.float64]:
-    """Variance of the mean: shot noise law fitted to all pixels, and quantisation."""
+    """Return the variance of the mean, from shot noise fitted to all pixels.
+
+    Quantisation noise is added.
+    """
     good = (mean.samples > 1) & np.isfinite(mean.noise)
     count = np.maximum(mean.samples, 1)
     if not good.any():
         return np.full(mean.mean.shape, 1 / 12)
-    # A pixel's own scatter over few frames is too uncertain to weight by.
+    # A pixel's own scatter over few frames is too uncertain for a weight.
     level, scatter = mean.mean[good], mean.noise[good] ** 2
     return np.asarray((np.full(mean.mean.shape, float(np.mean(scatter)))
                        if level.size < 100 or np.ptp(level) < 1
@@ -184,22 +187,22 @@ def _shot_noise(
 def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
     """Fit Malus's law to every pixel: I(a) = L(a) (c0 + c1 cos 2a + c2 sin 2a).
 
-    L is the light, common to all pixels: 1, the lamp's own polarization (cos 2a,
-    sin 2a) and, over a full turn, the wander of the beam (cos a, sin a).  Pixels and
-    light are solved in turn, each by weighted linear least squares; that the pixels
-    stand at four angles makes the two separable.
+    L is the light, common to all pixels: the sum of 1, the polarization of the lamp
+    (cos 2a, sin 2a) and, over a full turn, the wander of the beam (cos a, sin a).
+    Pixels and light are solved alternately, each by weighted linear least squares.  The
+    two are separable because the pixels have four different angles.
 
     Parameters
     ----------
     sweep : Sweep
         From `read_sweep`.
     rounds : int
-        Most repetitions.
+        Largest number of iterations.
 
     Raises
     ------
     ValueError
-        If hardly any pixel responds.
+        If hardly any pixel responds to the light.
     """
     angles = sweep.angles
     dn = sweep.dn.reshape(len(angles), -1)
@@ -211,14 +214,14 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
         terms += [np.cos(angles), np.sin(angles)]
     modes = np.stack(terms, 1)
 
-    # The light is common: a few thousand pixels know it as well as all of them.
-    every = max(dn.shape[1] // 4001, 1) | 1       # odd: all four channels take part
+    # The light is common to all pixels, so a few thousand determine it well enough.
+    every = max(dn.shape[1] // 4001, 1) | 1       # odd, to sample all four channels
     some, some_weight = dn[:, ::every].astype(float), weight[:, ::every].astype(float)
     light = np.zeros(modes.shape[1])
     for _ in range(rounds):
         response, _ = _solve(basis * (1 + modes @ light)[:, None], some, some_weight)
         plain = basis @ response
-        # I - plain = plain * (modes @ light): linear in the light.
+        # I - plain = plain * (modes @ light), which is linear in the light.
         design = np.einsum("ap,ak->apk", plain, modes)
         normal = np.einsum("apk,ap,apl->kl", design, some_weight, design)
         right = np.einsum("apk,ap->k", design, some_weight * (some - plain))
@@ -240,7 +243,7 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
     usable &= residual < 6 * typical
     scale = 2 * float(np.median(response[0][usable]))
     covariance *= max(typical, 1e-9) ** 2
-    # An offset passes for response to unpolarized light, which hardly varies.
+    # An offset has the effect of a response to unpolarized light.
     covariance[:, 0, 0] += np.ravel(sweep.offset_sigma) ** 2
     covariance /= scale**2
     shape = sweep.dn.shape[1:]
@@ -259,7 +262,10 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
 def _solve(
     design: NDArray[np.float64], dn: NDArray[Any], weight: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Weighted least squares of every column: solution (3, P), covariance (P, 3, 3)."""
+    """Solve weighted least squares for every column.
+
+    Returns the solution, shape (3, P), and its covariance, shape (P, 3, 3).
+    """
     products = design[:, :, None] * design[:, None, :]
     normal = np.tensordot(weight, products, ([0], [0])).astype(float)
     normal[:, range(3), range(3)] += 1e-12
@@ -272,9 +278,9 @@ def _solve(
 def steps_in_time(
     recording: Recording, angles: ArrayLike, starts_us: Sequence[int], dwell_us: int
 ) -> Iterator[tuple[float, Iterator[ApsFrame]]]:
-    """Cut one recording of a stepped polarizer into the steps that `read_sweep` takes.
+    """Divide a recording of a stepped polarizer into the steps for `read_sweep`.
 
-    Nothing is read before `read_sweep` asks for it.
+    The recording is read when `read_sweep` iterates over the steps.
 
     Parameters
     ----------
@@ -282,14 +288,14 @@ def steps_in_time(
     angles : array_like of float, shape (N,)
         Radians.
     starts_us : sequence of int
-        When each angle was reached.
+        Times at which the angles were reached.
     dwell_us : int
-        How long it stood.
+        Time for which the polarizer stood still at each angle.
 
     Yields
     ------
     (float, iterator of ApsFrame)
-        Angle in radians, and the frames that were exposed while it stood.
+        Angle in radians, and the frames that were exposed while it stood still.
     """
     for angle, start in zip(np.asarray(angles), starts_us, strict=True):
         yield float(angle), frames_of(recording, start, start + dwell_us)

@@ -1,4 +1,4 @@
-"""Contrast thresholds of the event pixels: where they come from."""
+"""Choose the contrast thresholds of the event pixels."""
 from __future__ import annotations
 
 import math
@@ -23,12 +23,12 @@ Theta = NDArray[np.float32] | float
 
 
 def thresholds_from_biases(biases: Mapping[str, float]) -> tuple[float, float]:
-    """Return (theta_on, theta_off) that the bias currents should give.
+    """Return the thresholds (theta_on, theta_off) expected from the bias currents.
 
     Parameters
     ----------
     biases : mapping of str to float
-        Currents of ``DiffBn``, ``OnBn`` and ``OffBn``; only their ratios matter.
+        Currents of ``DiffBn``, ``OnBn`` and ``OffBn``, in any common unit.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def thresholds_from_biases(biases: Mapping[str, float]) -> tuple[float, float]:
 def checked_choice(
     thresholds: str | tuple[ArrayLike, ArrayLike] | None
 ) -> None:
-    """Raise ValueError if thresholds are a word that says nothing."""
+    """Raise ValueError if thresholds are an unknown word."""
     if isinstance(thresholds, str) and thresholds not in _CHOICES:
         raise ValueError(
             f"thresholds must be {', '.join(map(repr, _CHOICES))} or (on, off), got "
@@ -69,9 +69,9 @@ def resolve_thresholds(
     nominal: tuple[ArrayLike, ArrayLike],
     calibration: Calibration | None,
 ) -> tuple[Theta, Theta]:
-    """Return the thresholds to use, as ``fuse`` documents them.
+    """Return the thresholds to use, as documented in ``fuse``.
 
-    "in-situ" gives what the estimation starts from.
+    For "in-situ" these are the values from which the estimation starts.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def resolve_thresholds(
     Raises
     ------
     TypeError, ValueError
-        If the choice is unknown or cannot be had, or a value is not positive.
+        If the choice is unknown or unavailable, or a value is not positive.
     """
     size = recording.info.sensor_size
     if isinstance(thresholds, str) and thresholds == "in-situ":
