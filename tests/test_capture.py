@@ -285,7 +285,7 @@ def sources(folder):
     half.write_bytes(b"#!AER-DAT4.0\r\n\x10\0\0")
     return {
         "missing": (folder / "missing.aedat4", "cannot be opened"),
-        "folder": (folder, "cannot open|cannot be opened|no recording that is one"),
+        "folder": (folder, "cannot open|cannot be opened|a folder that is not"),
         "text": (text, "not a recording"),
         "empty": (empty, "empty"),
         "half": (half, "half.aedat4"),

@@ -180,7 +180,7 @@ def test_hdf5_opens_as_video(tmp_path, name):
 
 
 def test_a_folder_is_no_recording_unless_a_format_says_so(tmp_path):
-    with pytest.raises(pdavis_cv.RecordingError, match="a folder, and no recording"):
+    with pytest.raises(pdavis_cv.RecordingError, match="that is not a recording"):
         open_recording(tmp_path)
     assert not registry.is_recording(tmp_path)
     assert not registry.is_recording("a\0b")

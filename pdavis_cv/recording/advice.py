@@ -1,4 +1,4 @@
-"""What a user should know about a recording before trusting what comes out of it."""
+"""Check a recording for problems that make images or measurements wrong."""
 from __future__ import annotations
 
 import math
@@ -14,42 +14,45 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 __all__ = ["Advice", "advise"]
 
 BUS_EVENTS_PER_S = 10e6
-"""What the camera's read-out carries (paper, sensor section)."""
+"""Largest event rate of the camera's read-out (paper, sensor section)."""
 BUSY_SHARE = 0.5
-"""Part of the bus's rate, in 1 ms, from which on events are late; a convention."""
+"""Fraction of the bus's rate, in 1 ms, above which events are late; a convention."""
 HOT_TIMES_MEDIAN, LEAST_HOT_EVENTS = 50, 100
-"""A pixel is called hot above both: times the median of pixels with events, and events
-in the whole recording.  A convention: moving edges stay within 50 times the median."""
+"""A pixel is hot if its number of events exceeds both 50 times the median of all pixels
+with events, and 100.  A convention: moving edges stay within 50 times the median."""
 FLICKER_HZ = (100, 120)
 """Flicker of lamps on mains of 50 and 60 Hz."""
 FLICKER_BIN_US = 1000
 FLICKER_LONGEST_BINS = 1 << 17
 """Bound on the memory of the spectrum: 131 s."""
 FLICKER_POWER = 10.0
-"""A line of the spectrum of the event rate over the median of the lines beside it: of
-white noise averaged over 4 s or more, below 1e-6 (exponential distribution)."""
+"""Smallest ratio of a line in the spectrum of the event rate to the median of the lines
+beside it.  White noise averaged over 4 s or more exceeds it with a probability below
+1e-6 (exponential distribution)."""
 CLIPPED_SHARE = 0.01
-"""Part of the pixels that may be saturated without a word; a convention."""
+"""Fraction of saturated pixels that is reported; a convention."""
 DARK_DN = 20.0
-"""Median DN below which offsets of some DN (Brandli et al. 2014: .5 % of the range) are
-a fifth of the light."""
+"""Median DN below which the usual offsets (Brandli et al. 2014: .5 % of the range) are
+a fifth of the signal."""
 BLUR_EVENTS = 3
-"""With a usual threshold of 0.2, light changes by a factor of 1.8 meanwhile."""
+"""Events of a pixel in one exposure that count as blur: at the usual threshold of 0.2,
+the light changes by a factor of 1.8."""
 BLURRED_SHARE = 0.05
-"""Part of the pixels that may blur without a word; a convention."""
+"""Fraction of blurred pixels that is reported; a convention."""
 MOST_KEPT_EVENTS = 2_000_000
 """Bound on the memory of an exposure's events: 26 MB."""
 LEAST_FRAMES = 5
-"""From so few on the frame rate is known; a convention."""
+"""Smallest number of frames that determines the frame rate; a convention."""
 MOST_EMPTY = 0.5
-"""Of the bins of 1 ms: a camera with more than one event in each fills most."""
+"""Largest fraction of empty bins of 1 ms: a camera with more than one event per bin
+fills most of them."""
 MOST_TIMES = 9999
-"""Beyond this a ratio says no more than that there is nothing beside the line."""
+"""Largest ratio to report; beyond it the noise beside the line is negligible."""
 CLOCK_HZ = 1.5
-"""How near a harmonic of the frame clock is to a line that is 1 Hz wide."""
+"""Largest distance of a harmonic of the frame clock from a line that is 1 Hz wide."""
 KAPPA, CAPACITOR_RATIO = 0.7, 20
-"""Of the threshold's formula: subthreshold slope of both kinds of transistors, and
-C1 / C2 of the differencing amplifier (Nozaki and Delbruck 2017)."""
+"""Constants of the formula for thresholds: subthreshold slope of both kinds of
+transistors, and C1 / C2 of the differencing amplifier (Nozaki and Delbruck 2017)."""
 F_THRESHOLD = KAPPA / (KAPPA**2 * CAPACITOR_RATIO)
 
 
@@ -62,9 +65,9 @@ class Advice:
     topic : str
         ``"layout"``, ``"clipped frames"``, ``"event rate"``, ...
     finding : str
-        What was seen, with its figure.
+        Description of the finding, with its number.
     action : str
-        What to do.
+        Recommended action.
     """
 
     topic: str
@@ -73,7 +76,7 @@ class Advice:
 
 
 def advise(recording: Recording) -> list[Advice]:
-    """Read a recording once and return what its user should know.
+    """Read a recording once and return findings that affect its results.
 
     Parameters
     ----------
@@ -100,7 +103,7 @@ def advise(recording: Recording) -> list[Advice]:
 
 
 class _Facts:
-    """What one pass over the samples collects."""
+    """Statistics that are collected in one pass over the samples."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._counts = np.zeros(size, np.int64)
@@ -136,7 +139,7 @@ class _Facts:
             0.0 if frame.valid is None else float(np.mean(~frame.valid)))
         self._levels.append(float(np.median(frame.dn)))
         self._mids.append(frame.mid_us)
-        # What a pixel's events say of its light while the frame was exposed.
+        # Count the events of each pixel during the exposure of the frame.
         half = round(1000 * frame.exposure_ms / 2)
         start, stop = frame.mid_us - half, frame.mid_us + half
         counts = np.zeros(self._counts.shape, np.int64)
@@ -173,7 +176,7 @@ class _Facts:
                 f"changes by a factor of {factor:.1f} or more on {share:.0%} of the "
                 "pixels: the frames blur, their DoLP reads low",
                 f"expose for {exposure_ms / events:.2g} ms or less, or slow the scene; "
-                "method kalman reckons with the exposure, the others do not"))
+                "method kalman accounts for the exposure, the others do not"))
         return found
 
     def about_events(self) -> list[Advice]:
@@ -206,9 +209,9 @@ class _Facts:
         for i, count in self._bins.items():
             if i - first < n:
                 rate[i - first] = count
-        # Whole pieces of a second, averaged: each line is 1 Hz wide.
+        # Average the spectra of intervals of 1 s, so that each line is 1 Hz wide.
         if np.mean(rate == 0) > MOST_EMPTY and rate.mean() > 1:
-            return []  # computed images: their events come in steps, a lamp's do not
+            return []  # simulated from images: events come in bursts
         pieces = rate[:n // 1000 * 1000].reshape(-1, 1000)
         power = np.mean(np.abs(np.fft.rfft(
             (pieces - pieces.mean(1, keepdims=True)) * np.hanning(1000))) ** 2, axis=0)
@@ -227,10 +230,10 @@ class _Facts:
 
 
     def _frame_clock(self, power: NDArray[np.float64], hz: int) -> float:
-        """Return the power beside a frequency that the frame clock has a part in.
+        """Return the power that the frame clock causes near a frequency.
 
-        Reading a frame disturbs events: the clock's harmonics stand in a comb, where a
-        lamp has the one line.  0 if the frequency is no harmonic.
+        Reading a frame disturbs events, which gives lines at all harmonics of the frame
+        rate, where a lamp has a single line.  0 if the frequency is not a harmonic.
         """
         if len(self._mids) < LEAST_FRAMES:
             return 0.0

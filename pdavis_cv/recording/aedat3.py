@@ -1,4 +1,4 @@
-"""AEDAT-3.1, as cAER wrote it: import, the right way up."""
+"""Recordings in AEDAT-3.1, as written by cAER."""
 from __future__ import annotations
 
 import re
@@ -38,22 +38,23 @@ __all__ = ["Aedat3Recording"]
 
 MAX_PACKET = 64 << 20
 _BEGINNINGS = 4
-"""Of false beginnings of packets inside another so many are tried, no more."""
+"""Largest number of apparent packet headers that are tried inside another packet."""
 _AHEAD = 8
-"""Packets among which the next of the same kind is looked for, to judge times by."""
+"""Number of packets ahead in which the next of the same kind is searched, to check
+times against it."""
 _END = b"#!END-HEADER\r\n"
 _HEAD = struct.Struct("<hhiiiiii")
 _BEGIN = re.compile(rb"(?=[\x00-\x04]\x00..(?:[\x08\x24\x30]\x00\x00\x00\x04|..."
                     rb"\x00\x08)\x00\x00\x00)", re.DOTALL)
-"""Kind, source, bytes per event, and where in it the time is: 8 in a frame, else 4."""
+"""Kind, source, bytes per event and offset of the time in it: 8 in frames, else 4."""
 _SIZES = {0: 8, 1: 8, 3: 36, 4: 48}
 _SIZE = struct.Struct("<ii")
 _MARKS = tuple(_SIZE.pack(size, 4) for size in sorted(set(_SIZES.values())))
-"""Bytes per event and the place of its time, as headers have them."""
+"""Bytes per event and offset of its time, as they appear in packet headers."""
 SPECIAL, POLARITY, FRAME, IMU6, IMU9 = range(5)
 _ANY = -1
 Decoded = tuple[int, int, Any, NDArray[np.int64]]
-"""A packet: its byte, its kind, samples or frames, their times."""
+"""A packet: byte offset, kind, samples or frames, and their times."""
 _FRAME = struct.Struct("<i4i4i")
 _IMU = np.dtype([("info", "<i4"), ("t", "<i4"), ("accel", "<f4", 3),
                  ("gyro", "<f4", 3), ("temperature", "<f4")])
@@ -62,7 +63,7 @@ _IMU9 = np.dtype([*_IMU.descr, ("compass", "<f4", 3)])
 _TRIGGERS = {2: 1, 3: 2, 4: 3}
 MARK_BYTES = 1 << 18
 HORIZON_US = 500_000
-"""How far the packets of different kinds may interleave imperfectly in time."""
+"""Longest time by which packets of different kinds may be out of order."""
 
 
 class Aedat3Recording(FileRecording):
@@ -112,21 +113,21 @@ class Aedat3Recording(FileRecording):
                 **{name.strip(): value.strip() for name, value in facts.items()}})
 
     def _has_frames(self) -> bool:
-        """Tell whether the file holds frames, by the heads of its packets."""
+        """Return whether the file holds frames, from its packet headers."""
         at = self._start
         while at < self._reader.size:
             found = self._plausible(at)
             if found is None or found[0] == FRAME:
-                return True  # where it is damaged there may be some
+                return True  # the damaged part may hold some
             at += _HEAD.size + found[1] * found[3]
         return False
 
     def _frame_size(self) -> tuple[int, int] | None:
-        """Return the size of the first frame whose bytes it fits."""
+        """Return the size of the first frame that is consistent with its packet."""
         for _, kind, size, _, data in self._raw(self._start, quiet=True):
             if kind == FRAME and len(data) >= 36:
                 width, height = struct.unpack_from("<ii", data, 20)
-                # Grey, or of three or four colours; else damaged, or not all pixels.
+                # One, three or four channels; any other size is damaged or cropped.
                 if 0 < width <= 4096 and 0 < height <= 4096 and (
                         size - 36 in (2 * width * height * k for k in (1, 3, 4))):
                     return height, width
@@ -135,7 +136,7 @@ class Aedat3Recording(FileRecording):
     def _raw(
         self, at: int, *, quiet: bool = False
     ) -> Iterator[tuple[int, int, int, int, bytes]]:
-        """Give (byte, kind, event size, overflow, events) of each packet from at on."""
+        """Yield (byte, kind, event size, overflow, events) of packets from at on."""
         end = self._reader.size
         found = self._plausible(at)
         while at < end:
@@ -155,7 +156,7 @@ class Aedat3Recording(FileRecording):
             data = self._reader.read(at + _HEAD.size, size * count)
             inside = None
             if following is None and after < end:
-                # Its size is wrong, or bytes are missing: the next may begin inside.
+                # The size is wrong or bytes are missing: the next may begin inside.
                 inside = self._resync(at + 1, after)
             elif _looks_torn(kind, size, data):
                 inside = self._hidden(at + 1, after)
@@ -200,9 +201,10 @@ class Aedat3Recording(FileRecording):
         return None
 
     def _hidden(self, at: int, until: int) -> int | None:
-        """Return where packets begin inside one that lost bytes.
+        """Return where packets begin inside a packet that lost bytes.
 
-        They end where it seems to, or are two in a row: bytes were added behind them.
+        They are accepted if they end where it seems to end, or if there are two in a
+        row (bytes were then added after them).
         """
         for _ in range(_BEGINNINGS):
             inside = self._resync(at, until)
@@ -275,13 +277,13 @@ class Aedat3Recording(FileRecording):
                                 "samples were dropped because time ran backward")
                     found = found[keep]
                 setattr(batch, _FIELDS[kind], found)
-            # Packets of different kinds are not in order of time among each other.
+            # Packets of different kinds are not in time order relative to each other.
             newest = max(clock.last for clock in clocks)
             promised = batch.complete_us = max(promised, newest - HORIZON_US)
             yield batch
 
     def _decoded(self, begin: int) -> Iterator[Decoded]:
-        """Give (byte, kind, samples or frames, times) of the packets from a byte on."""
+        """Yield (byte, kind, samples or frames, times) of each packet from begin on."""
         for at, kind, size, overflow, data in self._raw(begin):
             found: Any
             if kind == FRAME:
@@ -323,7 +325,7 @@ class Aedat3Recording(FileRecording):
         raw = np.frombuffer(data, "<u2", w * h, _FRAME.size).reshape(h, w)
         dn, valid = np.zeros((height, width), np.float32), np.zeros(
             (height, width), np.bool_)
-        # Left-justified to 16 bits; white was repaired from saturation.
+        # DN are left-justified to 16 bits.
         dn[y:y + h, x:x + w] = (raw >> 6).astype(np.float32)
         valid[y:y + h, x:x + w] = raw >> 6 < 1023
         start, end = base + soe, base + eoe
@@ -339,11 +341,11 @@ class Aedat3Recording(FileRecording):
 
 
 def _looks_torn(kind: int, size: int, data: bytes) -> bool:
-    """Tell whether a packet may have lost bytes and hold the next packet instead.
+    """Return whether a packet may have lost bytes and contain the next one.
 
-    As many as that has: it ends where it should then.  There is what a packet's header
-    says of its events; and in one of events, the only ones that are many, times are not
-    in order, or too few to tell.
+    If it lost as many bytes as the next packet has, it still ends at a packet.  Two
+    signs are required: its payload contains bytes of a packet header, and, for polarity
+    events (the only long packets), times are out of order or too few to check.
     """
     if kind == POLARITY and len(data) > size:
         times = np.ndarray((len(data) // size,), "<i4", data, 4, (size,))
@@ -354,18 +356,20 @@ def _looks_torn(kind: int, size: int, data: bytes) -> bool:
 
 def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
           ahead: Iterable[Decoded]) -> NDArray[np.bool_]:
-    """Return which times a damaged word must have made.
+    """Return which times come from damaged words.
 
-    They lie far from what comes before and after, on the same side of both, while
-    those two go on as time does.  All of a packet, if its middle does: a packet has a
-    count of overflows of its own.  Packets of one kind are in order of time, those of
-    several nearly.  Before the first of its kind lies what the next two agree on.
+    Such a time lies far from its neighbours, on the same side of both, while these are
+    in order.  If the middle time of a packet does, all times of the packet are wrong,
+    as each packet has its own count of overflows.  Packets of one kind are in time
+    order, packets of different kinds nearly so.  The first packet of a kind is checked
+    against the next two.
     """
-    # Of the three times that a packet begins with, one may be damaged as well.
+    # The median of the first three times of a packet, as one may be damaged.
     nexts = [_middle(one[3][:3]) for one in ahead if one[1] == kind][:2]
     limit = SPIKE_US
     if not nexts or (kind not in before and len(nexts) < 2):
-        # Samples before `promised` are dropped: what passes must not raise it so far.
+        # Samples before `promised` are dropped, so times that are accepted must not
+        # advance it by the whole horizon.
         kind, limit = _ANY, HORIZON_US // 2
         nexts = nexts or [_middle(one[3][:3]) for one in ahead][:1]
     if not nexts:
@@ -375,9 +379,9 @@ def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
         return np.ones(len(times), np.bool_)
     wild = spikes(np.concatenate(([first], times, nexts[:1])), limit)
     wild[1:-1] |= spikes(times, SPIKE_US)
-    if max(nexts) >= first:     # neither of the next two may be before it
+    if max(nexts) >= first:     # at most one of the next two lies before it
         wild |= times > max(nexts) + limit
-    # A time that its successors are before, if these go on from its predecessor.
+    # A time that its successors precede, if they follow its predecessor.
     earlier = np.concatenate(([first], times))[:len(times) - 1]
     wild[:-1] |= (times[:-1] > times[1:]) & (earlier <= times[1:])
     return wild

@@ -1,4 +1,4 @@
-"""What samples come from: Source, Recording, Packet, ApsFrame, and the facts."""
+"""Source, Recording, Packet, ApsFrame and the facts about a recording."""
 from __future__ import annotations
 
 import dataclasses
@@ -43,7 +43,7 @@ TRIGGER_DTYPE = np.dtype([("t", "<i8"), ("type", "u1")])
 """Time in us; type as in AEDAT-4: 0 time reset, 1/2/3 external rising/falling/pulse,
 4/5 generator rising/falling, 6/7 frame start/end, 8/9 exposure start/end."""
 MOST_DN = 2**32
-"""Of a full scale; converters have 8 to 16 bits."""
+"""Largest full scale that is accepted; converters have 8 to 16 bits."""
 
 
 class ApsFrame:
@@ -58,9 +58,9 @@ class ApsFrame:
     valid : ndarray of bool, shape (H, W), optional
         True = usable; None means that every pixel is.
     available_us : int, optional
-        When the readout had ended; default: the end of exposure.
+        End of the readout; default: the end of the exposure.
     full_scale_dn : int
-        Largest DN that the converter gives.
+        Largest DN of the converter.
     reset, signal : ndarray of uint16, shape (H, W), optional
         The two reads, if the file has them.
 
@@ -174,7 +174,7 @@ class ApsFrame:
         Parameters
         ----------
         **changes
-            Of the constructor's parameters, checked as there.
+            Parameters of the constructor, checked as there.
 
         Returns
         -------
@@ -184,10 +184,9 @@ class ApsFrame:
                         | changes)
 
     def moved(self, us: int) -> ApsFrame:
-        """Return the frame with other exposure times, later by us.
+        """Return the frame with exposure times that are later by us.
 
-        When it arrives stays as it is, but for a frame that would arrive before its
-        exposure ends.
+        The time of arrival stays the same unless the exposure would end after it.
         """
         if us == 0:
             return self
@@ -197,7 +196,7 @@ class ApsFrame:
             available_us=max(self.available_us, int(np.max(end))))
 
     def cropped(self, rows: slice, columns: slice) -> ApsFrame:
-        """Return the frame of a part of the sensor; arrays are views where possible."""
+        """Return the frame cropped to a part of the sensor, with views if possible."""
         def part(array: NDArray[Any] | None) -> NDArray[Any] | None:
             return None if array is None else array[rows, columns]
 
@@ -229,7 +228,7 @@ def _no_triggers() -> NDArray[Any]:
 
 
 def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return arrays of the same dtype, at least one, as one array.
+    """Return one or more arrays of the same dtype as one array.
 
     Parameters
     ----------
@@ -241,7 +240,7 @@ def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
         A copy.
     """
     out = np.empty(sum(map(len, parts)), parts[0].dtype)
-    # As bytes: NumPy copies packed structures one field of one element at a time.
+    # Copy bytes, as NumPy copies packed structures field by field.
     data, at = out.view(np.uint8), 0
     for part in parts:
         end = at + part.nbytes
@@ -266,8 +265,8 @@ class Packet:
     imu : ndarray of IMU_DTYPE, shape (M,)
     triggers : ndarray of TRIGGER_DTYPE, shape (K,)
     until_us : int, optional
-        Nothing before this time will come in a later packet: a live source says so
-        where nothing happens, so that images need not wait for the next sample.
+        No later packet holds a sample before this time.  A live source sets it while
+        nothing happens, so that images need not wait for the next sample.
     """
 
     events: NDArray[Any] = field(default_factory=_no_events)
@@ -278,12 +277,12 @@ class Packet:
 
     @property
     def start_us(self) -> int | None:
-        """Time of the first sample of any kind, None if the packet is empty."""
+        """Time of the first sample of any kind, None for an empty packet."""
         return min(self._ends(0), default=None)
 
     @property
     def stop_us(self) -> int | None:
-        """One past the last sample of any kind, None if the packet is empty."""
+        """One past the last sample of any kind, None for an empty packet."""
         last = max(self._ends(-1), default=None)
         return None if last is None else last + 1
 
@@ -295,7 +294,7 @@ class Packet:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingInfo:
-    """What is known about a recording without reading it: header facts.
+    """Facts about a recording from its header.
 
     Counts and ``stop_us`` are None when the file has no index.
 
@@ -320,13 +319,13 @@ class RecordingInfo:
     event_count, frame_count, imu_count, trigger_count : int, optional
         0 when the file has no such stream.
     exposure_us : int, optional
-        Exposure time that the header gives.
+        Exposure time in the header.
     wall_clock_us : int, optional
-        Unix time in microseconds that belongs to time 0 of the recording.
+        Unix time in microseconds at time 0 of the recording.
     biases : mapping of str to float
         Bias currents in ampere, if the header has them.
     header : mapping of str to object
-        Everything else that the header says.
+        All other entries of the header.
     """
 
     format: str
@@ -363,20 +362,20 @@ def _restore_info(values: dict[str, Any]) -> RecordingInfo:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something that was wrong in a recording and what was done about it.
+    """A problem in a recording, and how it was handled.
 
     Parameters
     ----------
     kind : str
         ``"damage"``, ``"backward time"``, ``"outside sensor"``, ``"segment"``, ...
     message : str
-        One sentence for a person.
+        One sentence for the user.
     count : int
-        How many events, frames or packets it concerns.
+        Number of events, frames or packets concerned.
     offset : int, optional
         Byte offset in the file.
     start_us, stop_us : int, optional
-        Time range that is affected.
+        Affected time range.
     """
 
     kind: str
@@ -389,7 +388,7 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What reading a recording from end to end found.
+    """Result of reading a recording from beginning to end.
 
     Parameters
     ----------
@@ -422,12 +421,12 @@ class Source(ABC):
     @property
     @abstractmethod
     def info(self) -> RecordingInfo:
-        """Header facts; frozen, and known without reading the data."""
+        """Facts from the header, known without reading the data."""
 
     @property
     @abstractmethod
     def problems(self) -> Sequence[Problem]:
-        """What was found wrong so far; grows while reading, each finding once."""
+        """Problems found so far; grows while reading, each problem appears once."""
 
     @abstractmethod
     def packets(self) -> Iterator[Packet]:
@@ -440,7 +439,7 @@ class Source(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release what is read; reading afterwards raises ValueError."""
+        """Close the source; reading afterwards raises ValueError."""
 
     @property
     def path(self) -> Path | None:
@@ -467,8 +466,8 @@ class Source(ABC):
 class Recording(Source):
     """A source that can be read again, by interval, and concurrently.
 
-    ``open_recording`` and ``recording_from_arrays`` make them.  Pickles by path
-    (in-memory recordings by value).
+    Made by ``open_recording`` and ``recording_from_arrays``.  A file is pickled by its
+    path, a recording in memory by value.
     """
 
     @abstractmethod
@@ -496,7 +495,7 @@ class Recording(Source):
     ) -> NDArray[Any]:
         """Return the events of start_us <= time < stop_us as one array.
 
-        Faster than joining those of `packets`: frames are left alone.
+        This is faster than joining those of `packets`, as frames are not decoded.
 
         Parameters
         ----------
@@ -512,7 +511,7 @@ class Recording(Source):
                        *(p.events for p in self.packets(start_us, stop_us))])
 
     def scan(self) -> Report:
-        """Read everything once and return what was found."""
+        """Read the whole recording once and return a report."""
         start: int | None = None
         stop: int | None = None
         events = on = frames = imu = triggers = 0

@@ -1,4 +1,4 @@
-"""What a DAVIS346 sends over USB, word by word, as packets."""
+"""Decode the words that a DAVIS346 sends over USB into packets."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ __all__ = ["DAVIS346_SIZE", "WRAP_US", "DavisDecoder", "Orientation"]
 
 DAVIS346_SIZE = (260, 346)
 WRAP_US = 1 << 15
-"""Words hold so many us of time; a word of its own says when they begin again."""
+"""Time stamps in words have 15 bits of us; a wrap word marks each overflow."""
 
 # Places in the kernel's state, as in _kernels/_davis_usb.pyx.
 (_EVENTS, _IMU_SAMPLES, _TRIGGERS, _BASE, _TIME, _ROW, _SHUTTER, _EXPOSED_FROM,
@@ -44,7 +44,7 @@ _MISSING = 65535
 _ROOM = 256     # IMU samples and triggers of one call; many in a second
 
 _LONGEST_LOSS_S = 86_400.0
-"""Of a longer one the host's clock tells nothing: nobody waits a day for a camera."""
+"""Longest gap that is filled in from the host's clock; a longer one is damage."""
 
 _FULL_SCALE = 32768
 _ACCEL_G, _GYRO_DPS = 2, 250
@@ -56,18 +56,19 @@ _TEMPERATURES = {
 
 @dataclass(frozen=True)
 class Orientation:
-    """How a camera's chips are mounted, as its logic tells.
+    """The orientation of a camera's chips, as reported by its logic.
 
     Parameters
     ----------
     events_turned : bool
-        Rows of events are columns of the picture.
+        Whether rows of events are columns of the image.
     frames_flipped_x, frames_flipped_y, frames_turned : bool
-        Readout of frames begins at the right, at the bottom, goes along rows.
+        Whether the readout of frames begins at the right, begins at the bottom, and
+        proceeds along rows.
     imu_flipped : (bool, bool, bool)
-        Axes x, y, z that point the other way.
+        Whether the axes x, y, z are inverted.
     imu_type : str, optional
-        Which chip, for its temperature.
+        Type of the IMU, which determines the scale of its temperature.
     """
 
     events_turned: bool = False
@@ -78,7 +79,7 @@ class Orientation:
     imu_type: str | None = "InvenSense6050Or6150"
 
     def places(self, size: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Return where samples of frames belong, in the order of readout.
+        """Return the positions of frame samples in the image, in readout order.
 
         Parameters
         ----------
@@ -88,10 +89,10 @@ class Orientation:
         Returns
         -------
         columns : int
-            That are read, one after the other.
+            Number of columns that are read, one after the other.
         origin, right, down : int
-            Index of the first sample in the picture, steps to the next column and to
-            the next sample of a column.
+            Index of the first sample in the image, steps to the next column and to the
+            next sample of a column.
         """
         height, width = size
         x = (width - 1, -1) if self.frames_flipped_x else (0, 1)
@@ -103,7 +104,7 @@ class Orientation:
 
 
 class DavisDecoder:
-    """Makes packets of words; whole state is kept between buffers of any cut.
+    """Decode words into packets; buffers may be divided anywhere.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ class DavisDecoder:
         Sensor (height, width).
     orientation : Orientation
     log : ProblemLog
-        Where what is wrong is noted.
+        Receives the problems found.
     """
 
     def __init__(
@@ -133,27 +134,27 @@ class DavisDecoder:
 
     @property
     def time_us(self) -> int:
-        """How far the camera's time is."""
+        """The camera's current time."""
         return int(self._state[_TIME])
 
     def feed(
         self, data: bytes, host_s: float | None = None, *, lost: bool = False
     ) -> Iterator[Packet]:
-        """Yield what words hold, in the order of time.
+        """Decode the next words and yield packets in time order.
 
         Parameters
         ----------
         data : bytes
-            What the camera sent next.
+            The next data of the camera.
         host_s : float, optional
-            When its end arrived, s; on any clock.
+            Time of arrival of their end, s, on any clock.
         lost : bool
-            Something is missing before it.
+            Whether data before them were lost.
 
         Yields
         ------
         Packet
-            With at most one frame; longer than 10 ms where little happens.
+            With at most one frame; may span more than 10 ms at low event rates.
         """
         if lost:
             self._forget()
@@ -192,7 +193,7 @@ class DavisDecoder:
         self._note()
 
     def _restarted(self) -> Packet:
-        """Go on where time was: what follows is a segment of its own."""
+        """Continue the time after a reset of the camera's clock, as a new segment."""
         time = self.time_us
         if time:
             self._log.add("segment", time, "the camera's clock was reset: what follows "
@@ -201,7 +202,7 @@ class DavisDecoder:
         return Packet(triggers=_triggers(np.array([[time, 0]])))
 
     def _forget(self) -> None:
-        """Leave out what is incomplete: words are missing before what comes next."""
+        """Discard incomplete frames and samples after a loss of words."""
         self._odd, self._lost = b"", True
         state = self._state
         state[[_ROW, _READ, _IMU_BYTES]] = -1
@@ -215,10 +216,10 @@ class DavisDecoder:
     def _from_a_time_on(
         self, words: NDArray[np.uint16], expected_us: int | None
     ) -> NDArray[np.uint16]:
-        """Return the words from the first that tells the time.
+        """Return the words from the first time stamp on, after a loss.
 
-        Missing words may have said that the 15 bits of time began again; what fits the
-        time by the host's clock best is taken.
+        Wrap words may have been lost, so the number of overflows is chosen that agrees
+        best with the host's clock.
         """
         timed = np.flatnonzero((words >> 15 == 1) | (words >> 12 == 7))
         if not len(timed):
@@ -229,7 +230,7 @@ class DavisDecoder:
             low, wraps = ((word & (WRAP_US - 1), 0) if word >> 15
                           else (0, word & 0xFFF))
             base = int(self._state[_BASE])
-            # Whole wraps beyond the base, which a reset may have left anywhere.
+            # Number of overflows after the base, which a reset may have changed.
             passed = round((expected_us - low - base) / WRAP_US) - wraps
             self._state[_BASE] = base + max(passed, 0) * WRAP_US
         return words[timed[0]:]
@@ -249,7 +250,7 @@ class DavisDecoder:
             end = int(state[_EXPOSED_UNTIL])
             end = int(self._times[1, 0]) if end < 0 else end
             end = max(start, end)
-        elif self._orientation.frames_turned:   # times of rows: nothing holds them
+        elif self._orientation.frames_turned:   # ApsFrame has no times of rows
             start, end = (round(float(times.mean())) for times in self._times)
             end = max(start, end)
         else:
@@ -279,7 +280,7 @@ class DavisDecoder:
         return samples
 
     def _note(self) -> None:
-        """Note what the kernel counted since the last time."""
+        """Add the problems that the kernel has counted since the last call."""
         counts = self._state[_FIRST_COUNT:].tolist()
         if counts == self._noted:
             return

@@ -1,8 +1,8 @@
-"""Words of a DAVIS346 as they came over USB, in a file: for whoever has to see them.
+"""Files of the raw words that a DAVIS346 sent over USB, for diagnosis.
 
-A line of magic, a line of JSON about the camera, then transfers: time of arrival in s
-(float64), 1 if something is missing before it (uint32), bytes that follow (uint32), all
-little-endian.
+A file holds a magic line, a line of JSON about the camera, and the transfers.  Each
+transfer has its time of arrival in s (float64), 1 if data before it were lost (uint32),
+the number of bytes that follow (uint32), all little-endian, and the bytes.
 """
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ _RECORD = struct.Struct("<dII")
 
 @dataclass(frozen=True)
 class Transfer:
-    """Bytes that arrived together.
+    """The bytes of one USB transfer.
 
     Parameters
     ----------
     data : bytes
     host_s : float
-        When the last of them arrived, s on any clock.
+        Time of arrival of the last byte, s, on any clock.
     lost : bool
-        Something is missing before them.
+        Whether data before them were lost.
     """
 
     data: bytes
@@ -50,15 +50,15 @@ class Transfer:
 
 
 class TraceWriter:
-    """Writes transfers to a file; use as a context manager, or call `close`.
+    """Write transfers to a file; use as a context manager, or call `close`.
 
     Parameters
     ----------
     path : path
     info : RecordingInfo
-        What the camera is.
+        Facts about the camera.
     orientation : Orientation
-        How its chips are mounted.
+        Orientation of its chips.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class TraceWriter:
         self._file.write(MAGIC + json.dumps(head).encode() + b"\n")
 
     def add(self, transfer: Transfer) -> None:
-        """Write one more."""
+        """Write a transfer."""
         self._file.write(_RECORD.pack(
             transfer.host_s, transfer.lost, len(transfer.data)) + transfer.data)
 
@@ -91,7 +91,7 @@ class TraceWriter:
 
 
 class TraceRecording(FileRecording):
-    """A file of `TraceWriter`; it is read from its beginning for every interval."""
+    """A recording in a file of `TraceWriter`; always read from its beginning."""
 
     def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
         self._reader = self._bytes()
@@ -127,7 +127,7 @@ class TraceRecording(FileRecording):
         return packetise(self._batches(stop_us), start_us, stop_us)
 
     def _batches(self, stop_us: int | None) -> Iterator[Batch]:
-        # What is wrong is found again at each reading, and told once.
+        # Each reading finds the same problems again; they are reported once.
         log = ProblemLog(str(self._path))
         decoder = DavisDecoder(self._info.sensor_size, self._orientation, log)
         for transfer in self._transfers():
@@ -158,6 +158,6 @@ def _batch(packet: Packet, time_us: int) -> Batch:
     samples: dict[str, Any] = {
         name: part for name in ("events", "imu", "triggers")
         if len(part := getattr(packet, name))}
-    # A frame, or the packet's last sample, may be as late as time is now.
+    # A frame, or the packet's last sample, may be at the current time.
     return Batch(frames=list(packet.frames),
                  complete_us=(packet.stop_us or time_us + 1) - 1, **samples)

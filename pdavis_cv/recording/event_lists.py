@@ -1,4 +1,4 @@
-"""Events as plain lists: lines of text (CSV), and arrays of NumPy."""
+"""Lists of events: lines of text (CSV) and NumPy arrays."""
 from __future__ import annotations
 
 import re
@@ -22,25 +22,26 @@ from pdavis_cv.sensor import Layout, Sensor
 __all__ = ["NumpyRecording", "TextRecording", "is_text_events"]
 
 CHUNK = 1 << 18
-"""Bytes of text that are read at once."""
+"""Bytes of text that are read at a time."""
 ROWS = 1 << 16
-"""Rows of arrays that are read at once."""
+"""Rows of arrays that are read at a time."""
 MAX_SIDE = 8192
 NANOSECONDS_FROM = 10**17
-"""Whole times beyond this (of 5138 in us, of 1973 in ns) are nanoseconds."""
+"""Integer times beyond this are nanoseconds: in us it would be the year 5138, in ns it
+is 1973."""
 
 _NAMES = {"t": "t", "ts": "t", "timestamp": "t", "timestamps": "t", "time": "t",
           "x": "x", "xs": "x", "y": "y", "ys": "y", "p": "p", "ps": "p", "pol": "p",
           "polarity": "p", "on": "p"}
-"""What columns are called."""
+"""Usual names of the columns."""
 _UNITS = ("us", "s", "ns")
-"""Of whole times, in the kernel's order."""
+"""Units of integer times, in the kernel's order."""
 _LINE = re.compile(
     rb"\s*[-+]?\d+(\.\d*)?([\s,;]+[-+]?\d+(\.\d*)?){3}[\s,;]*")
 
 
 def is_text_events(start: bytes) -> bool:
-    """Tell whether a file begins with lines of four numbers, after names or remarks."""
+    """Return whether a file begins with lines of four numbers, after optional names."""
     for number, line in enumerate(start.split(b"\n")[:-1]):
         text = line.strip()
         if _LINE.fullmatch(line):
@@ -53,16 +54,16 @@ def is_text_events(start: bytes) -> bool:
 
 
 class _EventList(SequentialRecording):
-    """What lists of events have in common: they say no size, and their units vary."""
+    """Base of event lists, which do not give the sensor's size or the unit of time."""
 
     def _facts(self, kind: str, layout: Layout | None,
                size: tuple[int, int] | None) -> RecordingInfo:
-        """Return the facts; looks at the first events where the size is not given."""
+        """Return the facts; without a size, the first events determine it."""
         if size is None:
             size = likely_size(*self._farthest())
             self._log.add("unknown size", None, "the file does not give the sensor's "
                           f"size: {size[1]}x{size[0]} holds the first events; "
-                          "sensor_size=(height, width) says another")
+                          "sensor_size=(height, width) sets another")
         height, width = (int(side) for side in size)
         if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
             raise RecordingError(
@@ -79,10 +80,10 @@ class _EventList(SequentialRecording):
 
 
 class TextRecording(_EventList):
-    """A list of events as text, a line each; see `open_recording`.
+    """A list of events as text, one per line; see `open_recording`.
 
-    Numbers stand between blanks, commas, semicolons or tabs.  Times with a point are
-    seconds, whole ones microseconds, or nanoseconds beyond 10**17.
+    Numbers are separated by blanks, commas, semicolons or tabs.  Times with a decimal
+    point are seconds, integers are microseconds, or nanoseconds beyond 10**17.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ class TextRecording(_EventList):
     sensor_size : (int, int), optional
         (height, width); default: the smallest usual one that holds the first events.
     columns : str, optional
-        Order of the columns, e.g. ``"xypt"``; default: as the first line names them,
+        Order of the columns, e.g. ``"xypt"``; default: the names in the first line,
         else ``"txyp"``.
     """
 
@@ -113,7 +114,7 @@ class TextRecording(_EventList):
         return self._facts("text", layout, sensor_size)
 
     def _named(self, start: bytes) -> str:
-        """Return the order that a line of names gives, txyp if there is none."""
+        """Return the order of columns from a line of names, txyp if there is none."""
         for line in start.split(b"\n"):
             names = re.split(r"[\s,;#]+", line.decode("latin-1").lower().strip(" #\r"))
             if len(names) == 4 and {_NAMES.get(name) for name in names} == set("txyp"):
@@ -123,7 +124,7 @@ class TextRecording(_EventList):
         return "txyp"
 
     def _time_unit(self, start: bytes) -> str:
-        """Return what times are in: s, us or ns."""
+        """Return the unit of times: s, us or ns."""
         place = int(np.flatnonzero(self._order == 0)[0])
         for line in start.split(b"\n")[:-1]:
             if _LINE.fullmatch(line):
@@ -148,11 +149,14 @@ class TextRecording(_EventList):
 
     def _lines(self, at: int, clock: Clock, size: tuple[int, int], memory: Scratch
                ) -> tuple[NDArray[Any], int, int, int]:
-        """Return the events of the piece at a byte, the next one, bad lines, jumps."""
+        """Decode the chunk at a byte.
+
+        Returns its events, the byte after it, and the numbers of bad lines and jumps.
+        """
         data = memory.read(self._reader, at, CHUNK)
         if len(data) and at + len(data) == self._reader.size and data[-1] != ord("\n"):
-            data = np.append(data, np.uint8(ord("\n")))  # of a last line that does not
-        # A line is four digits and what parts them, at least.
+            data = np.append(data, np.uint8(ord("\n")))  # the last line may have none
+        # A line has at least four digits and four separators.
         events = memory.room(len(data) // 8 + 1)
         clock.begin()
         done, bad, jumps, more = 0, 0, 0, 1
@@ -174,10 +178,10 @@ class TextRecording(_EventList):
 class NumpyRecording(_EventList):
     """A list of events in ``.npy`` or ``.npz``; see `open_recording`.
 
-    ``.npy``: fields t, x, y, p (or their usual other names), or four columns in this
-    order.  ``.npz``: an array each, or one of those under any name.  Times with
-    fractions are seconds, whole ones microseconds, or nanoseconds beyond 10**17.
-    Compressed arrays are unpacked into a temporary file.
+    A ``.npy`` file holds fields t, x, y, p (or their usual other names), or four
+    columns in this order; a ``.npz`` file holds one array for each, or such an array
+    under any name.  Times with fractions are seconds, integers are microseconds, or
+    nanoseconds beyond 10**17.  Compressed arrays are unpacked into a temporary file.
 
     Parameters
     ----------
@@ -213,7 +217,7 @@ class NumpyRecording(_EventList):
         return "ns" if len(t) and t[0] > NANOSECONDS_FROM else "us"
 
     def _farthest(self) -> tuple[int, int]:
-        # What lies on no sensor at all is damage.
+        # Coordinates beyond any sensor are damage.
         x, y = (column[(column >= 0) & (column < MAX_SIDE)]
                 for column in self._columns(0)[1:3])
         return int(x.max(initial=0)), int(y.max(initial=0))
@@ -227,7 +231,7 @@ class NumpyRecording(_EventList):
         return self._checked(columns, clock, at, memory, unit="row"), after
 
     def _columns(self, at: int) -> tuple[NDArray[Any], ...]:
-        """Return t in us, x, y, p of the rows at a place."""
+        """Return t in us, x, y, p of the rows from `at` on."""
         read: dict[Any, NDArray[Any]] = {}
         columns = [array.rows(at, at + ROWS, read) for array in self._arrays_of]
         whole = min(map(len, columns))
@@ -239,19 +243,19 @@ class NumpyRecording(_EventList):
             with np.errstate(over="ignore"):
                 t = np.rint(t.astype(np.float64) * (
                     1e6 if self._scale == "s" else 1.0))
-            t = np.where(np.abs(t) < FAR, t, -2 * FAR)  # dropped, and what is no number
+            t = np.where(np.abs(t) < FAR, t, -2 * FAR)  # dropped later, as is NaN
         elif self._scale == "ns":
             t = t // 1000
         return t.astype(np.int64), _whole(x), _whole(y), _whole(p)
 
 
 def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, ...]:
-    """Return the columns t, x, y, p that a file holds, of the same length.
+    """Return the columns t, x, y, p of a file, which have the same length.
 
     Raises
     ------
     RecordingError
-        If there are none.
+        If there are no such columns.
     """
     def named(columns: Mapping[str, StoredArray]) -> tuple[StoredArray, ...] | None:
         by_name = {_NAMES[name.lower()]: column for name, column in columns.items()
@@ -282,9 +286,9 @@ def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, .
 
 
 def _whole(column: NDArray[Any]) -> NDArray[Any]:
-    """Return coordinates or polarities as integers; what is no number lies outside."""
+    """Return coordinates or polarities as integers; NaN lies outside any sensor."""
     if column.dtype.kind == "f":
-        # fmax takes the number where the other is none
+        # fmax ignores NaN
         near: NDArray[Any] = np.fmin(np.fmax(column, -1), MAX_SIDE)
         return near.astype(np.int32)
     return column.view(np.uint8) if column.dtype.kind == "b" else column

@@ -1,4 +1,4 @@
-"""What every reader of files is: opening, closing, positioned reads, problems."""
+"""Base of file readers: opening, closing, positioned reads and problems."""
 from __future__ import annotations
 
 import dataclasses
@@ -27,13 +27,15 @@ __all__ = ["FileReader", "FileRecording", "ProblemLog", "clock_text"]
 
 
 class FileReader:
-    """A file that several threads may read at any place; closed when collected.
+    """A file that several threads may read at any position.
+
+    It is closed when it is garbage-collected.
 
     Parameters
     ----------
     path : path
     descriptor : int, optional
-        Of a file that is open already, which `close` closes; `path` is its name then.
+        Descriptor of an open file, which `close` closes; `path` is then only a name.
 
     Raises
     ------
@@ -57,14 +59,14 @@ class FileReader:
         self.size = os.fstat(self._descriptor).st_size
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return up to size bytes from offset on; fewer only at the end.
+        """Return size bytes from offset on; fewer only at the end of the file.
 
         Raises
         ------
         ValueError
             If the recording was closed.
         RecordingError
-            If the system cannot read.
+            If the file cannot be read.
         """
         if not self._close.alive:
             raise ValueError(f"{self.path.name}: recording is closed")
@@ -84,10 +86,10 @@ class FileReader:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def read_into(self, offset: int, buffer: memoryview) -> int:
-        """Fill a buffer of bytes from offset on; return how many there were.
+        """Read bytes from offset on into a buffer; return their number.
 
-        Memory that is used again costs less than fresh memory for each read.
-        Raises as `read` does.
+        Reusing memory is faster than allocating it for each read.  Raises the errors of
+        `read`.
         """
         if not hasattr(os, "preadv"):
             data = self.read(offset, len(buffer))
@@ -123,7 +125,7 @@ class FileReader:
 
 
 class RemoteReader(FileReader):
-    """An object of a store that several threads may read at any place, by ranges.
+    """An object in a store that several threads may read at any position, by ranges.
 
     Parameters
     ----------
@@ -132,7 +134,7 @@ class RemoteReader(FileReader):
     Raises
     ------
     RecordingError
-        If it is not there.
+        If it does not exist.
     """
 
     def __init__(self, path: RemotePath) -> None:
@@ -145,7 +147,7 @@ class RemoteReader(FileReader):
         self._close: Any = weakref.finalize(self, self._block.cache_clear)
 
     def read_into(self, offset: int, buffer: memoryview) -> int:
-        """Fill a buffer of bytes from offset on; return how many there were."""
+        """Read bytes from offset on into a buffer; return their number."""
         data = self.read(offset, len(buffer))
         buffer[:len(data)] = data
         return len(data)
@@ -156,7 +158,7 @@ class RemoteReader(FileReader):
 
 
 class ProblemLog:
-    """Problems of one recording, each finding counted once however often it is read.
+    """Collect the problems of one recording; repeated reading counts each only once.
 
     Parameters
     ----------
@@ -175,12 +177,12 @@ class ProblemLog:
             offset: int | None = None, start_us: int | None = None,
             stop_us: int | None = None,
             warning: type[PdavisWarning] | None = None) -> None:
-        """Note a finding; key says which one it is, None that none comes twice.
+        """Add a finding; one with the same key as an earlier one is ignored.
 
-        A stream that may last for days gives None, so that no key is kept.  Warns once
-        per class of warning.
+        With None as key it is always counted; streams that may last for days use it, so
+        that no keys have to be stored.  A warning is issued once per class.
 
-        The findings of one kind make one `Problem`: the message and the offset of
+        Findings of one kind are merged into one `Problem`: the message and offset of
         the first, the sum of the counts, the hull of the time ranges.
         """
         with self._lock:
@@ -206,21 +208,21 @@ class ProblemLog:
 
     def damage(self, key: Hashable, message: str, *, offset: int,
                start_us: int | None = None, stop_us: int | None = None) -> None:
-        """Note that a part of the file is lost."""
+        """Add the finding that a part of the file is lost."""
         self.add("damage", key, message, offset=offset, start_us=start_us,
                  stop_us=stop_us, warning=DamagedFileWarning)
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """One Problem per kind, in the order of finding."""
+        """One Problem per kind, in the order of their first finding."""
         with self._lock:
             return tuple(self._found.values())
 
 
 class FileRecording(Recording):
-    """A recording in a file: opening, closing, pickling and problems of every format.
+    """Base of recordings in files: opening, closing, pickling and problems.
 
-    A format's reader says in `_open` what the file is, and in `packets` what it holds.
+    The reader of a format implements `_open`, which returns the facts, and `packets`.
 
     Parameters
     ----------
@@ -228,16 +230,16 @@ class FileRecording(Recording):
     layout : Layout, optional
     bad_events : {"drop", "raise"}
     camera : str, optional
-        Which camera, if the file holds several.
+        Name of the camera, if the file holds several.
     **options
-        Of the format; see `Format`.
+        Options of the format; see `Format`.
 
     Attributes
     ----------
     _log : ProblemLog
-        Where findings go; with `_strict` they are errors, see `_count`.
+        Receives findings; with `_strict` they are raised as errors, see `_count`.
     _closing : ExitStack
-        What `_open` opens is put here, and `close` releases it.
+        Holds what `_open` opens, to be released by `close`.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
@@ -257,12 +259,12 @@ class FileRecording(Recording):
 
     @abstractmethod
     def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
-        """Open the file and return its facts; formats with options take them too.
+        """Open the file and return its facts; options of the format are passed as well.
 
         Raises
         ------
         RecordingError
-            If it cannot be opened or is not what it says.
+            If it cannot be opened or has another format.
         """
 
     def _bytes(self) -> FileReader:
@@ -274,20 +276,20 @@ class FileRecording(Recording):
 
     def _count(self, at: int, kind: str, count: int, message: str, *,
                unit: str = "byte") -> None:
-        """Note how many samples at a place were left out and why, or refuse the file.
+        """Add the number of samples that were left out; if strict, raise instead.
 
         Parameters
         ----------
         at : int
-            Place in the file: each counts once, however often it is read.
+            Position in the file; each position is counted once.
         kind : str
-            Of `Problem`.
+            Kind of the `Problem`.
         count : int
-            How many; 0 is nothing.
+            Number of samples; nothing is done for 0.
         message : str
-            Goes on after the number.
+            Text that follows the number.
         unit : str
-            What `at` counts.
+            Unit of `at`.
         """
         if not count:
             return
@@ -298,16 +300,16 @@ class FileRecording(Recording):
 
     def _dropped(self, clock: Clock, at: int, jumps: int, *, unit: str = "byte"
                  ) -> None:
-        """Note what a kernel left out of a piece, as the clock's state counts it.
+        """Add what a kernel left out of a chunk, as counted in the clock's state.
 
         Parameters
         ----------
         clock : Clock
-            Its counts are of this piece.
+            Holds the counts of this chunk.
         at, unit
             As in `_count`.
         jumps : int
-            How often time jumped back by more than a second.
+            Number of jumps of time by more than a second backward.
         """
         if jumps:
             self._log.add("segment", at, "time jumped back by more than a second: a "
@@ -322,16 +324,16 @@ class FileRecording(Recording):
 
     def _checked(self, columns: Sequence[NDArray[Any]], clock: Clock, at: int,
                  memory: Scratch, *, unit: str = "byte") -> NDArray[Any]:
-        """Return those events that lie on the sensor and in order; count the others.
+        """Return the events that lie on the sensor and in time order; count the others.
 
         Parameters
         ----------
         columns : four of ndarray, shape (N,)
-            t in us, int64; x, y; p, where negative is OFF; whole numbers.
+            t in us, int64; x, y; p, where negative is OFF; all integers.
         clock : Clock
-            Time of the events before these.
+            Clock of the events before these.
         memory : Scratch
-            Gives the room for them.
+            Provides memory for the result.
         at, unit
             As in `_count`.
 
@@ -349,12 +351,12 @@ class FileRecording(Recording):
     def _taken(self, kernel: Callable[[int, NDArray[Any]], tuple[int, int, int]],
                  count: int, clock: Clock, at: int, memory: Scratch, *, unit: str
                  ) -> NDArray[Any]:
-        """Return what a kernel takes of count events; count what it leaves out.
+        """Return the events that a kernel accepts of count events; count the others.
 
         Parameters
         ----------
         kernel : callable
-            (first, out) -> (how far, whether time jumps back there, the time there).
+            (first, out) -> (index of the end, whether time jumps back there, its time).
         count, clock, at, memory, unit
             As in `_checked`.
         """
@@ -393,7 +395,7 @@ class FileRecording(Recording):
 
 
 def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
-    """Return whole numbers as int32; beyond that they lie outside any sensor."""
+    """Return integers as int32; clipped values lie outside any sensor."""
     if column.dtype.kind == "u" and column.dtype.itemsize > 2:
         column = np.minimum(column, column.dtype.type(1 << 30))
     elif column.dtype.itemsize > 4:
@@ -407,7 +409,7 @@ def _reopen(reader: Callable[..., FileRecording], path: str,
 
 
 def clock_text(start_us: int | None, stop_us: int | None) -> str:
-    """Return words for a time range of which an end may be unknown."""
+    """Return a text for a time range, one end of which may be unknown."""
     if start_us is None and stop_us is None:
         return "at an unknown time"
     if start_us is None:

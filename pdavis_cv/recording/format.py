@@ -1,4 +1,4 @@
-"""What a format is: how files of it are known, read and written."""
+"""Format: how files of one kind are recognized, read and written."""
 from __future__ import annotations
 
 import importlib
@@ -17,50 +17,51 @@ _KINDS = frozenset(("events", "frames", "imu", "triggers"))
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """A kind of file: how it is known, read and written.
+    """Description of a file format: how it is recognized, read and written.
 
-    Functions are named as ``"package.module:function"`` and loaded at first use, so
-    that a format costs nothing until a file has it.
+    Functions may be given as ``"package.module:function"``; they are imported at first
+    use, so that a format that is not used costs nothing.
 
     Parameters
     ----------
     name : str
-        Short, for ``pdavis convert --format``.
+        Short name, for ``pdavis convert --format``.
     title : str
-        For people.
+        Name to show to users.
     reader : str or callable
-        Called with (path, layout=, bad_events=, camera=, and those of `read_options`
-        that the caller gave); returns a `Recording`.
+        Called with (path, layout=, bad_events=, camera=, and the given ones of
+        `read_options`); returns a `Recording`.
     magic : tuple of bytes
-        First bytes of such a file, any of them.
+        Possible first bytes of such a file.
     sniff : str or callable, optional
-        Called with the first 4096 bytes, where first bytes alone do not tell; returns
-        whether this is such a file.
+        Called with the first 4096 bytes; returns whether this is such a file.  For
+        formats that `magic` cannot identify.
     folder : str, optional
-        A recording is a folder that holds a file of this name.
+        Name of a file that identifies a folder as a recording of this format.
     suffixes : tuple of str
-        What names of such files end in, lower case with the dot.  They never decide
-        what a file is; they tell what to write, and what other libraries hand over.
+        Suffixes of such files, lower case with the dot.  They select the format for
+        writing and the files that adapters of other libraries accept, but never decide
+        what a file that is read contains.
     writer : str or callable, optional
-        Called with (path, recording, and those of `write_options` that were given);
-        returns a mapping of what the format could not hold to how often.
+        Called with (path, recording, and the given ones of `write_options`); returns a
+        mapping from what the format could not hold to its number.
     holds : frozenset of str
-        Of ``"events"``, ``"frames"``, ``"imu"``, ``"triggers"``.
+        Any of ``"events"``, ``"frames"``, ``"imu"``, ``"triggers"``.
     needs_layout : bool
-        True if such a file is read as a recording only where a layout is given,
-        because the same format holds other things, such as any video.
+        True if such a file is a recording only if a layout is given, because the format
+        is also used for other data, such as any video.
     read_options, write_options : tuple of str
-        Keyword arguments that the reader and the writer have beyond the common ones.
+        Names of further keyword arguments of the reader and the writer.
     by_ranges : bool
-        Whether the reader asks for bytes by `FileRecording._bytes` alone, so that it
-        reads objects of a store as well.
+        Whether the reader gets all bytes from `FileRecording._bytes`, so that it can
+        read objects in a store as well.
     extra : str, optional
         Extra of pdavis-cv that the format needs.
 
     Raises
     ------
     ValueError
-        If a name or a suffix is not of its form.
+        If a name or a suffix is malformed.
     """
 
     name: str
@@ -92,7 +93,7 @@ class Format:
                 f"{', '.join(sorted(self.holds))}")
 
     def knows(self, path: Path, start: bytes) -> bool:
-        """Tell whether a file that begins so, or a folder, is of this format.
+        """Return whether a file or folder has this format.
 
         Parameters
         ----------
@@ -109,7 +110,7 @@ class Format:
 
 
 def loaded(what: str | Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that may be given by name, ``"package.module:function"``."""
+    """Return a function, importing it if given as ``"package.module:function"``."""
     if not isinstance(what, str):
         return what
     module, _, name = what.partition(":")

@@ -53,7 +53,7 @@ class MemoryRecording(Recording):
         yield from packetise([whole], start_us, stop_us)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is no file."""
 
 
 def recording_from_arrays(
@@ -65,12 +65,12 @@ def recording_from_arrays(
     imu: NDArray[Any] | None = None,
     triggers: NDArray[Any] | None = None,
 ) -> Recording:
-    """Make a recording from arrays that the caller has.
+    """Make a recording from arrays.
 
     Parameters
     ----------
     events : ndarray or mapping of columns, shape (N,)
-        Time-ordered events, anything that `as_events` takes; None for no events.
+        Time-ordered events, as accepted by `as_events`; None for no events.
     frames : iterable of ApsFrame
         Frames in the order of ``available_us`` and of ``mid_us``.
     sensor_size : (int, int)
@@ -83,7 +83,7 @@ def recording_from_arrays(
     Returns
     -------
     Recording
-        Arrays are kept, not copied; do not change them afterwards.
+        It refers to the arrays without copying; do not change them afterwards.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def recording_from_arrays(
 def _likely_sensor(
     size: tuple[int, int], events: NDArray[Any], layout: Layout | None
 ) -> Sensor | None:
-    """Frames alone with Sony's layout come from a Sony camera, events from a PDAVIS."""
+    """Return SONY for frames alone with Sony's layout, PDAVIS if there are events."""
     if len(events) or size == Sensor.PDAVIS.size:
         return Sensor.PDAVIS
     return Sensor.SONY if layout == Layout.SONY else None

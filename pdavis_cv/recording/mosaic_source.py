@@ -30,14 +30,14 @@ __all__ = ["MosaicImages", "MosaicVideo", "open_mosaic"]
 IMAGE_SUFFIXES = (".bmp", ".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff", ".webp")
 STACK_SUFFIXES = (".tif", ".tiff")
 FPS_WITHOUT_TIMES = 25.0
-"""What image files count as where nobody says; cv2 does the same."""
+"""Frame rate of image files if none is given, as in cv2."""
 
-# Codecs whose images do not depend on each other: positions in them are exact.
+# Intra-frame codecs, in which seeking is exact.
 _INTRA = frozenset((
     b"ffv1", b"FFV1", b"MJPG", b"mjpg", b"HFYU", b"hfyu", b"FFVH", b"ffvh",
     b"\0\0\0\0", b"Y800", b"GREY", b"Y16 ", b"png ", b"PNG "))
 
-# FFmpeg's codes for one plane of 8 and of 16 bits, as cv2 gives them.
+# FFmpeg's codes, as returned by cv2, for one plane of 8 or 16 bits.
 _GREY = tuple(int.from_bytes(code, "little") for code in (b"Y800", b"Y1\0\x10"))
 
 
@@ -51,13 +51,13 @@ def open_mosaic(
     ----------
     source : path
         ``clip.mkv``, ``shot.png``, ``shot_%04d.png``, ``shot_*.png``, ``stack.tif``.
-        Images are grey, 8 or 16 bits, every pixel behind one polarizer.
+        Images must be grey with 8 or 16 bits, each pixel behind one polarizer.
     layout : Layout
-        Of these images, so after any crop and mirror of them.
+        Layout of these images, i.e. after any crop or mirroring.
     fps : float, optional
         Images per second; default: the video's, 25 for images.
     bad_events, camera : str, optional
-        Not used: images hold no events, and are of one camera.
+        Not used: images hold no events and belong to one camera.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def open_mosaic(
 
 
 def _names(source: str) -> list[str] | None:
-    """Return the image files that a source means, None if it is a video."""
+    """Return the image files that a source denotes, None if it is a video."""
     path = Path(source)
     if path.is_dir():
         raise RecordingError(
@@ -100,7 +100,7 @@ def _names(source: str) -> list[str] | None:
 
 
 class _MosaicRecording(Recording):
-    """Frames at a steady rate, without times of their own."""
+    """Frames at a constant rate, without time stamps."""
 
     def __init__(
         self, path: str, layout: Layout, fps: Fraction, count: int | None,
@@ -110,7 +110,7 @@ class _MosaicRecording(Recording):
         shape = first.shape
         self._info = RecordingInfo(
             format=kind, sensor_size=(shape[0], shape[1]), layout=layout,
-            # Cameras that give frames alone have Sony's sensor.
+            # Cameras without events have Sony's sensor.
             sensor=Sensor.PDAVIS if shape == Sensor.PDAVIS.size else Sensor.SONY,
             start_us=0,
             stop_us=None if count is None else self._time(count - 1) + 1,
@@ -119,7 +119,7 @@ class _MosaicRecording(Recording):
         self._full_scale = 255 if first.dtype == np.uint8 else self._sixteen_bits(first)
 
     def _sixteen_bits(self, first: NDArray[Any]) -> int:
-        """Return full scale of uint16: 12-bit cameras leave the upper bits empty."""
+        """Return the full scale of uint16 images, which may hold only 10 or 12 bits."""
         n = self._count or 1
         later = {n // 2, n - 1} - {0}
         samples = [first, *(image for k in later for image in itertools.islice(
@@ -134,7 +134,7 @@ class _MosaicRecording(Recording):
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """Nothing is checked beyond what decoding refuses."""
+        """Always empty: an image that cannot be decoded raises RecordingError."""
         return ()
 
     @property
@@ -173,7 +173,7 @@ class _MosaicRecording(Recording):
         """Yield the images from number first on."""
 
     def close(self) -> None:
-        """Nothing stays open between reads."""
+        """Do nothing: the file is open only during reading."""
 
 
 class MosaicImages(_MosaicRecording):
@@ -187,7 +187,7 @@ class MosaicImages(_MosaicRecording):
     fps : float, optional
         Default 25.
     path : str, optional
-        What to call the recording; default the first name.
+        Name of the recording; default: the first name.
     """
 
     def __init__(
@@ -259,8 +259,8 @@ class MosaicVideo(_MosaicRecording):
         if not video.isOpened():
             raise RecordingError(f"{self._file}: not a video that cv2 can open")
         if int(video.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) in _GREY:
-            # Otherwise cv2 turns grey into BGR and 16 bits into 8.  It warns of
-            # formats that are not grey.
+            # Otherwise cv2 converts grey to BGR and 16 bits to 8.  It warns of formats
+            # that are not grey.
             level = cv2.utils.logging.getLogLevel()
             cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
             video.set(cv2.CAP_PROP_CONVERT_RGB, 0)
@@ -272,7 +272,7 @@ class MosaicVideo(_MosaicRecording):
         try:
             if self._intra:
                 video.set(cv2.CAP_PROP_POS_FRAMES, first)
-            else:  # positions within a video of differences are not exact in cv2
+            else:  # cv2 does not seek exactly in codecs with inter-frame prediction
                 for _ in range(first):
                     if not video.grab():
                         return

@@ -1,6 +1,6 @@
-"""Arrays in ``.npy`` and ``.npz`` files, read in pieces of rows.
+"""Arrays in ``.npy`` and ``.npz`` files, read in blocks of rows.
 
-Not mapped into memory: a file that is cut while it is read would end the process.
+They are not mapped into memory, as truncating a mapped file would kill the process.
 """
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from pdavis_cv.recording.files import FileReader
 __all__ = ["StoredArray", "stored_arrays"]
 
 MOST_RATIO = 1100
-"""Deflate packs at most 1032 to 1; a file that promises more is damaged."""
+"""Deflate compresses at most 1032 to 1; a file that claims more is damaged."""
 _LOCAL_HEADER = 30
-"""Bytes of a member's header before its name, whose size and that of the extra field
-are the last two words."""
+"""Bytes of a member's header before its name; the last two words are the sizes of the
+name and of the extra field."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ class StoredArray:
     dtype : dtype
     shape : tuple of int
     fortran : bool
-        Columns lie together rather than rows.
+        Whether the array is stored column by column.
     offset : int
-        Byte where the numbers begin.
+        Byte offset of the data.
     opened : callable
         Returns the `FileReader` of the bytes; the first call may unpack them.
     column : int or str, optional
-        Column or field that is meant; default: everything.
+        Column or field to read; default: all.
     """
 
     dtype: np.dtype[Any]
@@ -59,25 +59,25 @@ class StoredArray:
 
     @property
     def kind(self) -> str:
-        """Kind of the numbers, as of a dtype."""
+        """The `kind` of the dtype."""
         return (self.dtype[self.column] if isinstance(self.column, str)
                 else self.dtype).kind
 
     def of(self, column: int | str) -> StoredArray:
-        """Return one column or field of it."""
+        """Return one column or field of the array."""
         return replace(self, column=column)
 
     def rows(self, start: int, stop: int, read: dict[Any, NDArray[Any]] | None = None
              ) -> NDArray[Any]:
-        """Return rows start <= i < stop of an array of one or two dimensions.
+        """Return rows start <= i < stop of a one- or two-dimensional array.
 
-        Fewer if the file ends before.
+        There are fewer if the file ends before.
 
         Parameters
         ----------
         start, stop : int
         read : dict, optional
-            Bytes of these rows that were read for another column; goes on.
+            Cache of these rows' bytes, shared by the columns; it is updated.
         """
         stop, wide = min(stop, len(self)), math.prod(self.shape[1:])
         if self.fortran and isinstance(self.column, int):
@@ -100,18 +100,18 @@ class StoredArray:
 
 def stored_arrays(reader: FileReader, kept: Callable[[FileReader], object]
                   ) -> dict[str, StoredArray]:
-    """Return the arrays of a file by name, in lower case; that of ``.npy`` has none.
+    """Return the arrays of a file by name in lower case; "" for that of ``.npy``.
 
     Parameters
     ----------
     reader : FileReader
     kept : callable
-        Told of readers to be closed with the recording.
+        Called with each reader that has to be closed with the recording.
 
     Raises
     ------
     Exception
-        Of any kind, which NumPy and zipfile raise for damaged files.
+        Any exception that NumPy or zipfile raises for a damaged file.
     """
     if reader.read(0, 2) != b"PK":
         with Path(reader.path).open("rb") as file:
@@ -145,7 +145,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, reader: FileReade
 
 
 def _unpacked(path: Path, member: zipfile.ZipInfo) -> FileReader:
-    """Return the bytes of a member that is compressed, in a file without a name."""
+    """Unpack a compressed member into an unnamed temporary file; return its reader."""
     with (zipfile.ZipFile(path) as archive, archive.open(member) as source,
           tempfile.TemporaryFile() as file):
         shutil.copyfileobj(source, file)
@@ -155,6 +155,6 @@ def _unpacked(path: Path, member: zipfile.ZipInfo) -> FileReader:
 
 def _header(file: IO[bytes], size: int, opened: Callable[[], FileReader]
             ) -> StoredArray:
-    """Return the array whose header begins a file of so many bytes."""
+    """Return the array whose header is at the beginning of a file of `size` bytes."""
     shape, fortran, dtype = array_header(file, size)
     return StoredArray(dtype, shape, fortran, file.tell(), opened)

@@ -1,4 +1,4 @@
-"""open_recording: one door for every kind of file."""
+"""open_recording: open a recording of any format."""
 from __future__ import annotations
 
 import os
@@ -31,29 +31,27 @@ def open_recording(
     camera: str | None = None,
     **options: Any,
 ) -> Recording:
-    """Open a recording, whatever its format.
-
-    The first bytes decide, never the name.
+    """Open a recording of any format, which its first bytes determine, not its name.
 
     Parameters
     ----------
     source : path or Recording
-        A file, or an object of a store such as ``s3://bucket/run.aedat4`` (extra
-        ``[remote]``), read by ranges; a Recording is returned as it is.  With a layout
-        also a grey video, image, TIFF stack or pattern of image names
-        (``shot_%04d.png``, ``shot_*.png``) of a polarization camera.
+        A file, or an object in a store such as ``s3://bucket/run.aedat4`` (extra
+        ``[remote]``), which is read by ranges.  If a layout is given, also a grey
+        video, image, TIFF stack or pattern of image names (``shot_%04d.png``,
+        ``shot_*.png``) of a polarization camera.  A Recording is returned as it is.
     layout : Layout or str, optional
         Polarizer layout of the camera, or its name; see `Layout.of`.
     fps : float, optional
-        Images per second of a source whose images carry no times; default the
-        video's, 25 for images.
+        Images per second of a source without time stamps; default: that of the video,
+        25 for images.
     bad_events : {"drop", "raise"}
-        What to do with events outside the sensor or before their predecessor:
-        drop and count them in ``problems``, or raise RecordingError.
+        Whether events outside the sensor or before their predecessor are dropped and
+        counted in ``problems``, or raise RecordingError.
     camera : str, optional
-        Which camera, by name or serial number, if the file holds several.
+        Name or serial number of the camera, if the file holds several.
     **options
-        Of the file's format; see ``Format.read_options``.
+        Options of the file's format; see ``Format.read_options``.
 
     Returns
     -------
@@ -65,14 +63,14 @@ def open_recording(
         If the source cannot be opened or is not a recording; the message names the
         file, the byte and what was seen.
     LayoutError
-        If the recording gives another layout than the caller.
+        If the recording has another layout than the caller.
     TypeError
-        If an option is not one of the format's.
+        If the format has no such option.
 
     Notes
     -----
-    Which formats there are is a table, `pdavis_cv.formats`; other packages add theirs
-    through the entry-point group ``pdavis_cv.formats``.
+    `pdavis_cv.formats` returns all formats; other packages add theirs through the
+    entry-point group ``pdavis_cv.formats``.
     """
     if isinstance(source, Recording):
         return source
@@ -81,7 +79,7 @@ def open_recording(
         raise ValueError(
             f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")
     path = as_path(source)
-    # What has no such name may be a pattern of image names.
+    # A path that does not exist may be a pattern of image names.
     start = first_bytes(path) if layout is None or path.exists() else b""
     found = format_of(path, start)
     if found is None and layout is not None:
@@ -99,7 +97,7 @@ def open_recording(
 
 def _not_a_recording(path: Path, start: bytes) -> RecordingError:
     if path.is_dir():
-        return RecordingError(f"{path}: a folder, and no recording that is one")
+        return RecordingError(f"{path}: a folder that is not a recording")
     if start.startswith(b"#"):
         return RecordingError(f"{path}: byte 0: {_other_aedat(start)}")
     if not start:
@@ -110,10 +108,10 @@ def _not_a_recording(path: Path, start: bytes) -> RecordingError:
 
 
 def _other_aedat(start: bytes) -> str:
-    """Say what a file with AEDAT's comments is, if it is none of those that are read.
+    """Return a message for a file of another AEDAT version.
 
-    Without a line for the version it would be AEDAT-1: 16-bit addresses, of whose
-    polarity and direction jAER and its vendor's documents say opposite things.
+    A file without a version line would be AEDAT-1 with 16-bit addresses, for which the
+    documentation of jAER and of the vendor contradict each other.
     """
     if found := re.match(rb"#!AER-DAT([\w.]*)", start):
         return (f"AEDAT-{found[1].decode() or '?'} is not read; DV converts it to "

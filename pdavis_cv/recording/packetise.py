@@ -1,4 +1,4 @@
-"""Cutting streams of samples into packets: where boundaries lie."""
+"""Divide streams of samples into packets with fixed boundaries."""
 from __future__ import annotations
 
 from bisect import bisect_left
@@ -29,16 +29,16 @@ END_OF_TIME = 1 << 62
 
 @dataclass(slots=True)
 class Batch:
-    """Samples as a reader decodes them, each kind in time order.
+    """Samples decoded by a reader, each kind in time order.
 
     Parameters
     ----------
     events, imu, triggers : ndarray or None
-        Of EVENT_DTYPE, IMU_DTYPE and TRIGGER_DTYPE.
+        With EVENT_DTYPE, IMU_DTYPE and TRIGGER_DTYPE.
     frames : list of ApsFrame
         In the order of ``available_us``.
     complete_us : int
-        Later batches hold no sample before this time.
+        No later batch holds a sample before this time.
     """
 
     events: NDArray[Any] | None = None
@@ -49,18 +49,18 @@ class Batch:
 
 
 def cell_start(t_us: int) -> int:
-    """Return the start of the 10 ms cell that holds a time; no packet crosses it."""
+    """Return the start of the 10 ms interval of a time, which no packet crosses."""
     return t_us // MAX_PACKET_US * MAX_PACKET_US
 
 
 def packetise(
     batches: Iterable[Batch], start_us: int | None = None, stop_us: int | None = None
 ) -> Iterator[Packet]:
-    """Cut batches into packets, and give those in start_us <= time < stop_us.
+    """Divide batches into packets and yield those in start_us <= time < stop_us.
 
-    A packet ends at a multiple of 10 ms, just after a frame, or after 65,536
-    events, whatever comes first.  So that boundaries do not depend on the
-    interval, batches must hold every sample from ``cell_start(start_us)`` on.
+    A packet ends at a multiple of 10 ms, just after a frame, or after 65,536 events,
+    whichever comes first.  Batches must hold every sample from ``cell_start(start_us)``
+    on, so that boundaries do not depend on the interval.
 
     Parameters
     ----------
@@ -120,14 +120,14 @@ def _cut(packet: Packet, first: int, end: int) -> Packet:
 
 
 def between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
-    """Return the samples of start <= time < stop, a view; they are in time order."""
-    # bisect, not searchsorted: that copies a strided column before it searches.
+    """Return a view of those time-ordered samples with start <= time < stop."""
+    # bisect, because searchsorted copies a strided column.
     times = samples["t"]
     return samples[bisect_left(times, start):bisect_left(times, stop)]
 
 
 class _Queue:
-    """Samples of one kind that wait to be packed."""
+    """Samples of one kind that are not yet in a packet."""
 
     __slots__ = ("_chunks", "_empty", "_used", "next_us")
 
@@ -147,7 +147,7 @@ class _Queue:
             self.next_us = int(samples["t"][0])
 
     def parts(self, until: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Give samples before until, at most 65,536 a time, and where that ends."""
+        """Yield samples before until, at most 65,536 at a time, each with its end."""
         while True:
             part = self.take(until, MAX_PACKET_EVENTS)
             if self.next_us >= until:

@@ -1,4 +1,4 @@
-"""A recording whose packets are looked at on their way."""
+"""A recording whose packets pass through a function."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -38,7 +38,7 @@ def passing(recording: Recording,
     ----------
     recording : Recording
     through : callable
-        Takes an iterable of packets and gives them on.
+        Takes an iterable of packets and returns one.
 
     Returns
     -------

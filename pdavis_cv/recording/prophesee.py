@@ -1,7 +1,7 @@
-"""Prophesee's RAW (EVT2, EVT3) and DAT files: events alone.
+"""Prophesee's RAW (EVT2, EVT3) and DAT files, which hold events only.
 
-Facts: the formats as Prophesee documents them.  Of the libraries that read them,
-expelliarmus is under GPL and faery under LGPL: the words are decoded here.
+Written from Prophesee's documentation of the formats.  They are decoded here because
+the existing readers have other licences (expelliarmus GPL, faery LGPL).
 """
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ __all__ = ["PropheseeRecording", "WordStream", "is_prophesee"]
 MAX_HEADER = 1 << 16
 MAX_SIDE = 8192
 CHUNK = 1 << 18
-"""Bytes that are decoded at once."""
+"""Bytes that are decoded at a time."""
 _CHIPS = (("320", (320, 320)), ("imx636", (720, 1280)), ("gen4", (720, 1280)),
           ("gen3", (480, 640)))
-"""(height, width) by a part of the plugin's or generation's name."""
+"""(height, width) by a substring of the name of plugin or generation."""
 
-# Places in the kernels' state.
+# Indices into the kernels' state.
 HIGH, TIME, UNTIMED, WORD_STATE = 0, 1, 6, 7
 
 
 def is_prophesee(start: bytes) -> bool:
-    """Tell whether a file's first bytes are a header of Prophesee's."""
+    """Return whether a file begins with a header of Prophesee."""
     lines = [line for line in start.split(b"\n") if line.startswith(b"%")]
     return bool(lines) and re.search(
         rb"%\s*(evt \d|format EVT|geometry|Data file containing|plugin_name"
@@ -44,7 +44,7 @@ def is_prophesee(start: bytes) -> bool:
 
 
 class WordStream:
-    """Decodes words of EVT2 or EVT3 to events; goes on from call to call.
+    """Decode words of EVT2 or EVT3 to events; the state is kept between calls.
 
     Parameters
     ----------
@@ -62,20 +62,20 @@ class WordStream:
 
     @property
     def untimed(self) -> int:
-        """Words of events that were skipped: before the first time, or a wrong one."""
+        """Number of event words that were skipped because their time is unknown."""
         return int(self._stream[UNTIMED])
 
     def events(self, words: NDArray[np.unsignedinteger], clock: Clock,
                memory: Scratch | None = None) -> NDArray[Any]:
-        """Return the events of words that lie on the sensor and in order.
+        """Return the events that lie on the sensor and in time order.
 
         Parameters
         ----------
         words : ndarray of uint32 (EVT2) or uint16 (EVT3), shape (N,)
         clock : Clock
-            Its state counts what was dropped.
+            Its state counts dropped events.
         memory : Scratch, optional
-            Gives the room for them.
+            Provides memory for the result.
 
         Returns
         -------
@@ -83,7 +83,7 @@ class WordStream:
         """
         two = self.version == 2
         kernel = _kernels.evt2_words if two else _kernels.evt3_words
-        # What is never written costs no memory.
+        # Pages that are never written take no memory.
         out = (memory or Scratch()).room(len(words) if two else 12 * len(words) + 12)
         clock.begin()
         done, self.jumps = 0, 0
@@ -134,7 +134,7 @@ class PropheseeRecording(SequentialRecording):
             header={"first_row": "top", **facts})
 
     def _header(self) -> dict[str, str]:
-        """Return the header's lines by their first word; note where they end."""
+        """Return the header's lines by their first word; set where they end."""
         data = self._reader.read(0, MAX_HEADER)
         at = 0
         facts: dict[str, str] = {}
@@ -152,12 +152,12 @@ class PropheseeRecording(SequentialRecording):
         return facts
 
     def _kind(self, facts: dict[str, str]) -> int:
-        """Return 2 or 3 for RAW, 0 for DAT, whose two bytes after the header are read.
+        """Return 2 or 3 for RAW (EVT2, EVT3), 0 for DAT.
 
         Raises
         ------
         RecordingError
-            If the events are of another kind.
+            If the events have another format.
         """
         if facts.get("Data", "").startswith("file containing"):
             kind, size = self._reader.read(self._begin, 2).ljust(2, b"\0")
@@ -195,7 +195,7 @@ class PropheseeRecording(SequentialRecording):
         return next((size for part, size in _CHIPS if part in names), None)
 
     def _hull(self) -> tuple[int, int]:
-        """Return a size that holds the first events."""
+        """Return a sensor size that holds the first events."""
         if self._version == 0:
             words = self._words(self._begin, Scratch()).reshape(-1, 2)[:, 1]
             x, y = words & 0x3FFF, words >> 14 & 0x3FFF
@@ -207,7 +207,7 @@ class PropheseeRecording(SequentialRecording):
         return likely_size(int(x.max(initial=0)), int(y.max(initial=0)))
 
     def _words(self, at: int, memory: Scratch) -> NDArray[np.unsignedinteger]:
-        """Return the whole words of the piece at a byte."""
+        """Return the complete words of the chunk at a byte."""
         dtype = np.dtype("<u2" if self._version == 3 else "<u4")
         size = 8 if self._version == 0 else dtype.itemsize
         data = memory.read(self._reader, at, CHUNK)

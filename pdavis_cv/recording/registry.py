@@ -1,8 +1,8 @@
-"""The formats that the library reads and writes: one entry each, listed nowhere else.
+"""The table of formats that the library reads and writes.
 
-A new format is a module with a reader (`pdavis_cv.recording.files.FileRecording` is its
-base class) and an entry here; or, in a package of its own, an entry point of the group
-``pdavis_cv.formats`` that names a `Format`.
+A new format needs a module with a reader, derived from
+`pdavis_cv.recording.files.FileRecording`, and an entry here.  Other packages provide an
+entry point in the group ``pdavis_cv.formats`` that refers to a `Format`.
 """
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ BUILT_IN = (
         holds=frozenset(("frames",)), needs_layout=True, read_options=("fps",),
         extra="cv2", reader=f"{_ROOM}.mosaic_source:open_mosaic"),
 )
-"""In the order in which they are asked whether a file is theirs."""
+"""All formats, in the order in which they are tried on a file."""
 
 
 def formats() -> tuple[Format, ...]:
@@ -97,14 +97,14 @@ def formats() -> tuple[Format, ...]:
     Returns
     -------
     tuple of Format
-        In the order in which they are asked whether a file is theirs.
+        In the order in which they are tried on a file.
     """
     return BUILT_IN + _added()
 
 
 @functools.cache
 def _added() -> tuple[Format, ...]:
-    """Return the formats that other packages add; one that does not load is told."""
+    """Return the formats of other packages; warn of those that cannot be loaded."""
     from importlib.metadata import entry_points  # loads the e-mail package
 
     found: list[Format] = []
@@ -127,13 +127,13 @@ def _added() -> tuple[Format, ...]:
 
 
 def suffixes() -> tuple[str, ...]:
-    """Return what names of recordings end in, each once, lower case with the dot."""
+    """Return all suffixes of recordings, in lower case with the dot, each once."""
     return tuple(dict.fromkeys(
         suffix for one in formats() if not one.needs_layout for suffix in one.suffixes))
 
 
 def format_of(path: Path, start: bytes) -> Format | None:
-    """Return the format of a file by its first bytes, None if no format knows it.
+    """Return the format of a file from its first bytes, None if it is unknown.
 
     Parameters
     ----------
@@ -149,9 +149,9 @@ def format_of(path: Path, start: bytes) -> Format | None:
 
 
 def is_recording(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a file is a recording by its name or its first bytes.
+    """Return whether a file is a recording, from its name or its first bytes.
 
-    Nothing is opened as a recording, and a file that cannot be read is none.
+    It is not opened as a recording; False if it cannot be read.
     """
     here = Path(path)
     if here.suffix.lower() in suffixes():
@@ -164,7 +164,7 @@ def is_recording(path: str | os.PathLike[str]) -> bool:
 
 
 def first_bytes(path: Path) -> bytes:
-    """Return what a file begins with, nothing for a folder.
+    """Return the first bytes of a file, b"" for a folder.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def read_with(
     one : Format
     source : path
     options : mapping of str to object
-        Of the format; those that are None were not given.
+        Options of the format; None = not given.
     layout, bad_events, camera
         As in `open_recording`.
 
@@ -219,14 +219,14 @@ def writer_for(
     Parameters
     ----------
     path : path
-        Its suffix says the format.
+        Its suffix determines the format.
     name : str, optional
-        Name of the format, whatever the suffix.
+        Name of the format; overrides the suffix.
 
     Raises
     ------
     ValueError
-        If there is no such format, or it is only read.
+        If there is no such format, or it cannot be written.
     """
     able = [one for one in formats() if one.writer is not None]
     if name is None:

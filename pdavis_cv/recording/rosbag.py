@@ -1,7 +1,7 @@
 """ROS 1 and ROS 2 bags: events of dvs_msgs and event_camera_msgs, and grey images.
 
-The containers are read by the library rosbags; messages are decoded here, because an
-object per event would take a hundred times as long.
+The library rosbags reads the containers; messages are decoded here, because making an
+object for each event would take a hundred times as long.
 """
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from pdavis_cv.sensor import Layout, Sensor
 __all__ = ["RosRecording"]
 
 HORIZON_US = 500_000
-"""How far events and images of a bag may interleave imperfectly in time."""
+"""Longest time by which events and images of a bag may be out of order."""
 MAX_SIDE = 8192
 SIZES = 9
-"""Of so many messages fewer than half may be damaged, and the size is still known."""
+"""Number of messages whose most frequent size is taken as that of the sensor."""
 MAX_MESSAGE = 1 << 28
 EVENT_ARRAYS = "dvs_msgs/msg/EventArray"
 EVENT_PACKETS = "event_camera_msgs/msg/EventPacket"
 IMAGES = "sensor_msgs/msg/Image"
-# Bytes of an event, and places in it of x, y, seconds, nanoseconds, polarity.
+# Bytes of an event, and offsets in it of x, y, seconds, nanoseconds, polarity.
 _ROS1 = 13, np.array([0, 2, 4, 8, 12])
-# In CDR numbers are aligned: a gap before the seconds, but not in the first event.
+# CDR aligns numbers: padding precedes the seconds, except in the first event.
 _ROS2 = 16, np.array([0, 2, 6, 10, 14])
 _GAP = 2
 _GREY = {"mono8": ("u1", 255), "8UC1": ("u1", 255), "mono16": ("u2", 65535),
@@ -45,14 +45,14 @@ _GREY = {"mono8": ("u1", 255), "8UC1": ("u1", 255), "mono16": ("u2", 65535),
 
 
 class _Message:
-    """Reads the fields of one message in their order.
+    """Read the fields of one message in order.
 
     Parameters
     ----------
     data : bytes
-        As the bag holds it.
+        The message as stored in the bag.
     cdr : bool
-        ROS 2: aligned, with a head of four bytes; else ROS 1.
+        Whether it is of ROS 2 (aligned, with a header of four bytes) instead of ROS 1.
     """
 
     def __init__(self, data: bytes, cdr: bool) -> None:
@@ -63,7 +63,7 @@ class _Message:
             raise ValueError("big-endian numbers")
 
     def number(self, code: str) -> int:
-        """Return one number; code as in `struct`."""
+        """Return the next number; code as in `struct`."""
         size = struct.calcsize(code)
         if self._cdr:
             self._at += -(self._at - 4) % size
@@ -72,7 +72,7 @@ class _Message:
         return value
 
     def block(self) -> bytes:
-        """Return a sequence of bytes, or the bytes of a text."""
+        """Return the next sequence of bytes, or the bytes of a string."""
         size = self.number("I")
         if size > len(self.data) - self._at:
             raise ValueError(f"{size} bytes in a message of {len(self.data)}")
@@ -80,7 +80,7 @@ class _Message:
         return self.data[self._at - size:self._at]
 
     def text(self) -> str:
-        """Return a text."""
+        """Return the next string."""
         return self.block().rstrip(b"\0").decode("latin-1")
 
     def header(self) -> int:
@@ -100,7 +100,7 @@ class _Message:
         return height, width
 
     def events(self) -> tuple[NDArray[np.uint8], int, int, int, NDArray[np.int64], int]:
-        """Return where a sequence of dvs_msgs/Event lies, as `ros_events` takes it."""
+        """Return the location of a sequence of dvs_msgs/Event, for `ros_events`."""
         count, at, data = self.number("I"), self._at, self.data
         size, places = _ROS2 if self._cdr else _ROS1
         shift = _GAP if self._cdr else 0
@@ -138,7 +138,7 @@ class RosRecording(FileRecording):
     layout : Layout, optional
     bad_events : {"drop", "raise"}
     camera : str, optional
-        Part of the topics' names, where the bag holds several cameras.
+        Substring of the topics' names, if the bag holds several cameras.
     """
 
     def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
@@ -193,13 +193,13 @@ class RosRecording(FileRecording):
         return {(c.topic, c.msgtype) for c in known}
 
     def _of(self, bag: Any) -> Iterator[tuple[str, str, bytes]]:
-        """Give (topic, type, data) of the messages of an open bag that are wanted."""
+        """Yield (topic, type, data) of the chosen topics' messages in an open bag."""
         wanted = [c for c in bag.connections if (c.topic, c.msgtype) in self._topics]
         for connection, _, data in bag.messages(wanted):
             yield connection.topic, connection.msgtype, data
 
     def _sensor_size(self, bag: Any) -> tuple[int, int]:
-        """Return the size that most of the first messages give."""
+        """Return the most frequent sensor size of the first messages."""
         sizes: list[tuple[int, int]] = []
         seen = False
         for _, _, data in islice(self._of(bag), SIZES):
@@ -278,9 +278,9 @@ class RosRecording(FileRecording):
             yield batch
 
     def _messages(self) -> Iterator[tuple[str, str, bytes]]:
-        """Give (topic, type, data); what the library cannot read ends them.
+        """Yield (topic, type, data) up to the end or the first unreadable part.
 
-        Each reading opens the bag for itself: the library's readers have one position.
+        The bag is opened anew each time, as the library's readers have one position.
         """
         with ExitStack() as stack:
             try:
@@ -337,7 +337,7 @@ class RosRecording(FileRecording):
                 *where, done, *self._info.sensor_size, clock.state, out),
             where[3], clock, number, memory, unit="message")
         if len(events) and ahead is not None and ahead[1] == EVENT_ARRAYS:
-            # A last event that is ahead of both its neighbours, as in the kernel.
+            # A last event that is later than both its neighbours, as in the kernel.
             before = int(events["t"][-2]) if len(events) > 1 else before
             with suppress(ValueError, struct.error):
                 following = _Message(ahead[2], self._cdr).first_time()
@@ -368,7 +368,7 @@ class RosRecording(FileRecording):
             columns = t, word >> 32 & 0xFFFF, word >> 48 & 0x7FFF, word >> 63
             return self._checked(columns, clock, number, memory, unit="message")
         if clock.last == NEVER:
-            # The sensor counts from its own start; the stamp is of the first event.
+            # The sensor's time has another zero; the stamp is that of the first event.
             first = WordStream(3, words.size).events(
                 np.frombuffer(data, "<u2", len(data) // 2), Clock(Timeline()))
             clock.state[OFFSET] = stamp - int(first["t"][0]) if len(first) else 0

@@ -1,7 +1,7 @@
-"""Memory of one pass over a file of events, which is used again for each piece.
+"""Reusable memory for one pass over a file of events.
 
-A system gives fresh memory page by page, at about the cost of decoding what is put
-there.
+The system maps fresh memory page by page, which costs about as much as decoding the
+events that are stored there.
 """
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ __all__ = ["Gathering", "Scratch"]
 
 _LEAST_ROOM = 1 << 16
 _SPARE = 1.05
-"""Of the room that the first piece lets one expect, so that it is seldom moved."""
+"""Memory to reserve, relative to the size predicted from the first chunk."""
 
 
 class Scratch:
-    """A buffer for a file's bytes; room for events is fresh each time."""
+    """A reusable buffer for a file's bytes; memory for events is new each time."""
 
     def __init__(self) -> None:
         self._bytes = np.empty(0, np.uint8)
@@ -44,12 +44,12 @@ class Scratch:
 
 
 class Gathering(Scratch):
-    """The same, but the events of all pieces come to lie in one array.
+    """A Scratch that collects the events of all chunks in one array.
 
     Parameters
     ----------
     start_us, stop_us : int, optional
-        Half-open interval of the events that are wanted.
+        Half-open interval of the events to keep.
     """
 
     def __init__(self, start_us: int | None, stop_us: int | None) -> None:
@@ -59,12 +59,12 @@ class Gathering(Scratch):
         self._first = self._end = 0
 
     def room(self, count: int) -> NDArray[Any]:
-        """Return the place behind the events that were kept."""
+        """Return the part of the array after the events that were kept."""
         self.reserve(count)
         return self._all[self._end:self._end + count]
 
     def reserve(self, count: int) -> None:
-        """Have room for so many more events; what is never written costs no memory."""
+        """Reserve memory for more events; pages never written take no memory."""
         if self._end + count > len(self._all):
             more = np.empty(max(self._end + count, 2 * len(self._all), _LEAST_ROOM),
                             EVENT_DTYPE)
@@ -72,17 +72,17 @@ class Gathering(Scratch):
             self._all = more
 
     def expect(self, share: float) -> None:
-        """Make room for all that a file will give, of which a share was kept."""
-        if self._end > share * len(self._all):  # else a little more moves it all again
+        """Reserve memory for the whole file, a fraction of which has been kept."""
+        if self._end > share * len(self._all):  # otherwise it would soon move again
             self.reserve(int((_SPARE / share - 1) * self._end))
 
     def keep(self, events: NDArray[Any]) -> bool:
-        """Keep the wanted ones of the next events; tell whether later ones are no use.
+        """Keep the next events inside the interval; return whether its end is reached.
 
         Parameters
         ----------
         events : ndarray of EVENT_DTYPE, shape (N,)
-            From `room`, or of other memory.
+            In memory from `room`, or elsewhere.
         """
         lo = 0 if self._start is None else bisect_left(events["t"], self._start)
         hi = (len(events) if self._stop is None
@@ -98,10 +98,10 @@ class Gathering(Scratch):
 
     @property
     def events(self) -> NDArray[Any]:
-        """What was kept, of EVENT_DTYPE, shape (N,)."""
+        """The events that were kept, EVENT_DTYPE, shape (N,)."""
         return self._all[self._first:self._end]
 
 
 def _copy(events: NDArray[Any], out: NDArray[Any]) -> None:
-    # As bytes: NumPy copies packed structures one field of one element at a time.
+    # Copy bytes, as NumPy copies packed structures field by field.
     out.view(np.uint8)[:] = events.view(np.uint8)

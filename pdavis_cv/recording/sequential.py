@@ -1,4 +1,4 @@
-"""Events of formats without an index, which can only be read from their beginning."""
+"""Base of formats without an index, which can only be read from the beginning."""
 from __future__ import annotations
 
 from abc import abstractmethod
@@ -16,9 +16,9 @@ from pdavis_cv.recording.timeline import Clock, Marks, Timeline
 __all__ = ["SequentialRecording", "likely_size"]
 
 MARK_PLACES = 1 << 20
-"""Least distance of the places where reading can begin again, bytes or rows."""
+"""Smallest distance of two positions where reading can resume, bytes or rows."""
 _SIZES = ((260, 346), (480, 640), (720, 1280))
-"""(height, width) of usual sensors, for files that do not say theirs."""
+"""(height, width) of usual sensors, for files without a sensor size."""
 
 
 def likely_size(x: int, y: int) -> tuple[int, int]:
@@ -27,46 +27,46 @@ def likely_size(x: int, y: int) -> tuple[int, int]:
     Parameters
     ----------
     x, y : int
-        Largest column and row of some events.
+        Largest column and row of the events.
     """
     return next(((h, w) for h, w in _SIZES if y < h and x < w), (y + 1, x + 1))
 
 
 class SequentialRecording(FileRecording):
-    """A file of events alone, in pieces; the first reading notes where they begin.
+    """A file of events that is read in chunks; the first reading makes an index.
 
-    A format gives `_begin` and `_end`, the places of the first piece and of the file's
-    end, and implements `_next`.
+    A format sets `_begin` and `_end`, the positions of the first chunk and of the end
+    of the file, and implements `_next`.
     """
 
     _begin = 0
     _end: int
 
     def _first(self) -> Any:
-        """Return what decoding knows before the first piece."""
+        """Return the decoder's state before the first chunk."""
         return None
 
     @abstractmethod
     def _next(self, at: int, clock: Clock, state: Any, memory: Scratch
               ) -> tuple[NDArray[Any], int]:
-        """Return the events of the piece at a place, and the next place.
+        """Return the events of the chunk at a position, and the next position.
 
         Parameters
         ----------
         at : int
-            Place: a byte, or a row.
+            Position: a byte or a row.
         clock : Clock
-            Time of the events before; goes on.
+            Clock of the events before; it is updated.
         state : object
-            As `_first` made it; goes on.
+            State from `_first`; it is updated.
         memory : Scratch
-            Of this pass; events come to lie in its room.
+            Provides memory for the events.
 
         Returns
         -------
         events : ndarray of EVENT_DTYPE, shape (N,)
         after : int
-            The same place at the end.
+            Next position; equal to `at` at the end of the file.
         """
 
     def packets(
@@ -91,7 +91,7 @@ class SequentialRecording(FileRecording):
 
     def _pieces(self, start_us: int | None, memory: Scratch
                 ) -> Iterator[tuple[NDArray[Any], int, int]]:
-        """Give the events of each piece, the newest time so far, and the next place."""
+        """Yield the events of each chunk, the latest time so far, the next position."""
         at, clock, state = self._begin, Clock(Timeline()), self._first()
         if start_us is not None:
             mark = self._marks.before(cell_start(start_us))

@@ -1,4 +1,4 @@
-"""Sources that are read once: packets from a generator, a socket, a camera."""
+"""Sources that can be read once: packets from a generator, a socket or a camera."""
 from __future__ import annotations
 
 import threading
@@ -36,7 +36,7 @@ class StreamSource(Source):
         Raises
         ------
         RecordingError
-            If they were asked for before.
+            If it has been called before.
         ValueError
             If the source is closed, or a packet breaks the rules that
             `source_from_packets` states; the message names it.
@@ -90,7 +90,7 @@ class StreamSource(Source):
                     f"the sensor {width}x{height}")
 
     def close(self) -> None:
-        """Stop reading; closes the iterable if it can be closed."""
+        """Stop reading, and close the iterable if it has a close method."""
         self._closed = True
         close = getattr(self._packets, "close", None)
         if callable(close) and not getattr(self._packets, "gi_running", False):
@@ -98,17 +98,17 @@ class StreamSource(Source):
 
 
 def source_from_packets(info: RecordingInfo, packets: Iterable[Packet]) -> Source:
-    """Make a source that is read once from packets that come as they are made.
+    """Make a source, which can be read once, from an iterable of packets.
 
     Parameters
     ----------
     info : RecordingInfo
-        At least ``format`` and ``sensor_size``; counts that are not known are None.
+        At least ``format`` and ``sensor_size``; unknown counts are None.
     packets : iterable of Packet
-        Any iterable, such as a generator that reads a camera; nothing is taken from
-        it before the source is read, and nothing that was taken is kept.  Packets
-        come in time order and do not overlap, a frame at its ``available_us``;
-        events are of EVENT_DTYPE, time-ordered and on the sensor.
+        Any iterable, such as a generator that reads a camera.  It is consumed while the
+        source is read, and packets are not stored.  Packets must be in time order and
+        not overlap, each frame at its ``available_us``; events have EVENT_DTYPE, are
+        time-ordered and lie on the sensor.
 
     Returns
     -------

@@ -1,7 +1,8 @@
-"""Making time run forward: what is dropped, and where a new segment begins.
+"""Make times increase: drop samples that run backward, and begin new segments.
 
-Jumps back by more than a second start a new segment, which is moved to follow
-the one before it; smaller ones are dropped and counted.
+A jump backward by more than a second starts a new segment, which is moved to follow the
+one before it.  After a smaller jump, samples are dropped and counted until time has
+caught up.
 """
 from __future__ import annotations
 
@@ -18,32 +19,32 @@ from pdavis_cv.events import FAR
 __all__ = ["NEVER", "SEGMENT_US", "SPIKE_US", "Clock", "Marks", "Timeline", "spikes"]
 
 NEVER = -FAR
-"""Before any time that a file may hold."""
+"""A time before any that a file may hold, us."""
 SEGMENT_US = 1_000_000
 SPIKE_US = 1_000
 WRAP_US = 1 << 32
-"""A 32-bit microsecond counter that was not unwrapped jumps back by this."""
+"""Jump backward of a 32-bit microsecond counter that overflows, us."""
 
-# Places in the state of a Clock.
+# Indices into the state of a Clock.
 FILLED, LAST, OFFSET, OUTSIDE, BACKWARD, BEFORE = 0, 1, 2, 3, 4, 6
 
 
 class Timeline:
-    """The segments of one pass over a recording, common to its streams."""
+    """The segments of one pass over a recording, shared by its streams."""
 
     def __init__(self) -> None:
         self._moves: list[int] = []
         self.last = NEVER
 
     def move(self, jump: int, back_us: int) -> int:
-        """Return by how much the times after a stream's jump-th jump are moved.
+        """Return the shift of the times after a jump of one stream.
 
         Parameters
         ----------
         jump : int
-            How many jumps this stream had before.
+            Number of jumps of this stream before.
         back_us : int
-            By how much its time fell.
+            Size of the jump backward.
         """
         if jump == len(self._moves):
             wraps = round(back_us / WRAP_US)
@@ -55,7 +56,7 @@ class Timeline:
 
 
 class Clock:
-    """Time of one stream: its last sample, and what is added to the file's times.
+    """The time of one stream: its last sample, and the shift added to its times.
 
     Attributes
     ----------
@@ -71,25 +72,25 @@ class Clock:
 
     @property
     def last(self) -> int:
-        """Time of the last sample taken."""
+        """Time of the last accepted sample."""
         return int(self.state[1])
 
     def begin(self) -> None:
-        """Begin to count anew what is taken and dropped."""
+        """Reset the counts of accepted and dropped samples."""
         self.state[[FILLED, OUTSIDE, BACKWARD]] = 0
         self.state[BEFORE] = self.last
 
     def jump(self, t_us: int) -> int:
-        """Begin a new segment before a sample at t_us; return how far it was moved."""
+        """Begin a new segment before a sample at t_us; return its shift."""
         back = self.last - t_us
         move = self._timeline.move(self._jumps, back)
         self._jumps += 1
-        # Times that jump from one end of their range to the other add up beyond it.
+        # Repeated jumps over the whole range would overflow.
         self.state[2] = min(max(int(self.state[2]) + move, -2 * FAR), 2 * FAR)
         return move
 
     def order(self, times: NDArray[Any]) -> tuple[NDArray[np.bool_], list[int]]:
-        """Move times in place; return which samples to keep and where segments begin.
+        """Shift times in place; return which samples to keep and where segments begin.
 
         Parameters
         ----------
@@ -120,15 +121,15 @@ class Clock:
 
 
 class Marks:
-    """Places where reading can begin again, noted as they are passed.
+    """Positions where reading can resume, with the decoder's state there.
 
-    For files whose samples depend on everything before them: the first pass makes
-    the index.
+    They serve as index for files in which samples depend on everything before them; the
+    first pass makes it.
 
     Parameters
     ----------
     spacing : int
-        Least distance between two marks, in the unit of their places.
+        Smallest distance of two marks, in the unit of positions.
     """
 
     def __init__(self, spacing: int) -> None:
@@ -139,16 +140,16 @@ class Marks:
         self._states: list[Any] = []
 
     def note(self, place: int, newest_us: int, state: Any) -> None:
-        """Note what is known at a place, unless there is a mark near it.
+        """Add a mark, unless there is one near it.
 
         Parameters
         ----------
         place : int
-            Grows while reading, the same way in each pass.
+            Position, which increases while reading, in each pass the same way.
         newest_us : int
-            No sample before the place is later.
+            Latest time of all samples before it.
         state : object
-            What reading on needs; a copy is kept.
+            State from which reading can resume; a copy is stored.
         """
         with self._lock:
             if place < (self._places[-1] if self._places else 0) + self._spacing:
@@ -158,9 +159,9 @@ class Marks:
             self._states.append(copy.deepcopy(state))
 
     def before(self, t_us: int) -> Any:
-        """Return a copy of the last state before which all samples lie before a time.
+        """Return a copy of the state of the last mark with no later sample before it.
 
-        None if there is none.
+        None if there is none for the time.
         """
         with self._lock:
             i = bisect_left(self._newest, t_us)
@@ -168,16 +169,16 @@ class Marks:
 
 
 def spikes(times: NDArray[np.int64], limit_us: int) -> NDArray[np.bool_]:
-    """Return which times, of all but the first and last, a damaged word has made.
+    """Return which times, except the first and last, come from damaged words.
 
-    They lie far from both neighbours, on the same side, while those two go on as time
-    does.
+    Such a time lies far from both neighbours, on the same side, while these two are in
+    order.
 
     Parameters
     ----------
     times : ndarray of int64, shape (N,)
     limit_us : int
-        What is far.
+        Distance that counts as far.
     """
     left, here, right = times[:-2], times[1:-1], times[2:]
     found: NDArray[np.bool_] = (right - left > -limit_us) & (

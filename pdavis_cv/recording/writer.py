@@ -1,4 +1,4 @@
-"""What every writer of recordings is: packets in, a file that appears when whole."""
+"""Base of the writers of recordings: the file appears when it is complete."""
 from __future__ import annotations
 
 import contextlib
@@ -20,10 +20,10 @@ _LOG = logging.getLogger(__name__)
 
 
 class RecordingWriter(ABC):
-    """Writes packets to a file.
+    """Write packets to a file.
 
-    The file gets its name when the writer is closed; after an exception inside the
-    ``with`` block, or `discard`, nothing is left.
+    The file gets its name when the writer is closed.  After an exception inside the
+    ``with`` block, or after `discard`, no file remains.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class RecordingWriter(ABC):
 
     @property
     def losses(self) -> Mapping[str, int]:
-        """What the format could not hold, and how often."""
+        """Number of occurrences of what the format could not hold, by description."""
         return MappingProxyType(dict(self._lost))
 
     @property
     def closed(self) -> bool:
-        """True once the file is finished or given up."""
+        """Whether the file is finished or discarded."""
         return self._file.closed
 
     def add(self, packet: Packet) -> None:
@@ -60,7 +60,7 @@ class RecordingWriter(ABC):
         Parameters
         ----------
         packet : Packet
-            Not before any that was written.
+            Must not begin before the end of the last one.
 
         Raises
         ------
@@ -96,14 +96,14 @@ class RecordingWriter(ABC):
 
     @abstractmethod
     def _write(self, packet: Packet) -> None:
-        """Write a packet that was checked."""
+        """Write a checked packet."""
 
     @abstractmethod
     def _finish(self) -> None:
-        """Write what stands at the end of the file."""
+        """Write the end of the file."""
 
     def close(self) -> None:
-        """Finish the file; it is there from now on."""
+        """Finish the file and give it its name."""
         if self.closed:
             return
         try:
@@ -118,20 +118,20 @@ class RecordingWriter(ABC):
             _LOG.warning("%s: %d %s", self.path, count, what)
 
     def flush(self) -> None:
-        """Hand what was written to the system: it stays, whatever becomes of us."""
+        """Pass buffered data to the system, to survive a crash of the process."""
         self._file.flush()
 
     def leave(self) -> None:
-        """Write no more and leave what there is, under the name of its unfinished part.
+        """Stop writing and keep the unfinished file, under its temporary name.
 
-        Readers take it as a file that was cut off.
+        Readers treat it as a truncated file.
         """
         with contextlib.suppress(OSError):
             self._file.close()
 
     def discard(self) -> None:
-        """Give the file up and leave nothing."""
-        with contextlib.suppress(OSError):   # what it still holds may not fit
+        """Delete the unfinished file."""
+        with contextlib.suppress(OSError):   # the disk may be too full to flush
             self._file.close()
         self._unfinished.discard()
 

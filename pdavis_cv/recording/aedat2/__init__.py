@@ -1,1 +1,1 @@
-"""AEDAT-2.0, as jAER and v2e write it: header, decoding of words, writing."""
+"""Read and write AEDAT-2.0, the format of jAER and v2e."""

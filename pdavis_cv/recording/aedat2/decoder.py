@@ -1,4 +1,4 @@
-"""From AEDAT-2.0 words to events, frames, IMU samples and triggers."""
+"""Decode AEDAT-2.0 words into events, frames, IMU samples and triggers."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -20,11 +20,12 @@ __all__ = ["CHUNK_WORDS", "Decoder", "ImuScale", "Mark"]
 
 CHUNK_WORDS = 1 << 16
 STALE_BYTES = 8 << 20
-"""Old files may end with this much of what they held before."""
+"""Longest repetition of earlier words at the end of old files, bytes."""
 MOST_LOOKS = 8
-"""A damaged file may jump at each word; the search for stale ones is not cheap."""
+"""Largest number of searches for repeated words, which are slow; a damaged file may
+jump at every word."""
 
-# Places in the kernel's state.
+# Indices into the kernel's state.
 BASE, LAST, BACKWARD, OUTSIDE, UNKNOWN, EVENTS, SAMPLES, TRIGGERS = range(8)
 LABELLED, FIRST_BAD, STATE = 8, 9, 11
 SIGNALS, FIRST_RESET, LAST_RESET, FIRST_SIGNAL, LAST_SIGNAL = 1, 3, 4, 5, 6
@@ -35,7 +36,7 @@ _TRIGGER_TYPES = np.array([0, 0, 2, 1, 3], np.uint8)  # falling, rising, pulse
 
 
 class Mark(NamedTuple):
-    """Where reading can begin: a chunk, and the state of time before it."""
+    """A position where reading can resume: a chunk, and the state of time before it."""
 
     chunk: int
     base: int
@@ -43,14 +44,14 @@ class Mark(NamedTuple):
 
 
 class ImuScale(NamedTuple):
-    """What one unit of the IMU's converter is worth."""
+    """The physical values of one unit of the IMU's converters."""
 
     accel_g: float
     gyro_deg_s: float
 
 
 class Decoder:
-    """Decodes one file from a mark on.
+    """Decode one file from a mark on.
 
     Parameters
     ----------
@@ -61,11 +62,11 @@ class Decoder:
     size : (int, int)
         Sensor (height, width).
     global_shutter : bool, optional
-        What the header says.
+        Shutter mode in the header.
     scale : ImuScale
     mark : Mark
     quiet_us : int
-        Findings before this time are not logged: they depend on what came before.
+        Findings before this time are not logged, as they depend on earlier data.
     strict : bool
         True to raise at the first bad word.
     """
@@ -97,11 +98,11 @@ class Decoder:
 
     @property
     def mark(self) -> Mark:
-        """Where the next chunk begins."""
+        """The mark at the next chunk."""
         return Mark(self.chunk, int(self._state[BASE]), int(self._state[LAST]))
 
     def batches(self) -> Iterator[Batch]:
-        """Give the samples of one chunk after the other."""
+        """Yield the samples of each chunk."""
         while (batch := self.next()) is not None:
             yield batch
 
@@ -119,9 +120,9 @@ class Decoder:
             self._trigger_samples(), int(self._state[LAST]))
 
     def append_events(self, events: NDArray[Any], used: int) -> int | None:
-        """Put the events of the next chunk behind the first used ones, nothing else.
+        """Append the next chunk's events after the first `used` ones of an array.
 
-        Returns how many are used then, None at the end of the file.
+        Returns the new number of events, None at the end of the file.
         """
         words = self._words()
         if not len(words):
@@ -165,7 +166,7 @@ class Decoder:
         self.chunk = 1 << 60
 
     def _finish(self) -> Batch | None:
-        """Return the frame that the end of the file left incomplete, then None."""
+        """Return the incomplete frame at the end of the file; None at the next call."""
         if not self._frame[SIGNALS]:
             return None
         frames = self._take_frame(self._reader.size, whole=False)
@@ -174,7 +175,7 @@ class Decoder:
     # Time ----------------------------------------------------------------------
 
     def _jump(self, words: NDArray[Any], i: int, offset: int) -> bool:
-        """Begin a new segment before word i; return True if the rest is stale."""
+        """Begin a new segment before word i; return whether the rest is repeated."""
         if self._rest_is_stale(offset):
             return True
         raw = int.from_bytes(words[i, 4:].tobytes(), "big", signed=True)
@@ -185,7 +186,7 @@ class Decoder:
         return False
 
     def _rest_is_stale(self, offset: int) -> bool:
-        """Tell if what follows was written before: a flush that old writers did."""
+        """Return whether the rest repeats earlier words, as written by old flushes."""
         left = self._reader.size - offset
         self._looks += 1
         if left > STALE_BYTES or self._looks > MOST_LOOKS:
@@ -221,7 +222,7 @@ class Decoder:
         if missing:
             dn[~seen] = 0
             valid &= seen
-        # A frame that ends without its last sample is known to be over only now.
+        # The end of a frame without its last sample is detected only now.
         now = int(state[LAST_SIGNAL] if whole else max(
             self._state[LAST], state[LAST_SIGNAL]))
         start: Any
@@ -302,7 +303,7 @@ class Decoder:
 def _column_times(
     times: NDArray[np.int64], read: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return start and end of each column's exposure; missing ones from neighbours."""
+    """Return start and end of each column's exposure, interpolating missing ones."""
     columns = np.arange(len(read))
     base = int(times[0][read].min())
     start, end = (

@@ -1,4 +1,4 @@
-"""The text before the words of an AEDAT-2.0 file, as many programs wrote it."""
+"""Parse the text header of AEDAT-2.0 files, in the variants of several programs."""
 from __future__ import annotations
 
 import re
@@ -13,14 +13,14 @@ MAX_HEADER = 4 << 20
 USUAL_HEADER = 1 << 16
 CHIP_SIZES = {"davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
               "davis208": (192, 208), "davis128": (128, 128)}
-"""(height, width) by the first letters of the chip class."""
+"""(height, width) by the beginning of the chip class's name."""
 
 _CHIP = re.compile(r"AEChip\s*[:=]\s*([\w.]+)", re.IGNORECASE)
 _MILLISECONDS = r"\s*:\s*System\.currentTimeMillis\(\)\s*(\d+)"
 _DATA_START = re.compile("DataStartTime" + _MILLISECONDS)
 _ORIGIN = re.compile(r"TimeOrigin: (-?\d{1,18}) us")
 _CREATION = re.compile("Creation time" + _MILLISECONDS)
-# Three styles: XML of all chips, bare entries of this chip, entries without a chip.
+# Three styles: XML of all chips, plain entries of this chip, entries without chip.
 _ENTRY = re.compile(
     r'<entry\s+key="(?:(\w+)\.)?((?:APS|AddressedIPotCF|IMU|DVS)\.[\w.]+)"\s+'
     r'value="([^"]*)"')
@@ -30,7 +30,7 @@ _ALIASES = {"davis346mini": "davis346blue"}
 
 @dataclass(slots=True)
 class Header:
-    """What the header says.
+    """The content of a header.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Header:
     start_ms, creation_ms : int, optional
         Unix time in milliseconds of the first event and of the file.
     origin_us : int
-        What this library's writer subtracted from times.
+        Time that this library's writer subtracted from all times.
     """
 
     data_start: int
@@ -60,14 +60,14 @@ class Header:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Sensor (height, width) of the chip, None if the chip is not known."""
+        """Sensor (height, width) of the chip, None if the chip is unknown."""
         # The INI's aedat4to2 spells it DAVI346.
         name = (self.chip or "").lower().replace("davi3", "davis3")
         return next((size for start, size in CHIP_SIZES.items()
                      if name.startswith(start)), None)
 
     def number(self, key: str) -> int | None:
-        """Return a preference as an integer, None if it is absent or no number."""
+        """Return a preference as an integer, None if it is missing or not a number."""
         try:
             return int(float(self.preferences[key]))
         except (KeyError, ValueError, OverflowError):
@@ -75,7 +75,7 @@ class Header:
 
     @property
     def global_shutter(self) -> bool | None:
-        """Shutter mode, None where the header does not say."""
+        """Whether the shutter is global, None if the header does not say so."""
         text = self.preferences.get("APS.GlobalShutter", "").strip().lower()
         return {"true": True, "false": False}.get(text)
 
@@ -99,12 +99,12 @@ def read_header(reader: FileReader) -> Header:
 
 
 def _lines(data: bytes) -> tuple[int, list[str]]:
-    """Return where the header's lines end, and the lines."""
+    """Return the byte at which the header's lines end, and the lines."""
     at, lines = 0, []
     while data[at:at + 1] == b"#":
         end = data.find(b"\n", at)
         if end < 0:
-            # A header cut short; or a first word that looks like a comment.
+            # A truncated header, or a first word that looks like a comment.
             if not _is_binary(data[at:at + 64]):
                 at = len(data)
             break
@@ -120,7 +120,7 @@ def _lines(data: bytes) -> tuple[int, list[str]]:
 
 
 def _is_binary(line: bytes) -> bool:
-    """Tell a word whose first byte is '#' from text: it holds control characters."""
+    """Return whether a line beginning with '#' is a data word: it has control bytes."""
     return any(byte < 32 and byte not in (9, 13) for byte in line)
 
 

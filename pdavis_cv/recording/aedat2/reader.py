@@ -1,4 +1,4 @@
-"""AEDAT-2.0 recordings: what jAER wrote for most of its life, and v2e writes."""
+"""Recordings in AEDAT-2.0, the format of jAER before AEDAT-4, and of v2e."""
 from __future__ import annotations
 
 import re
@@ -22,7 +22,7 @@ from pdavis_cv.sensor import Layout, Sensor
 __all__ = ["Aedat2Recording"]
 
 WARM_UP_US = 2_000_000
-"""Reading begins this long before what is wanted: no frame takes longer."""
+"""Time by which reading begins before the interval; longer than any frame takes."""
 PROBE_WORDS = 1 << 13
 MOST_PROBES = 1 << 10
 _SERIAL = re.compile(r"[-_]([0-9A-F]{8}|\d{3,8})(?=[-_.]|$)")
@@ -94,10 +94,11 @@ class Aedat2Recording(FileRecording):
                     "preferences": dict(header.preferences), **header.facts})
 
     def _has_frames(self) -> bool:
-        """Tell whether the file holds samples of frames.
+        """Return whether the file holds samples of frames.
 
-        A file of up to 64 MiB is looked through; of a larger one 1024 places, evenly
-        spread: where a camera sent frames, they are a fifth of its words and more.
+        A file of up to 64 MiB is searched completely, a larger one at 1024 evenly
+        spaced positions: if a camera sent frames, they are at least a fifth of its
+        words.
         """
         left = self.word_count
         step = max(PROBE_WORDS, left // MOST_PROBES)
@@ -105,7 +106,7 @@ class Aedat2Recording(FileRecording):
             data = self._reader.read(
                 self._header.data_start + 8 * at, 8 * min(PROBE_WORDS, left - at))
             address = np.frombuffer(data, ">u4", len(data) // 8 * 2)[::2]
-            # Bit 31 says no event, bits 10 and 11 together the IMU.
+            # Bit 31 set: not an event.  Bits 10 and 11 both set: IMU.
             if np.any((address & 0x80000800) == 0x80000000):
                 return True
         return False
@@ -134,7 +135,7 @@ class Aedat2Recording(FileRecording):
         """Return the events of start_us <= time < stop_us as one array."""
         if start_us is not None or stop_us is not None:
             return super().events(start_us, stop_us)
-        # As many as words may be needed; what is never written costs no memory.
+        # One event per word at most; pages that are never written take no memory.
         events, used = np.empty(self.word_count, EVENT_DTYPE), 0
         decoder = self._decoder(self._marks[0])
         while (now := decoder.append_events(events, used)) is not None:
@@ -163,7 +164,7 @@ class Aedat2Recording(FileRecording):
                 self._marks.append(mark)
 
     def _find(self, t_us: int) -> Mark:
-        """Return the last mark that lies before a time, reading on where needed."""
+        """Return the last mark before a time, reading further if needed."""
         if self._marks[-1].last < t_us and not self._complete:
             decoder = self._decoder(self._marks[-1], quiet_us=1 << 61)
             for _ in decoder.batches():
@@ -183,7 +184,7 @@ class Aedat2Recording(FileRecording):
 
     @property
     def word_count(self) -> int:
-        """Words in the file, of whatever kind."""
+        """Number of words in the file, of any kind."""
         return max(self._reader.size - self._header.data_start, 0) // 8
 
 

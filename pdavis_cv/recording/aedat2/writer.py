@@ -1,4 +1,4 @@
-"""Writing AEDAT-2.0 as jAER does: events, reset and signal reads, IMU, triggers."""
+"""Write AEDAT-2.0 as jAER does: events, reset and signal reads, IMU, triggers."""
 from __future__ import annotations
 
 import os
@@ -18,7 +18,7 @@ from pdavis_cv.recording.writer import RecordingWriter
 __all__ = ["Aedat2Writer", "write_aedat2"]
 
 HOLD_US = 300_000
-"""Words are held back this long: a frame's first read comes before its events."""
+"""Time for which words are held back, as a frame's first read precedes its events."""
 FLUSH_WORDS = 1 << 18
 _CHIPS = {size: name for name, size in CHIP_SIZES.items()}
 _CLASSES = {"davis346": "Davis346red", "davis240": "Davis240C",
@@ -31,10 +31,10 @@ _IMU_SIGNS = np.array([-1, 1, 1, 1, -1, 1, -1], np.float32)
 
 
 class Aedat2Writer(RecordingWriter):
-    """Writes an AEDAT-2.0 file that jAER and this library read.
+    """Write an AEDAT-2.0 file that jAER and this library can read.
 
-    Frames become reset and signal reads, column by column.  Without reads of their
-    own, pixels get a reset of 1023 DN; invalid ones get reads that decode as such.
+    Frames are written as reset and signal reads, column by column.  If a frame has no
+    reads, its reset is 1023 DN; invalid pixels get reads that decode as invalid.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Aedat2Writer(RecordingWriter):
     sensor_size : (int, int)
         (height, width) of a DAVIS.
     origin_us : int
-        Subtracted from times, of which 32 bits are kept; the header names it.
+        Subtracted from times, which have 32 bits; it is written to the header.
     wall_clock_us : int, optional
         Unix time in microseconds of time 0.
     preferences : mapping of str to str, optional
@@ -70,7 +70,7 @@ class Aedat2Writer(RecordingWriter):
         self._rolling: bool | None = None
         self._exposure_us: int | None = None
         self._started = False
-        # Words that wait: their times, and they themselves.
+        # Words that are held back, as pairs of times and words.
         self._waiting: list[tuple[NDArray[np.int64], NDArray[np.uint8]]] = []
         self._count = 0
         self._written_us = -(1 << 61)
@@ -153,7 +153,7 @@ class Aedat2Writer(RecordingWriter):
             self._lost["pixels outside the range of the converter were clipped"] += (
                 outside)
         dn = np.clip(dn, low, high)
-        # Reads that decode as invalid: a signal of 0 or a reset below 384.
+        # A signal of 0 or a reset below 384 decodes as invalid.
         reset = np.where(valid, 1023 + np.minimum(dn, 0), np.maximum(dn, 0))
         return reset.astype(np.uint32), (reset - dn).astype(np.uint32)
 
@@ -196,7 +196,7 @@ class Aedat2Writer(RecordingWriter):
         if n:
             self._written_us = int(times[n - 1])
         self._waiting = [(times[n:], words[n:])] if n < len(times) else []
-        # What is held back does not count, or each packet would sort it again.
+        # Words held back are not counted, or each packet would sort them again.
         self._count = 0
 
     def _finish(self) -> None:
@@ -239,14 +239,14 @@ def write_aedat2(
     Parameters
     ----------
     path : path
-        The file appears under this name when it is whole.
+        The file appears under this name when it is complete.
     recording : Recording
-        Of the size of a DAVIS.
+        Its sensor must have the size of a DAVIS.
 
     Returns
     -------
     mapping of str to int
-        What the format could not hold, and how often.
+        Number of occurrences of what the format could not hold, by description.
     """
     clear(path)
     with aedat2_writer(path, recording) as writer:
@@ -256,10 +256,10 @@ def write_aedat2(
 
 
 def aedat2_writer(path: str | os.PathLike[str], recording: Recording) -> Aedat2Writer:
-    """Return a writer with the header that fits a recording."""
+    """Return a writer with the header for a recording."""
     info = recording.info
     start = info.start_us or 0
-    # 32 bits of time: those of Unix times need an origin.
+    # Times have 32 bits, so Unix times need an origin.
     origin = 0 if 0 <= start < 1 << 31 else start - 1_000_000
     return Aedat2Writer(
         path, sensor_size=info.sensor_size, origin_us=origin,

@@ -1,1 +1,1 @@
-"""AEDAT-4, as DV, dv-processing and jAER write it: container, decoding, writing."""
+"""Read and write AEDAT-4, the format of DV, dv-processing and jAER."""

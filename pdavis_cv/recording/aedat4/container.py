@@ -1,4 +1,4 @@
-r"""The AEDAT-4 container: header, packets, index, and what to do when they are torn.
+r"""The AEDAT-4 container: header, packets and index, and recovery of damaged files.
 
 Written from the published AEDAT-4 schema: "#!AER-DAT4.0\r\n", a size-prefixed
 FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
@@ -31,21 +31,21 @@ __all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "Stream"
 MAGIC = b"#!AER-DAT4.0\r\n"
 COMPRESSIONS = ("none", "LZ4", "LZ4_HIGH", "ZSTD", "ZSTD_HIGH")
 MAX_PAYLOAD = 128 << 20
-"""No payload is decompressed beyond this; a writer's packet holds 10 ms."""
+"""Largest size of a decompressed payload, bytes; a writer's packet holds 10 ms."""
 MAX_HEADER = 16 << 20
 _LZ4_MAGIC = b"\x04\x22\x4d\x18"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PACKET = struct.Struct("<ii")
 _NEAR, _TRIES = 1 << 16, 8
-"""A packet that is not where the index says is sought so many bytes around, among so
-many with its stream and size."""
+"""A packet that is not at its position in the index is searched within this number of
+bytes, among this number of candidates with its stream and size."""
 _HEAD = 24
-"""Bytes that tell a packet: its header, and the beginning of its payload."""
+"""Bytes that identify a packet: its header, and the beginning of its payload."""
 
 
 @dataclass(slots=True)
 class Entry:
-    """Where a packet lies; count and times are None where no index gives them."""
+    """The location of a packet; count and times are None without an index."""
 
     stream: int
     offset: int
@@ -57,7 +57,7 @@ class Entry:
 
 @dataclass(slots=True)
 class Stream:
-    """What the header says about one stream."""
+    """A stream as described in the header."""
 
     number: int
     kind: str
@@ -66,7 +66,7 @@ class Stream:
 
     @property
     def source(self) -> str:
-        """Camera and serial number as the writer gives them."""
+        """Camera and serial number as written in the file."""
         return self.attributes.get("source", "")
 
 
@@ -78,7 +78,7 @@ class Aedat4File:
     reader : FileReader
         The file; the caller closes it.
     log : ProblemLog
-        Where damage is noted.
+        Receives findings of damage.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class Aedat4File:
             return False
 
     def _take_index(self, payload: bytes) -> bool:
-        """Take over the index; False if it leaves counts and times out."""
+        """Use an index; return False if it lacks counts and times."""
         if payload[8:12] != b"FTAB":  # DV compresses it, jAER does not
             payload = decompressed(payload, self.compression)
         table = root_table(payload, b"FTAB")
@@ -166,7 +166,7 @@ class Aedat4File:
             if self.table_position > self.data_start:
                 raise FlatBufferError("it is empty, but the file holds packets")
             return True
-        # DV counts from the payload, jAER from the packet's header.
+        # Offsets are those of the payload in DV, of the packet's header in jAER.
         first = int(offset.min()) - self.data_start
         if first == 0:
             offset = offset + 8
@@ -190,9 +190,9 @@ class Aedat4File:
     # Packets -------------------------------------------------------------------
 
     def _walk(self) -> Iterator[Entry]:
-        """Find packets by their headers, also where damage moved or hides them."""
+        """Find packets by their headers, even if damage has moved or hidden them."""
         at, limit = self.data_start, self.reader.size
-        # Damage that moved the packets moved the index away from its place.
+        # Damage that moved packets has also moved the index.
         if at <= self.table_position < limit and self._is_index(self.table_position):
             limit = self.table_position
         entry = self._plausible(at, limit)
@@ -209,9 +209,8 @@ class Aedat4File:
                 at, entry = found, self._plausible(found, limit)
                 continue
             after = entry.offset + entry.size
-            # Data look like the beginning of a packet by chance once in 10**19 bytes:
-            # where one begins inside another, the other lost bytes, or its size is
-            # wrong.
+            # Data resemble the beginning of a packet by chance once in 10**19 bytes, so
+            # if one begins inside another, the other lost bytes or its size is wrong.
             inside = self._resync(at + 1, after, limit)
             if inside is not None:
                 self.log.damage(
@@ -223,7 +222,7 @@ class Aedat4File:
             at, entry = after, following
 
     def _plausible(self, at: int, limit: int) -> Entry | None:
-        """Return the packet that seems to begin at a byte and end before another."""
+        """Return the packet at a byte, if its header and end are plausible."""
         head = self.reader.read(at, _HEAD)
         if len(head) < _PACKET.size:
             return None
@@ -275,7 +274,7 @@ class Aedat4File:
         Raises
         ------
         PayloadError
-            If it cannot be decompressed, or is of another kind than its stream.
+            If it cannot be decompressed, or has another type than its stream.
         """
         raw = self.reader.read(entry.offset - 8, entry.size + 8)
         if len(raw) < entry.size + 8:
@@ -292,9 +291,10 @@ class Aedat4File:
             raise PayloadError(str(error)) from error
 
     def _moved(self, entry: Entry) -> tuple[bytes, Table]:
-        """Return the packet that the index means, from near the place that it gives.
+        """Search for a packet near its position in the index.
 
-        Damage that takes as many bytes here as it adds there moves what is between.
+        Damage that removes bytes at one position and adds them at another moves the
+        packets in between.
         """
         wanted = entry.offset - 8
         begin = max(self.data_start, wanted - _NEAR)
@@ -316,7 +316,7 @@ class Aedat4File:
         raise PayloadError("its header is not what the index says")
 
     def lost(self, entry: Entry, error: Exception) -> None:
-        """Note that a packet could not be read."""
+        """Log that a packet could not be read."""
         self.log.damage(
             entry.offset, f"byte {entry.offset - 8}: packet of stream {entry.stream} "
             f"{clock_text(entry.start_us, entry.stop_us)} cannot be read ({error})",
@@ -324,7 +324,7 @@ class Aedat4File:
 
 
 def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
-    """Return compression, place of the index (-1 = none) and streams of a header.
+    """Return compression, position of the index (-1 = none) and streams of a header.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
     Raises
     ------
     ValueError
-        If it is damaged; the message says how.
+        If it is damaged; the message describes the damage.
     """
     try:
         table = root_table(data, b"IOHE")
@@ -409,7 +409,7 @@ def _unpack_zstd(payload: bytes) -> bytes:
 
 
 def _declared(data: bytes) -> int:
-    """Return how many bytes the size prefix of a buffer promises, itself included."""
+    """Return the size of a buffer according to its size prefix, which is included."""
     size = int.from_bytes(data[:4], "little") + 4
     if len(data) < 4 or not 12 <= size <= MAX_PAYLOAD:
         raise PayloadError(f"a packet cannot hold {size} bytes")
@@ -436,7 +436,7 @@ def _streams(text: str) -> Iterator[Stream]:
 
 
 def _nodes(root: Any) -> Iterator[Any]:
-    """Give the nodes of streams: named by a number, wherever they are."""
+    """Yield the nodes of streams, whose names are numbers, at any depth."""
     for node in root.iter("node"):
         if node.get("name", "").isdecimal():
             yield node

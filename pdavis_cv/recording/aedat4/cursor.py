@@ -1,4 +1,4 @@
-"""Reading one stream of an AEDAT-4 file, packet by packet, in time order."""
+"""Read one stream of an AEDAT-4 file, packet by packet, in time order."""
 from __future__ import annotations
 
 import contextlib
@@ -26,11 +26,11 @@ from pdavis_cv.recording.timeline import (
 __all__ = ["Cursor"]
 
 MANY = 5
-"""Of so many times in a packet, more than one that is far from all is no damage."""
+"""From this number of times in a packet on, several outliers are not damage."""
 
 
 class Cursor:
-    """Reads the packets of one stream.
+    """Read the packets of one stream.
 
     Parameters
     ----------
@@ -43,11 +43,11 @@ class Cursor:
         Sensor (height, width).
     scale : FrameScale, optional
     jaer : bool
-        True if jAER wrote the file: rows from the bottom, its own frame times.
+        True if jAER wrote the file: rows are from the bottom, frame times differ.
     strict : bool
         True to raise at the first bad sample.
     first : int
-        Packet to begin with.
+        Index of the first packet to read.
     last_us : int
         Time of the last sample before it.
     """
@@ -69,15 +69,15 @@ class Cursor:
 
     @property
     def mark(self) -> tuple[str, int, Clock, int]:
-        """Where it stands; not a copy."""
+        """The current position; it is not a copy."""
         return self.kind, self._next, self.clock, self._last_mid
 
     def go_to(self, mark: tuple[str, int, Clock, int]) -> None:
-        """Stand where another cursor of this stream stood."""
+        """Move to a position from `mark` of another cursor of this stream."""
         _, self._next, self.clock, self._last_mid = mark
 
     def pull(self) -> Any:
-        """Return the samples of the next packet that can be read, None at the end."""
+        """Return the samples of the next readable packet, None at the end."""
         while self._next < len(self._entries):
             entry = self._entries[self._next]
             self._next += 1
@@ -90,10 +90,10 @@ class Cursor:
     def all_events(self, stop_us: int) -> NDArray[Any] | None:
         """Return the events up to the packet that reaches stop_us, as one array.
 
-        None if time jumps back: where a new segment goes depends on other streams.
+        None if time jumps back, as the shift of a new segment depends on all streams.
         """
         rest = range(self._next, len(self._entries))
-        # A damaged index may promise anything, but no packet unpacks to more.
+        # A damaged index may hold any count; the size of a packet limits it.
         out = np.empty(sum(min(e.count or 0, 16 * e.size) for e in self._entries[
             self._next:] if (e.start_us or NEVER) < stop_us), EVENT_DTYPE)
         state = self.clock.state
@@ -117,7 +117,7 @@ class Cursor:
         return out[:int(state[0])]
 
     def _table(self, entry: Entry) -> tuple[bytes, Table]:
-        """Return a packet of events, which may have been looked at before."""
+        """Return a packet of events, from the cache if it was examined before."""
         if self._ahead is not None and self._ahead[0] is entry:
             return self._ahead[1]
         return self._file.table(entry)
@@ -132,7 +132,7 @@ class Cursor:
 
     def _decode(self, entry: Entry, data: bytes, at: int, count: int,
                 out: NDArray[Any], *, segments: bool = True) -> bool:
-        """Append a packet's events to out; False at a new segment, if not wanted."""
+        """Append a packet's events to out; return False if a segment begins."""
         raw, state = np.frombuffer(data, np.uint8), self.clock.state
         state[3] = state[4] = 0
         done, bounds = 0, self._bounds(data, at, count)
@@ -154,10 +154,10 @@ class Cursor:
         return True
 
     def _bounds(self, data: bytes, at: int, count: int) -> tuple[int, int]:
-        """Return the times that the events of this packet can have.
+        """Return the range of times that events of this packet may have.
 
-        The index gives each packet's; to mislead, two of its entries must be wrong.
-        Without one, the packets before and after say it.
+        It follows from the index, where two wrong entries would be needed to spoil it;
+        without an index, from the packets before and after.
         """
         if not self._file.indexed:
             if not count:
@@ -180,9 +180,9 @@ class Cursor:
                 max((t for t in last if t is not None), default=-NEVER))
 
     def _next_time(self) -> int | None:
-        """Return the time with which the next packet that can be read begins.
+        """Return the time at which the next readable packet begins.
 
-        The middle one of three, since one may be damaged.
+        It is the median of its first three times, as one may be damaged.
         """
         for entry in self._entries[self._next:self._next + 2]:
             with contextlib.suppress(PayloadError):
@@ -283,11 +283,11 @@ class Cursor:
 
 
 def _wild(times: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which times of a packet damaged words must have made; none if many."""
+    """Return which times of a packet come from damaged words; none if many do."""
     if len(times) < MANY or (np.all(times[1:] >= times[:-1])
                              and times[-1] - times[-2] <= SEGMENT_US):
         return np.zeros(len(times), np.bool_)
-    # The differences of int64 may not be int64's.
+    # Differences of int64 may overflow.
     t = np.clip(times, -FAR, FAR)
     wild = np.zeros(len(t), np.bool_)
     wild[1:-1] = spikes(t, SPIKE_US)
@@ -298,5 +298,5 @@ def _wild(times: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _time(data: bytes, at: int, i: int) -> int:
-    """Return the file's time of event i of the vector at byte at."""
+    """Return the time in the file of event i of the vector at byte at."""
     return int.from_bytes(data[at + 16 * i:at + 16 * i + 8], "little", signed=True)

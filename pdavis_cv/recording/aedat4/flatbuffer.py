@@ -1,4 +1,4 @@
-"""Reading FlatBuffers that nothing vouches for: every offset is checked."""
+"""Read untrusted FlatBuffers: every offset is checked."""
 from __future__ import annotations
 
 import struct
@@ -12,7 +12,7 @@ _SCALARS = {code: struct.Struct("<" + code) for code in "bBhHiIqQf"}
 
 
 class FlatBufferError(ValueError):
-    """Raised when a buffer does not hold what its offsets say."""
+    """Raised when an offset or a size in a buffer is wrong."""
 
 
 class PayloadError(ValueError):
@@ -26,7 +26,7 @@ class Table:
     ----------
     data : bytes
     at : int
-        Where the table lies.
+        Offset of the table.
     """
 
     __slots__ = ("_at", "_data", "_length", "_vtable")
@@ -38,7 +38,7 @@ class Table:
         self._length = _get(_U16, data, self._vtable)
 
     def place(self, field: int) -> int:
-        """Return where a field lies, 0 if it has its default."""
+        """Return the offset of a field, 0 if it has its default."""
         slot = 4 + 2 * field
         if slot + 2 > self._length:
             return 0
@@ -51,7 +51,7 @@ class Table:
         return _get(_SCALARS[code], self._data, at) if at else default
 
     def vector(self, field: int, item: int) -> tuple[int, int]:
-        """Return where the items of a vector begin, and how many there are.
+        """Return the offset of the items of a vector, and their number.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ def root_table(data: bytes, identifier: bytes) -> Table:
     Raises
     ------
     FlatBufferError
-        If the size or the identifier is not right.
+        If the size or the identifier is wrong.
     """
     size = _get(_U32, data, 0)
     if size > len(data) - 4:

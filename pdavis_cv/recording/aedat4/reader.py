@@ -1,4 +1,4 @@
-"""AEDAT-4 recordings."""
+"""Recordings in AEDAT-4."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ FRAMES_UNDER_WAY = 3
 MARK_PULLS = 64
 """The index gives a frame's timestamp; its readout ends within this time of it."""
 EPOCH_US = 10**15
-"""Times beyond this (2001) are Unix times, smaller ones count from some start."""
+"""Times beyond this (the year 2001) are Unix times; smaller ones have another zero."""
 
 
 class Aedat4Recording(FileRecording):
@@ -43,7 +43,7 @@ class Aedat4Recording(FileRecording):
     layout : Layout, optional
     bad_events : {"drop", "raise"}
     camera : str, optional
-        Source, or part of it, where the file holds several cameras.
+        Name of the source, or a part of it, if the file holds several cameras.
     """
 
     def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
@@ -60,7 +60,7 @@ class Aedat4Recording(FileRecording):
     # Opening -------------------------------------------------------------------
 
     def _choose(self, camera: str | None) -> dict[str, Stream]:
-        """Return the first stream of each kind that the wanted camera has."""
+        """Return the first stream of each kind of the chosen camera."""
         known = [s for s in self._file.streams.values() if s.kind in KINDS]
         for stream in self._file.streams.values():
             if stream.kind not in KINDS:
@@ -106,7 +106,7 @@ class Aedat4Recording(FileRecording):
         raise RecordingError(f"{self.path}: the header does not give the sensor's size")
 
     def _frame_scale(self) -> samples.FrameScale | None:
-        """Judge 16-bit frames by the first: one scale holds for the whole file."""
+        """Return the scale of frames from the first one; it is that of the file."""
         stream = self._streams.get("FRME")
         stated = "" if stream is None else stream.attributes.get("fullScaleDN", "")
         if stated.isdecimal() and len(stated) < 10 and int(stated) > 0:
@@ -164,9 +164,9 @@ class Aedat4Recording(FileRecording):
         return resolve_layout(layout, recording=Layout((a, b), (c, d)))
 
     def _span(self) -> tuple[int | None, int | None]:
-        """Return the half-open interval of all samples, from the index if it is there.
+        """Return the half-open interval of all samples, from the index if there is one.
 
-        The index gives a frame's timestamp, so the first and the last are read.
+        The index has only the timestamps of frames, so the first and last are read.
         """
         starts: list[int] = []
         stops: list[int] = []
@@ -216,12 +216,12 @@ class Aedat4Recording(FileRecording):
         return super().events(start_us, stop_us)
 
     def _batches(self, start_us: int | None) -> Iterator[Batch]:
-        """Read the stream that is least far in time, until all are at their end."""
+        """Read from the stream with the earliest position, until all have ended."""
         cursors, pulls, newest = self._begin(start_us)
         marked = not self._file.indexed or not self._ordered()
         while cursors:
             if marked:
-                # Later readings can begin here, where no index says how.
+                # Later readings can resume here if there is no index.
                 newest = max(newest, *(cursor.clock.last for cursor in cursors))
                 self._marks.note(
                     pulls, newest, (pulls, newest, [cursor.mark for cursor in cursors]))
@@ -238,9 +238,10 @@ class Aedat4Recording(FileRecording):
             yield batch
 
     def _begin(self, start_us: int | None) -> tuple[list[Cursor], int, int]:
-        """Return cursors that give every sample from start_us's cell on.
+        """Return cursors from which every sample of the cell of start_us on is read.
 
-        With them, how often such were pulled before, and no sample was later than.
+        Also returned are the number of packets read before them, and the latest time
+        of their samples.
         """
         if start_us is not None and not self._ordered():
             found = self._marks.before(cell_start(start_us))
@@ -262,10 +263,10 @@ class Aedat4Recording(FileRecording):
             last_us=last_us)
 
     def _seek(self, kind: str, start_us: int | None) -> tuple[int, int]:
-        """Return the packet to begin with, and the last time before it.
+        """Return the index of the first packet to read, and the last time before it.
 
-        A file whose index shows time running backward is read from its beginning, or
-        a mark: what is dropped there depends on everything before.
+        If the index shows that time runs backward, the file is read from its beginning
+        or a mark, as the samples to drop depend on everything before.
         """
         if start_us is None or not self._ordered():
             return 0, NEVER
@@ -280,8 +281,8 @@ class Aedat4Recording(FileRecording):
                 hi = middle
         lo = max(lo - 1, 0)
         if kind == "FRME":
-            # The index gives exposures; frames that began before may end after it,
-            # but no more of them than a camera has under way at once.
+            # The index has the start of frames: some that began before start_us may
+            # end after it, but no more than a camera can have in work at a time.
             return max(lo - FRAMES_UNDER_WAY, 0), NEVER
         if lo == 0:
             return lo, NEVER
@@ -307,11 +308,11 @@ class Aedat4Recording(FileRecording):
                 try:
                     times = samples.span(kind, *self._file.table(entry))
                 except (PayloadError, samples.UnknownFrameError):
-                    times = None  # told when it is read
+                    times = None  # reported when it is read
                 if times:
                     entry.start_us, entry.stop_us = times
         for stream in self._streams.values():
-            # A packet that says nothing stands where its predecessor ended.
+            # A packet without times gets the end of its predecessor.
             last = NEVER
             for entry in stream.entries:
                 if entry.start_us is None or entry.stop_us is None:

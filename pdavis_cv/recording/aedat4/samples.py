@@ -1,4 +1,4 @@
-"""What is inside the packets of AEDAT-4: events, frames, IMU samples, triggers."""
+"""Decode the packets of AEDAT-4: events, frames, IMU samples, triggers."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -27,19 +27,19 @@ __all__ = [
 ]
 
 MAX_EXPOSURE_US = 60_000_000
-"""A longer exposure is damage, not an exposure."""
+"""Longest exposure; a longer one is taken as damage."""
 
 _PIXELS: dict[int, np.dtype[Any]] = {0: np.dtype("u1"), 2: np.dtype("<u2")}
-"""By OpenCV's depth code."""
+"""Type of pixels by OpenCV's depth code."""
 
 
 class UnknownFrameError(ValueError):
-    """Raised for a frame whose pixels are of a type that no event camera gives."""
+    """Raised for a frame whose pixels have a type that no event camera uses."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameScale:
-    """How pixel values become 10-bit DN.
+    """Conversion of pixel values to 10-bit DN.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class FrameScale:
         DN per unit of the file.
     full_scale_dn : int
     clipped : int
-        Values from here on are saturated.
+        Smallest saturated value.
     itemsize : int
         Bytes per pixel in the file.
     """
@@ -65,13 +65,13 @@ LEFT_JUSTIFIED = FrameScale(1 / 64, 1023, 1023 << 6)
 
 @dataclass(slots=True)
 class RawFrame:
-    """A frame as the file holds it.
+    """A frame as stored in the file.
 
     Parameters
     ----------
     pixels : ndarray of uint8 or uint16, shape (h, w)
     x, y : int
-        Place of its first pixel on the sensor.
+        Position of its first pixel on the sensor.
     times : tuple of int
         timestamp, start and end of frame, start and end of exposure, exposure.
     colour : bool
@@ -126,7 +126,7 @@ def raw_frame(data: bytes, table: Table) -> RawFrame:
 
 
 def scale_of(pixels: NDArray[Any]) -> FrameScale:
-    """Tell 8-bit, 10-bit and left-justified 16-bit frames apart."""
+    """Return the scale of 8-bit, 10-bit or left-justified 16-bit frames."""
     if pixels.dtype.itemsize == 1:
         return EIGHT_BIT
     if int(pixels.max(initial=0)) <= 1023:
@@ -139,10 +139,11 @@ def exposure_times(
 ) -> tuple[int, int, int]:
     """Return start and end of exposure and end of readout.
 
-    SOE and EOE where EOE > SOE; else the timestamp is taken as mid-exposure.
-    jAER writes SOF and EOF into SOE and EOE.  The reads before and after the
-    exposure take about equally long, so its middle is that of SOF .. EOF, for
-    both shutters, within half of (EOF - SOF - exposure).
+    These are SOE and EOE (start and end of exposure) if EOE > SOE; otherwise the
+    timestamp is taken as mid-exposure.  jAER writes SOF and EOF (start and end of
+    frame) into SOE and EOE.  The reads before and after the exposure take about equally
+    long, so its middle is that of SOF .. EOF, for both shutters, within half of
+    (EOF - SOF - exposure).
     """
     t, sof, eof, soe, eoe, exposure = times
     if jaer and 0 < eof - sof <= MAX_EXPOSURE_US:
@@ -201,7 +202,7 @@ def aps_frame(
 
 
 def event_vector(table: Table) -> tuple[int, int]:
-    """Return where the events of an EVTS table begin, and how many there are."""
+    """Return the offset of the events of an EVTS table, and their number."""
     try:
         return table.vector(0, 16)
     except FlatBufferError as error:
@@ -237,16 +238,16 @@ def triggers(data: bytes, table: Table) -> NDArray[Any]:
 
 
 def span(kind: str, data: bytes, table: Table) -> tuple[int, int] | None:
-    """Return the times of the first and last sample of a packet, as an index has them.
+    """Return the times of the first and last sample of a packet, as in an index.
 
-    None for a packet without samples.  A frame's is its timestamp.
+    None for a packet without samples; for a frame, its timestamp.
 
     Raises
     ------
     PayloadError
         If it cannot be decoded.
     UnknownFrameError
-        For a frame whose pixels no event camera gives.
+        For a frame whose pixels have an unknown type.
     """
     if kind == "FRME":
         time = raw_frame(data, table).times[0]

@@ -1,4 +1,4 @@
-"""Writing AEDAT-4 as DV does: packets, LZ4, index."""
+"""Write AEDAT-4 as DV does: packets, LZ4, index."""
 from __future__ import annotations
 
 import functools
@@ -48,7 +48,7 @@ _INDEX_VTABLE = struct.pack("<7H", 14, 44, 4, 12, 20, 28, 36)
 
 
 class Aedat4Writer(RecordingWriter):
-    """Writes an AEDAT-4 file that DV, dv-processing, aedat and this library read.
+    """Write an AEDAT-4 file that DV, dv-processing, aedat and this library can read.
 
     Parameters
     ----------
@@ -57,16 +57,16 @@ class Aedat4Writer(RecordingWriter):
     sensor_size : (int, int)
         (height, width).
     layout : Layout, optional
-        Polarizer layout, kept in the header.
+        Polarizer layout, written to the header.
     camera : str
-        Name and serial number as DV writes them.
+        Name and serial number in the form of DV.
     compression : {"lz4", "none", "zstd"}
         zstd needs the extra ``[zstd]``.
     frame_bits : {16, 8}, optional
-        16 keeps 10-bit DN, 8 keeps DN / 4; default: 8 if the first frame came from
-        an 8-bit file, else 16.
+        16 stores 10-bit DN, 8 stores DN / 4; default: 8 if the first frame is from an
+        8-bit file, else 16.
     full_scale_dn : int
-        Largest DN of 16-bit frames, kept in the header.
+        Largest DN of 16-bit frames, written to the header.
 
     Attributes
     ----------
@@ -77,9 +77,9 @@ class Aedat4Writer(RecordingWriter):
     Raises
     ------
     ValueError
-        If an argument is not one of those listed.
+        If an argument has another value than those listed.
     ImportError
-        If zstd is asked for without its package.
+        If zstd is requested and its package is not installed.
     """
 
     _numbers: tuple[int, ...] = (EVENTS, FRAMES, IMU, TRIGGERS)
@@ -138,7 +138,7 @@ class Aedat4Writer(RecordingWriter):
         self._file.write(data)
 
     def _frame_bits(self, frame: ApsFrame) -> int:
-        """Return how many bits frames have; the first decides."""
+        """Return the number of bits of frames, which the first one determines."""
         if self._bits is None:
             self._bits = 8 if frame.full_scale_dn == 1020 else 16
         return self._bits
@@ -203,7 +203,7 @@ class StreamEncoder:
 
 
 def _unnoted(what: str, count: int) -> None:
-    """Leave it at that: a stream has nobody to tell what it cannot hold."""
+    """Do nothing: a network stream does not report what it cannot hold."""
 
 
 def write_aedat4(
@@ -215,7 +215,7 @@ def write_aedat4(
     Parameters
     ----------
     path : path
-        The file appears under this name when it is whole.
+        The file appears under this name when it is complete.
     recording : Recording
     compression : {"lz4", "none", "zstd"}
     frame_bits : {16, 8}, optional
@@ -224,7 +224,7 @@ def write_aedat4(
     Returns
     -------
     mapping of str to int
-        What the format could not hold, and how often.
+        Number of occurrences of what the format could not hold, by description.
     """
     info = recording.info
     clear(path)
@@ -266,7 +266,7 @@ def _events(events: NDArray[Any]) -> NDArray[Any]:
 def _frame(
     frame: ApsFrame, bits: int, note: Callable[[str, int], None]
 ) -> bytes:
-    """Return the FlatBuffer of a frame; note what it cannot hold, and how often."""
+    """Return the FlatBuffer of a frame; report what it cannot hold to `note`."""
     step, most = (4, 255) if bits == 8 else (1, 65_535)
     values = np.rint(frame.dn / np.float32(step))
     low = int(np.count_nonzero(values < 0))

@@ -1,1 +1,1 @@
-"""HDF5 as E2P, DSEC and rpg lay it out: reading and writing."""
+"""Read and write HDF5 in the layouts of E2P and DSEC; read that of rpg."""

@@ -1,8 +1,8 @@
-"""HDF5 of unknown origin is opened by a helper process first.
+"""Open HDF5 files in a helper process first, as damaged ones can crash the library.
 
-The HDF5 library can hang for ever, die, or take gigabytes on a damaged file while a
-single attribute is read, and no signal reaches Python meanwhile.  The helper reads the
-file, a large one as far as its first packet, within limits that the system keeps.
+While a single attribute of a damaged file is read, the HDF5 library can hang forever,
+crash, or take gigabytes, and signals do not reach Python.  The helper reads the file (a
+large one up to its first packet) within limits that the system enforces.
 """
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ __all__ = ["MAGIC", "proved"]
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 LONGEST_S = 10
-"""CPU seconds: opening takes far less than one, reading `WHOLE_BYTES` about two."""
+"""Limit of CPU time, s: opening takes far below 1, reading `WHOLE_BYTES` about 2."""
 WHOLE_BYTES = 32 << 20
-"""A file of so many bytes is read to its end, a larger one not: it would cost as much
-as what is to be done with it."""
+"""Files up to this size are read completely; for larger ones that would cost as much as
+using them."""
 MOST_BYTES = 2 << 30
 _WAIT = 12
-"""A busy machine gives a process that fraction of its time, at least."""
+"""Ratio of wall-clock limit to CPU limit: a busy machine gives a process at least one
+part in this of its time."""
 _OPEN = """
 import os
 import sys
@@ -45,23 +46,23 @@ except Exception as error:
     raise
 """
 _NO_MEMORY = 3
-"""Exit status: HDF5 takes as much as a damaged length says, before it looks further."""
+"""Exit status for lack of memory: HDF5 allocates what a damaged length claims."""
 
 
 def proved(
     path: str | os.PathLike[str], program: str = _OPEN, *, seconds: int = LONGEST_S
 ) -> None:
-    """Return if a file is no HDF5, or one that can be opened in bounded time.
+    """Return unless opening an HDF5 file would hang or crash.
 
-    Whatever else is wrong with it, opening will say.
+    Any other error is left to the reader.
 
     Parameters
     ----------
     path : path
     program : str
-        What the helper runs, given the path.
+        Code that the helper runs, with the path as argument.
     seconds : int
-        CPU time that it may take.
+        Limit of its CPU time.
 
     Raises
     ------
@@ -80,7 +81,7 @@ def proved(
         done = subprocess.run(
             [sys.executable, "-P", "-W", "ignore", "-c", code, str(path)],
             capture_output=True, timeout=_WAIT * seconds, check=False,
-            # Its threads would reserve memory for each core.
+            # OpenBLAS threads would reserve memory for each core.
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
     except subprocess.TimeoutExpired:
         died = True

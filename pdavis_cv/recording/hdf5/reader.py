@@ -3,8 +3,8 @@
 E2P: ``/events`` (N, 4) of t, x, y, p, ``/frame`` (K, H, W), ``/frame_ts``,
 ``/frame_idx``.  DSEC: ``/events/{t,x,y,p}``, ``/ms_to_idx``, ``/t_offset``.  The
 layout of rpg and Monash: ``/events/{ts,xs,ys,ps}``, ``/images/image000000000`` with an
-attribute ``timestamp``, ``sensor_resolution``.  What they do not hold (exposure, IMU,
-triggers) stands beside it under ``/pdavis``.
+attribute ``timestamp``, ``sensor_resolution``.  Data that these layouts do not have
+(exposure, IMU, triggers) are stored under ``/pdavis``.
 """
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ LEAST_PIECE = 256
 MAX_SIDE = 8192
 MAX_CHUNK = 256 << 20
 MOST_RATIO = 1100
-"""Deflate packs at most 1032 to 1; a file that promises more is damaged."""
+"""Deflate compresses at most 1032 to 1; a file that claims more is damaged."""
 MAX_EXPOSURE_US = 60_000_000
 
 
 def h5py_module() -> Any:
-    """Return the package h5py; ImportError names the command that installs it."""
+    """Return the package h5py, or raise ImportError with the command to install it."""
     try:
         import h5py
     except ImportError:
@@ -59,7 +59,7 @@ class _LostError(Exception):
 
 @contextlib.contextmanager
 def _reading() -> Iterator[None]:
-    """Turn what h5py raises for a damaged file, which is anything, into one error."""
+    """Convert any exception that h5py raises for a damaged file into one type."""
     try:
         yield
     except PdavisError:
@@ -106,7 +106,7 @@ class Hdf5Recording(FileRecording):
     # Opening -------------------------------------------------------------------
 
     def _dataset(self, group: Any, name: str, dimensions: int) -> Any:
-        """Return a dataset of numbers that the file can hold, None if there is none."""
+        """Return a checked dataset of numbers, None if there is none."""
         found = group.get(name)
         if found is None:
             return None
@@ -124,7 +124,7 @@ class Hdf5Recording(FileRecording):
         return found
 
     def _find_events(self) -> Callable[[slice], tuple[NDArray[Any], ...]]:
-        """Return a function from rows to (t, x, y, p); note how many rows there are."""
+        """Return a function from rows to (t, x, y, p); set the number of rows."""
         events = self._file.get("events")
         if isinstance(events, h5py_module().Group) and all(k in events for k in "txyp"):
             columns = [self._dataset(events, k, 1) for k in "txyp"]
@@ -167,7 +167,7 @@ class Hdf5Recording(FileRecording):
         return read_table
 
     def _first(self, read: Callable[[slice], NDArray[Any]]) -> NDArray[Any]:
-        """Return what can be read of the first events."""
+        """Return the readable ones of the first events."""
         step = max(self._piece, LEAST_PIECE)
         for rows in (slice(0, CHUNK), *(
                 slice(row, row + step) for row in range(0, self._length, step))):
@@ -183,7 +183,7 @@ class Hdf5Recording(FileRecording):
         elif self._frames is not None and len(self._frames):
             height, width = self._frames.shape[1:]
         else:
-            # DSEC does not say: take the first events' hull, a DAVIS346 at least.
+            # DSEC has no size: use that of the first events, at least a DAVIS346.
             height = max(260, 1 + int(
                 self._first(lambda rows: self._columns(rows)[2]).max(initial=0)))
             width = max(346, 1 + int(
@@ -215,7 +215,7 @@ class Hdf5Recording(FileRecording):
             with _reading():
                 return int(self._columns(slice(0, 1))[0][0]) if self._length else None
         except _LostError:
-            return None  # told when it is read
+            return None  # reported when it is read
 
     # Reading -------------------------------------------------------------------
 
@@ -278,14 +278,14 @@ class Hdf5Recording(FileRecording):
 
     def _events(self, row: int, stop: int, clock: Clock, memory: Scratch
                 ) -> NDArray[Any]:
-        """Return the events of rows; those that cannot be read are left out."""
+        """Return the events of rows, except those that cannot be read."""
         try:
             with _reading():
                 columns = self._columns(slice(row, stop))
         except _LostError as error:
             step = max(self._piece, LEAST_PIECE)
             if stop - row > step:
-                # of other memory: all of them would come to lie in the same room
+                # in separate memory, as all parts would share the same scratch memory
                 return joined([self._events(at, min(at + step, stop), clock, Scratch())
                                for at in range(row, stop, step)])
             self._damage(row, f"events {row} .. {stop}", error)
@@ -293,7 +293,7 @@ class Hdf5Recording(FileRecording):
         return self._checked(columns, clock, row, memory, unit="row")
 
     def _table(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Return the IMU samples or triggers that our writer put beside the rest."""
+        """Return the IMU samples or triggers that this library's writer stored."""
         try:
             with _reading():
                 group = self._file.get("pdavis")
@@ -317,7 +317,7 @@ class Hdf5Recording(FileRecording):
         return table[keep]
 
     def _all_frames(self) -> list[_Place]:
-        """Return where and when the frames are, in time order."""
+        """Return the numbers and times of all frames, in time order."""
         if self._frames is None:
             return []
         try:
@@ -360,7 +360,7 @@ class Hdf5Recording(FileRecording):
         return values
 
     def _frame(self, place: _Place) -> list[ApsFrame]:
-        """Return the frame at a place, or nothing where it cannot be read."""
+        """Return a list of the frame, empty if it cannot be read."""
         try:
             with _reading():
                 image = self._frames[place.k]
@@ -384,7 +384,7 @@ class Hdf5Recording(FileRecording):
 
     def _damage(self, key: Hashable, what: str, error: Exception,
                 place: _Place | None = None) -> None:
-        # HDF5 does not say at which byte it stumbled.
+        # HDF5 does not report the byte of an error.
         self._log.add(
             "damage", key, f"{what} cannot be read ({error})",
             start_us=place.start if place else None,
@@ -392,14 +392,14 @@ class Hdf5Recording(FileRecording):
 
 
 class _Images:
-    """The images of rpg's layout, a dataset each, as one stack.
+    """The images of rpg's layout, which are separate datasets, as one stack.
 
     Parameters
     ----------
     group : h5py.Group
-        ``/images``; those without a number ``timestamp`` are left out.
+        ``/images``; those without a numeric ``timestamp`` are left out.
     dataset : callable
-        From (group, name, dimensions) to a dataset of numbers that was checked.
+        From (group, name, dimensions) to a checked dataset of numbers.
     """
 
     def __init__(self, group: Any, dataset: Callable[[Any, str, int], Any]) -> None:
@@ -432,7 +432,7 @@ class _Place(NamedTuple):
 
 
 def _unit(t: NDArray[Any]) -> float:
-    """Return microseconds per unit of times: those with fractions are seconds."""
+    """Return microseconds per unit of times; times with fractions are seconds."""
     whole = t.dtype.kind != "f" or np.all(t[np.isfinite(t)] % 1 == 0)
     return 1.0 if whole else 1e6
 
@@ -442,5 +442,5 @@ def _microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
         return t.astype(np.int64)
     with np.errstate(over="ignore"):
         t = np.rint(t.astype(np.float64) * unit)
-    # What is no number, or beyond any time, is dropped as such later.
+    # NaN and times beyond any range are dropped later.
     return np.where(np.abs(t) < FAR, t, -2 * FAR).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Writing HDF5 as E2P (events and frames) and DSEC (events) lay it out."""
+"""Write HDF5 in the layouts of E2P (events and frames) and DSEC (events)."""
 from __future__ import annotations
 
 import os
@@ -22,7 +22,7 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
     Parameters
     ----------
     path : path
-        The file appears under this name when it is whole.
+        The file appears under this name when it is complete.
     recording : Recording
     flavour : {"e2p", "dsec"}
         E2P holds events and frames; DSEC's layout holds events only.
@@ -30,14 +30,14 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
     Returns
     -------
     mapping of str to int
-        What the format could not hold, and how often.
+        Number of occurrences of what the format could not hold, by description.
 
     Raises
     ------
     ValueError
-        If the flavour is not one of those listed.
+        If the flavour is unknown.
     ImportError
-        If h5py is missing.
+        If h5py is not installed.
     """
     if flavour not in ("e2p", "dsec"):
         raise ValueError(f"flavour must be e2p or dsec, got {flavour!r}")
@@ -135,10 +135,10 @@ def _fill(file: Any, recording: Recording, flavour: str) -> dict[str, int]:
 
 
 def write_e2p(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
-    """Write HDF5 as E2P lays it out; see `write_hdf5`."""
+    """Write HDF5 in the layout of E2P; see `write_hdf5`."""
     return write_hdf5(path, recording, flavour="e2p")
 
 
 def write_dsec(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
-    """Write HDF5 as DSEC lays it out; see `write_hdf5`."""
+    """Write HDF5 in the layout of DSEC; see `write_hdf5`."""
     return write_hdf5(path, recording, flavour="dsec")
