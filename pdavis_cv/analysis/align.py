@@ -1,4 +1,4 @@
-"""Two clocks: where a test frame's samples lie on the recording's time."""
+"""Align the clock of a test frame with that of a recording."""
 from __future__ import annotations
 
 import warnings
@@ -22,7 +22,7 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-_MOST_SKEW = 2e-3  # of clocks that deserve the name
+_MOST_SKEW = 2e-3  # relative; real clocks differ by less
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,16 @@ class Clock:
     Parameters
     ----------
     origin_us : int
-        A time of the recording that offsets count from.
+        Time of the recording relative to which offsets are given.
     offset_s, offset_se_s : float
-        Recording's time at the other clock's zero.  The error is that in the
-        middle of what was compared, NaN where nothing says.
+        The recording's time at the other clock's zero, and its standard error in the
+        middle of the compared interval; NaN if unknown.
     skew_ppm, skew_se_ppm : float
-        How much slower the other clock runs, in parts per million.
+        By how much the other clock is slower, parts per million, and standard error.
     how : str
         ``"offset"``, ``"trigger"`` or ``"correlation"``.
     correlation : float
-        Correlation of both signals after alignment; NaN where none was computed.
+        Correlation of both signals after alignment; NaN if it was not computed.
     """
 
     origin_us: int
@@ -53,18 +53,18 @@ class Clock:
     correlation: float = np.nan
 
     def counted_from(self, origin_us: int) -> Clock:
-        """Return the same clock with its offset counted from another time."""
+        """Return the same clock with its offset relative to another time."""
         moved = (self.origin_us - int(origin_us)) / 1e6
         return replace(self, origin_us=int(origin_us), offset_s=self.offset_s + moved)
 
     def to_us(self, t_s: ArrayLike) -> FloatArray:
-        """Return the recording's time in microseconds of times of the other clock."""
+        """Convert times of the other clock to the recording's time, us."""
         t = np.asarray(t_s, np.float64)
         return np.asarray(
             self.origin_us + 1e6 * (self.offset_s + (1 + self.skew_ppm * 1e-6) * t))
 
     def to_seconds(self, t_us: ArrayLike) -> FloatArray:
-        """Return the other clock's time in seconds of times of the recording."""
+        """Convert times of the recording to the other clock's time, s."""
         t = (np.asarray(t_us, np.int64) - self.origin_us) / 1e6
         return np.asarray((t - self.offset_s) / (1 + self.skew_ppm * 1e-6))
 
@@ -76,11 +76,11 @@ class Loop:
     Parameters
     ----------
     x, y : ndarray of float64, shape (B,)
-        Means in phase bins, in the order of time.
+        Means in phase bins, in time order.
     area, area_se : float
-        Signed area per cycle, positive when run clockwise in (x, y) as plotted,
-        which for force over displacement is the work lost; mean and standard error
-        over cycles.
+        Signed area per cycle, mean and standard error over cycles.  It is positive for
+        a clockwise loop in a plot of y over x; for force over displacement it is the
+        work lost.
     cycles : int
         Complete cycles.
     """
@@ -95,16 +95,16 @@ class Loop:
 def align_by_offset(
     origin_us: int, offset_s: float, *, skew_ppm: float = 0.0
 ) -> Clock:
-    """Return the clock that the user states.
+    """Return a clock with a given offset and skew.
 
     Parameters
     ----------
     origin_us : int
-        Time of the recording that the offset counts from, e.g. its start.
+        Time of the recording relative to which the offset is given, e.g. its start.
     offset_s : float
         Seconds from there to the other clock's zero.
     skew_ppm : float
-        How much slower the other clock runs, in parts per million.
+        By how much the other clock is slower, parts per million.
 
     Returns
     -------
@@ -126,9 +126,10 @@ def align_by_triggers(
 ) -> Clock:
     """Align by pulses that both clocks recorded.
 
-    One pulse on each side gives the offset.  With more, the two sequences are
-    matched by their intervals, either may hold pulses that the other lacks at its
-    ends (at most half of the fewer), and a line through them gives the skew too.
+    One pulse on each side determines the offset.  With more pulses, the two sequences
+    are matched by their intervals, and a straight line through them also gives the
+    skew.  Pulses may be missing at the ends of either sequence, at most half of the
+    shorter one.
 
     Parameters
     ----------
@@ -137,7 +138,7 @@ def align_by_triggers(
     trigger_s : array_like of float, shape (M,)
         Increasing times on the other clock.
     tolerance_s : float
-        How far a matched pulse may lie from the line.
+        Largest distance of a matched pulse from the line.
 
     Returns
     -------
@@ -146,7 +147,7 @@ def align_by_triggers(
     Raises
     ------
     ValueError
-        If a side has no pulse, or no match holds the tolerance.
+        If a side has no pulse, or no match lies within the tolerance.
     """
     ours, theirs = np.asarray(trigger_us, np.int64), np.asarray(trigger_s, np.float64)
     for name, pulses in (("trigger_us", ours), ("trigger_s", theirs)):
@@ -166,7 +167,7 @@ def align_by_triggers(
         b = theirs[max(-shift, 0):max(-shift, 0) + len(a)]
         if len(a) < needed:
             continue
-        # Clocks that differ by 1 % are no clocks: only then is the shift wrong.
+        # A skew near 1 % means that the shift is wrong.
         line = np.polynomial.Polynomial.fit(b, a, 1).convert().coef
         worst = float(np.max(np.abs(a - line[0] - line[1] * b)))
         if abs(line[1] - 1) > 0.01 or worst > tolerance_s:
@@ -184,7 +185,7 @@ def align_by_triggers(
 
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float, float]:
-    """Slope, intercept, and the errors of the slope and at the mean of x."""
+    """Return slope, intercept, and the errors of the slope and at the mean of x."""
     centred = x - x.mean()
     spread = float(centred @ centred)
     slope = float(centred @ y) / spread
@@ -199,11 +200,11 @@ def align_by_correlation(
     t_us: ArrayLike, values: ArrayLike, load: LoadTrace, *, sign: int = 0,
     expected_s: float | None = None, within_s: float | None = None,
 ) -> Clock:
-    """Align a trace with a load by their similarity, skew included.
+    """Align a trace with a load by their correlation; find offset and skew.
 
-    The cross-correlation over every overlap finds the offset; least squares on
-    the offset, the skew and a straight-line relation of the signals refines it.
-    The trace is taken to follow the load without delay.
+    The maximum of the cross-correlation, normalised over each overlap, gives the
+    offset.  Least squares for the offset, the skew and a linear relation of the signals
+    refines it.  The trace is assumed to follow the load without delay.
 
     Parameters
     ----------
@@ -214,9 +215,9 @@ def align_by_correlation(
     load : LoadTrace
         Force, or displacement without force.
     sign : {0, 1, -1}
-        1 if the trace rises with the load, -1 if it falls, 0 if that is unknown.
+        1 if the trace increases with the load, -1 if it decreases, 0 if unknown.
     expected_s, within_s : float, optional
-        The offset from the first time of the trace lies this near to the expected.
+        Expected offset from the first time of the trace, and largest deviation.
 
     Returns
     -------
@@ -226,13 +227,13 @@ def align_by_correlation(
     Raises
     ------
     ValueError
-        If the signals overlap in fewer than 16 samples at every offset allowed, are
-        constant, or fit only if the clocks differed by 2000 ppm or more.
+        If the signals overlap in fewer than 16 samples at every allowed offset, are
+        constant, or fit only with a skew of 2000 ppm or more.
 
     Warns
     -----
     AnalysisWarning
-        If another offset, as for a load of equal cycles, fits nearly as well.
+        If another offset fits nearly as well, e.g. for a load of equal cycles.
     """
     if sign not in (0, 1, -1):
         raise ValueError(f"sign must be 0, 1 or -1, got {sign!r}")
@@ -255,19 +256,19 @@ def align_by_correlation(
     def common(offset: float) -> int:
         return int(np.count_nonzero(~load.inside_gap(t - offset)))
 
-    # Of equal cycles, every one scores alike: try the widest overlaps too.
+    # Equal cycles all have similar scores: try those with the widest overlaps too.
     alike = [i for i in peaks if score[i] > score[peaks[0]] - 0.05]
     alike.sort(key=lambda i: -common(float(lags[i])))
     fits = [fit for i in dict.fromkeys((*peaks[:8], *alike[:4]))
             if (fit := _refine(t, v, load, float(lags[i]), sign)) is not None]
     if expected_s is not None and within_s is not None:
-        # A fit that begins at the edge may leave the range.
+        # A fit that starts at the edge of the range may leave it.
         fits = [fit for fit in fits
                 if abs(fit.offset_s - expected_s) <= within_s] or fits
     if not fits:
         raise ValueError("the trace and the load must overlap in 16 samples, got fewer")
-    # Candidates are compared by what they leave unexplained, not by the coarse score;
-    # of those that differ by chance only, the widest overlap is taken.
+    # Candidates are compared by their residuals, not by the coarse score; if these
+    # differ only by chance, the one with the widest overlap is chosen.
     fits.sort(key=lambda fit: -abs(fit.correlation))
     least = 1 - fits[0].correlation ** 2
     chance = max(0.15, 4 * np.sqrt(2 / max(common(fits[0].offset_s), 1)))
@@ -292,7 +293,7 @@ def align_by_correlation(
 def _correlations(
     t: FloatArray, v: FloatArray, load: LoadTrace
 ) -> tuple[FloatArray, FloatArray]:
-    """Normalised correlation over each overlap, with the gaps left out."""
+    """Return the correlation normalised over each overlap, without gaps."""
     from scipy.signal import correlate
     step = float(np.median(np.diff(t)))
     ours = np.arange(0, t[-1], step)
@@ -303,7 +304,7 @@ def _correlations(
     mean = np.average(b, weights=known)
     a, b = a - a.mean(), (b - mean) * known
     one = np.ones_like(a)
-    # Sums over the overlap at each lag: of the samples, their values and squares.
+    # Sums of samples, values, squares and products over the overlap at each lag.
     n, sa, sb, saa, sbb, sab = (
         correlate(x, y, "full", "fft") for x, y in (
             (one, known), (a, known), (one, b), (a * a, known), (one, b * b), (a, b)))
@@ -370,12 +371,12 @@ def _refine(
     variance = energy / max(1, len(v) - 5) * (1 + r) / (1 - r)
     matrix = jacobian(found.x)
     size = np.sqrt((matrix ** 2).sum(axis=0))
-    # A trace locked to the load's phase leaves the offset open: no pseudo-inverse,
-    # which would give what is open no error.
+    # If samples are locked to the load's phase, the offset is undetermined.  A
+    # pseudo-inverse would assign it no error, so eigenvalues are checked instead.
     low, turn = np.linalg.eigh((matrix / size).T @ (matrix / size))
     inverse = (turn / np.maximum(low, 1e-12)) @ turn.T
     covariance = inverse * variance / np.outer(size, size)
-    # Solved for our time at their zero: tau is 0 at the mean of the times used.
+    # The recording's time at the other clock's zero; tau is 0 at the mean time.
     rate = 1 / (1 - skew)
     zero = (offset + shift - float(t[inside].mean()) * skew) * rate
     return Clock(
@@ -385,10 +386,11 @@ def _refine(
 
 
 def _smooth(load: LoadTrace, step: float) -> Any:
-    """Interpolate the load, smoothed by a sample of the trace, but 5 ms at most.
+    """Interpolate the load, smoothed over a sample of the trace, but 5 ms at most.
 
-    The noise of a faster clock would otherwise dominate the derivative; a symmetric
-    kernel moves nothing in time, and a short one leaves a load that aliases.
+    Noise of a load with a higher sampling rate would otherwise dominate the derivative.
+    The kernel is symmetric, so that it causes no delay, and short, so that it keeps a
+    load that aliases.
     """
     from scipy.interpolate import CubicSpline
     from scipy.ndimage import gaussian_filter1d
@@ -402,7 +404,7 @@ def _smooth(load: LoadTrace, step: float) -> Any:
 def hysteresis(
     t_us: ArrayLike, x: ArrayLike, y: ArrayLike, hz: float, *, bins: int = 60
 ) -> Loop:
-    """Fold two signals at a frequency into an average loop, and measure its area.
+    """Average two signals over cycles of a frequency, and measure the loop's area.
 
     Parameters
     ----------
@@ -422,7 +424,7 @@ def hysteresis(
     Raises
     ------
     ValueError
-        If there is no complete cycle with eight samples, or ``hz`` is no frequency.
+        If there is no complete cycle with eight samples, or ``hz`` is invalid.
     """
     from pdavis_cv.analysis.spectrum import (
         checked_hz,

@@ -1,4 +1,4 @@
-"""A wheel of polarizers: what each sector's angle is while it turns."""
+"""Measure the polarizer angles of the sectors of a rotating wheel."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -27,17 +27,17 @@ class Wheel:
         x and y of the axis in sensor pixels; (0, 0) is the middle of the top left
         pixel.
     radius, hub : float
-        Outer and inner radius of what is measured, pixels.
+        Outer and inner radius of the measured region, pixels.
     sectors : int
-        How many.
+        Number of sectors.
     rpm : float
-        Turns per minute; 0 for sectors that stand still.
+        Turns per minute; 0 for a wheel at rest.
     start_angle : float
-        Angle of sector 0's middle at ``origin_us``, radians.
+        Angle of the middle of sector 0 at ``origin_us``, radians.
     origin_us : int
-        Time that ``start_angle`` belongs to.
+        Time of ``start_angle``.
     margin : float
-        Part of a sector's angle that is left out at each of its edges.
+        Fraction of a sector's angle that is left out at each edge.
 
     Raises
     ------
@@ -64,14 +64,14 @@ class Wheel:
                 raise ValueError(f"{name} must {rule}, got {getattr(self, name)!r}")
 
     def turned(self, t_us: int) -> float:
-        """Angle of sector 0's middle at a time, radians."""
+        """Return the angle of the middle of sector 0 at a time, radians."""
         return self.start_angle + 2 * np.pi * self.rpm / 60e6 * (t_us - self.origin_us)
 
     def labels(
         self, t_us: int, shape: tuple[int, int], *, origin: tuple[int, int] = (0, 0),
         scale: int = 1,
     ) -> NDArray[np.int8]:
-        """Return the number of each pixel's sector, -1 for none.
+        """Return the sector of each pixel, -1 outside all sectors.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Wheel:
         Returns
         -------
         ndarray of TRACE_DTYPE, shape (sectors,)
-            ``aop`` is in the image; less `turned`, it is on the wheel.
+            ``aop`` is relative to the image; minus `turned`, relative to the wheel.
 
         Raises
         ------
@@ -151,19 +151,19 @@ class SectorSummary:
     sector : int
         Number.
     images : int
-        Images in which it was seen.
+        Number of images that show it.
     aop : float
-        Mean angle on the wheel, [0, pi).
+        Mean angle relative to the wheel, [0, pi).
     aop_sd : float
-        Spread of the image means over time.
+        Standard deviation of the images' means over time.
     aop_se : float
         Standard error of ``aop``.
     pixel_sd : float
-        Mean spread over the pixels of an image.
+        Mean standard deviation over the pixels of an image.
     error : float
-        Deviation of ``aop`` from equal spacing, after a common offset.
+        Deviation of ``aop`` from equal spacing, after subtraction of a common offset.
     dolp : float
-        Mean.
+        Mean DoLP.
     """
 
     sector: int
@@ -179,7 +179,7 @@ class SectorSummary:
 def summarise_sectors(
     wheel: Wheel, rows: Sequence[NDArray[Any]], *, spacing: float | None = None
 ) -> list[SectorSummary]:
-    """Summarise what `Wheel.measure` gave over time.
+    """Summarise the results of `Wheel.measure` over time.
 
     Parameters
     ----------
@@ -188,13 +188,13 @@ def summarise_sectors(
     rows : sequence of ndarray of TRACE_DTYPE, shape (sectors,)
         One per image.
     spacing : float, optional
-        Angle from a sector's polarizer to the next one's, radians; default a half
-        turn over all sectors.
+        Angle between the polarizers of adjacent sectors, radians; default: pi divided
+        by the number of sectors.
 
     Returns
     -------
     list of SectorSummary
-        One per sector; NaN for one that was never seen.
+        One per sector; NaN for one that no image shows.
 
     Raises
     ------

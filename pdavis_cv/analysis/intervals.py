@@ -1,4 +1,4 @@
-"""When the events of a pixel come: the times between them, and in what phase."""
+"""Timing of events: intervals between them, and their phase in a period."""
 from __future__ import annotations
 
 from typing import Any
@@ -25,8 +25,8 @@ def pixel_intervals(events: NDArray[Any], width: int) -> NDArray[np.int64]:
     Returns
     -------
     ndarray of int64
-        Microseconds, one per event but the first of each pixel; by pixel, row
-        after row.
+        Microseconds, one for each event except the first of each pixel; ordered by
+        pixel, row after row.
     """
     pixel = events["y"].astype(np.int64) * width + events["x"]
     order = np.argsort(pixel, kind="stable")
@@ -37,16 +37,16 @@ def pixel_intervals(events: NDArray[Any], width: int) -> NDArray[np.int64]:
 def events_by_phase(
     events: NDArray[Any], period_us: float, bins: int = 72
 ) -> NDArray[np.int64]:
-    """Count events by polarity and by when in a period they came.
+    """Count events by polarity and phase in a period.
 
     Parameters
     ----------
     events : ndarray of EVENT_DTYPE, shape (N,)
-        Events of pixels that see the same light.
+        Events of pixels with the same light.
     period_us : float
         Microseconds.
     bins : int
-        Equal parts of the period.
+        Number of equal bins of phase.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def events_by_phase(
     events, period_us = timed_events(events), positive("period_us", period_us)
     bins = whole_number("bins", bins, 1, MOST_BINS)
     part = np.floor(events["t"] % period_us / period_us * bins).astype(np.int64)
-    part = np.minimum(part, bins - 1)  # a remainder may round up to the period
+    part = np.minimum(part, bins - 1)  # rounding may give a phase of one period
     return np.bincount(
         events["p"].astype(np.int64) * bins + part, minlength=2 * bins)[
             :2 * bins].reshape(2, bins)

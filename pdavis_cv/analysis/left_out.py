@@ -1,7 +1,7 @@
-"""Frames left out and predicted: a score that needs no truth but the recording.
+"""Score methods by predicting left-out frames, which needs no ground truth.
 
-Every second frame is taken away; a method, given the rest, is asked for the log
-intensity at its mid-exposure, and the frame itself says how far off the answer is.
+Every second frame is left out.  A method, given the rest, predicts the log intensity at
+the mid-exposure of each, and the prediction is compared with the frame.
 """
 from __future__ import annotations
 
@@ -48,24 +48,24 @@ _LEAST_MOVING = 100  # pixels without which thresholds are not fitted
 
 @dataclass(frozen=True)
 class PredictionScore:
-    """How far predictions of left-out frames are off, for one class of pixels.
+    """Errors of predictions of left-out frames, for one class of pixels.
 
     Parameters
     ----------
     kind : str
         One of ``CLASSES``.
     pixels : int
-        Pixels of all frames together.
+        Number of pixels of all frames together.
     rmse : float
         Root of the mean squared error of natural-log intensity; a prediction that is
         not finite counts as 1.  NaN without pixels.
     bias : float
         Mean error, same unit; 0 in cells, as the mean is taken out.
     coverage : float
-        Part of the errors within one sigma: 0.68 for an honest method.  Sigma is that
-        of the prediction and that of the frame's own noise, which is measured where
-        nothing moves.  NaN where the method states none, and in cells, as the mean
-        that is taken out has a sigma of its own.
+        Fraction of the errors within one sigma; 0.68 if sigmas are correct.  Sigma
+        combines that of the prediction and the frame's own noise, which is measured
+        where nothing moves.  NaN if the method states no variance, and in cells, as the
+        subtracted mean has an error of its own.
     """
 
     kind: str
@@ -77,7 +77,7 @@ class PredictionScore:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A left-out frame and what surrounds it."""
+    """A left-out frame, its neighbours and the events between them."""
 
     frame: ApsFrame
     before: ApsFrame
@@ -88,20 +88,20 @@ class _Place:
 
     @property
     def weight(self) -> float:
-        """How far the frame lies between its neighbours, 0 to 1."""
+        """Relative time of the frame between its neighbours, 0 to 1."""
         start, stop = self.before.mid_us, self.after.mid_us
         return (self.frame.mid_us - start) / (stop - start)
 
 
 class LeftOutFrames:
-    """Every second frame of a recording, taken away to be predicted.
+    """The left-out frames of a recording (every second one), to be predicted.
 
     Parameters
     ----------
     recording : Recording
         With frames and events.
     stop_us : int, optional
-        Only what lies before this time is left out.
+        Only frames before this time are left out.
 
     Attributes
     ----------
@@ -110,9 +110,9 @@ class LeftOutFrames:
     times_us : ndarray of int64, shape (M,)
         Mid-exposures of the frames that were left out.
     thresholds : (float, float) or None
-        Contrast thresholds (ON, OFF), natural-log units, by least squares from what
-        frames change and how many events there are between them, over the pixels that
-        move; None if too few do.
+        Contrast thresholds (ON, OFF), natural-log units, from a least-squares fit of
+        the change between frames to the number of events, over moving pixels; None if
+        there are too few.
 
     Raises
     ------
@@ -144,7 +144,7 @@ class LeftOutFrames:
         for place, classes in zip(self._places, self._classes, strict=True):
             still = classes["static, bright"] | classes["static, dark"]
             w = place.weight
-            # Three frames' noise, two of them weighted.
+            # The noise of three frames, two of them with a weight.
             off = (_linear(place) - _log(place.frame))[still]
             errors.append(off / np.sqrt(1 + w * w + (1 - w) ** 2))
             level.append(np.log(place.frame.dn[still], dtype=np.float64))
@@ -152,7 +152,7 @@ class LeftOutFrames:
         if len(at) < 100 * _NOISE_BINS:
             return np.zeros(1), np.zeros(1)
         parts = np.array_split(np.argsort(at), _NOISE_BINS)
-        # The median ignores what moved without events.
+        # The median is robust against motion without events.
         sigma = [1.4826 * np.median(np.abs(off[part])) for part in parts]
         return np.array([at[part].mean() for part in parts]), np.square(sigma)
 
@@ -170,19 +170,20 @@ class LeftOutFrames:
         return (float(on), float(off)) if min(on, off) > 0 else None
 
     def simple(self, thresholds: tuple[float, float]) -> Mapping[str, list[FloatArray]]:
-        """Return predictions without a model, each of natural-log intensity.
+        """Return model-free predictions of natural-log intensity.
 
         Parameters
         ----------
         thresholds : (float, float)
-            ON and OFF, what an event is taken to stand for.
+            Change of log intensity per ON and per OFF event.
 
         Returns
         -------
         mapping of str to list of ndarray of float64, shape (H, W)
-            ``"held"``: the frame before; ``"linear"``: between the frames before and
-            after; ``"held + events"``: the frame before and the events since;
-            ``"linear + events"``: that from both sides, weighted by nearness.
+            ``"held"``: the frame before; ``"linear"``: interpolation between the frames
+            before and after; ``"held + events"``: the frame before plus the events
+            since; ``"linear + events"``: the same from both sides, weighted by their
+            distance in time.
         """
         on, off = thresholds
 
@@ -205,18 +206,18 @@ class LeftOutFrames:
         self, predictions: Iterable[FloatArray | Estimate], *, relative: bool = False,
         truth: Sequence[FloatArray] | None = None,
     ) -> tuple[PredictionScore, ...]:
-        """Score a prediction per left-out frame, in order.
+        """Score one prediction per left-out frame, in order.
 
         Parameters
         ----------
         predictions : iterable of ndarray, shape (H, W), or Estimate
             Natural log of DN per ms of exposure at ``times_us``.
         relative : bool
-            Predictions are up to an offset of each 2x2 cell, as those of
-            `EventRedundancy` are: only the last class has a score, others are NaN.
+            Whether predictions have an arbitrary offset in each 2x2 cell, as those of
+            `EventRedundancy`: only the last class has a score then, others are NaN.
         truth : sequence of ndarray of float64, shape (H, W), optional
-            What takes the place of each frame, natural log of DN per ms, where the
-            light is known: errors then hold neither the frame's noise nor its blur.
+            Known light to compare with instead of each frame, natural log of DN per ms:
+            errors then include neither the frame's noise nor its blur.
 
         Returns
         -------
@@ -257,28 +258,27 @@ class LeftOutFrames:
     def images(
         self, i: int,
     ) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return a left-out frame's natural-log intensity, what counts, what moves."""
+        """Return a left-out frame's log intensity, and its usable and moving pixels."""
         classes = self._classes[i]
         counts = np.logical_or.reduce(list(classes.values()))
         return _log(self._places[i].frame), counts, classes["moving"]
 
     @property
     def liveliest(self) -> int:
-        """Which frame holds the most moving pixels."""
+        """Index of the frame with the most moving pixels."""
         return int(np.argmax([each["moving"].sum() for each in self._classes]))
 
 
 def observed(method: str | Factory, seen: list[Estimate]) -> Factory:
-    """Return a method for ``fuse`` that also shows what its pixels were read as.
+    """Return a method for ``fuse`` that also stores its estimate of every pixel.
 
-    Images are of the four channels brought to one place and made to agree; this is
-    what the method said of every pixel, before that.
+    This estimate is the one before demosaicing and before the channels are reconciled.
 
     Parameters
     ----------
     method : str or class derived from Reconstructor
     seen : list
-        Gets the latest `Estimate`, alone.
+        Receives the last `Estimate` as its only element.
 
     Returns
     -------
@@ -369,14 +369,14 @@ def _cells(image: NDArray[Any]) -> NDArray[Any]:
 def _per_cell(
     image: NDArray[np.bool_], join: Callable[..., NDArray[np.bool_]],
 ) -> NDArray[np.bool_]:
-    """Return what all or any of a cell's pixels are, for each of them, shape (H, W)."""
+    """Apply `join` (all or any) to each 2x2 cell; return it for each pixel, (H, W)."""
     out = np.zeros(image.shape, np.bool_)
     _cells(out)[:] = join(_cells(image), axis=(1, 3), keepdims=True)
     return out
 
 
 def _without_cell_mean(error: FloatArray) -> FloatArray:
-    """Return errors less the mean of their 2x2 cell; of whole cells only."""
+    """Return errors minus the mean of their 2x2 cell, for complete cells."""
     out = error.copy()
     _cells(out)[:] -= _cells(error).mean(axis=(1, 3), keepdims=True)
     return out

@@ -1,4 +1,4 @@
-"""Force and displacement of a test frame: a CSV with a clock and units of its own."""
+"""Read force and displacement of a test frame from its CSV file."""
 from __future__ import annotations
 
 import csv
@@ -34,7 +34,7 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class LoadTrace:
-    """Record of a test frame, on its own clock.
+    """Data of a test frame, on its own clock.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ class LoadTrace:
     trigger : ndarray of float64, shape (N,), optional
         Level of a trigger line.
     gaps : tuple of (float, float)
-        Where samples are missing, in seconds.
+        Intervals without samples, seconds.
     dropped : int
-        Rows that held no number.
+        Number of rows without numbers.
     """
 
     t_s: FloatArray
@@ -61,13 +61,13 @@ class LoadTrace:
 
     @property
     def primary(self) -> FloatArray:
-        """Force if there is one, else displacement."""
+        """Force, or displacement if there is no force."""
         values = self.force_n if self.force_n is not None else self.displacement_mm
         assert values is not None
         return values
 
     def trigger_times(self) -> FloatArray:
-        """Return the seconds at which the trigger rises through half its range."""
+        """Return the times at which the trigger rises through half its range, s."""
         if self.trigger is None:
             raise ValueError("the load file has no trigger column")
         high, low = float(self.trigger.max()), float(self.trigger.min())
@@ -92,17 +92,17 @@ class LoadTrace:
 def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadTrace:
     """Read the CSV of a test frame.
 
-    Columns are recognised by words in the header (time, force or load,
-    displacement or position, trigger); the unit stands after the name in brackets,
-    after an underscore, or in a row below.
+    Columns are identified by words in the header (time, force or load, displacement or
+    position, trigger).  The unit follows the name in brackets or after an underscore,
+    or is in the row below.
 
     Parameters
     ----------
     path : str or Path
-        Separated by comma, semicolon or tab (then decimal commas are understood);
-        lines that start with ``#`` are comments.
+        Columns are separated by commas, semicolons or tabs (decimal commas are
+        recognised with the latter two); lines that start with ``#`` are comments.
     units : dict of str to str, optional
-        Units that the header does not name: keys time, force, displacement.
+        Units that are not in the header; keys: time, force, displacement.
 
     Returns
     -------
@@ -189,7 +189,7 @@ def _delimiter(lines: list[str]) -> str:
 
 
 def _classify(row: list[str]) -> dict[str, int]:
-    """Kind -> column of a header; empty if the row is none."""
+    """Return the column of each kind in a header; empty if the row is not one."""
     kinds: dict[str, int] = {}
     for i, cell in enumerate(row):
         name = cell.strip().lower()

@@ -1,4 +1,4 @@
-"""Per-pixel lock-in: amplitude and phase of every pixel at one frequency."""
+"""Lock-in analysis: amplitude and phase of every pixel at one frequency."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -22,17 +22,17 @@ class LockInMaps:
     hz : float
         Frequency.
     reference_us : int
-        Where phases count from.
+        Time of phase 0, t0.
     mean : ndarray
         Mean value.
     amplitude, amplitude_se : ndarray
-        Those of ``mean + amplitude * cos(2 pi f (t - t0) + phase)``; NaN where a pixel
-        was usable fewer than five times.  ``amplitude_se`` is the standard error
-        of each of the two quadratures.
+        Amplitude in ``mean + amplitude * cos(2 pi f (t - t0) + phase)``, and the
+        standard error of each of the two quadratures.  NaN where a pixel was usable
+        fewer than five times.
     phase : ndarray
         Radians, -pi..pi.
     count : ndarray
-        How often a pixel was usable.
+        Number of images in which a pixel was usable.
     """
 
     hz: float
@@ -46,15 +46,16 @@ class LockInMaps:
     def smoothed(self, size: int = 3) -> LockInMaps:
         """Average the quadratures over squares of pixels.
 
-        A pixel of a demosaiced image is no measurement of its own: it shares every
-        channel with its neighbours, and its polarizers' errors with none.  Over 3 x 3
-        pixels, which hold 9/4 samples of each channel, these errors average out.
+        A pixel of a demosaiced image is not an independent measurement: it shares the
+        samples of every channel with its neighbours, while the errors of the polarizers
+        differ from sample to sample.  Over 3 x 3 pixels, which hold 9/4 samples of each
+        channel, these errors average out.
 
         Parameters
         ----------
         size : int
-            Side of the square, odd; 1 changes nothing.  At the border and beside
-            pixels without an amplitude, what there is is averaged.
+            Side of the square, odd; 1 changes nothing.  At the border, and next to
+            pixels without an amplitude, the available pixels are averaged.
 
         Returns
         -------
@@ -90,16 +91,16 @@ class LockInMaps:
 
     @property
     def significant(self) -> NDArray[np.bool_]:
-        """Where the amplitude exceeds three times its standard error."""
+        """Pixels whose amplitude exceeds three times its standard error."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self.amplitude > 3 * self.amplitude_se, np.bool_)
 
 
 class LockIn:
-    """Fits mean, cosine and sine at one frequency to every pixel, image by image.
+    """Fit mean, cosine and sine at one frequency to every pixel, image by image.
 
-    Sums are kept, not images, so memory does not grow with time.  Pixels may be
-    missing from some images.
+    It keeps sums, not images, so memory is bounded.  Pixels may be invalid in some
+    images.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ class LockIn:
     hz : float
         Frequency.
     reference_us : int
-        Where phases count from.
+        Time of phase 0.
 
     Raises
     ------
@@ -119,7 +120,7 @@ class LockIn:
     def __init__(self, shape: tuple[int, int], hz: float, reference_us: int) -> None:
         self.hz, self.reference_us = checked_hz(hz), int(reference_us)
         self.shape = (int(shape[0]), int(shape[1]))
-        # Normal equations of 1, cos, sin: those of all images, less missing pixels'.
+        # Normal equations of 1, cos, sin for all images; invalid pixels are subtracted.
         self._whole = np.zeros((3, 3))
         self._missing = np.zeros((6, *self.shape))
         self._right = np.zeros((3, *self.shape))
@@ -129,7 +130,7 @@ class LockIn:
     def add(
         self, t_us: int, image: ArrayLike, valid: NDArray[np.bool_] | None = None
     ) -> None:
-        """Take in an image.
+        """Add an image.
 
         Parameters
         ----------
@@ -163,7 +164,7 @@ class LockIn:
         self._square += np.multiply(v, v, out=self._work, dtype=np.float64)
 
     def maps(self) -> LockInMaps:
-        """Return the maps of what was taken in so far."""
+        """Return the maps of the images so far."""
         matrix = np.empty((*self.shape, 3, 3))
         for i, (a, b) in enumerate(_PAIRS):
             matrix[..., a, b] = matrix[..., b, a] = self._whole[a, b] - self._missing[i]

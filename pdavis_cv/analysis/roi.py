@@ -1,4 +1,4 @@
-"""Regions of interest: rectangles, polygons and what Fiji's ROI manager saved."""
+"""Regions of interest: rectangles, polygons and files of Fiji's ROI manager."""
 from __future__ import annotations
 
 import zipfile
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["Roi", "parse_roi", "read_rois"]
 
 _MOST_BYTES = 1 << 26
-"""Bound on the bytes of all regions of an archive; one has a few hundred."""
+"""Largest size of all regions of an archive, bytes; one has a few hundred."""
 _UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")
 
 
@@ -21,9 +21,8 @@ _UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")
 class Roi:
     """A region in sensor pixels, row 0 at the top.
 
-    A pixel belongs to the region if its centre, (column + 1/2, row + 1/2), lies
-    inside; where rings overlap, inside is counted even-odd, so that a ring within
-    a ring is a hole.
+    A pixel belongs to the region if its centre, (column + 1/2, row + 1/2), lies inside.
+    Overlapping rings follow the even-odd rule: a ring inside another one is a hole.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ class Roi:
 def _inside(
     rings: Sequence[NDArray[np.float64]], height: int, width: int
 ) -> NDArray[np.bool_]:
-    """Even-odd rule at pixel centres: a pixel is inside after an odd crossing."""
+    """Return which pixel centres are inside, by the even-odd rule."""
     crossings = np.zeros((height, width + 1), np.int64)
     rows = np.arange(height) + 0.5
     for ring in rings:
@@ -168,7 +167,7 @@ def _inside(
 
 
 def parse_roi(text: str) -> list[Roi]:
-    """Return the regions that a command line names.
+    """Return the regions described by a text of the command line.
 
     Parameters
     ----------
@@ -185,7 +184,7 @@ def parse_roi(text: str) -> list[Roi]:
     ValueError
         If the text is none of these.
     ImportError
-        If a Fiji file is named and roifile is missing.
+        If the text names a Fiji file and roifile is not installed.
 
     Examples
     --------
@@ -219,7 +218,7 @@ def read_rois(path: str | Path) -> list[Roi]:
     Parameters
     ----------
     path : str or Path
-        Rectangles, ovals, polygons, freehand and composite regions are read.
+        Rectangles, ovals, polygons, freehand and composite regions are supported.
 
     Returns
     -------
@@ -228,9 +227,9 @@ def read_rois(path: str | Path) -> list[Roi]:
     Raises
     ------
     ImportError
-        If roifile, the extra ``[roi]``, is missing.
+        If roifile (extra ``[roi]``) is not installed.
     ValueError
-        If the file is none, or holds a line or a point.
+        If the file has another format, or holds a line or a point.
     OSError
         If the file cannot be read.
     """
@@ -254,7 +253,7 @@ def read_rois(path: str | Path) -> list[Roi]:
         found = roifile.roiread(path)
     except OSError:
         raise
-    except Exception as error:      # of whatever kind roifile raises
+    except Exception as error:      # roifile may raise any
         raise ValueError(f"{path}: not a Fiji ROI file, {error}") from None
     regions = found if isinstance(found, list) else [found]
     if not regions:
@@ -274,7 +273,7 @@ def _from_fiji(region: Any, path: Path) -> Roi:
     try:
         rings = tuple(np.asarray(ring, np.float64)
                       for ring in region.coordinates(multi=True) if len(ring) >= 3)
-    except Exception as error:      # of whatever kind roifile raises
+    except Exception as error:      # roifile may raise any
         raise ValueError(f"{path}: roi {name!r} is damaged, {error}") from None
     if not rings:
         raise ValueError(f"{path}: roi {name!r} has fewer than three corners")

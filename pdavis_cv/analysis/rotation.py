@@ -1,4 +1,4 @@
-"""How fast, which way and from what angle a polarizer turned before the camera."""
+"""Find speed, direction and angle of a polarizer that turns before the camera."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from pdavis_cv.sensor import CHANNELS, Layout
 __all__ = ["RotationFit", "fit_rotation"]
 
 _LEAST_FRAMES = 6
-# Least share of the contrast that remains after the exposure; greatest residual, rad.
+# Smallest contrast left by the exposure's blur, relative; largest residual, rad.
 _LEAST_CONTRAST, _MOST_RESIDUAL = 0.1, 0.2
 # Events in bins of this length: speeds to 15,000 RPM.
 _BIN_US = 1000
@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RotationFit:
-    """Light behind a polarizer that turns at a constant speed.
+    """The light behind a polarizer that turns at a constant speed.
 
     Parameters
     ----------
@@ -34,17 +34,17 @@ class RotationFit:
         Turns per minute of the polarizer, positive = counter-clockwise as
         displayed, and its standard error.
     angle, angle_sigma : float
-        AoP at ``origin_us``, radians in [0, pi), and its standard error; what all
-        pixels of the region have in common as an error is not in it.
+        AoP at ``origin_us``, radians in [0, pi), and its standard error, without errors
+        that are common to all pixels of the region.
     origin_us : int
         Mean time of the frames, where both errors are independent.
     degree : float
-        Degree of polarization, blur by the exposure taken out.
+        Degree of polarization, corrected for the blur of the exposure.
     residual : float
-        Root mean square of the frames' AoP about the fit, radians: noise, fixed
-        pattern, and changes of speed.
+        Root mean square deviation of the frames' AoP from the fit, radians, from noise,
+        fixed pattern and changes of speed.
     frames : int
-        How many were used.
+        Number of frames used.
     """
 
     rpm: float
@@ -57,14 +57,14 @@ class RotationFit:
     frames: int
 
     def aop(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
-        """AoP in radians, [0, pi), the same at every place."""
+        """Return the AoP in radians, [0, pi), the same at every position."""
         t = np.broadcast_arrays(np.asarray(t_us, np.float64), x, y)[0]
         turned = 2 * np.pi * self.rpm / 60e6 * (t - self.origin_us)
         half = np.mod(self.angle + turned, np.pi)
         return np.where(half >= np.pi, 0.0, half)
 
     def dolp(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
-        """Degree of polarization, the same at every time and place."""
+        """Return the degree of polarization, the same at every time and position."""
         return np.full(np.broadcast_shapes(
             np.shape(t_us), np.shape(x), np.shape(y)), self.degree)
 
@@ -74,11 +74,11 @@ def fit_rotation(
     roi: tuple[int, int, int, int] | None = None,
     extinction_ratio: float | None = None,
 ) -> RotationFit:
-    """Find out how a polarizer turned, from frames and events together.
+    """Fit the rotation of a polarizer to frames and events.
 
-    Events tell speed and sense without ambiguity, frames tell both exactly: the
-    polarization of a region's mean is z = (S1 + i S2)/S0 = a exp(2i angle) at each
-    frame's mid-exposure, and speed and a are fitted by least squares.
+    Events give speed and direction without ambiguity, frames make them precise: the
+    polarization of a region's mean at each frame's mid-exposure is z = (S1 + i S2)/S0
+    = a exp(2i angle), and speed and a are fitted by least squares.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def fit_rotation(
     roi : (int, int, int, int), optional
         (x, y, width, height) in sensor pixels, filled by the polarizer; default all.
     extinction_ratio : float, optional
-        That of the pixels' polarizers; S1 and S2 are corrected for it.
+        Extinction ratio of the pixels' polarizers, for which S1 and S2 are corrected.
 
     Returns
     -------
@@ -98,14 +98,14 @@ def fit_rotation(
     Raises
     ------
     ValueError
-        If there is no layout, no event, too few usable frames, nothing turns or not
-        at a constant speed, or the exposure blurs the frames beyond recognition.
+        If there is no layout, no event, or too few usable frames; if nothing turns at a
+        constant speed; or if the exposure blurs all polarization.
 
     Notes
     -----
-    With N frames over a time T whose AoP has noise s each, the standard error of the
-    speed is s sqrt(12/N)/T and that of the angle at ``origin_us`` s/sqrt(N), s being
-    taken from the residuals.
+    For N frames over a time T, each with an AoP error s, the standard error of the
+    speed is s sqrt(12/N)/T, and that of the angle at ``origin_us`` is s/sqrt(N).  s is
+    estimated from the residuals.
     """
     layout = recording.info.layout if layout is None else layout
     if layout is None:
@@ -139,10 +139,10 @@ def fit_rotation(
         raise ValueError("recording must show a polarizer that turns; what its frames "
                          "show is not polarized")
     contrast = float(np.sinc(hz * exposure_us / 1e6))
-    # An exposure of more than a cycle turns the wave over: the sign counts.
+    # An exposure longer than a cycle inverts the wave, so the sign matters.
     wave = weights[0] / contrast
     rest = z - model @ weights
-    # Half of the residual's power is across the phase; AoP is half of it.
+    # Half of the residual's power is an error of phase; AoP is half the phase.
     freedom = max(2 * len(t) - 2 * model.shape[1] - 1, 1)
     noise = np.sqrt((np.abs(rest) ** 2).sum() / freedom) / abs(weights[0]) / 2
     if noise > _MOST_RESIDUAL:
@@ -163,7 +163,7 @@ def fit_rotation(
 def _frames(
     recording: Recording, rows: slice, columns: slice, angles: NDArray[np.int64]
 ) -> tuple[FloatArray, Complex, float, int]:
-    """Return times, polarization, exposure of the usable frames; the number of all."""
+    """Return times, polarization, exposure of usable frames; the number of frames."""
     t, z, exposures, count = [], [], [], 0
     for packet in recording.packets():
         for frame in packet.frames:
@@ -195,11 +195,11 @@ def _channels(frame: ApsFrame, angles: NDArray[np.int64]) -> list[float] | None:
 def _of_events(
     recording: Recording, rows: slice, columns: slice, angles: NDArray[np.int64]
 ) -> float:
-    """Return AoP cycles per second, signed, as the events tell it.
+    """Return the signed frequency of AoP cycles from the events, Hz.
 
-    Each event counts p exp(2i a), a the angle of its polarizer.  Summed up, that
+    Each event contributes p exp(2i a), where a is the angle of its polarizer.  The sum
     follows exp(2i AoP), with harmonics at -3, 5, ... times its frequency that are
-    weaker by those factors.
+    weaker by these factors.
     """
     events = recording.events()
     events = events[(events["x"] >= columns.start) & (events["x"] < columns.stop)
@@ -212,7 +212,7 @@ def _of_events(
     step = np.where(events["p"] > 0, 1, -1) * np.exp(
         2j * np.deg2rad(angles[events["y"], events["x"]]))
     rate = (np.bincount(t, step.real, n) + 1j * np.bincount(t, step.imag, n))
-    # Padded, so that a peak between two frequencies is not missed.
+    # Zero-padded, so that a peak between two frequencies is found.
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.fft((rate - rate.mean()) * np.hanning(n), size)
     hz = np.fft.fftfreq(size, _BIN_US / 1e6)
@@ -253,9 +253,10 @@ def _basis(t: FloatArray, hz: float, others: tuple[int, ...]) -> Complex:
 
 
 def _nuisances(t: FloatArray, near: FloatArray) -> tuple[int, ...]:
-    """Return what unequal channels add to the wave: an offset, the wave backwards.
+    """Return the terms that unequal channels cause: an offset, the conjugate wave.
 
-    Only where the frames' clock lets them be told from the wave and each other.
+    Terms that the frames' times do not separate from the wave or from each other are
+    left out.
     """
     kept: list[int] = []
     for k in (0, -1):

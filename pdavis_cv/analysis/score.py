@@ -1,4 +1,4 @@
-"""How far polarization images are from the truth, and from what they claim."""
+"""Errors of polarization images relative to known light and to their own sigmas."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -18,37 +18,36 @@ class KnownLight(Protocol):
     """Light whose polarization is known, such as `simulation.Truth`."""
 
     def aop(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """AoP in radians at times in us and places in pixels of the recording."""
+        """Return the AoP, radians, at times in us and positions in recording pixels."""
         ...
 
     def dolp(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """Degree of linear polarization at times and places."""
+        """Return the degree of linear polarization at times and positions."""
         ...
 
 
 @dataclass(frozen=True)
 class Score:
-    """Mean absolute errors and what goes with them; angles in radians.
+    """Mean absolute errors of images, and related numbers; angles in radians.
 
     Parameters
     ----------
     images : int
-        Images scored.
+        Number of images.
     aop_error, dolp_error : float
-        Errors of every pixel, valid or not; one that is not finite counts as 45
-        degrees (the mean error of guesses) and as 1.
+        Errors of all pixels, valid or not.  Values that are not finite count as errors
+        of 45 degrees, the mean error of a guess, and of 1.
     roi_aop_error, roi_dolp_error : float
-        Errors of the region's mean Stokes vector; NaN where the truth differs over it.
+        Errors of the region's mean Stokes vector; NaN if the truth varies within it.
     roi_dolp : float
-        DoLP of that mean, itself.
+        DoLP of that mean.
     roi_aop_range : float
-        Largest less smallest AoP of that mean: close to pi for light that turns
-        through, and blind to noise.
+        Largest minus smallest AoP of that mean: close to pi if the polarization turns.
     aop_coverage, dolp_coverage : float
-        Part of the valid pixels whose error is at most the sigma that they claim:
-        0.68 for an honest one.  NaN where none is claimed.
+        Fraction of the valid pixels whose error is at most their sigma; 0.68 if sigmas
+        are correct.  NaN if images have none.
     valid : float
-        Part of the pixels that were valid.
+        Fraction of valid pixels.
     """
 
     images: int
@@ -64,7 +63,7 @@ class Score:
 
 
 class Scorer:
-    """Sums up errors of images against known light.
+    """Accumulate errors of images relative to known light.
 
     Parameters
     ----------
@@ -77,12 +76,12 @@ class Scorer:
     scale : int
         Recording pixels per image pixel; 2 for super-pixel images.
     mask : ndarray of bool, shape (H, W), optional
-        What counts; default everything.
+        Pixels to score; default all.
     least_dolp : float
-        AoP counts where the true DoLP exceeds this.
+        AoP is scored where the true DoLP exceeds this.
     margin : float
-        Pixels: places within this of an edge, where the true AoP jumps by more than
-        2 degrees, are left out.
+        Pixels closer than this to an edge, where the true AoP jumps by more than 2
+        degrees, are left out; pixels.
     """
 
     def __init__(
@@ -100,8 +99,8 @@ class Scorer:
         y, x = np.nonzero(self._mask)
         self._x = (x + 0.5) * scale - 0.5 + origin[0]
         self._y = (y + 0.5) * scale - 0.5 + origin[1]
-        # Sums and counts: errors of AoP, of DoLP, of the region's AoP and DoLP; and
-        # the region's DoLP.
+        # Sums and counts of five values: errors of AoP and DoLP, errors of the region's
+        # AoP and DoLP, and the region's DoLP.
         self._sum, self._count = np.zeros(5), np.zeros(5)
         self._covered, self._claimed = np.zeros(2), np.zeros(2)
         self._valid = self._seen = self._images = 0

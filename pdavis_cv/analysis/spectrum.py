@@ -31,11 +31,11 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-# Below this many samples a cycle's amplitude depends on where they happen to fall.
+# With fewer samples per cycle, the amplitude depends on their phases.
 _SAMPLES_PER_CYCLE = 2.5
 
 MOST_HZ = 500_000.0
-"""Half the rate of a clock of microseconds."""
+"""Largest frequency: half the rate of a clock of microseconds."""
 MOST_HARMONICS = 64
 """A choice: the fit solves for two unknowns of each."""
 _LEAST_CYCLES = 0.05
@@ -67,11 +67,11 @@ class Tone:
     phase, phase_se : ndarray of float64, shape (K,)
         Radians, -pi..pi, of the cosine at ``reference_us``.
     reference_us : int
-        Where phases count from.
+        Time of phase 0, t0.
     false_alarm : float
-        Probability that noise alone shows such a peak somewhere.
+        Probability that noise alone has such a peak at any frequency.
     residual_sd : float
-        Scatter about the fit.
+        Standard deviation of the residuals.
     """
 
     hz: float
@@ -88,7 +88,7 @@ class Tone:
 
     @property
     def distortion(self) -> float:
-        """Root sum square of the harmonics over the fundamental (THD)."""
+        """Root sum square of the harmonics divided by the fundamental (THD)."""
         harmonics = float(np.sqrt(np.sum(self.amplitude[1:] ** 2)))
         return harmonics / float(self.amplitude[0]) if self.amplitude[0] > 0 else np.nan
 
@@ -100,9 +100,9 @@ class Cycle:
     Parameters
     ----------
     phase : ndarray of float64, shape (B,)
-        Bin centres in cycles, 0..1, counted from ``reference_us``.
+        Bin centres in cycles, 0..1, from ``reference_us`` on.
     mean, sd, se : ndarray of float64, shape (B,)
-        Mean, spread and standard error of the mean; NaN in an empty bin.
+        Mean, standard deviation, and standard error of the mean; NaN in an empty bin.
     count : ndarray of int64, shape (B,)
         Samples in the bin.
     """
@@ -116,7 +116,7 @@ class Cycle:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """How mean and amplitude change from cycle to cycle.
+    """Change of mean and amplitude from cycle to cycle.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ def dominant_tone(
 ) -> Tone:
     """Find the strongest periodic component of a trace.
 
-    A periodogram by least squares (Lomb-Scargle), which needs no equal spacing,
-    finds the peak; a fit of frequency, harmonics and drift refines it.
+    The peak is found in a least-squares periodogram (Lomb-Scargle), which needs no
+    equal spacing; a fit of frequency, harmonics and drift refines it.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def fit_tone(
     values : array_like, shape (N,)
         The trace; NaN are left out.
     hz : float
-        Frequency, right to half a cycle over the record.
+        Frequency, accurate to half a cycle over the record.
     harmonics : int
         Fundamental and harmonics to fit.
 
@@ -236,7 +236,7 @@ def fit_tone(
 
 
 def checked_trace(t_us: ArrayLike, **values: ArrayLike) -> tuple[NDArray[Any], ...]:
-    """Return the times of a trace as int64 and its values as float64, of one shape.
+    """Return the times of a trace as int64 and its values as float64, same shapes.
 
     Raises
     ------
@@ -261,7 +261,7 @@ def checked_trace(t_us: ArrayLike, **values: ArrayLike) -> tuple[NDArray[Any], .
 
 
 def checked_hz(hz: float) -> float:
-    """Return a frequency that a clock of microseconds can tell.
+    """Return a frequency, if a clock of microseconds can resolve it.
 
     Raises
     ------
@@ -275,14 +275,14 @@ def checked_hz(hz: float) -> float:
 def complete_cycles(
     t: NDArray[np.int64], reference_us: int, hz: float
 ) -> Iterator[tuple[int, FloatArray, slice]]:
-    """Yield the complete cycles that hold samples, one after the other.
+    """Yield the complete cycles with samples, in order.
 
     Parameters
     ----------
     t : ndarray of int64, shape (N,)
         Increasing times in us.
     reference_us : int
-        Where cycle 0 begins.
+        Start of cycle 0.
     hz : float
 
     Yields
@@ -379,7 +379,7 @@ def _refine(
 
 
 def _inflation(residual: FloatArray) -> float:
-    """How much correlated residuals enlarge a variance: (1 + r) / (1 - r)."""
+    """Return the variance inflation by correlated residuals, (1 + r) / (1 - r)."""
     energy = float(residual @ residual)
     if energy <= 0:
         return 1.0
@@ -391,7 +391,7 @@ def cycle_average(
     t_us: ArrayLike, values: ArrayLike, hz: float, *, bins: int = 40,
     reference_us: int | None = None,
 ) -> Cycle:
-    """Fold a trace at a frequency and average in phase bins.
+    """Average a trace in bins of the phase of a frequency.
 
     Parameters
     ----------
@@ -402,7 +402,7 @@ def cycle_average(
     hz : float
         Frequency.
     bins : int
-        Equal parts of the cycle.
+        Number of equal bins of the cycle.
     reference_us : int, optional
         Time of phase 0; default the first time.
 
@@ -451,7 +451,7 @@ def cycle_drift(
     hz : float
         Frequency; a cycle needs five samples.
     reference_us : int, optional
-        Where cycle 0 begins; default the first time.
+        Start of cycle 0; default: the first time.
 
     Returns
     -------
@@ -497,17 +497,17 @@ def _trend(x: NDArray[np.int64], y: FloatArray) -> tuple[float, float]:
 def alias_warning(
     load_hz: float, sample_hz: float, source: str = "trace"
 ) -> str | None:
-    """Say whether a load is too fast for the samples that follow it.
+    """Return a warning if a load is too fast for the sampling rate.
 
     Parameters
     ----------
     load_hz : float
         Frequency of the load.
     sample_hz : float
-        Rate of the source's independent samples; for a method that only uses
-        frames the frame rate, whatever the rate of its images.
+        Rate of independent samples; for a method that only uses frames, the frame rate,
+        whatever the rate of its images.
     source : str
-        What the message calls it.
+        Name of the source in the message.
 
     Returns
     -------
@@ -525,15 +525,15 @@ def alias_warning(
     message = (
         f"{source}: a load of {load_hz:.4g} Hz aliases at {sample_hz:.4g} samples per "
         f"second (it needs {_SAMPLES_PER_CYCLE * load_hz:.4g}); it appears at "
-        f"{apparent:.3g} Hz and its amplitude means nothing")
+        f"{apparent:.3g} Hz and its amplitude is meaningless")
     warnings.warn(message, AnalysisWarning, stacklevel=2)
     return message
 
 
 def phase_locked(t_us: ArrayLike, hz: float) -> bool:
-    """Return whether samples meet a load at one phase only, or at opposite ones.
+    """Return whether all samples have the same phase of a load, or opposite phases.
 
-    They then cannot tell its amplitude from its phase.
+    Amplitude and phase of the load are then not separable.
 
     Parameters
     ----------
@@ -552,5 +552,5 @@ def phase_locked(t_us: ArrayLike, hz: float) -> bool:
         return True
     angle = 2 * np.pi * hz * 1e-6 * (t - t[0])
     turn = np.stack((np.cos(angle), np.sin(angle)))
-    # 0.5 and 0.5 where all phases are met alike.
+    # Both eigenvalues are 0.5 for uniformly distributed phases.
     return bool(np.linalg.eigvalsh(np.cov(turn, bias=True))[0] < 0.05)

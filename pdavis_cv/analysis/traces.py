@@ -1,4 +1,4 @@
-"""Traces: what a region's polarization is over time, each value with its error."""
+"""Traces: polarization of regions over time, each value with its error."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ _PIXELS_PER_SAMPLE = {
 
 
 def pixels_per_sample(demosaic: str) -> tuple[float, float, float]:
-    """Return how many pixels of S0, S1 and S2 share one sample's information."""
+    """Return the number of pixels of S0, S1 and S2 per independent sample."""
     return _PIXELS_PER_SAMPLE.get(demosaic, (1.0, 1.0, 1.0))
 
 
@@ -60,7 +60,7 @@ class Traces:
     table : ndarray of TRACE_DTYPE, shape (R, T)
         One row per region.
     provenance : mapping of str to object
-        What produced the images.
+        Provenance of the images.
     """
 
     rois: tuple[Roi, ...]
@@ -91,21 +91,20 @@ def region_statistics(
         True = usable.
     estimate : {"stokes", "pixels"}
         Whether DoLP and AoP are those of the mean Stokes vector, or the mean and
-        circular mean of the pixels' own.  A mean of DoLP is biased upward by noise.
+        circular mean over pixels.  The mean of DoLP is biased upward by noise.
     pixels_per_sample : (float, float, float)
-        How many pixels of S0, S1 and S2 share the information of one independent
-        sample.
+        Number of pixels of S0, S1 and S2 per independent sample.
 
     Returns
     -------
     ndarray of TRACE_DTYPE, shape ()
-        Without time and events.  Standard errors take the scatter over the region
-        as noise; NaN where fewer than two pixels are usable.
+        Without time and events.  Standard errors follow from the scatter over the
+        region; NaN if fewer than two pixels are usable.
 
     Raises
     ------
     ValueError
-        If ``estimate`` is another word.
+        If ``estimate`` is unknown.
     """
     if estimate not in ("stokes", "pixels"):
         raise ValueError(f"estimate must be 'stokes' or 'pixels', got {estimate!r}")
@@ -161,13 +160,13 @@ def _axial(s2: float, s1: float) -> float:
 
 
 class TraceRecorder:
-    """Collects traces of regions, image by image.
+    """Collect traces of regions, image by image.
 
     Parameters
     ----------
     rois : sequence of Roi
-        In sensor pixels; images that are a part of the sensor, or super-pixel
-        images, are recognised by their provenance.
+        Regions in sensor pixels.  For images of a part of the sensor and super-pixel
+        images, the provenance gives the relation to sensor pixels.
     estimate : {"stokes", "pixels"}
         See `region_statistics`.
     background : ndarray, shape (3, H, W), optional
@@ -196,12 +195,12 @@ class TraceRecorder:
         self._per_sample = pixels_per_sample("")
 
     def add(self, frame: PolarFrame) -> None:
-        """Take in an image.
+        """Add an image.
 
         Parameters
         ----------
         frame : PolarFrame
-            From `fuse`; each of the same shape.
+            From `fuse`; all images must have the same shape.
 
         Raises
         ------
@@ -252,7 +251,7 @@ class TraceRecorder:
 
     @property
     def count(self) -> int:
-        """Images so far."""
+        """Number of images so far."""
         return len(self._rows)
 
     def traces(self, recording: Recording | None = None) -> Traces:
@@ -261,7 +260,7 @@ class TraceRecorder:
         Parameters
         ----------
         recording : Recording, optional
-            Adds event rates, of the interval that ends with each image.
+            Adds event rates in the interval before each image.
 
         Returns
         -------
