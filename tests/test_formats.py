@@ -195,6 +195,7 @@ def test_the_page_of_formats_runs_and_lists_the_table(root, tmp_path):
     assert made["MINE"].knows(tmp_path / "x.mine", b"MINE....")
     with made["Reader"](tmp_path / "x.mine") as recording:
         np.testing.assert_array_equal(recording.events(), events)
-    rows = [line.split("|") for line in page.splitlines() if line.startswith("| ")][2:]
+    table = next(part for part in page.split("\n\n") if part.startswith("| format |"))
+    rows = [line.split("|") for line in table.splitlines()][2:]
     listed = {row[2].strip(" `"): row[4].strip() == "yes" for row in rows}
     assert listed == {one.name: one.writer is not None for one in registry.BUILT_IN}
