@@ -153,7 +153,7 @@ def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
     assert all((tmp_path / link).exists() for link in links)
     for name in ("fig1", "fig2", "fig3", "fig4a", "fan", "tendon", "range", "dr",
                  "flicker", "optics", "transfer", "denoise", "network", "tables",
-                 "videos"):
+                 "videos", "robustness"):
         assert (tmp_path / f"all-{name}.md").exists()
         assert (tmp_path / f"all-{name}.csv").exists()
     line = next(line for line in capsys.readouterr().out.splitlines()

@@ -74,3 +74,17 @@ def test_the_command_writes_videos_that_play_and_a_page(tmp_path, monkeypatch):
     aop = {(name, method): float(error) for name, method, error, _ in rows}
     assert aop["1", "kalman"] < 1 < aop["1", "PDAVIS frames"] / 10
     assert aop["5-10Hz", "kalman"] < aop["5-10Hz", "frames"]
+
+
+def test_the_papers_words_on_a_video_are_judged_by_the_errors():
+    frames, kalman = ("PDAVIS frames", 30.0, 0.02), ("kalman", 1.0, 0.01)
+    pages = {}
+    for name, rows in (("1", [frames, kalman]), ("5-1Hz", [frames, kalman]),
+                       ("5-10Hz", [("frames", 1.0, 0.3), kalman]),
+                       ("4", [("Sony 75 fps", 1.5, 0.1), kalman])):
+        page = videos.videos_page("v", {name: rows}, {name: 10})
+        pages[name] = page[-2]
+    assert pages["1"].endswith("| 30.0 / 1.0 degrees | agrees: events only |")
+    assert pages["5-1Hz"].endswith("| 0.020 / 0.010 | agrees: both |")
+    assert pages["5-10Hz"].endswith("| agrees: events only |")
+    assert pages["4"].endswith("| 1.5 / 1.0 degrees | differs |")

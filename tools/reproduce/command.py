@@ -322,7 +322,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 
 
 _IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "optics", "transfer", "denoise",
-           "network", "tables", "videos")
+           "network", "tables", "videos", "robustness")
 
 
 # Of figures 2 and 3 ten specimens, each at its own start angle, make up for fewer
@@ -356,11 +356,14 @@ def _all(figure: str, stem: Path, settings: Settings) -> Result:
     """Make everything, a table of it, and a page with the pictures."""
     stems = {name: beside_stem(stem, f"-{name}") for name in _IN_ALL}
     rows = together.made(stems, settings, _experiment)
-    every = [row for each in rows.values() for row in each]
+    # Of cameras that are as assumed: what departs has a page of its own.
+    every = [row for name, each in rows.items() if name != "robustness"
+             for row in each]
     write_rows(stem, every, _facts(figure, settings))
     write_index(stem, [(name, EXPERIMENTS[name][0], _own(name, settings))
                        for name in _IN_ALL])
-    return write_page(stem, summary(rows)), every
+    return write_page(stem, summary({
+        name: each for name, each in rows.items() if name != "robustness"})), every
 
 
 Experiment = Callable[[str, Path, Settings], Result]

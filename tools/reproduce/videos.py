@@ -356,7 +356,48 @@ def videos_page(stem: str, errors: Mapping[str, Sequence[tuple[str, float, float
                   f"{sizes[name] / 1e6:.1f} MB: {VIDEOS[name].what}.", ""]
         lines += table(("method", "AoP / DoLP"), [
             (row, f"{aop:.1f} / {dolp:.3f}") for row, aop, dolp in rows])
-    return lines
+    beside = [(f"video {name}", stated, _beside(rows, column), _shown(
+        rows, column)) for name, rows in errors.items()
+        for stated, column in (_STATED[name],)]
+    head = ("", "paper", "frames' errors over those of methods with events", "")
+    return [*lines, "## Beside the paper", "", *table(head, beside)]
+
+
+# What the supplement says of each video, and whether AoP (1) or DoLP (2) shows it.
+_STATED = {
+    "1": ("frames update AoP much slower than events", 1),
+    "2": ("frames update DoLP much slower than events", 2),
+    "3": ("frames of neither camera have AoP in all of the scene", 1),
+    "4": ("severe motion blur in the Sony, none with events", 1),
+    "5-1Hz": ("frames monitor the changes accurately", 2),
+    "5-10Hz": ("frames are severely aliased, events are not", 2)}
+
+
+def _split(rows: Sequence[tuple[str, float, float]], column: int
+           ) -> tuple[float, float]:
+    """Return the least error of frames, and the least one of methods with events."""
+    errors = {name: (aop, dolp)[column - 1] for name, aop, dolp in rows}
+    frames = {name for name in errors if "frames" in name or "Sony" in name}
+    return (min(errors[name] for name in frames),
+            min(errors[name] for name in errors.keys() - frames))
+
+
+def _beside(rows: Sequence[tuple[str, float, float]], column: int) -> str:
+    frames, others = _split(rows, column)
+    form = "{:.1f} / {:.1f} degrees" if column == 1 else "{:.3f} / {:.3f}"
+    return form.format(frames, others)
+
+
+_MUCH, _ALIKE = 2.0, 0.05
+"""Times as large an error that shows; an error of DoLP that does not."""
+
+
+def _shown(rows: Sequence[tuple[str, float, float]], column: int) -> str:
+    """Say whether frames err at least twice as much, or if not, no more than a bit."""
+    frames, others = _split(rows, column)
+    if frames > _MUCH * others and frames > _ALIKE:
+        return "agrees: events only"
+    return "agrees: both" if column == 2 and frames < _ALIKE else "differs"
 
 
 def videos_html(stem: str, names: Sequence[str]) -> str:
