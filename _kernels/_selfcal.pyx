@@ -42,6 +42,7 @@ cdef packed struct reading_t:
 cdef packed struct candidate_t:
     double noise_per_s      # process noise, thresholds^2 per second and per event
     double noise_per_event
+    double drift            # thresholds' relative change between samples, a variance
     double hz               # bandwidth: hz + hz_per_intensity * I
     double hz_per_intensity
     double frame_sigma      # what de-blurring leaves, ln
@@ -273,6 +274,9 @@ cdef void take_frame(state_t* s, const walk_t* begin, const event_t* events,
         level = frame.log
     else:
         theta2 = 0.25 * (s.on + s.off) * (s.on + s.off)
+        if n_on + n_off >= LEARN_EVENTS:
+            s.p11 += camera.threshold_drift * s.on * s.on
+            s.p22 += camera.threshold_drift * s.off * s.off
         propagate(s, n_on, n_off, theta2 * drift(
             frame.middle - reference, n_on + n_off, camera))
         level = s.base
@@ -385,6 +389,7 @@ def sample_innovations(const event_t[::1] events not None,
                 cameras[k].refractory_us = refractory_us
                 cameras[k].leak_per_s = candidates[c + k].noise_per_s
                 cameras[k].noise_per_event = candidates[c + k].noise_per_event
+                cameras[k].threshold_drift = candidates[c + k].drift
                 cameras[k].bandwidth_hz = candidates[c + k].hz
                 cameras[k].bandwidth_hz_per_intensity = (
                     candidates[c + k].hz_per_intensity)

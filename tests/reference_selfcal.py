@@ -29,6 +29,8 @@ def innovations(events, readings, theta, sigma, camera, deaf=0.0):
         if not fresh:
             F = np.eye(3)
             F[0, 1:] = n_on, -n_off
+            if n_on + n_off >= 3:
+                pixel.P[[1, 2], [1, 2]] += camera["drift"] * pixel.x[1:]**2
             pixel.x, pixel.P = F @ pixel.x, F @ pixel.P @ F.T
             pixel.P[0, 0] += pixel.x[1:].mean()**2 * (
                 camera["noise_per_s"] * 1e-6 * (middle - reference)

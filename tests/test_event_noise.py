@@ -9,6 +9,8 @@ from pdavis_cv.reconstruct.kalman.threshold_drift import (
     drift_variance,
     frame_drift,
 )
+from pdavis_cv.selfcal import SelfCalibration
+from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 
 @pytest.mark.parametrize(("motion", "each"), [(0.3, 0.1), (0.0, 0.2), (0.5, 0.0003)])
@@ -98,11 +100,54 @@ def test_a_common_change_of_thresholds_is_told_from_noise():
     e = np.array([0.02, -0.01]) @ by + rng.normal(0, v**0.5, 4000)
     normal = [*(by @ e / v), *(np.array([by[0] @ by[0], by[0] @ by[1],
                                          by[1] @ by[1]]) / v)]
-    on, off, spread = frame_drift(normal)
-    assert (on, off) == pytest.approx((0.02, -0.01), abs=0.003)
-    assert spread == pytest.approx(2 * 0.002**2, rel=0.5)
-    same, other = (0.01, 0.01, 1e-5), (-0.01, -0.01, 1e-5)
+    *weighted, on, both, off = frame_drift(normal)
+    information = np.array([[on, both], [both, off]])
+    assert np.linalg.solve(information, weighted) == pytest.approx(
+        (0.02, -0.01), abs=0.003)
+    spread = np.linalg.inv(np.array([[normal[2], normal[3]], [normal[3], normal[4]]])
+                           + 0.1**-2 * np.eye(2)) + 0.002**2 * np.eye(2)
+    np.testing.assert_allclose(np.linalg.inv(information), spread, rtol=1e-9)
+
+
+def test_each_direction_of_a_drift_counts_by_its_information():
+    def told(change, variances):
+        """The ratio is known with one variance, the scale with another."""
+        turn = np.array([[1, 1], [-1, 1]]) / 2**0.5
+        w = turn @ np.diag(np.reciprocal(variances)) @ turn.T
+        return (*(w @ np.asarray(change)), w[0, 0], w[0, 1], w[1, 1])
+
+    same, other = told((0.01, 0.01), (1e-5, 1e-5)), told((-0.01, -0.01), (1e-5, 1e-5))
     assert drift_variance(drift_product(same, other)) == 0
     assert drift_variance(np.multiply(20, drift_product(same, same))) == pytest.approx(
         0.01**2, rel=0.01)
-    assert drift_product(same, (0.0, 0.0, 0.0)) == (0, 0)
+    assert drift_product(same, (0.0,) * 5) == (0, 0)
+    # Of a scale that no frame tells, whatever is found of it is of no account.
+    for scale in (-0.02, 0.0, 0.02):
+        known = told((0.01 + scale, -0.01 + scale), (1e-5, 1e-2))
+        assert drift_variance(np.multiply(20, drift_product(known, known))
+                              ) == pytest.approx(2 * 0.01**2, rel=0.02)
+
+
+@pytest.mark.parametrize(("drift", "noise_hz", "found"), [
+    (0.1, 0, {0.1}), (0.0, 10, {5.0, 15.0}), (0.1, 10, {5.0, 15.0})])
+def test_thresholds_that_drift_are_no_noise_of_events(drift, noise_hz, found):
+    """They move sums from frame to frame alike; 15 thresholds^2/s were found."""
+    recording, _ = Camera.preset(
+        "nominal", seed=3, size=(8, 8), faults={
+            "drift_on": drift, "drift_off": -drift}).record(
+                RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.5)
+    rng = np.random.default_rng(0)
+    noise = np.zeros(round(noise_hz * 1.5 * 64), EVENT_DTYPE)
+    noise["t"] = rng.integers(0, 1_500_000, len(noise))
+    for name, end in (("x", 8), ("y", 8), ("p", 2)):
+        noise[name] = rng.integers(0, end, len(noise))
+    events = np.sort(np.concatenate([recording.events(), noise]), order="t")
+    look = SelfCalibration((8, 8), (0.16, 0.18), every_pixel=False)
+    for frame in (frame for packet in recording.packets() for frame in packet.frames):
+        until = np.searchsorted(events["t"], frame.mid_us)
+        look.add_events(events[:until])
+        events = events[until:]
+        look.add_frame(frame)
+    look.add_events(events)
+    estimate = look.estimate(wanted={"noise"}, bandwidth=(250.0, 0.0))
+    assert estimate.noise in found

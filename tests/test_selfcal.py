@@ -60,6 +60,7 @@ def test_the_kernel_is_its_twin(recording, deaf):
         deaf)
     candidates = candidates_of([(250.0, 0.0), (0.0, 8.0), (20.0, 3.0)])
     candidates["noise_per_s"][2] = 0.1
+    candidates["drift"][1:] = 1e-4, 2.5e-5
     candidates["frame_sigma"][2] = 0.01
     candidates["scale_on"][2] = 1.3
     candidates["clock_us"][1:] = -1500, 7000

@@ -86,12 +86,13 @@ READING_DTYPE = np.dtype([
 usable), its exposure, and up to when events are looked at (us)."""
 
 CANDIDATE_DTYPE = np.dtype([
-    ("noise_per_s", "<f8"), ("noise_per_event", "<f8"), ("hz", "<f8"),
-    ("hz_per_intensity", "<f8"), ("frame_sigma", "<f8"), ("scale_on", "<f8"),
-    ("scale_off", "<f8"), ("clock_us", "<i8")])
-"""A camera to try: process noise in thresholds^2 per second and per event, bandwidth
-in Hz and Hz per DN/ms, what de-blurring leaves (ln units), factors on the nominal
-thresholds, and what is added to the frames' times (us)."""
+    ("noise_per_s", "<f8"), ("noise_per_event", "<f8"), ("drift", "<f8"),
+    ("hz", "<f8"), ("hz_per_intensity", "<f8"), ("frame_sigma", "<f8"),
+    ("scale_on", "<f8"), ("scale_off", "<f8"), ("clock_us", "<i8")])
+"""A camera to try: process noise in thresholds^2 per second and per event, variance of
+the thresholds' relative change from frame to frame, bandwidth in Hz and Hz per DN/ms,
+what de-blurring leaves (ln units), factors on the nominal thresholds, and what is added
+to the frames' times (us)."""
 
 INNOVATIONS_DTYPE = np.dtype([
     ("chi2", "<f8"), ("deviation", "<f8"), ("log_variance", "<f8"), ("count", "<f8"),

@@ -27,7 +27,7 @@ engineering choice, a second of the paper's cameras."""
 # Sums over samples that kalman_frame collects, terms in _measure.h, the first three
 # being `KalmanFilter.misfit`; beside them, sums over frames of what they say of motion
 # and events, and of the thresholds' drift.  Last what the frame before said of that.
-SUMS, MISFIT, _OF_EVENTS, _OF_DRIFT, _LAST = 20, 3, 5, 2, 3
+SUMS, MISFIT, _OF_EVENTS, _OF_DRIFT, _LAST = 20, 3, 5, 2, 5
 KEPT = SUMS + _OF_EVENTS + _OF_DRIFT + _LAST
 # Where what is remembered of the first, doubted events, ends, and what follows: of
 # motion and events, noise of frames, and drift, by one frame; then sums over frames.

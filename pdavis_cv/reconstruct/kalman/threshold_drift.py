@@ -16,7 +16,7 @@ CHANGE, SYSTEMATIC = 0.1, 0.002
 engineering choice, and of what interpolation between events does alike in all pixels
 (docs/theory/selfcal.md)."""
 
-Drift = tuple[float, float, float]
+Drift = tuple[float, float, float, float, float]
 
 
 def frame_drift(normal: Sequence[float]) -> Drift:
@@ -32,14 +32,22 @@ def frame_drift(normal: Sequence[float]) -> Drift:
 
     Returns
     -------
-    (float, float, float)
-        Relative changes ON and OFF, and the sum of their variances.
+    (float, float, float, float, float)
+        The information W, inverse of the covariance, of both relative changes d: W d,
+        ON and OFF, then W's elements ON ON, ON OFF and OFF OFF.
     """
     of_on, of_off, on, both, off = normal
     on, off = on + CHANGE**-2, off + CHANGE**-2
     whole = on * off - both * both
-    return ((off * of_on - both * of_off) / whole, (on * of_off - both * of_on) / whole,
-            (on + off) / whole + 2 * SYSTEMATIC**2)
+    change_on = (off * of_on - both * of_off) / whole
+    change_off = (on * of_off - both * of_on) / whole
+    # What all pixels have wrong alike is added to the covariance.
+    var_on, var_off = off / whole + SYSTEMATIC**2, on / whole + SYSTEMATIC**2
+    cov = -both / whole
+    whole = var_on * var_off - cov * cov
+    on, both, off = var_off / whole, -cov / whole, var_on / whole
+    return (on * change_on + both * change_off, both * change_on + off * change_off,
+            on, both, off)
 
 
 def drift_product(now: Sequence[float], before: Sequence[float]) -> tuple[float, float]:
@@ -47,16 +55,16 @@ def drift_product(now: Sequence[float], before: Sequence[float]) -> tuple[float,
 
     Innovations of a filter that keeps up are white.  If it lags behind a drift, changes
     of one frame and of the next have one sign; errors of either cancel in the mean.
+    Each direction counts by its information: the ratio of the thresholds is known far
+    better than their scale.
 
     Parameters
     ----------
-    now, before : sequence of float, shape (3,)
-        Of `frame_drift`; the last of ``before`` is 0 if there was none.
+    now, before : sequence of float, shape (5,)
+        Of `frame_drift`; ``before`` is 0 if there was none.
     """
-    if not before[2]:
-        return 0.0, 0.0
-    weight = 1 / (now[2] * before[2])
-    return weight * (now[0] * before[0] + now[1] * before[1]), 2 * weight
+    return (now[0] * before[0] + now[1] * before[1],
+            now[2] * before[2] + 2 * now[3] * before[3] + now[4] * before[4])
 
 
 def drift_variance(sums: Sequence[float]) -> float:
