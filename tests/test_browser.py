@@ -4,10 +4,12 @@ import threading
 
 import numpy as np
 import pytest
+from certificates import Certificates
 
 from pdavis_cv import Layout, Session, serve
 from pdavis_cv.data import example_recording
 from pdavis_cv.export import AnimationFile, VideoFile
+from pdavis_cv.live import server_context
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
@@ -168,6 +170,18 @@ def test_without_its_token_the_page_is_refused(browser, recording):
         page.goto(here + "?token=" + running.token)
         drawn(page, 1)
     assert not any(t.name.startswith("pdavis") for t in threading.enumerate())
+
+
+def test_the_page_works_over_tls(browser, recording, tmp_path):
+    made = Certificates(tmp_path)
+    context = server_context(made.pem("server"), made.key("server"), None)
+    with serve(recording, host="0.0.0.0", port=0, context=context, **OPTIONS
+               ) as running, browser.new_page(ignore_https_errors=True) as page:
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(f"https://127.0.0.1:{running.port}/?token={running.token}")
+        drawn(page, 1)
+        page.keyboard.press("ArrowRight")
+        drawn(page, 2)
 
 
 PLAY = """async () => {

@@ -1,7 +1,8 @@
-"""Send a recording or a live source to DV and dv-processing on this machine.
+"""Send a recording or a live source to DV and dv-processing.
 
 Events are at --port, frames at --frames-port: dv's reader takes one stream per
-connection.  Begins when each has a client.
+connection.  Begins when each has a client.  Others than this machine are answered with
+--host, and then only by TLS and if they show a certificate that --authority signed.
 """
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 
 from ._common import (
     Parser,
+    UsageError,
     add_json_option,
     add_layout_option,
     command,
@@ -19,6 +21,7 @@ from ._common import (
     stage,
     tell_now,
 )
+from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]
 
@@ -27,15 +30,23 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis stream``."""
     args = _parser().parse_args(argv)
-    from pdavis_cv.live import DvServer
+    from pdavis_cv.live import LOOPBACK, DvServer
 
+    context = tls_of(args)
+    if context is not None and (args.authority is None or args.unix is not None):
+        raise UsageError("--certificate is of ports, and needs --authority: clients "
+                         "show a certificate too")
+    if args.host not in LOOPBACK and context is None:
+        raise UsageError("--host beyond this machine needs --certificate, --key and "
+                         "--authority")
     with source_of(args) as source, ended_by_signals():
         frames: int | str | None = args.frames_port
         if source.info.frame_count == 0 or args.no_frames:
             frames = None
         with DvServer(source.info, args.unix or args.port,
                       f"{args.unix}.frames" if args.unix and frames is not None
-                      else frames, compression=args.compression) as server:
+                      else frames, compression=args.compression,
+                      host=args.host, context=context) as server:
             places = server.places
             tell_now(args, [f"{name}: {place}" for name, place in places.items()],
                      **places)
@@ -54,6 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser("stream", __doc__ or "",
                     'pdavis stream "replay:recording.aedat4?speed=1" --port 7777')
     parser.add_argument("file", help="a recording, or the address of a live source")
+    parser.add_argument("--host", default="127.0.0.1",
+                        help="address to answer on, default this machine alone")
     parser.add_argument("--port", type=int, default=7777,
                         help="for events, default 7777; 0 = any that is free")
     parser.add_argument("--frames-port", type=int, default=7778,
@@ -64,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--no-frames", action="store_true", help="send events only")
     parser.add_argument("--compression", choices=("none", "lz4", "zstd"),
                         default="none", help="default none")
+    add_tls_options(parser, "who must have signed a client's certificate")
     add_layout_option(parser)
     add_json_option(parser)
     return parser

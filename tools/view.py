@@ -23,6 +23,7 @@ from ._common import (
     start_of,
     tell_now,
 )
+from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]
 
@@ -33,6 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     from pdavis_cv import Recording, Session, serve
 
+    context = tls_of(args)
     with source_of(args) as source:
         options = fusion_given(args)
         for name in options.keys() & {"start_us", "stop_us"}:
@@ -52,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 options = {}
             server = stack.enter_context(serve(
                 shown, host=args.host, port=args.port, record_to=args.record_to,
+                context=context,
                 **options))
             with ended_by_signals():
                 tell_now(args, [server.url], url=server.url)
@@ -70,6 +73,9 @@ def _parser() -> argparse.ArgumentParser:
              "that is printed")
     parser.add_argument(
         "--port", type=int, default=8346, help="default 8346; 0 = any that is free")
+    add_tls_options(
+        parser, "who must have signed a browser's certificate; default: none is asked "
+        "for")
     parser.add_argument(
         "--no-browser", action="store_true", help="print the address and open nothing")
     parser.add_argument(

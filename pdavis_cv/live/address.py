@@ -19,6 +19,7 @@ __all__ = ["SCHEMES", "is_address", "open_source"]
 
 _OPENERS = {
     "dv+tcp": "pdavis_cv.live.dv:open_tcp",
+    "dv+tls": "pdavis_cv.live.dv:open_tls",
     "dv+unix": "pdavis_cv.live.dv:open_unix",
     "replay": "pdavis_cv.live.openers:open_replay",
     "simulate": "pdavis_cv.live.openers:open_simulation",
@@ -56,9 +57,10 @@ def open_source(
         are ``usb:`` or ``usb:SERIAL`` of a DAVIS346-based camera (``exposure_us=``,
         ``frame_interval_us=`` and its biases), ``usb:simulated`` of none (``replay=`` a
         file, or ``scene=`` and what ``simulate:`` takes), ``dv+tcp://HOST:PORT``
-        (``frames=`` a second port) and ``dv+unix:///PATH``
-        (``frames=`` a second path) of what DV sends, ``replay:FILE`` (``speed=1``, 0 =
-        as fast as it is read; ``loop=1``) and
+        (``frames=`` a second port), ``dv+tls://HOST:PORT`` (also ``certificate=``,
+        ``key=`` and ``authority=``, PEM files, and ``check_name=1``) and
+        ``dv+unix:///PATH`` (``frames=`` a second path) of what DV sends,
+        ``replay:FILE`` (``speed=1``, 0 = as fast as it is read; ``loop=1``) and
         ``simulate:SCENE`` (``camera=nominal``, ``size=48x48``, ``rpm=200``, ``seed=0``,
         and those of replay), followed by ``?name=value&...``.  The last two take
         ``seconds=``, after which they end; all take the faults of `LinkFaults`, such as

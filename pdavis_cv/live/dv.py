@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import select
 import socket
+import ssl
 import struct
 import time
 from bisect import bisect_left
@@ -24,6 +25,7 @@ from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.live.address import taken
 from pdavis_cv.live.base import HEARTBEAT_S, LiveSource
 from pdavis_cv.live.replay import pieces
+from pdavis_cv.live.tls import client_context
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import (
     MAX_HEADER,
@@ -42,7 +44,7 @@ from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.timeline import NEVER
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["DvSource", "open_tcp", "open_unix"]
+__all__ = ["DvSource", "open_tcp", "open_tls", "open_unix"]
 
 CONNECT_S = 5.0
 MARGIN_US = 100_000
@@ -89,16 +91,28 @@ class _Connection:
         taken_, self._held = bytes(self._held[:count]), self._held[count:]
         return taken_
 
+    @property
+    def pending(self) -> bool:
+        """Whether TLS holds something that has arrived."""
+        return isinstance(self.link, ssl.SSLSocket) and self.link.pending() > 0
+
     def receive(self) -> None:
         """Take what is there."""
-        try:
-            part = self.link.recv(_CHUNK)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            raise DeviceError(f"{self.name}: the connection broke: {error}") from error
-        self.ended = not part
-        self._held += part
+        left = _CHUNK
+        while left > 0:
+            try:
+                part = self.link.recv(left)
+            except (BlockingIOError, ssl.SSLWantReadError):
+                return
+            except OSError as error:
+                raise DeviceError(
+                    f"{self.name}: the connection broke: {error}") from error
+            self._held += part
+            self.ended = not part
+            # TLS gives a record of 16 kB at a time, and holds what select cannot see.
+            if self.ended or not isinstance(self.link, ssl.SSLSocket):
+                return
+            left -= len(part)
 
     def payloads(self) -> Iterator[tuple[str, bytes]]:
         """Yield the kind and the payload of each packet that is complete."""
@@ -180,7 +194,10 @@ class DvSource(LiveSource):
         open_ = list(self._connections)
         heard_s = time.monotonic()
         while open_ and not self._closed.is_set():
-            ready, _, _ = select.select([c.link for c in open_], [], [], HEARTBEAT_S)
+            known = [c.link for c in open_ if c.pending]
+            ready, _, _ = select.select(
+                [c.link for c in open_], [], [], 0 if known else HEARTBEAT_S)
+            ready += known
             for one in [c for c in open_ if c.link in ready]:
                 one.receive()
                 for kind, payload in one.payloads():
@@ -288,16 +305,46 @@ def open_tcp(
     open_recording : callable
         Unused: nothing is a file.
     """
-    options = taken(values, frames=0)
-    host, _, port = target.removeprefix("//").rstrip("/").rpartition(":")
-    if not host or not port.isdigit():
-        raise ValueError("dv+tcp://HOST:PORT is needed")
-    places = [(host.strip("[]"), int(port))]
-    if options["frames"]:
-        places.append((places[0][0], options["frames"]))
+    places = _places(target, taken(values, frames=0)["frames"])
     return _connected(where, [
         functools.partial(socket.create_connection, place, CONNECT_S)
         for place in places])
+
+
+def _places(target: str, frames: int) -> list[tuple[str, int]]:
+    host, _, port = target.removeprefix("//").rstrip("/").rpartition(":")
+    if not host or not port.isdigit():
+        raise ValueError("//HOST:PORT is needed after the first colon")
+    host = host.strip("[]")
+    return [(host, int(port)), *([(host, frames)] if frames else [])]
+
+
+def open_tls(
+    where: str, target: str, values: dict[str, str], open_recording: Callable[..., Any]
+) -> DvSource:
+    """Open ``dv+tls://HOST:PORT?certificate=PEM&key=PEM&authority=PEM``.
+
+    Parameters as in `open_tcp`.
+    """
+    options = taken(values, frames=0, certificate="", key="", authority="",
+                    check_name=True)
+    for name in ("certificate", "key", "authority"):
+        if not options[name]:
+            raise ValueError(f"{name}=FILE is needed: the sender and this side show "
+                             "each other certificates")
+    context = client_context(options["certificate"], options["key"],
+                             options["authority"], options["check_name"])
+
+    def connect(place: tuple[str, int]) -> socket.socket:
+        link = socket.create_connection(place, CONNECT_S)
+        try:
+            return context.wrap_socket(link, server_hostname=place[0])
+        except BaseException:
+            link.close()
+            raise
+
+    return _connected(where, [functools.partial(connect, place)
+                              for place in _places(target, options["frames"])])
 
 
 def open_unix(
@@ -334,6 +381,16 @@ def _connected(
     except BaseException as error:
         for link in links:
             link.close()
+        if isinstance(error, ssl.SSLError):
+            raise DeviceError(f"{where}: no trust: {_refusal(error)}") from error
         if isinstance(error, OSError) and not isinstance(error, DeviceError):
             raise DeviceError(f"{where}: cannot be reached: {error}") from error
         raise
+
+
+def _refusal(error: ssl.SSLError) -> str:
+    """Return why one side does not believe the other, in a line."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"the sender's certificate: {error.verify_message.rstrip('.')}"
+    reason = (error.reason or str(error)).replace("_", " ").lower()
+    return f"the sender refused this side: {reason}" if "alert" in reason else reason

@@ -2,9 +2,11 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import select
 import socket
+import ssl
 import threading
 from collections import deque
 from typing import Self
@@ -16,11 +18,18 @@ from pdavis_cv.recording.aedat4.writer import (
 )
 from pdavis_cv.recording.base import Packet, RecordingInfo
 
-__all__ = ["DvServer"]
+__all__ = ["LOOPBACK", "DvServer"]
+
+_LOG = logging.getLogger(__name__)
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Addresses of this machine that no other can reach."""
 
 MOST_BYTES = 64 * 2**20
 """What waits for a slow client; then its oldest packets are dropped."""
 MOST_CLIENTS = 8
+GREET_S = 5.0
+"""A client must have proved who it is in this time; s."""
 SEND_S = 10.0
 """A client that takes nothing for this long is hung up on; s."""
 
@@ -87,9 +96,13 @@ class DvServer:
     info : RecordingInfo
         Of what will be sent.
     events, frames : int, str or None
-        Port on this machine, 0 = any that is free, or the path of a socket that only
-        this user may open; None = none.
+        Port, 0 = any that is free, or the path of a socket that only this user may
+        open; None = none.
     compression : {"none", "lz4", "zstd"}
+    host : str
+        Address to listen on.  Any other than this machine's own needs `context`.
+    context : ssl.SSLContext, optional
+        Of `server_context`: clients must show a certificate, and all is encrypted.
 
     Attributes
     ----------
@@ -102,12 +115,21 @@ class DvServer:
     ------
     OSError
         If a port or path is taken.
+    ValueError
+        If others than this machine could connect without a certificate.
     """
 
     def __init__(
         self, info: RecordingInfo, events: int | str | None = 0,
         frames: int | str | None = None, *, compression: str = "none",
+        host: str = LOOPBACK[0], context: ssl.SSLContext | None = None,
     ) -> None:
+        if host not in LOOPBACK and (
+                context is None or context.verify_mode != ssl.CERT_REQUIRED):
+            raise ValueError(f"host {host!r} is beyond this machine: clients need a "
+                             "certificate, and so does the server")
+        self._context = context
+        self._greeting = threading.BoundedSemaphore(MOST_CLIENTS)
         self.places: dict[str, int | str] = {}
         self._listeners: list[tuple[socket.socket, StreamEncoder]] = []
         self._clients: dict[StreamEncoder, list[_Client]] = {}
@@ -119,7 +141,7 @@ class DvServer:
             for name, stream, place in (
                     ("events", EVENTS, events), ("frames", FRAMES, frames)):
                 if place is not None:
-                    link = _listening(place)
+                    link = _listening(place, host)
                     encoder = StreamEncoder(stream, info, compression)
                     self._listeners.append((link, encoder))
                     self._clients[encoder] = []
@@ -138,15 +160,40 @@ class DvServer:
             ready, _, _ = select.select(list(links), [], [], 0.1)
             for listener in ready:
                 link, _ = listener.accept()
-                encoder = links[listener]
-                with self._change:
-                    known = self._clients[encoder]
-                    known[:] = [client for client in known if not client.gone]
-                    if len(known) >= MOST_CLIENTS:
-                        link.close()
-                        continue
-                    known.append(_Client(link, encoder.head))
-                    self._change.notify_all()
+                if self._context is None or link.family == socket.AF_UNIX:
+                    self._take(link, links[listener])
+                elif self._greeting.acquire(blocking=False):
+                    # A client that says nothing must not keep others waiting.
+                    threading.Thread(
+                        target=self._greet, args=(link, links[listener]),
+                        name="pdavis dv greeting", daemon=True).start()
+                else:
+                    link.close()
+
+    def _greet(self, link: socket.socket, encoder: StreamEncoder) -> None:
+        """Take a client that proves who it is; runs in a thread of its own."""
+        assert self._context is not None
+        try:
+            link.settimeout(GREET_S)
+            try:
+                safe = self._context.wrap_socket(link, server_side=True)
+            except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
+                _LOG.info("a client was refused: %s", error)
+                link.close()
+                return
+            self._take(safe, encoder)
+        finally:
+            self._greeting.release()
+
+    def _take(self, link: socket.socket, encoder: StreamEncoder) -> None:
+        with self._change:
+            known = self._clients[encoder]
+            known[:] = [client for client in known if not client.gone]
+            if len(known) >= MOST_CLIENTS or self._closed.is_set():
+                link.close()
+                return
+            known.append(_Client(link, encoder.head))
+            self._change.notify_all()
 
     def wait_for_clients(self, timeout: float | None = None) -> bool:
         """Wait until each stream has a client; False if that took too long.
@@ -201,9 +248,10 @@ class DvServer:
         self.close()
 
 
-def _listening(place: int | str) -> socket.socket:
+def _listening(place: int | str, host: str) -> socket.socket:
     if isinstance(place, int):
-        return socket.create_server(("127.0.0.1", place))
+        return socket.create_server((host, place), family=(
+            socket.AF_INET6 if ":" in host else socket.AF_INET))
     link = socket.socket(socket.AF_UNIX)
     before = os.umask(0o177)        # from its first moment only this user's
     try:

@@ -171,8 +171,8 @@ class Handler(BaseHTTPRequestHandler):
             if not hmac.compare_digest(given.encode(), owner.token.encode()):
                 raise _Refused(403, "token is wrong or missing")
         origin = self.headers.get("Origin")
-        if origin is not None and origin != f"http://{host}":
-            raise _Refused(403, f"Origin must be http://{host[:80]}, got "
+        if origin is not None and origin != f"{owner.scheme}://{host}":
+            raise _Refused(403, f"Origin must be {owner.scheme}://{host[:80]}, got "
                                 f"{origin[:80]!r}")
         # Pictures that a foreign page embeds come without Origin.
         foreign = self.headers.get("Sec-Fetch-Site") == "cross-site"

@@ -3,13 +3,15 @@ from __future__ import annotations
 
 import os
 import secrets
+import ssl
 import threading
 from http.server import ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Self
 
+from pdavis_cv.live import LOOPBACK
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.viewer.handler import Handler
+from pdavis_cv.viewer.handler import PATIENCE_S, Handler
 from pdavis_cv.viewer.panes import jpeg, pane
 from pdavis_cv.viewer.show import Show, show_of
 
@@ -20,7 +22,6 @@ MOST_CLIENTS = 8
 """Pages and players that are sent pictures at the same time."""
 MOST_CONNECTIONS = 64
 """Connections of any kind; one more is closed at once."""
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 class _Listener(ThreadingHTTPServer):
@@ -45,6 +46,13 @@ class _Listener(ThreadingHTTPServer):
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection in its own thread."""
         try:
+            if self.owner.context is not None:
+                try:
+                    request.settimeout(PATIENCE_S)
+                    request = self.owner.context.wrap_socket(request, server_side=True)
+                except (OSError, ValueError):   # ssl.SSLError is an OSError
+                    self.shutdown_request(request)
+                    return
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
@@ -67,6 +75,8 @@ class Server:
         0 = any that is free.
     token : str or None
         What requests must name; needed where `host` is not of this machine alone.
+    context : ssl.SSLContext or None
+        Encrypts.
 
     Attributes
     ----------
@@ -74,8 +84,12 @@ class Server:
         Of the page.
     """
 
-    def __init__(self, show: Show, host: str, port: int, token: str | None) -> None:
+    def __init__(
+        self, show: Show, host: str, port: int, token: str | None,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
         self.show, self.host, self.token = show, host, token
+        self.context = context
         self.closing = threading.Event()
         self.clients = threading.BoundedSemaphore(MOST_CLIENTS)
         self._jpegs: dict[str, tuple[int, bytes]] = {}
@@ -88,10 +102,15 @@ class Server:
         self._thread.start()
 
     @property
+    def scheme(self) -> str:
+        """How the page's address begins."""
+        return "http" if self.context is None else "https"
+
+    @property
     def url(self) -> str:
         """Where the page is, with its token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{host}:{self.port}/" + (
+        return f"{self.scheme}://{host}:{self.port}/" + (
             "" if self.token is None else f"?token={self.token}")
 
     def picture(self, output: str, number: int, image: PolarFrame) -> bytes:
@@ -132,7 +151,8 @@ class Server:
 
 def serve(
     where: Any, *, host: str = "127.0.0.1", port: int = PORT,
-    record_to: str | os.PathLike[str] = ".", **fuse_parameters: Any,
+    record_to: str | os.PathLike[str] = ".", context: ssl.SSLContext | None = None,
+    **fuse_parameters: Any,
 ) -> Server:
     """Show a recording or a live source in browsers, and stream it as MJPEG.
 
@@ -150,6 +170,8 @@ def serve(
         0 = any that is free.
     record_to : path
         Folder for what the page's button records.
+    context : ssl.SSLContext, optional
+        Of a server, with its certificate: what is sent is encrypted.
     **fuse_parameters
         Options of `fuse`; 60 images per second by default.
 
@@ -175,7 +197,7 @@ def serve(
     token = None if host in LOOPBACK else secrets.token_urlsafe(16)
     show = show_of(where, record_to, fuse_parameters)
     try:
-        return Server(show, host, port, token)
+        return Server(show, host, port, token, context)
     except BaseException:
         show.close()
         raise
