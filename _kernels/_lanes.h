@@ -12,7 +12,9 @@
 #include "_extrapolation.h"
 #include "_math.h"
 
-enum { LANES = 64 };            /* pixels per lanes_t */
+enum {
+    LANES = 64,                 /* pixels of one lanes_t */
+};
 
 typedef struct {
     double still_us, leak_per_s, refractory_us;

@@ -3,7 +3,7 @@
 The dtypes of the same fields, with their units, are in the library's
 reconstruct/model.py; a stamp is an event's time times two, plus its polarity.
 """
-from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t
 
 cdef packed struct stored_t:
     int64_t t
@@ -13,10 +13,11 @@ cdef packed struct stored_t:
     int32_t next            # index of the pixel's next event, -1: none
 
 cdef packed struct track_t:
-    int64_t prev            # stamp of the last but one event
-    int64_t last            # stamp of the last one
+    # 32 bytes: none lies across two cache lines.
+    int64_t last            # stamp of the last event
     double n_off            # counted since the last sample, with what was lost
     double n_on
+    uint32_t gap            # twice the us since the event before, plus its polarity
     int32_t first           # index of the first event after these, -1: none
 
 cdef packed struct state_t:

@@ -2,8 +2,9 @@
 #ifndef PDAVIS_CV_PREFETCH_H
 #define PDAVIS_CV_PREFETCH_H
 
-/* Events, or pixels, ahead: a miss of the second-level cache takes as long as so many events. */
-#define PDAVIS_AHEAD 12
+/* Events, or pixels, ahead: where others use the third-level cache as well, a miss takes
+   as long as so many events. */
+#define PDAVIS_AHEAD 32
 
 #if defined(__GNUC__)
 #define PDAVIS_PREFETCH(at) __builtin_prefetch((at), 1)

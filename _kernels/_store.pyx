@@ -3,7 +3,7 @@ from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._listing cimport CHANGED, LISTED
 from _kernels._model cimport stored_t, track_t
-from _kernels._tracks cimport loss_t, lost
+from _kernels._tracks cimport before, gap_since, loss_t, lost
 from _kernels._types cimport event_t
 
 cdef extern from "_prefetch.h" nogil:
@@ -16,9 +16,7 @@ cdef inline void ask(const stored_t[::1] store, Py_ssize_t i,
     """Ask for the track of a stored event, if the index is one."""
     if (0 <= i < store.shape[0] and store[i].y < tracks.shape[0]
             and store[i].x < tracks.shape[1]):
-        # A record may lie across two cache lines.
-        prefetch(&tracks[store[i].y, store[i].x].prev)
-        prefetch(&tracks[store[i].y, store[i].x].first)
+        prefetch(&tracks[store[i].y, store[i].x])
 
 
 cdef inline Py_ssize_t enlist(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
@@ -87,11 +85,11 @@ def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t s
                 break
             track = &tracks[y, x]
             if refractory > 0.0:
-                loss = lost(track.prev >> 1, track.last >> 1, store[i].t, refractory)
+                loss = lost(before(track), track.last >> 1, store[i].t, refractory)
                 on = loss.before * (track.last & 1) + loss.after * store[i].p
                 track.n_on += on
                 track.n_off += loss.before + loss.after - on
-            track.prev = track.last
+            track.gap = gap_since(track.last, store[i].t)
             track.last = 2 * store[i].t + store[i].p
             # No branch on the polarity: it cannot be predicted.
             track.n_on += store[i].p

@@ -3,7 +3,7 @@
 A stamp is an event's time times two, plus its polarity.
 """
 from libc.math cimport sqrt
-from libc.stdint cimport int32_t, int64_t
+from libc.stdint cimport int32_t, int64_t, uint32_t
 
 from _kernels._lamp cimport lamp_t, ripple
 from _kernels._math cimport exp_f
@@ -18,6 +18,7 @@ cdef enum:
 cdef extern from *:
     """
     #define LONG_AGO -4611686018427387904   /* -2^62: stands for no event */
+    #define GAP_MOST 4294967294     /* 2^32 - 2: so long ago that it says nothing */
     #define TINY 1e-30                  /* keeps 0 / 0 from being nothing */
     #define PER_S2 1e12                 /* per us^2, in s^-2 */
     #define REST_VARIANCE (1 / 3.0)     /* thresholds^2: anywhere in the dead band */
@@ -50,6 +51,7 @@ cdef extern from *:
     #define ROOM_MOST 2.0
     """
     const int64_t LONG_AGO
+    const int64_t GAP_MOST
     const double TINY
     const double PER_S2
     const double REST_VARIANCE
@@ -185,12 +187,27 @@ cdef inline void step(walk_t* walk, const stored_t* store,
     walk.next = store[walk.next].next
 
 
+cdef inline int64_t before(const track_t* track) noexcept nogil:
+    """Return the time of the last but one event; one over half an hour before is none.
+    """
+    if track.gap >= GAP_MOST:
+        return LONG_AGO
+    return (track.last >> 1) - (track.gap >> 1)
+
+
+cdef inline uint32_t gap_since(int64_t stamp, int64_t t) noexcept nogil:
+    """Return the gap from an event, by its stamp, to one at t, as a track has it."""
+    cdef int64_t gap = t - (stamp >> 1)
+    gap = 2 * gap if gap < (GAP_MOST >> 1) else GAP_MOST
+    return <uint32_t>(gap + (stamp & 1))
+
+
 cdef inline void start(walk_t* walk, const track_t* track) noexcept nogil:
     """Begin after the two events that a track remembers."""
-    walk.t_prev = track.prev >> 1
-    walk.p_prev = track.prev & 1
     walk.t = track.last >> 1
     walk.p = track.last & 1
+    walk.t_prev = before(track)
+    walk.p_prev = track.gap & 1
     walk.next = track.first
     walk.n_on = 0.0
     walk.n_off = 0.0

@@ -46,7 +46,7 @@ def test_the_cf_case_runs_and_reports_both_inputs(floor_sum, capsys):
     assert bench.main(["cf", "--pairs", "2", "--json"]) in (0, 1)
     report = json.loads(capsys.readouterr().out)
     assert [r["input"] for r in report["results"]] == ["uniform", "clustered"]
-    assert all(r["ratio"] > 0 and r["goal"] == 0.12 for r in report["results"])
+    assert all(r["ratio"] > 0 and r["goal"] == 0.25 for r in report["results"])
 
 
 def test_the_polarization_case_agrees_with_malus_and_runs(capsys):

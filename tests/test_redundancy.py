@@ -19,6 +19,7 @@ from pdavis_cv import (
 )
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.reconstruct.model import (
+    NO_GAP,
     STATE_DTYPE,
     STORED_DTYPE,
     TRACK_DTYPE,
@@ -113,7 +114,7 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
 def arrays(shape):
     """States, tracks, balance and moments of a sensor that has seen nothing."""
     tracks = np.zeros(shape, TRACK_DTYPE)
-    tracks["prev"] = tracks["last"] = -(2**63)
+    tracks["last"], tracks["gap"] = -(2**63), NO_GAP
     tracks["first"] = -1
     moments = np.zeros((shape[0] // 2, shape[1] // 2), MOMENTS_DTYPE)
     moments["ratio"] = moments["smallest"] = 1

@@ -4,19 +4,23 @@ from __future__ import annotations
 import numpy as np
 
 __all__ = ["EXPOSURE_DTYPE", "GAP_DTYPE", "LANES", "LANE_VALUES", "NODE_DTYPE",
-           "PAST_DTYPE", "REST_PLANES", "SAMPLE_DTYPE", "SMOOTH_PLANES", "STATE_DTYPE",
-           "STORED_DTYPE", "TRACK_DTYPE", "TUNING_DTYPE", "WAVE_DTYPE"]
+           "NO_GAP", "PAST_DTYPE", "REST_PLANES", "SAMPLE_DTYPE", "SMOOTH_PLANES",
+           "STATE_DTYPE", "STORED_DTYPE", "TRACK_DTYPE", "TUNING_DTYPE", "WAVE_DTYPE"]
 
 STORED_DTYPE = np.dtype([
     ("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1"), ("next", "<i4")])
 """An event (t in us) and the index of its pixel's next one, -1 for none."""
 
 TRACK_DTYPE = np.dtype([
-    ("prev", "<i8"), ("last", "<i8"), ("n_off", "<f8"), ("n_on", "<f8"),
+    ("last", "<i8"), ("n_off", "<f8"), ("n_on", "<f8"), ("gap", "<u4"),
     ("first", "<i4")])
-"""Stamps (2 t + p) of a pixel's last two events, counts of events since the last
-sample, with what a refractory period lost of the light, in thresholds, and the index
-of the first stored event after them, -1 for none."""
+"""Stamp (2 t + p) of a pixel's last event, counts of events since the last sample, with
+what a refractory period lost of the light, in thresholds; twice the gap before the last
+event in us, plus the polarity of the one before, `NO_GAP` where there is none, and the
+index of the first stored event after them, -1 for none."""
+
+NO_GAP = 2**32 - 2
+"""Gap of a pixel that had no two events within 35 minutes."""
 
 STATE_DTYPE = np.dtype([
     ("base", "<f8"), ("theta_on", "<f8"), ("theta_off", "<f8"),

@@ -14,6 +14,7 @@ from pdavis_cv.reconstruct.model import (
     GAP_DTYPE,
     LANE_VALUES,
     LANES,
+    NO_GAP,
     REST_PLANES,
     SMOOTH_PLANES,
     STORED_DTYPE,
@@ -69,12 +70,8 @@ class Tracks:
     def __init__(
         self, shape: tuple[int, int], keep_us: int, *, late: bool = False
     ) -> None:
-        # As void a record is copied at once, not field by field.
-        none = np.array((2 * LONG_AGO, 2 * LONG_AGO, 0, 0, -1), TRACK_DTYPE).view(
-            f"V{TRACK_DTYPE.itemsize}")
         self.tracks, self.old, self.late = (
-            np.full(size, none).view(TRACK_DTYPE)
-            for size in (shape, shape, shape if late else (0, 0)))
+            _no_events(size) for size in (shape, shape, shape if late else (0, 0)))
         self.store = np.zeros(_LEAST, STORED_DTYPE)
         self.keep_us, self.refractory_us = int(keep_us), 0.0
         self.committed = self._passed = self._late = self._stop = 0
@@ -225,6 +222,18 @@ class Tracks:
         as_bytes(self.store)[:stored.size] = stored
         self._stop = n
         self._passed, self.committed, self._late = (at - begin for at in places)
+
+
+def _no_events(shape: tuple[int, int]) -> NDArray[Any]:
+    """Return tracks of pixels without events; none lies across two cache lines."""
+    record = TRACK_DTYPE.itemsize
+    # As void a record is copied at once, not field by field.
+    none = np.array((2 * LONG_AGO, 0, 0, NO_GAP, -1), TRACK_DTYPE).view(f"V{record}")
+    room = np.empty(shape[0] * shape[1] * record + record, np.uint8)
+    begin = -room.ctypes.data % record
+    tracks = room[begin:begin + shape[0] * shape[1] * record].view(TRACK_DTYPE)
+    tracks.view(none.dtype)[:] = none
+    return tracks.reshape(shape)
 
 
 class Reader:
