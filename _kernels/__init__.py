@@ -57,6 +57,13 @@ from ._redundancy import (
     redundancy_solve,
     saturated_fill,
 )
+from ._scenes import (
+    analysed,
+    fan_stokes,
+    node_slopes,
+    plane_waves,
+    texture_stokes,
+)
 from ._selfcal import sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
@@ -69,6 +76,7 @@ __all__ = [
     "aedat4_table_bytes",
     "aedat4_table_floats",
     "aedat4_table_times",
+    "analysed",
     "aop",
     "aop_dolp",
     "aop_event_stokes",
@@ -92,6 +100,7 @@ __all__ = [
     "evt3_words",
     "exp",
     "fade_bgr",
+    "fan_stokes",
     "guided",
     "hue_bgr",
     "kalman_frame",
@@ -109,9 +118,11 @@ __all__ = [
     "mean_around",
     "mismatch",
     "mix",
+    "node_slopes",
     "pack_aedat2_events",
     "pack_aedat4_events",
     "pixel_events",
+    "plane_waves",
     "polar_bgr",
     "polarize",
     "ramp_bgr",
@@ -137,6 +148,7 @@ __all__ = [
     "superpixel",
     "surface",
     "text_events",
+    "texture_stokes",
     "tone_bgr",
     "unpack_10p",
     "unpack_12p",

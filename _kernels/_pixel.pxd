@@ -155,9 +155,12 @@ cdef inline double end_level(cell_t *c, config_t *cfg, double v1) noexcept nogil
 
 
 cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, double v1,
-                       double d0, double d1) noexcept nogil:
-    """Set up the interval from the node's light to light1, slopes d0 and d1."""
-    cdef double m1, dv, rise = light1 - p.light
+                       double d0, double d1, double m0, double m1) noexcept nogil:
+    """Set up the interval from the node's light to light1.
+
+    d0 and d1 are the slopes of light, m0 and m1 those of its log.
+    """
+    cdef double dv, rise = light1 - p.light
     c.i0 = p.light
     c.i1 = d0
     c.i2 = 3 * rise - 2 * d0 - d1
@@ -176,14 +179,13 @@ cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, dou
     c.slope = cfg.cutoff_slope * cfg.h
     if c.slope == 0:
         c.phi = c.cutoff
-        c.m0 = d0 / p.light
-        m1 = d1 / light1
+        c.m0 = m0
     else:
         c.phi = c.cutoff + c.slope * (c.i0 + c.i1 / 2 + c.i2 / 3 + c.i3 / 4)
         if c.phi < 1e-12:
             c.phi = 1e-12
-        c.m0 = d0 / p.light * c.phi / (c.cutoff + c.slope * p.light)
-        m1 = d1 / light1 * c.phi / (c.cutoff + c.slope * light1)
+        c.m0 = m0 * c.phi / (c.cutoff + c.slope * p.light)
+        m1 = m1 * c.phi / (c.cutoff + c.slope * light1)
     c.series = c.phi < SERIES
     dv = v1 - c.v0
     c.b = 3 * dv - 2 * c.m0 - m1

@@ -32,6 +32,19 @@ cdef extern from *:
     """
     void prefetch(const void *p) nogil
 
+cdef extern from "_nodes.h" nogil:
+    enum:
+        NODES
+        BESIDE
+    ctypedef struct nodes_t:
+        double *light
+        double *slope
+        double *log
+        double *rise
+    void nodes_row(Py_ssize_t n, double dark, double faint, const double *seen,
+                   const double *change, double *light, double *slope, double *log,
+                   double *rise)
+
 
 def pixel_events(const double[:, ::1] light not None,
                  const double[:, ::1] slope not None,
@@ -54,17 +67,18 @@ def pixel_events(const double[:, ::1] light not None,
     Returns (pixels done up to, events written): it stops before a pixel whose events
     do not fit.
     """
-    cdef Py_ssize_t n = pixels.shape[0], k = light.shape[0] - 1, i, j, m, edge
+    cdef Py_ssize_t n = pixels.shape[0], k = light.shape[0] - 1, i, j, m, edge, many
     cdef Py_ssize_t saved
     cdef config_t cfg
     cdef cell_t c
     cdef pixel_t_ p
     cdef sink_t sink
-    cdef double d0, d1, light1, v1, last, burst_t, t0, top = 0, bottom = 0
+    cdef double d0, d1, light1, v1, last, burst_t, t0, top = 0, bottom = 0, m0, m1
     cdef int burst_p = 0, shared = analyser is not None
     cdef int known, direct, still
-    cdef Py_ssize_t before
+    cdef Py_ssize_t before, at, ahead = 0
     cdef int linear = slope.shape[0] == 0
+    cdef nodes_t nodes
     m = 3 if shared else n
     if (k < 0 or light.shape[1] != m
             or (not linear and (slope.shape[0] != k + 1 or slope.shape[1] != m))
@@ -82,8 +96,18 @@ def pixel_events(const double[:, ::1] light not None,
     sink.capacity = out.shape[0]
     sink.n = 0
     sink.full = 0
+    # Logs of the light of some pixels at once, where all of them are needed.
+    cdef int together = not (shared or linear or cfg.unfiltered) and k < NODES
     with nogil:
         for i in range(start, stop):
+            if together and (i - start) % BESIDE == 0:
+                ahead = i
+                many = stop - i if stop - i < BESIDE else BESIDE
+                for j in range(k + 1):
+                    at = j * BESIDE
+                    nodes_row(many, cfg.dark, FAINT, &light[j, i], &slope[j, i],
+                              &nodes.light[at], &nodes.slope[at], &nodes.log[at],
+                              &nodes.rise[at])
             saved = sink.n
             p.level = state[i, 0]
             p.ref = state[i, 1]
@@ -98,7 +122,7 @@ def pixel_events(const double[:, ::1] light not None,
             sink.y = places[i, 1]
             p.light = state[i, 4]
             p.v = state[i, 5]
-            d0 = 0
+            d0 = m0 = m1 = v1 = 0
             if p.counter == 0:
                 next_noise(&p, &cfg)
             edge = 0
@@ -107,7 +131,13 @@ def pixel_events(const double[:, ::1] light not None,
             direct = cfg.unfiltered and p.leak == 0 and cfg.leak_slope == 0
             burst_t = next_burst(&p, &cfg, edges, &edge, first_edge, cfg.t0, &burst_p)
             for j in range(k + 1):
-                if shared:
+                if together:
+                    at = j * BESIDE + i - ahead
+                    light1 = nodes.light[at]
+                    d1 = nodes.slope[at]
+                    v1 = nodes.log[at]
+                    m1 = nodes.rise[at]
+                elif shared:
                     light1 = cfg.dark + analyser[i, 0] * light[j, 0] + (
                         analyser[i, 1] * light[j, 1] + analyser[i, 2] * light[j, 2])
                     if not linear:
@@ -117,7 +147,7 @@ def pixel_events(const double[:, ::1] light not None,
                     light1 = cfg.dark + light[j, i]
                     if not linear:
                         d1 = slope[j, i]
-                if light1 < FAINT:
+                if not together and light1 < FAINT:
                     light1 = FAINT
                     d1 = 0
                 if linear:
@@ -125,8 +155,9 @@ def pixel_events(const double[:, ::1] light not None,
                 if j == 0:
                     if light1 != p.light:
                         p.light = light1
-                        p.v = log64(light1)
+                        p.v = v1 if together else log64(light1)
                     d0 = d1
+                    m0 = m1
                     if direct:
                         p.level = p.v
                         top = exp64(p.ref + p.on)
@@ -147,11 +178,15 @@ def pixel_events(const double[:, ::1] light not None,
                     if p.ref - p.off < p.level + c.drift < p.ref + p.on:
                         p.ref -= c.drift
                         continue
-                v1 = log64(light1)
                 if not known:
                     p.level = p.v = log64(p.light)
                     known = 1
-                begin(&c, &cfg, &p, light1, v1, d0, d1)
+                if not together:
+                    v1 = log64(light1)
+                    if not cfg.unfiltered:
+                        m0 = d0 / p.light
+                        m1 = d1 / light1
+                begin(&c, &cfg, &p, light1, v1, d0, d1, m0, m1)
                 last = end_level(&c, &cfg, v1)
                 if not (still and quiet(&c, &p, last)):
                     before = sink.n
@@ -167,6 +202,7 @@ def pixel_events(const double[:, ::1] light not None,
                 p.light = light1
                 p.v = v1
                 d0 = d1
+                m0 = m1
             if sink.full:
                 sink.n = saved
                 break

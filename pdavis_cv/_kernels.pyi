@@ -19,6 +19,7 @@ __all__ = [
     "aedat4_table_bytes",
     "aedat4_table_floats",
     "aedat4_table_times",
+    "analysed",
     "aop",
     "aop_dolp",
     "aop_event_stokes",
@@ -38,6 +39,7 @@ __all__ = [
     "dolp",
     "exp",
     "fade_bgr",
+    "fan_stokes",
     "guided",
     "hue_bgr",
     "kalman_frame",
@@ -55,9 +57,11 @@ __all__ = [
     "mean_around",
     "mismatch",
     "mix",
+    "node_slopes",
     "pack_aedat2_events",
     "pack_aedat4_events",
     "pixel_events",
+    "plane_waves",
     "polar_bgr",
     "polarize",
     "ramp_bgr",
@@ -81,6 +85,7 @@ __all__ = [
     "store_unlink",
     "superpixel",
     "surface",
+    "texture_stokes",
     "tone_bgr",
     "unpack_10p",
     "unpack_12p",
@@ -339,6 +344,19 @@ def voxel_planes(
     events: NDArray[Any], last: int, start: int, stop: int, steps: _F32,
     height: int, width: int, out: _F32, seen: _U8,
 ) -> int: ...
+def analysed(analyser: _F64, s0: _F64, s1: _F64, s2: _F64, out: _F64) -> None: ...
+def fan_stokes(
+    turns: _F64, cosines: _F64, sines: _F64, rest: _F64, steep: _F64, light: _F64,
+    s1: _F64, s2: _F64,
+) -> None: ...
+def node_slopes(light: _F64, out: _F64) -> None: ...
+def plane_waves(
+    down_c: _F64, down_s: _F64, cos: _F64, sin: _F64, out: _F64
+) -> None: ...
+def texture_stokes(
+    first: _F64, second: _F64, third: _F64, s0: float, contrast: float, dolp: float,
+    dolp_spread: float, aop: float, aop_spread: float,
+) -> None: ...
 def video_events(
     quads: tuple[_F32, ...], weights: _F32, light: _F32, keys: NDArray[np.uint64],
     edges: NDArray[np.float64], first_edge: int, settings: NDArray[np.float64],

@@ -83,3 +83,34 @@ def film_step(quad, weights, level, v, phi, dark):
     w0 = np.float32(-math.expm1(-phi))
     w1 = np.float32(1 + math.expm1(-phi) / phi)
     return light, level + w0 * (v - level) + w1 * (after - v), after
+
+
+def plane_waves(down_c, down_s, cos, sin):
+    """Return the sum over waves of down_c cos - down_s sin, (row, column)."""
+    total = np.zeros((down_c.shape[1], cos.shape[1]))
+    for wave in zip(down_c, down_s, cos, sin, strict=True):
+        down_cos, down_sin, along_cos, along_sin = wave
+        total += down_cos[:, None] * along_cos
+        total -= down_sin[:, None] * along_sin
+    return total
+
+
+def texture_stokes(fields, s0, contrast, dolp, dolp_spread, aop, aop_spread):
+    """Return S0, S1 and S2 of fields of ln intensity, DoLP and AoP."""
+    light = s0 * np.exp(contrast * fields[0])
+    linear = light * (dolp + dolp_spread * np.sin(fields[1]))
+    twice = 2 * (aop + aop_spread * fields[2])
+    return light, linear * np.cos(twice), linear * np.sin(twice)
+
+
+def fan_stokes(turns, sectors, rest, steep, light):
+    """Return S1 + i S2 (time, place) of a wheel; sectors (time, 18) are complex."""
+    place = rest - turns[:, None]
+    time = np.arange(len(turns))[:, None]
+    nearest = np.rint(place)
+    s = np.clip((place - nearest) * steep + 0.5, 0, 1)
+    weight = s * s * s * (10 - s * (15 - 6 * s))
+    k = nearest.astype(np.intp) + 12
+    mixed = sectors[time, k - 1] + weight * (sectors[time, k] - sectors[time, k - 1])
+    whole = sectors[time, np.floor(place).astype(np.intp) + 12]
+    return light * np.where(np.abs(place - nearest) * steep < 0.5, mixed, whole)

@@ -1,6 +1,7 @@
 """Scenes with structure: fan, tendon, textures, and the user's own."""
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv.sensor import CHANNELS, Sensor
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
@@ -25,8 +27,9 @@ __all__ = ["Fan", "FunctionScene", "Tendon", "Texture", "VideoScene"]
 _MIDDLE = ((Sensor.PDAVIS.size[1] - 1) / 2, (Sensor.PDAVIS.size[0] - 1) / 2)
 # From 12 sectors before the first on: a place less a turn is never further back.
 _SECTORS = np.exp(1j * (np.pi / 3) * (np.arange(18) % 6))
+_KEPT_COLUMNS = 4096  # of a wider sensor the waves' curves are computed each time
+_KEPT_PLACES = 8192  # likewise the parts of a wheel that stand still
 _EDGE_SAMPLES = 16  # while an edge passes
-_WAVE_ROWS = 16  # of plane waves at once: they stay in a cache
 
 
 def smooth_edge(u: FloatArray) -> FloatArray:
@@ -79,28 +82,25 @@ class Fan(Scene):
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms."""
-        u = np.asarray(x, np.float64) - self.centre[0]
-        v = self.centre[1] - np.asarray(y, np.float64)
-        r = np.hypot(u, v)
-        t = np.asarray(t_us, np.float64)
+        t, u, v = (np.asarray(each, np.float64) for each in (t_us, x, y))
+        around = np.broadcast_shapes(u.shape, v.shape)
+        still = _still if math.prod(around) > _KEPT_PLACES else _still_of_rows
+        place, steep, s0, light = still(
+            (*self.centre, self.hub, self.radius, self.edge, self.s0, self.bright,
+             self.opaque), (u.shape, u.tobytes()), (v.shape, v.tobytes()))
         turned = self.start_angle + rad_per_us(self.rpm) * t
-        place = np.arctan2(v, u) * (3 / np.pi)  # in sectors, of a wheel at rest
         turns = np.mod(turned * (3 / np.pi), 6)
-        steep = r * (np.pi / 3 / self.edge)
-        light = self.s0 * (1 + (self.bright - 1) * smooth_edge(-u / self.edge))
-        seen = smooth_edge((r - self.hub) / self.edge) * smooth_edge(
-            (self.radius - r) / self.edge)
-        s0 = light * (seen + (1 - seen) * self.opaque)
-        light = light * seen
         rotation = np.exp(2j * turned)
-        shape = np.broadcast_shapes(t.shape, r.shape)
+        shape = np.broadcast_shapes(t.shape, around)
         s1, s2 = np.empty(shape), np.empty(shape)
-        if t.shape == (*shape[:1], 1, 1):  # one time after the other fits a cache
-            for k in range(len(t)):
-                polarized = self._polarized(
-                    place - turns[k], steep, _SECTORS * rotation[k, 0])
-                np.multiply(light, polarized.real, out=s1[k])
-                np.multiply(light, polarized.imag, out=s2[k])
+        if t.shape == (*shape[:1], 1, 1):
+            sectors = np.array([_SECTORS * each for each in rotation[:, 0]])
+            sectors = sectors.reshape(-1, len(_SECTORS))
+            _kernels.fan_stokes(
+                turns.reshape(-1), np.ascontiguousarray(sectors.real),
+                np.ascontiguousarray(sectors.imag), place.reshape(-1),
+                steep.reshape(-1), light.reshape(-1), s1.reshape(len(t), -1),
+                s2.reshape(len(t), -1))
         else:
             polarized = rotation * self._polarized(place - turns, steep, _SECTORS)
             np.multiply(light, polarized.real, out=s1)
@@ -138,6 +138,27 @@ class Fan(Scene):
             return math.inf
         passage = self.edge / (abs(speed) * self.radius)
         return min(passage / _EDGE_SAMPLES, step_of(2 * speed))
+
+
+def _still(
+    wheel: tuple[float, ...], x: tuple[tuple[int, ...], bytes],
+    y: tuple[tuple[int, ...], bytes],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what stands still: place in sectors, steepness of edges, S0, light behind.
+
+    x and y are shapes of places and their bytes.
+    """
+    column, row, hub, radius, edge, s0, bright, opaque = wheel
+    u, v = (np.frombuffer(of).reshape(shape) for shape, of in (x, y))
+    u, v = u - column, row - v
+    r = np.hypot(u, v)
+    light = s0 * (1 + (bright - 1) * smooth_edge(-u / edge))
+    seen = smooth_edge((r - hub) / edge) * smooth_edge((radius - r) / edge)
+    return (np.arctan2(v, u) * (3 / np.pi), r * (np.pi / 3 / edge),
+            light * (seen + (1 - seen) * opaque), light * seen)
+
+
+_still_of_rows = functools.lru_cache(maxsize=64)(_still)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,21 +250,43 @@ class Tendon(Scene):
         return step_of(cycle * phase) * 2
 
 
+@functools.lru_cache(maxsize=64)
+def _waves(
+    seed: int, name: str, waves: int, longest: float, shortest: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return weights, wave numbers along x and y, and phases of a field's waves."""
+    index = np.arange(waves)
+
+    def draw(what: str) -> FloatArray:
+        return noise.uniform(seed, f"texture {name} {what}", index)
+
+    # Equal power per octave: amplitude falls as 1/f.
+    wavelength = shortest * (longest / shortest) ** (
+        (index + draw("wavelength")) / waves)
+    direction, phase = 2 * np.pi * draw("direction"), 2 * np.pi * draw("phase")
+    k = 2 * np.pi / wavelength
+    weight = wavelength / math.sqrt(float(np.sum(wavelength**2)) / 2)
+    return weight, k * np.cos(direction), k * np.sin(direction), phase
+
+
+def _curves(k: bytes, x: bytes) -> tuple[FloatArray, FloatArray]:
+    """Return cosine and sine of wave numbers times places, (n, W)."""
+    across = np.frombuffer(k)[:, None] * np.frombuffer(x)
+    return np.cos(across), np.sin(across)
+
+
+_curves_of_columns = functools.lru_cache(maxsize=16)(_curves)
+
+
 def _plane_waves(
-    weight: FloatArray, across: FloatArray, down: FloatArray
+    weight: FloatArray, k: FloatArray, x: FloatArray, down: FloatArray
 ) -> FloatArray:
-    """Sum of weight cos(across + down) over waves; (n,), (n, W), (n, H) -> (H, W)."""
-    cos, sin = np.cos(across), np.sin(across)
-    cos_down = (weight[:, None] * np.cos(down))[..., None]
-    sin_down = (weight[:, None] * np.sin(down))[..., None]
-    total = np.zeros((down.shape[1], across.shape[1]))
-    for k in range(0, len(total), _WAVE_ROWS):
-        rows = slice(k, k + _WAVE_ROWS)
-        part = total[rows]
-        wave = np.empty_like(part)
-        for i in range(len(weight)):
-            part += np.multiply(cos_down[i, rows], cos[i], out=wave)
-            part -= np.multiply(sin_down[i, rows], sin[i], out=wave)
+    """Sum of weight cos(k x + down) over waves; (n,), (n,), (W,), (n, H) -> (H, W)."""
+    curves = _curves_of_columns if len(x) <= _KEPT_COLUMNS else _curves
+    cos, sin = curves(k.tobytes(), x.tobytes())
+    cos_down, sin_down = weight[:, None] * np.cos(down), weight[:, None] * np.sin(down)
+    total = np.empty((down.shape[1], len(x)))
+    _kernels.plane_waves(cos_down, sin_down, cos, sin, total)
     return total
 
 
@@ -299,29 +342,18 @@ class Texture(Scene):
         self, name: str, t: FloatArray, x: FloatArray, y: FloatArray
     ) -> FloatArray:
         """Return a field of mean 0 and rms 1."""
-        index = np.arange(self.waves)
-
-        def draw(what: str) -> FloatArray:
-            return noise.uniform(self.seed, f"texture {name} {what}", index)
-
-        # Equal power per octave: amplitude falls as 1/f.
-        wavelength = self.shortest * (self.longest / self.shortest) ** (
-            (index + draw("wavelength")) / self.waves)
-        direction, phase = 2 * np.pi * draw("direction"), 2 * np.pi * draw("phase")
-        k = 2 * np.pi / wavelength
-        kx, ky = k * np.cos(direction), k * np.sin(direction)
-        weight = wavelength / math.sqrt(float(np.sum(wavelength**2)) / 2)
+        weight, kx, ky, phase = _waves(
+            self.seed, name, self.waves, self.longest, self.shortest)
         rate = kx * self.velocity[0] + ky * self.velocity[1]
         shape = np.broadcast_shapes(t.shape, x.shape, y.shape)
         rest = np.broadcast_shapes(t.shape, y.shape)
         if x.size > 1 and x.shape[-1:] == (x.size,) and rest[-1:] == (1,):
             # cos(a + b) by columns and rows: no cosine per pixel.
-            across = kx[:, None] * x.ravel()
             down = (ky[:, None] * np.broadcast_to(y, rest).ravel() + phase[:, None]
                     - rate[:, None] * np.broadcast_to(t, rest).ravel())
-            return _plane_waves(weight, across, down).reshape(shape)
+            return _plane_waves(weight, kx, x.ravel(), down).reshape(shape)
         total = np.zeros(shape)
-        for i in index:
+        for i in range(self.waves):
             total += weight[i] * np.cos(kx[i] * x + ky[i] * y + phase[i] - rate[i] * t)
         return total
 
@@ -329,11 +361,11 @@ class Texture(Scene):
         """S0, S1, S2 in DN per ms."""
         at = (np.asarray(t_us, np.float64) * 1e-6, np.asarray(x, np.float64),
               np.asarray(y, np.float64))
-        s0 = self.s0 * np.exp(self.contrast * self._field("intensity", *at))
-        dolp = self.dolp + self.dolp_spread * np.sin(self._field("dolp", *at))
-        aop = 2 * (self.aop + self.aop_spread * self._field("aop", *at))
-        linear = s0 * dolp
-        return s0, linear * np.cos(aop), linear * np.sin(aop)
+        s0, s1, s2 = (self._field(name, *at) for name in ("intensity", "dolp", "aop"))
+        _kernels.texture_stokes(
+            s0.reshape(-1), s1.reshape(-1), s2.reshape(-1), self.s0, self.contrast,
+            self.dolp, self.dolp_spread, self.aop, self.aop_spread)
+        return s0, s1, s2
 
     @property
     def step_us(self) -> float:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv.recording.base import (
     MAX_PACKET_EVENTS,
     ApsFrame,
@@ -27,7 +28,7 @@ from pdavis_cv.simulation.dvs import FILM_ROWS, PixelArray, in_time_order
 from pdavis_cv.simulation.faults import EventFaults
 from pdavis_cv.simulation.film import Film
 from pdavis_cv.simulation.patterns import VideoScene
-from pdavis_cv.simulation.scenes import FloatArray, Scene
+from pdavis_cv.simulation.scenes import FloatArray, Scene, Stokes
 from pdavis_cv.simulation.temperature import Conditions
 from pdavis_cv.simulation.truth import Truth
 
@@ -325,13 +326,11 @@ class SimulatedRecording(Recording):
             ).reshape(len(t), -1)
         else:
             places = self._places(rows, 0)
-            s0, s1, s2 = self.scene.stokes(t[:, None, None], *places)
-            a0, a1, a2 = np.ascontiguousarray(np.moveaxis(analyser, -1, 0))
-            light = a0 * s0 + a1 * s1 + a2 * s2
+            light = _analysed(
+                analyser, self.scene.stokes(t[:, None, None], *places), len(t))
             if self._circular:
-                light = light + camera.maps["circular"][rows] * self.scene.s3(
-                    t[:, None, None], *places)
-            light = light.reshape(len(t), -1)
+                light += (camera.maps["circular"][rows] * self.scene.s3(
+                    t[:, None, None], *places)).reshape(len(t), -1)
         light = np.ascontiguousarray(light)
         slope = np.empty((0, light.shape[1])) if self.scene.linear else (
             node_slopes(light))
@@ -372,6 +371,20 @@ def _film_band(
     bursts: dict[str, Any], rows: slice,
 ) -> list[NDArray[Any]]:
     return pixels.advance_film(times, quads, film.weights, seen, rows=rows, **bursts)
+
+
+def _analysed(analyser: FloatArray, stokes: Stokes, times: int) -> FloatArray:
+    """Return what pixels (H, W, 3) see of light (times, H, W), (times, H * W)."""
+    shape = (times, *analyser.shape[:2])
+    s0, s1, s2 = (np.broadcast_to(each, shape) for each in stokes)
+    if not s0.strides[0]:
+        s0 = s0[:1]             # it does not change
+    light = np.empty((times, analyser.shape[0] * analyser.shape[1]))
+    s0, s1, s2 = (np.ascontiguousarray(each.reshape(len(each), -1))
+                  for each in (s0, s1, s2))
+    _kernels.analysed(
+        np.ascontiguousarray(analyser.reshape(-1, 3).T), s0, s1, s2, light)
+    return light
 
 
 def _integral(

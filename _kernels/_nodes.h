@@ -1,0 +1,64 @@
+/* Light at the nodes of some pixels as event pixels need it, by rows of doubles. */
+#ifndef PDAVIS_CV_NODES_H
+#define PDAVIS_CV_NODES_H
+
+#include "_clones.h"
+
+enum {
+    NODES = 33,             /* of a block of intervals, at most */
+    BESIDE = 16             /* pixels at once: what is known of them fits a cache */
+};
+
+/* A pixel's nodes lie BESIDE apart. */
+typedef struct {
+    double light[NODES * BESIDE];   /* DN/ms, with the dark current */
+    double slope[NODES * BESIDE];   /* per interval */
+    double log[NODES * BESIDE];
+    double rise[NODES * BESIDE];    /* slope of the log, per interval */
+} nodes_t;
+
+#define NODES_ROUND 6755399441055744.0
+
+/* Natural log of a positive, normal, finite x: as log64 in _double.pxd. */
+PDAVIS_INLINE double nodes_log(double x)
+{
+    int64_t bits, k;
+    double f, s, z, r, half, m, dk, base = NODES_ROUND;
+    memcpy(&bits, &x, sizeof bits);
+    k = (int64_t)(((uint64_t)bits + 0x00095f6400000000ULL) >> 52) - 1023;
+    bits -= (int64_t)((uint64_t)k << 52);
+    memcpy(&m, &bits, sizeof m);
+    memcpy(&bits, &base, sizeof bits);
+    bits += k;                      /* the last bits of 1.5 * 2^52 are units */
+    memcpy(&dk, &bits, sizeof dk);
+    dk -= base;
+    f = m - 1.0;
+    s = f / (2.0 + f);
+    z = s * s;
+    r = z * (6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (
+        2.857142874366239149e-01 + z * (2.222219843214978396e-01 + z * (
+            1.818357216161805012e-01 + z * (1.531383769920937332e-01
+                                            + z * 1.479819860511658591e-01))))));
+    half = 0.5 * f * f;
+    return dk * 6.93147180369123816490e-01 - (
+        (half - (s * (half + r) + dk * 1.90821492927058770002e-10)) - f);
+}
+
+/* What n pixels see at one node: what is fainter than `faint` is that, and at rest. */
+PDAVIS_CLONES PDAVIS_UNUSED static void nodes_row(
+    ptrdiff_t n, double dark, double faint, const double *restrict seen,
+    const double *restrict change, double *restrict light, double *restrict slope,
+    double *restrict log, double *restrict rise)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        double now = dark + seen[i], d = now < faint ? 0.0 : change[i];
+        now = now < faint ? faint : now;
+        light[i] = now;
+        slope[i] = d;
+        log[i] = nodes_log(now);
+        rise[i] = d / now;
+    }
+}
+
+#endif
