@@ -1,4 +1,4 @@
-"""Writing images and series of images to files that other programs open."""
+"""Write images and series of images to files for other programs."""
 from pdavis_cv._beside import write_beside
 from pdavis_cv.export.animation import ANIMATIONS, AnimationFile, moving_file
 from pdavis_cv.export.aop_events import AopEventsFile, read_aop_events

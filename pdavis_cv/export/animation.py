@@ -21,34 +21,34 @@ __all__ = ["ANIMATIONS", "AnimationFile", "moving_file"]
 
 ANIMATIONS = (".gif", ".webp")
 _MOST_FPS = {".gif": 50.0, ".webp": 60.0}
-"""Programs show pictures of less than 20 ms (GIF, whose unit is 10 ms) or of 10 ms and
-less (WebP) for 100 ms each."""
+"""Highest rates.  Programs show pictures of less than 20 ms (GIF, whose unit is 10 ms),
+or of up to 10 ms (WebP), for 100 ms each."""
 _UNIT_MS = {".gif": 10, ".webp": 1}
 _MOST_BYTES = 1 << 31
-"""Pictures that are kept until the end; a choice."""
+"""Largest size of the pictures, which are kept in memory until the end; a choice."""
 _WEBP_QUALITY = 90
-_GIF_DITHERED = 8   # of IMWRITE_GIF_QUALITY 1..8: without dither 256 colours make bands
-_GIF_OWN_COLOURS = 1    # of IMWRITE_GIF_COLORTABLE: a table for each picture
+_GIF_DITHERED = 8   # IMWRITE_GIF_QUALITY, 1..8: without dither, 256 colours show bands
+_GIF_OWN_COLOURS = 1    # IMWRITE_GIF_COLORTABLE: a table for each picture
 
 
 class AnimationFile:
-    """A picture that moves and repeats, for slides and web pages; written at the end.
+    """Write a looping animation for slides and web pages; it is encoded at the end.
 
     Parameters
     ----------
     path : path
-        ``.gif`` or ``.webp``; appears when it is whole.
+        ``.gif`` or ``.webp``; appears when it is complete.
     fps : float
-        Pictures per second of playing: at most 50 in GIF, 60 in WebP.
+        Pictures per second of playback: at most 50 in GIF, 60 in WebP.
     facts : mapping of str to object, optional
         Provenance to embed; `read_embedded` returns it.
 
     Raises
     ------
     ValueError
-        If the suffix is another, or the rate not one that is shown.
+        If the suffix is unknown, or programs do not show this rate.
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     """
 
     def __init__(
@@ -75,14 +75,14 @@ class AnimationFile:
         return len(self._pictures)
 
     def add(self, picture: NDArray[Any], *, copy: bool = True) -> None:
-        """Append a picture; it is copied, as all are kept until the end.
+        """Append a copy of a picture.
 
         Parameters
         ----------
         picture : ndarray of uint8, shape (H, W, 3)
-            BGR; the same shape each time.
+            BGR; all pictures must have the same shape.
         copy : bool
-            Not used: `VideoFile` has it.
+            Not used; for compatibility with `VideoFile`.
 
         Raises
         ------
@@ -100,7 +100,7 @@ class AnimationFile:
         self._pictures.append(np.array(picture, np.uint8))
 
     def _durations_ms(self) -> list[int]:
-        """Return how long each picture is shown; rounding does not add up."""
+        """Return the duration of each picture; rounding errors do not accumulate."""
         unit = _UNIT_MS[self.path.suffix.lower()]
         ends = [round(k * 1000 / self.fps / unit) * unit
                 for k in range(self.count + 1)]
@@ -145,12 +145,12 @@ class AnimationFile:
 def moving_file(
     path: str | os.PathLike[str], fps: float, facts: Mapping[str, Any] | None = None
 ) -> AnimationFile | VideoFile:
-    """Return what writes moving pictures by the suffix of a file.
+    """Return an `AnimationFile` for ``.gif`` and ``.webp``, else a `VideoFile`.
 
     Parameters
     ----------
     path, fps, facts
-        As `AnimationFile` (``.gif``, ``.webp``) and `VideoFile` (the others) have them.
+        As in these classes.
     """
     animated = os.fspath(path).lower().endswith(ANIMATIONS)
     return (AnimationFile if animated else VideoFile)(path, fps, facts)

@@ -1,4 +1,4 @@
-"""Series of images as one NumPy array file."""
+"""Write a series of images as one NumPy array file."""
 from __future__ import annotations
 
 import contextlib
@@ -16,12 +16,12 @@ __all__ = ["ArrayFile"]
 
 
 class ArrayFile:
-    """A NPY file of unknown length, written image by image in flat memory.
+    """Write an NPY file of unknown length, image by image, in bounded memory.
 
     Parameters
     ----------
     path : path
-        File to write, readable by ``numpy.load``; appears when it is whole.
+        File to write, readable by ``numpy.load``; appears when it is complete.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class ArrayFile:
         Parameters
         ----------
         image : ndarray
-            Same dtype and shape each time.
+            All images must have the same dtype and shape.
 
         Raises
         ------
@@ -67,7 +67,7 @@ class ArrayFile:
 
     def _write_header(self) -> None:
         dtype, shape = self._like or (np.dtype(np.float32), (0, 0))
-        # NumPy pads headers so that the first axis can grow to 21 digits.
+        # NumPy pads headers so that the first axis may have up to 21 digits.
         np.lib.format.write_array_header_1_0(self._file, {
             "descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False,
             "shape": (self.count, *shape)})

@@ -1,4 +1,4 @@
-"""Facts as JSON."""
+"""Write JSON."""
 from __future__ import annotations
 
 import json
@@ -19,9 +19,9 @@ def write_json(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
     Parameters
     ----------
     path : path
-        File to write; appears when it is whole.
+        File to write; appears when it is complete.
     facts : mapping of str to object
-        What to write.
+        Content.
     """
     with write_beside(path) as part:
         part.write_text(
@@ -30,7 +30,7 @@ def write_json(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON can hold it."""
+    """Return a value that JSON can represent."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""HDF5 stacks: one dataset per quantity, grown image by image."""
+"""HDF5 stacks with one dataset per quantity."""
 from __future__ import annotations
 
 import contextlib
@@ -14,17 +14,17 @@ __all__ = ["Hdf5File"]
 
 
 class Hdf5File(StackFile):
-    """An HDF5 file: datasets (T, H, W) named like the quantities, and their scales.
+    """Write an HDF5 file with a dataset (T, H, W) per quantity, and dimension scales.
 
-    The dimension scales are ``t_us`` (T,), ``y`` (H,) and ``x`` (W,), so that
-    ``xarray.open_dataset`` labels all three; ``y`` and ``x`` are pixels, or micrometres
-    in the object where ``pixel_um`` is known.  Each dataset has an attribute ``units``;
-    the file has ``provenance`` (JSON), and ``pixel_um``.
+    The dimension scales are ``t_us`` (T,), ``y`` (H,) and ``x`` (W,), from which
+    ``xarray.open_dataset`` labels all axes; ``y`` and ``x`` are in pixels, or in
+    micrometres in the object if ``pixel_um`` is given.  Each dataset has an attribute
+    ``units``; the file has ``provenance`` (JSON) and ``pixel_um``.
 
     Raises
     ------
     ImportError
-        If h5py, of the extra ``[export]``, is missing.
+        If h5py (extra ``[export]``) is not installed.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -42,7 +42,7 @@ class Hdf5File(StackFile):
             self.count, len(self.quantities), height, width))
         part = self.path.with_name(f".{self.path.name}.part")
         try:
-            # h5py raises once more when it closes what it could not write.
+            # h5py raises again when it closes a file that it could not write.
             with contextlib.closing(_File(self._h5py, part)) as target:
                 file = target.file
                 file.attrs["provenance"] = to_json(self.facts)

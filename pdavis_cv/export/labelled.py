@@ -25,7 +25,7 @@ def to_xarray(
     Parameters
     ----------
     images : PolarFrame, or iterable of PolarFrame of one shape
-        What `fuse` gives; all are kept in memory.
+        Images from `fuse`; all are kept in memory.
     quantities : sequence of str
         Names from ``QUANTITIES``, in any case.
 
@@ -39,10 +39,10 @@ def to_xarray(
     Raises
     ------
     ImportError
-        If xarray is missing.
+        If xarray is not installed.
     ValueError
-        If a quantity is unknown or not known to the method, there is no image, or
-        shapes differ.
+        If a quantity is unknown or the method does not provide it, if there is no
+        image, or if shapes differ.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""NPZ: one array per quantity, for NumPy."""
+"""NPZ files with one array per quantity."""
 from __future__ import annotations
 
 import zipfile
@@ -15,7 +15,7 @@ __all__ = ["NpzFile", "write_npz"]
 
 
 class NpzFile(StackFile):
-    """A ``.npz`` with each quantity (T, H, W), ``t_us`` (T,) and ``provenance``.
+    """Write a ``.npz`` with each quantity (T, H, W), ``t_us`` (T,), ``provenance``.
 
     The provenance is JSON, a string of shape ().
     """
@@ -43,7 +43,7 @@ class NpzFile(StackFile):
             part.unlink(missing_ok=True)
             raise
         finally:
-            # Before the file goes; an array of it would hold it open.
+            # Unmap before the file is removed; the array would keep it open.
             stack._mmap.close()  # type: ignore[attr-defined]
         return part
 
@@ -56,11 +56,11 @@ def write_npz(
     Parameters
     ----------
     path : path
-        File to write; appears when it is whole.
+        File to write; appears when it is complete.
     arrays : dict of str to array_like
-        What to write.
+        Arrays by name.
     facts : dict of str to object
-        Becomes ``provenance``, JSON in a string of shape ().
+        Written as ``provenance``, JSON in a string of shape ().
 
     Raises
     ------

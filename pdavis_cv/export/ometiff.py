@@ -14,20 +14,20 @@ __all__ = ["OmeTiffFile"]
 
 _CLASSIC_END = 2**32 - 2**24
 _UM_PER_CM = 1e4
-_LEVEL = 1  # of zlib; noise gets hardly smaller by a higher one, which takes longer
+_LEVEL = 1  # of zlib; higher levels take longer and hardly compress noise better
 
 
 class OmeTiffFile(StackFile):
-    """An OME-TIFF, readable by Fiji (Bio-Formats), napari, QuPath, bioio and tifffile.
+    """Write an OME-TIFF for Fiji (Bio-Formats), napari, QuPath, bioio and tifffile.
 
-    Channels have the names of the quantities; ``AoP`` is in radians, and units stand in
-    the annotation that holds the provenance.  Compressed by zlib, without loss.  Files
-    that may reach 4 GB are BigTIFF.
+    Channels are named by the quantities; ``AoP`` is in radians.  The annotation with
+    the provenance also holds the units.  Compression is lossless (zlib).  Files that
+    may reach 4 GB are BigTIFF.
 
     Raises
     ------
     ImportError
-        If tifffile, of the extra ``[export]``, is missing.
+        If tifffile (extra ``[export]``) is not installed.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -57,12 +57,12 @@ class OmeTiffFile(StackFile):
             part.unlink(missing_ok=True)
             raise
         finally:
-            # Before the file goes; an array of it would hold it open.
+            # Unmap before the file is removed; the array would keep it open.
             stack._mmap.close()  # type: ignore[attr-defined]
         return part
 
     def _resolution(self) -> dict[str, Any]:
-        """Return the TIFF tags of the pixel size: ImageJ alone reads no OME-XML."""
+        """Return the TIFF tags of the pixel size, as plain ImageJ ignores OME-XML."""
         if self.pixel_um is None:
             return {}
         return {"resolution": 2 * (_UM_PER_CM / self.pixel_um,),

@@ -1,4 +1,4 @@
-"""Where a file's numbers come from, written into the file itself."""
+"""Write the provenance of data into their file."""
 from __future__ import annotations
 
 import hashlib
@@ -27,28 +27,28 @@ _TAG_NAME = "PDAVIS_PROVENANCE"
 _SEGMENT, _TAGS = b"\x18\x53\x80\x67", b"\x12\x54\xc3\x67"
 _TAG, _TARGETS, _SIMPLE = b"\x73\x73", b"\x63\xc0", b"\x67\xc8"
 _NAME, _STRING = b"\x45\xa3", b"\x44\x87"
-_LONGEST = 64  # numbers of an array that are written out
+_LONGEST = 64  # largest number of elements of an array that is written out
 
 
 def provenance(
     images: Mapping[str, Any], source: str | os.PathLike[str] | None = None,
     **facts: Any,
 ) -> dict[str, Any]:
-    """Return what a file should say about its origin.
+    """Return the provenance to be written into a file.
 
     Parameters
     ----------
     images : mapping of str to object
-        Provenance of the images, as a PolarFrame has it.
+        Provenance of a PolarFrame.
     source : path, optional
-        The recording's file; its name, size and SHA-256 are added.
+        The recording's file, whose name, size and SHA-256 are added.
     **facts
-        Anything else, e.g. channels and units.
+        Further facts, e.g. channels and units.
 
     Returns
     -------
     dict of str to object
-        Ready for JSON; arrays of more than 64 numbers become shape and SHA-256.
+        Suitable for JSON; arrays of more than 64 numbers become shape and SHA-256.
 
     Raises
     ------
@@ -89,22 +89,23 @@ def to_json(facts: Mapping[str, Any]) -> str:
 
 
 def embed(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
-    """Add facts to a finished video or animation, where its format has place for them.
+    """Add facts to a finished video or animation.
 
-    A box in MP4, a tag in Matroska, a chunk in AVI and WebP, a comment in GIF.
+    They become a box in MP4, a tag in Matroska, a chunk in AVI and WebP, a comment in
+    GIF.
 
     Parameters
     ----------
     path : path
         ``.webm``, ``.mp4``, ``.m4v``, ``.mkv``, ``.avi``, ``.gif`` or ``.webp``;
-        changed in place, players ignore the addition.
+        changed in place.  Players ignore the addition.
     facts : mapping of str to object
-        What to write, as JSON.
+        Facts, written as JSON.
 
     Raises
     ------
     ValueError
-        If the file is none of these.
+        If the file has another format.
     OSError
         If it cannot be written.
     """
@@ -118,10 +119,10 @@ def embed(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
         if start[4:8] == b"ftyp":
             file.write(struct.pack(">I4s", 24 + len(text), b"uuid") + _UUID + text)
         elif start[:4] == b"RIFF":
-            # Behind the last RIFF list, where readers of AVI have stopped.
+            # After the last RIFF list, which AVI readers do not read.
             text += b" " * (len(text) % 2)
             file.write(b"pdvs" + struct.pack("<I", len(text)) + text)
-            if start[8:] == b"WEBP":  # readers of WebP skip a chunk unknown to them
+            if start[8:] == b"WEBP":  # WebP readers skip unknown chunks
                 size = file.tell() - 8
                 file.seek(4)
                 file.write(struct.pack("<I", size))
@@ -178,14 +179,14 @@ def _loaded(text: bytes) -> dict[str, Any]:
 
 
 def embed_png(data: bytes, facts: Mapping[str, Any]) -> bytes:
-    """Return PNG data with facts as a text chunk behind the header.
+    """Return PNG data with facts as a text chunk after the header.
 
     Parameters
     ----------
     data : bytes
         A PNG file.
     facts : mapping of str to object
-        What to write, as JSON.
+        Facts, written as JSON.
 
     Returns
     -------
@@ -201,7 +202,7 @@ def embed_png(data: bytes, facts: Mapping[str, Any]) -> bytes:
     body = b"iTXt" + _PNG_KEY + b"\0" * 5 + to_json(facts).encode()
     chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(
         ">I", zlib.crc32(body))
-    header = len(_PNG_START) + 25  # IHDR has 13 bytes, always
+    header = len(_PNG_START) + 25  # IHDR always has 13 bytes
     return data[:header] + chunk + data[header:]
 
 
@@ -218,7 +219,7 @@ def _element(kind: bytes, body: bytes) -> bytes:
 
 
 def _extend_segment(file: BinaryIO, text: bytes) -> None:
-    """Append a Tags element to Matroska's Segment and enlarge the Segment by it."""
+    """Append a Tags element to Matroska's Segment and update the Segment's size."""
     tags = _element(_TAGS, _element(_TAG, _element(_TARGETS, b"") + _element(
         _SIMPLE, _element(_NAME, _TAG_NAME.encode()) + _element(_STRING, text))))
     file.seek(0)

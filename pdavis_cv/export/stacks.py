@@ -1,4 +1,4 @@
-"""Stacks of planes that grow image by image and can be continued after a stop."""
+"""Stacks of planes that are written image by image and can be resumed."""
 from __future__ import annotations
 
 import contextlib
@@ -26,16 +26,16 @@ QUANTITIES = {
 """Quantities of a PolarFrame that can be written, with their units."""
 
 _BY_NAME = {name.lower(): name for name in QUANTITIES}
-HEADER = 16  # bytes before the first plane: room for either TIFF header
+HEADER = 16  # bytes before the first plane: space for either TIFF header
 
 
 def names_of(quantities: Sequence[str]) -> tuple[str, ...]:
-    """Return quantities as ``QUANTITIES`` spells them.
+    """Return quantities in the spelling of ``QUANTITIES``.
 
     Raises
     ------
     ValueError
-        If one is unknown, or there is none.
+        If a quantity is unknown, or none is given.
     """
     for name in quantities:
         if name.lower() not in _BY_NAME:
@@ -59,12 +59,12 @@ def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
     Returns
     -------
     ndarray of float32, shape (H, W)
-        Read-only; pixels that are not valid hold what was computed.
+        Read-only; pixels that are not valid keep their computed values.
 
     Raises
     ------
     ValueError
-        If there is no such quantity, or the method does not give it.
+        If there is no such quantity, or the method does not provide it.
     """
     key = names_of([name])[0].lower()
     if key.startswith("i"):
@@ -80,17 +80,17 @@ def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
 
 
 class StackFile(ABC):
-    """A file of float32 planes, one per quantity and time; NaN = not valid.
+    """Write float32 planes, one per quantity and time; NaN = not valid.
 
-    Until the file is whole its data lie beside it in ``.NAME.unfinished``.  When
-    the block ends with an error they are removed, unless ``resume`` is set; then a
-    later StackFile with ``resume`` and the same facts continues: `count` says how
-    many images it already has.
+    Until the file is complete, its data are in ``.NAME.unfinished`` next to it.  If the
+    block ends with an error they are removed, unless ``resume`` is set: then a later
+    StackFile with ``resume`` and the same facts continues, and its `count` is the
+    number of images that it already has.
 
     Parameters
     ----------
     path : path
-        File to write; appears when it is whole.
+        File to write; appears when it is complete.
     quantities : sequence of str
         Names from ``QUANTITIES``.
     facts : mapping of str to object
@@ -98,12 +98,12 @@ class StackFile(ABC):
     pixel_um : float, optional
         Size of a pixel in the object, micrometres.
     resume : bool
-        Keep what an interruption leaves, and continue it.
+        Keep the data if interrupted, and continue from those of an earlier run.
 
     Attributes
     ----------
     count : int
-        Images so far.
+        Number of images so far.
 
     Raises
     ------
@@ -143,14 +143,14 @@ class StackFile(ABC):
 
     @property
     def count(self) -> int:
-        """Images so far."""
+        """Number of images so far."""
         return len(self.times_us)
 
     def _continue(self) -> bool:
-        """Take up what an earlier run left, if it was of the same; whole images only.
+        """Continue from the complete images of an earlier run with the same identity.
 
-        The log holds the identity, height and width, and a time per image; it is
-        written after the image, so it never promises more than there is.
+        The log holds the identity, height, width, and a time per image.  It is written
+        after each image, so it never lists an incomplete one.
         """
         try:
             log = self._log_path.read_bytes()
@@ -185,7 +185,7 @@ class StackFile(ABC):
         Parameters
         ----------
         frame : PolarFrame
-            The same shape each time, with a time.
+            All images must have the same shape, and a time.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class StackFile(ABC):
 
     @contextlib.contextmanager
     def _named(self) -> Iterator[None]:
-        """Let an error of the system name the file; writing to an open one does not."""
+        """Add the file's name to errors of the system, which lack it on writing."""
         try:
             yield
         except OSError as error:
@@ -228,10 +228,10 @@ class StackFile(ABC):
 
     @abstractmethod
     def _finish(self) -> Path:
-        """Make the finished file from the data, under another name; return that."""
+        """Make the final file from the data, under a temporary name; return that."""
 
     def close(self) -> None:
-        """Make the file whole and give it its name.
+        """Complete the file and give it its name.
 
         Raises
         ------
@@ -258,7 +258,7 @@ class StackFile(ABC):
         self.discard()
 
     def discard(self) -> None:
-        """Remove what is unfinished."""
+        """Remove the unfinished file."""
         self._release()
         self.unfinished.unlink(missing_ok=True)
         self._log_path.unlink(missing_ok=True)
@@ -270,7 +270,7 @@ class StackFile(ABC):
             if file is not None:
                 try:
                     file.close()
-                except OSError:  # what it still held does not fit; said before
+                except OSError:  # buffered data do not fit; already reported
                     continue
 
     def __enter__(self) -> Self:

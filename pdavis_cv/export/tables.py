@@ -1,4 +1,4 @@
-"""CSV: traces with units in the header, and jAER's dialect."""
+"""Write traces as CSV, with units in the header or in jAER's dialect."""
 from __future__ import annotations
 
 import csv
@@ -31,12 +31,12 @@ def write_csv(
     Parameters
     ----------
     path : path
-        File to write; appears when it is whole, with nothing but the table in it:
-        ``pandas.read_csv(path)``.
+        File to write; appears when it is complete.  It holds only the table, as
+        ``pandas.read_csv(path)`` expects.
     header : sequence of str
-        Names of the columns, units in them.
+        Names of the columns, which include units.
     rows : iterable of sequence
-        Values; floats are written so that they return exactly, NaN as nothing.
+        Values; floats are written with all digits, NaN as an empty cell.
     facts : mapping of str to object, optional
         Written to the path with ``.json`` added, if there are any.
 
@@ -84,20 +84,20 @@ def write_traces(
     Parameters
     ----------
     path : path
-        File to write; appears when it is whole.
+        File to write; appears when it is complete.
     traces : Traces
         Traces of `analysis.TraceRecorder`.
     origin_us : int
         Time of ``t_s`` 0.
     facts : mapping of str to object, optional
-        Into a JSON file beside it; default the traces' provenance.
+        Written to a JSON file next to it; default: the traces' provenance.
     extra : mapping of str to array_like of shape (T,) or (R, T), optional
-        More columns.
+        Further columns.
 
     Raises
     ------
     ValueError
-        If an extra column does not fit.
+        If an extra column has the wrong shape.
     OSError
         If it cannot be written.
     """
@@ -137,12 +137,12 @@ def write_jaer_csv(
     origin_us : int
         Time of timestamp 0.
     facts : mapping of str to object, optional
-        Into a JSON file beside it; default the traces' provenance.
+        Written to a JSON file next to it; default: the traces' provenance.
 
     Returns
     -------
     list of Path
-        What was written.
+        The files that were written.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Videos and PNG through OpenCV; odd sides are padded before a codec sees them."""
+"""Write videos and PNG through OpenCV; odd sides are padded for the codec."""
 from __future__ import annotations
 
 import contextlib
@@ -20,41 +20,41 @@ from pdavis_cv.render import even, opencv, png_of
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
-# Browsers play VP8 in WebM and VP9 in MP4, and every OpenCV wheel has both; H.264 none
-# writes.  At equal size and fidelity VP9 takes 8 times as long: OpenCV leaves its
-# encoder in the slow mode, which no setting of the writer's changes.
+# Browsers play VP8 in WebM and VP9 in MP4, and every OpenCV wheel can write both; none
+# can write H.264.  At equal size and quality VP9 takes 8 times as long, as OpenCV
+# leaves its encoder in a slow mode that the writer cannot change.
 _CODECS = {".webm": "VP80", ".mp4": "vp09", ".m4v": "mp4v", ".mkv": "mp4v",
            ".avi": "MJPG"}
 LEAST_FPS = 0.01
 _MOST_FPS = {".webm": 1000, ".mp4": 60_000, ".m4v": 60_000, ".mkv": 1000, ".avi": 1000}
-"""Pictures per second that each container holds, as measured."""
+"""Highest frame rate of each container, as measured."""
 
 
 class VideoFile:
-    """A colour video, written picture by picture.
+    """Write a colour video, picture by picture.
 
-    While it is open, OpenCV logs nothing.
+    While it is open, OpenCV's log is silenced.
 
     Parameters
     ----------
     path : path
-        ``.webm``, ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; appears when it is whole.
-        Browsers play the first two; ``.webm`` is written 8 times faster.
+        ``.webm``, ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; appears when it is
+        complete.  Browsers play the first two; ``.webm`` is written 8 times faster.
     fps : float
-        Pictures per second of playing.
+        Pictures per second of playback.
     facts : mapping of str to object, optional
         Provenance to embed; `read_embedded` returns it.
 
     Raises
     ------
     ValueError
-        If the suffix is another, or the rate not one that the container holds.
+        If the suffix is unknown, or the container does not support the rate.
     OSError
-        When writing, if the codec cannot write there.
+        On writing, if the codec cannot write the file.
     """
 
     ahead = 2
-    """Pictures that wait: one is encoded, one evens out what takes longer."""
+    """Pictures in the queue: one is being encoded, one evens out delays."""
 
     _grey = False
 
@@ -77,15 +77,15 @@ class VideoFile:
         self._part = self._stack.enter_context(write_beside(
             self.path, ".mkv" if suffix == ".webm" else None))
         try:
-            self._part.touch()  # fails here, with the system's reason, if it must
+            self._part.touch()  # to get the system's error message, if it fails
         except OSError as error:
             self._stack.__exit__(type(error), error, error.__traceback__)
             raise
         self._writer: Any = None
         self._shape: tuple[int, ...] = ()
-        # Once per file, not per picture: each call waits for the GIL.
+        # Once per file instead of per picture, as each call waits for the GIL.
         self._stack.enter_context(_silent(self._cv2))
-        # OpenCV encodes without the GIL: while the caller makes the next picture.
+        # OpenCV encodes without the GIL, while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: deque[Future[None]] = deque()
         self._held: deque[NDArray[Any]] = deque()
@@ -103,9 +103,9 @@ class VideoFile:
         Parameters
         ----------
         picture : ndarray of uint8, shape (H, W, 3)
-            BGR; the same shape each time.
+            BGR; all pictures must have the same shape.
         copy : bool
-            False: the caller does not change it before `ahead` more were added.
+            False if the caller does not change it until `ahead` more were added.
 
         Raises
         ------
@@ -130,7 +130,7 @@ class VideoFile:
         self.count += 1
 
     def _copied(self, picture: NDArray[Any]) -> NDArray[Any]:
-        # Fresh memory each time would take longer than the copy.
+        # Memory is reused, as allocating it would take longer than the copy.
         if len(self._held) < self.ahead:
             self._held.append(picture.copy())
         else:
@@ -159,11 +159,11 @@ class VideoFile:
     def _readable(self) -> bool:
         """Return whether all pictures can be read back.
 
-        FFmpeg writes nothing more after an error, so a file whose index, which comes
-        last, names every picture, and whose last one can be read, is whole.
+        FFmpeg writes nothing after an error.  So the file is complete if its index,
+        which comes last, lists every picture, and the last picture can be read.
         """
         if not _ended(self._part):
-            return False  # FFmpeg would say so in a line of its own
+            return False  # FFmpeg would print an error message
         cv2 = self._cv2
         reader = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
         whole: bool = (
@@ -174,7 +174,7 @@ class VideoFile:
         return whole
 
     def _finish(self) -> None:
-        """Check that what was written can be read to its end."""
+        """Check that the file can be read to its end."""
         if self._writer is None:
             raise ValueError(f"{self.path}: no picture to write")
         self._wait()

@@ -1,4 +1,4 @@
-"""A strip chart small enough for a video: traces up to now, with error bands."""
+"""Draw a small strip chart for videos: traces up to now, with error bands."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ def chart(
     span_s, limits : (float, float)
         Ends of the time axis in seconds and of the value axis.
     now_s : float, optional
-        Nothing later is drawn, and a cursor stands here.
+        Later samples are not drawn; a cursor marks this time.
     title : str
         ASCII, above the chart.
 
@@ -125,7 +125,7 @@ def chart(
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[slice]:
-    """Slices of the runs of True that hold two or more."""
+    """Return the slices of all runs of at least two True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)
             if b - a > 1]

@@ -1,8 +1,7 @@
-"""Colour pictures of polarization: what each value looks like, and its legend.
+"""Colour maps for polarization, and their legends.
 
-Colours depend on the value alone, never on the rest of the image, so that two
-pictures, or two frames of a video, can be compared.  Computing needs NumPy only;
-text is drawn by OpenCV.
+The colour of a pixel depends only on its own value, not on the rest of the image, so
+that pictures and frames of a video can be compared.  Only text needs OpenCV.
 """
 from __future__ import annotations
 
@@ -45,7 +44,7 @@ INVALID = (96, 96, 96)
 
 
 class Style(NamedTuple):
-    """Grey values of what stands around pictures, 0..255."""
+    """Grey values of background and text around pictures, 0..255."""
 
     ground: int
     ink: int
@@ -57,14 +56,13 @@ LIGHT = Style(255, 20)
 """Dark text on white, for print and slides."""
 
 FULL_COLOUR_DOLP = 0.25
-"""DoLP from which on a faded AoP has its full colour: a choice, of the tissue and sky
-that such cameras look at."""
+"""DoLP from which on a faded AoP has its full colour; chosen for tissue and sky."""
 
-# A full turn of hue at full saturation and value: every such uint8 colour once.
+# Number of different uint8 colours of full saturation and value.
 _HUES = 6 * 255
 AOP_SCALE = _HUES / np.pi
 
-# matplotlib's viridis (CC0) at sixteenths, RGB; linear between, within 6 of 255.
+# matplotlib's viridis (CC0) at 16 intervals, RGB; interpolated, within 6 of 255.
 _VIRIDIS = np.array([
     (68, 1, 84), (72, 24, 106), (71, 45, 123), (66, 64, 134), (59, 82, 139),
     (51, 99, 141), (44, 114, 142), (38, 130, 142), (33, 145, 140), (31, 160, 136),
@@ -84,19 +82,19 @@ def table_of(
     colours: NDArray[np.uint8], none: tuple[int, int, int] = INVALID,
     invalid: tuple[int, int, int] = INVALID,
 ) -> NDArray[np.uint8]:
-    """Return colours as the kernels take them.
+    """Return a table of colours for the kernels.
 
     Parameters
     ----------
     colours : ndarray of uint8, shape (N, 3)
         BGR.
     none, invalid : (int, int, int)
-        Colours of NaN and of what is not valid.
+        Colours of NaN and of pixels that are not valid.
 
     Returns
     -------
     ndarray of uint8, shape (N + 2, 4)
-        The last byte of each is not used.
+        The last byte of each colour is unused.
     """
     table = np.zeros((len(colours) + 2, 4), np.uint8)
     table[:-2, :3], table[-2, :3], table[-1, :3] = colours, none, invalid
@@ -146,7 +144,7 @@ def dolp_bgr(
     Parameters
     ----------
     dolp : array_like of float, shape (H, W)
-        Values beyond 0..top take the colour of the nearer end.
+        Values outside 0..top have the colour of the nearer end.
     valid : ndarray of bool, shape (H, W), optional
         Pixels that are False become `INVALID`.
     top : float
@@ -178,9 +176,9 @@ def grey_bgr(
     valid : ndarray of bool, shape (H, W), optional
         Pixels that are False become `INVALID`, unless `saturated` is given.
     saturated : float, optional
-        Pixels that are not valid are white from this intensity on, which is a lower
-        bound of light too bright to be measured and may look darker than what was
-        measured beside it; below, they are too dark, and shown.
+        Intensity above which pixels that are not valid are taken as saturated and shown
+        white: their value is a lower bound and might look darker than its neighbours.
+        Below it, they are too dark and shown in grey.
     out : ndarray of uint8, shape (H, W, 3), optional
         As for `aop_bgr`.
 
@@ -214,15 +212,15 @@ def aop_legend(
     background : int
         Grey value around the ring, 0..255.
     colours : callable
-        What gives an angle its colour.
+        Maps angles to colours.
     faded : bool
-        Show DoLP too: no ring but a disc, of the background's grey in the middle.
+        Show DoLP too, as a disc that fades to the background in the middle.
 
     Returns
     -------
     ndarray of uint8, shape (radius, 2 * radius, 3)
-        BGR; seen from the middle of the bottom edge, a pixel of the ring in
-        direction a has the colour of AoP a, counter-clockwise from the right.
+        BGR; a pixel of the ring in direction a, seen from the middle of the bottom edge
+        and counted counter-clockwise from the right, has the colour of AoP a.
     """
     across, up, distance = _wheel_places(radius)
     picture = np.full((radius, 2 * radius, 3), background, np.uint8)
@@ -238,7 +236,7 @@ def fade(
     picture: Picture, weight: ArrayLike, valid: NDArray[np.bool_] | None = None, *,
     top: float = FULL_COLOUR_DOLP, ground: int = 0,
 ) -> None:
-    """Fade a picture in place where its colour means little.
+    """Fade a picture in place where its colour is not meaningful.
 
     Parameters
     ----------
@@ -268,7 +266,10 @@ def fade(
 def _wheel_places(
     radius: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Pixel centres relative to the middle of the bottom edge: right, up, distance."""
+    """Return pixel centres relative to the middle of the bottom edge.
+
+    They are the offsets to the right and up, and the distance.
+    """
     place = np.mgrid[:radius, :2 * radius].astype(np.float64)
     up, across = radius - 0.5 - place[0], place[1] - radius + 0.5
     return across, up, np.hypot(across, up)
@@ -306,11 +307,11 @@ def panel(
     title : str
         One line.
     legend : {"aop", "faded", "even", "dolp", "grey"}, optional
-        What the colours mean; ``"faded"`` and ``"even"`` are angles of `aop_bgr` and
-        of `cyclic_bgr` that `fade` by DoLP.
+        Quantity of the colours; ``"faded"`` and ``"even"`` are AoP by `aop_bgr` and
+        `cyclic_bgr`, faded by DoLP.
     start, end : str
-        What the ends of the bar stand for, e.g. ``"36 DN/ms"``; `end` is the DoLP at
-        the rim of a wheel.
+        Values at the ends of the bar, e.g. ``"36 DN/ms"``; for a wheel, `end` is the
+        DoLP at the rim.
     scale : int
         Each pixel of the picture becomes a square of this side.
     style : Style
@@ -335,25 +336,25 @@ def tile(
     pictures: Sequence[Picture], *, columns: int, title: str = "", gap: int = 8,
     style: Style = DARK,
 ) -> Picture:
-    """Put pictures side by side, `columns` in a row, under a common title.
+    """Arrange pictures in rows of `columns`, under a common title.
 
     Parameters
     ----------
     pictures : sequence of ndarray of uint8, shape (H, W, 3)
         BGR; smaller ones are centred in the size of the largest.
     columns : int
-        How many stand in a row.
+        Number of pictures per row.
     title : str
-        One line over all of them.
+        One line above all pictures.
     gap : int
-        Pixels between them and around.
+        Pixels between and around the pictures.
     style : Style
         `DARK` or `LIGHT`.
 
     Returns
     -------
     ndarray of uint8, shape (H', W', 3)
-        BGR; H' and W' are even, as video codecs need them.
+        BGR; H' and W' are even, as video codecs require.
     """
     height = max(picture.shape[0] for picture in pictures)
     width = max(picture.shape[1] for picture in pictures)
@@ -375,7 +376,7 @@ def tile(
 def stack(
     pictures: Sequence[Picture], gap: int = 0, *, style: Style = DARK
 ) -> Picture:
-    """Put pictures below each other, left-aligned.
+    """Stack pictures vertically, left-aligned.
 
     Parameters
     ----------
@@ -404,7 +405,7 @@ def stack(
 def even(picture: NDArray[Any]) -> NDArray[Any]:
     """Repeat the last row or column of a picture of odd height or width.
 
-    Video codecs cut such a row or column off without a word.
+    Video codecs silently drop such a row or column.
 
     Parameters
     ----------
@@ -419,7 +420,7 @@ def even(picture: NDArray[Any]) -> NDArray[Any]:
     height, width, *rest = picture.shape
     if height % 2 == width % 2 == 0:
         return picture
-    # np.pad takes as long as all the rest of a picture.
+    # np.pad takes as long as everything else for a picture.
     padded = np.empty((height + height % 2, width + width % 2, *rest), picture.dtype)
     padded[:height, :width] = picture
     padded[height:, :width] = picture[-1:]
@@ -435,7 +436,7 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int
     picture : ndarray of uint8, shape (H, W, 3)
         BGR, C-contiguous; changed.
     text : str
-        One line; characters beyond ASCII are not drawn by every OpenCV.
+        One line; not every OpenCV draws characters beyond ASCII.
     x, y : int
         Left end of the base line.
     grey : int
@@ -463,22 +464,23 @@ def through_table(
     scale: float, table: NDArray[np.uint8], least: float | None = None,
     out: Picture | None = None,
 ) -> Picture:
-    """Colour values by a table; not a NumPy chain, which takes ten times as long.
+    """Colour values with a table, in a kernel ten times as fast as NumPy.
 
     Parameters
     ----------
     kernel : callable
         ``hue_bgr``, ``ramp_bgr`` or ``tone_bgr``.
     value : array_like of float, shape (H, W)
-        Float32 as it is, anything else as float64.
+        Other types than float32 are converted to float64.
     valid : ndarray of bool, shape (H, W), or None
         True = usable.
     scale : float
-        What the kernel multiplies values with.
+        Factor by which the kernel multiplies values.
     table : ndarray of uint8, shape (N + 2, 4)
         See `table_of`.
     least : float, optional
-        What is not valid and below it has the colour of its value; default: nothing.
+        Pixels that are not valid and below it have the colour of their value; default:
+        none.
     out : ndarray of uint8, shape (H, W, 3), optional
         Overwritten and returned; pixels of a row must be contiguous.
 
@@ -513,7 +515,7 @@ def through_table(
 
 
 def canvas(out: Picture | None, shape: tuple[int, ...]) -> Picture:
-    """Return out after checking it, or a new picture when it is None."""
+    """Return `out` after checking it, or a new picture if it is None."""
     if out is None:
         return np.empty(shape, np.uint8)
     if out.dtype != np.uint8:

@@ -1,8 +1,9 @@
-"""A cyclic map of equal steps: constant lightness and chroma, hue alone turns.
+"""A perceptually uniform cyclic colour map of constant lightness and chroma.
 
-HSV hues differ in lightness by a factor of three, so that edges appear where there
-are none; here equal angles look equally different.  The circle lies in Oklab (Bjorn
-Ottosson, 2020, public domain), at the largest chroma that sRGB holds all around.
+The lightness of HSV hues differs by a factor of three, which shows edges where there
+are none.  Here equal differences of angle look equal.  Colours form a circle in Oklab
+(Bjorn Ottosson, 2020, public domain), with the largest chroma that fits into sRGB at
+all hues.
 """
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sheets that lie like the paper's Supplementary Videos 1 to 5; one image's summary."""
+"""Sheets in the layout of the paper's Supplementary Videos 1 to 5, and summaries."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ __all__ = [
     "tendon_sheet",
 ]
 
-_LEAST_WIDTH = 240  # of a panel, so that small images are seen and captions fit
+_LEAST_WIDTH = 240  # of a panel, so that small images are visible and captions fit
 Grey = Callable[[ArrayLike, NDArray[np.bool_] | None], Picture]
 
 
@@ -62,17 +62,17 @@ def frames_and_fused(
 ) -> Picture:
     """Lay out Supplementary Videos 1 (AoP) and 2 (DoLP).
 
-    Frames above, fused below; the four channels at the left, the quantity at the
-    right.
+    Frames are above, fused images below; the four channels at the left, the quantity
+    at the right.
 
     Parameters
     ----------
     held, fused : PolarFrame
-        The same time, from ``frames`` and from another method.
+        Images of the same time, from ``frames`` and from another method.
     white : float
         Intensity that becomes white, DN per ms.
     quantity : {"aop", "dolp"}
-        What stands at the right.
+        Quantity at the right.
     scale : int
         Picture pixels per pixel.
     title : str
@@ -106,7 +106,7 @@ def summary(image: PolarFrame) -> Picture:
     Parameters
     ----------
     image : PolarFrame
-        Shown by a tone curve of its own.
+        S0 is shown with a tone curve fitted to this image.
 
     Returns
     -------
@@ -164,8 +164,8 @@ def fan_sheet(
         Name, image and tone curve of each source, top first: PDAVIS frames, fused,
         and a second camera if there is one.
     scale : int
-        Picture pixels per pixel of the first source; others are brought to its
-        height by nearest neighbours.
+        Picture pixels per pixel of the first source; others are resized to its height
+        by nearest neighbours.
     title : str
         One line over all.
     least_dolp : float, optional
@@ -196,7 +196,7 @@ def fan_sheet(
 
 
 def _below(*sheets: Picture) -> Picture:
-    """Put sheets below each other, on black, with even sides."""
+    """Stack sheets vertically on black, with even sides."""
     sheet = np.zeros((sum(part.shape[0] for part in sheets),
                       max(part.shape[1] for part in sheets), 3), np.uint8)
     top = 0
@@ -251,7 +251,7 @@ def tendon_sheet(
 
 
 def _to_height(picture: Picture, height: int, scale: int) -> Picture:
-    """Bring a picture of another camera to a common height, nearest neighbour."""
+    """Resize a picture of another camera to a height, by nearest neighbours."""
     if picture.shape[0] == height:
         return picture.repeat(scale, axis=0).repeat(scale, axis=1)
     tall = height * scale

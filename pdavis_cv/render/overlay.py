@@ -1,4 +1,4 @@
-"""What is laid over pictures: events, fading by reliability, text, a scale bar."""
+"""Overlays: events, masks of reliability, text, a scale bar."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -24,15 +24,15 @@ def events_on(
 ) -> Picture:
     """Show events over a picture, ON towards white and OFF towards black.
 
-    Each event moves its pixel by a part of the way to its colour, the more the
-    surer: n more ON than OFF events move it by ``min(1, n * step / 255)``.
+    A pixel with n more ON than OFF events moves towards the colour of ON by the
+    fraction ``min(1, n * step / 255)``, and correspondingly for OFF.
 
     Parameters
     ----------
     picture : ndarray of uint8, shape (H, W, 3), or (H, W)
-        What lies below; a pair of sizes means mid-grey, as in the paper's figure 4.
+        Background; a size means mid-grey, as in the paper's figure 4.
     events : structured array
-        Anything that `as_events` takes, in sensor pixels; those outside are left out.
+        Events as accepted by `as_events`, in sensor pixels; those outside are ignored.
     origin : (int, int)
         (x, y) of the picture's top left corner on the sensor.
     step : int
@@ -74,26 +74,26 @@ def reliable(
     frame: PolarFrame, *, least_dolp: float | None = None,
     most_sigma_deg: float | None = None,
 ) -> NDArray[np.bool_]:
-    """Return where an angle can be believed.
+    """Return the pixels whose angle is reliable.
 
     Parameters
     ----------
     frame : PolarFrame
         The image.
     least_dolp : float, optional
-        Weaker polarization is left out, as the paper does.
+        Smallest DoLP, as in the paper.
     most_sigma_deg : float, optional
-        Larger standard deviations of AoP, in degrees, are left out.
+        Largest standard deviation of AoP, degrees.
 
     Returns
     -------
     ndarray of bool, shape (H, W)
-        A part of ``frame.valid``.
+        A subset of ``frame.valid``.
 
     Raises
     ------
     ValueError
-        If sigma is asked for and the method gives none.
+        If `most_sigma_deg` is given and the method has no variance.
     """
     good = frame.valid.copy()
     if least_dolp is not None:
@@ -107,7 +107,7 @@ def reliable(
 
 
 def burn(picture: Picture, *lines: str, corner: str = "bottom left") -> Picture:
-    """Write lines of text into a corner, on a darkened ground.
+    """Write lines of text into a corner, on a darkened background.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def burn(picture: Picture, *lines: str, corner: str = "bottom left") -> Picture:
     Raises
     ------
     ValueError
-        If the corner is none.
+        If the corner is unknown.
     """
     words = corner.split()
     if len(words) != 2 or words[0] not in ("top", "bottom") or words[1] not in (
@@ -176,7 +176,7 @@ def scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> Picture:
 
 
 def draw_scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> None:
-    """Draw what `scale_bar` draws, into the picture itself.
+    """Draw a scale bar as `scale_bar` does, into the picture itself.
 
     Parameters
     ----------
@@ -198,6 +198,6 @@ def draw_scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> None
                       width - _text_width(text) - 2))
     wide = max(pixels, _text_width(text)) + 8
     ground = picture[max(0, bottom - 24):, max(0, right - wide):]
-    ground //= 3    # so that bar and length are seen on any colour
+    ground //= 3    # so that bar and text are visible on any colour
     picture[bottom - 3:bottom, right - pixels:right] = 235
     caption(picture, text, left, bottom - 8)

@@ -1,4 +1,4 @@
-"""The usual three pictures of an image at once, without its planes in between."""
+"""Draw S0, AoP and DoLP at once, without storing the planes in between."""
 from __future__ import annotations
 
 import math
@@ -35,17 +35,17 @@ def draw_polarization(
 ) -> dict[str, Picture]:
     """Draw S0, AoP and DoLP of an image.
 
-    What `grey_bgr`, `aop_bgr` and `dolp_bgr` make of the image's planes and ``valid``.
-    Row by row, so that no plane need be stored: in a video that goes through more
-    memory than the processor keeps at hand, that takes half the time.
+    The pictures are those of `grey_bgr`, `aop_bgr` and `dolp_bgr` with the image's
+    ``valid``.  Working row by row avoids storing planes, which halves the time if they
+    do not fit into the processor's caches.
 
     Parameters
     ----------
     frame : PolarFrame
         The image.
     places : mapping of str to (ndarray of uint8 of shape (H, W, 3), or None)
-        Of ``"s0"``, ``"aop"``, ``"dolp"`` those that are wanted, and what to draw each
-        into; None makes a new picture.
+        Pictures to draw (``"s0"``, ``"aop"``, ``"dolp"``) and the array to draw each
+        into; None makes a new array.
     white : float
         As for `grey_bgr`.
     saturated : float, optional
@@ -59,9 +59,9 @@ def draw_polarization(
     Raises
     ------
     TypeError
-        If a place is not uint8.
+        If an array is not uint8.
     ValueError
-        If a name is another, `white` is not positive, or a place does not fit.
+        If a name is unknown, `white` is not positive, or an array has the wrong shape.
     """
     for name in places:
         if name not in ("s0", "aop", "dolp"):

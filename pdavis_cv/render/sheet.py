@@ -1,4 +1,4 @@
-"""Sheets of panels of which only the pictures and the title change."""
+"""Sheets of panels in which only the pictures and the title change."""
 from __future__ import annotations
 
 from collections import deque
@@ -23,7 +23,7 @@ _GAP = 8
 
 @dataclass(frozen=True)
 class Panel:
-    """What stands around a picture; see `panel`."""
+    """Title and legend of a picture; see `panel`."""
 
     title: str
     legend: str | None = None
@@ -32,25 +32,25 @@ class Panel:
 
 
 class PanelSheet:
-    """Makes what `tile` makes of what `panel` makes, in a memory that is kept.
+    """Draw the same sheets as `tile` of `panel`s, reusing memory.
 
-    Fresh memory for each picture of a video would take several times as long as
-    drawing into it.
+    Allocating memory for each picture of a video would take several times as long as
+    drawing it.
 
     Parameters
     ----------
     panels : sequence of Panel
-        In the order of the pictures.
+        One per picture, in the same order.
     columns : int
-        How many stand in a row.
+        Number of panels per row.
     scale : int
         Each pixel of a picture becomes a square of this side.
     keep : int
-        Sheets that stay as they were drawn, the last one among them.
+        Number of sheets that remain unchanged, including the last one.
     style : Style
         `DARK` or `LIGHT`.
     mark : callable, optional
-        Draws into each picture in its place, enlarged; for sheets with a title.
+        Draws into each enlarged picture in the sheet; for sheets with a title.
     """
 
     def __init__(
@@ -59,17 +59,17 @@ class PanelSheet:
     ) -> None:
         self.panels, self.columns, self.scale = tuple(panels), columns, scale
         self.keep, self.style, self.mark = keep, style, mark
-        # Sheets and where the pictures stand in them, the next one first.
+        # Sheets and the views of their pictures, the next one first.
         self._ring: deque[tuple[Picture, list[Picture]]] = deque()
         self._sizes: list[tuple[int, ...]] = []
         self._width = 0
 
     @property
     def places(self) -> Sequence[Picture | None]:
-        """Where the pictures stand in the next sheet.
+        """Views of the pictures in the next sheet.
 
-        A picture made in its place need not be copied there.  None before the first
-        sheet, and where each pixel becomes several.
+        A picture drawn into its view need not be copied.  None before the first sheet,
+        and if pictures are enlarged.
         """
         if self._ring and self.scale == 1:
             return self._ring[0][1]
@@ -81,14 +81,14 @@ class PanelSheet:
         Parameters
         ----------
         pictures : sequence of ndarray of uint8, shape (H, W, 3)
-            BGR, one per panel; each may have been drawn into its of `places`.
+            BGR, one per panel; each may have been drawn into its view from `places`.
         title : str
-            One line over all of them.
+            One line above all pictures.
 
         Returns
         -------
         ndarray of uint8, shape (H', W', 3)
-            BGR of even size; the `keep`-th call from here writes into it again.
+            BGR of even size; the `keep`-th call after this one overwrites it.
         """
         sizes = [picture.shape for picture in pictures]
         width = max(_text_width(title) + 8, self._width)

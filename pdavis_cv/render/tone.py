@@ -1,4 +1,4 @@
-"""The tone curve: grey from intensity, by a fixed function of the value alone."""
+"""Tone curves: map intensity to grey by a fixed function."""
 from __future__ import annotations
 
 import functools
@@ -28,10 +28,9 @@ _STEPS = 65536
 
 @dataclass(frozen=True)
 class ToneCurve:
-    """Grey from intensity by one fixed curve, so that a video cannot flicker.
+    """A fixed curve from intensity to grey, with which a video cannot flicker.
 
-    A pixel's grey depends on its own value alone.  With x = I / `white` in 0..1 it is
-    255 y ** (1 / `gamma`), where y is
+    With x = I / `white`, clipped to 0..1, grey is 255 y ** (1 / `gamma`), where y is
 
     - x, or
     - with a `knee`, asinh(I / knee) / asinh(white / knee): linear in the dark and
@@ -46,7 +45,7 @@ class ToneCurve:
         Intensity where the curve turns logarithmic, above 0; at or above ``white``
         the curve is nearly linear.
     gamma : float
-        Above 0; more brightens what is between black and white.
+        Above 0; larger values brighten everything between black and white.
     log : bool
         Excludes a `knee`.
     saturated : float, optional
@@ -112,7 +111,7 @@ class ToneCurve:
 
     @functools.cached_property
     def _colours(self) -> NDArray[np.uint8]:
-        """Colours over the square root of x: fine steps where the light is dim."""
+        """Colours by the square root of x, which gives fine steps in dim light."""
         x = (np.arange(_STEPS) / (_STEPS - 1)) ** 2
         if self.knee is not None:
             x = np.arcsinh(x * (self.white / self.knee)) / np.arcsinh(
@@ -161,7 +160,7 @@ class ToneCurve:
     def seen(
         self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None
     ) -> Picture:
-        """Return a grey picture that shows what is not valid too.
+        """Return a grey picture that also shows pixels that are not valid.
 
         Parameters
         ----------
