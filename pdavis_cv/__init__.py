@@ -1,6 +1,6 @@
-"""Frames and events of a polarization event camera, fused.
+"""Fuse frames and events of a polarization event camera.
 
-The names below load at first use, so that importing the package is cheap.
+The names below are imported at first use, so that importing the package is fast.
 """
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# Public name -> the module that defines it.
+# The module that defines each public name.
 _HOME = {
     "AnalysisWarning": "errors",
     "CalibrationError": "errors",
@@ -131,7 +131,7 @@ _HOME = {
 }
 _ROOMS = ("analysis", "batch", "calibration", "export", "render", "simulation")
 
-# Written out, because type checkers read it and do not run it.
+# A literal, as type checkers do not run code.
 __all__ = [
     "AOP_EVENT_DTYPE",
     "CAP_PDAVIS",

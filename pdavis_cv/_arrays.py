@@ -1,4 +1,4 @@
-"""Archives of NumPy arrays that nothing vouches for: nothing executed, all bounded."""
+"""Read untrusted archives of NumPy arrays, without pickles and in bounded memory."""
 from __future__ import annotations
 
 import io
@@ -18,24 +18,24 @@ __all__ = ["array_header", "read_arrays"]
 def array_header(
     file: IO[bytes], size: int
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return shape, order (True = columns lie together) and dtype of an ``.npy``.
+    """Return shape, order (True = Fortran) and dtype of an ``.npy``.
 
     Parameters
     ----------
     file : binary file
-        At the beginning; left at the first number.
+        At its beginning; afterwards at the first element.
     size : int
-        Bytes of the whole.
+        Size of the file, bytes.
 
     Raises
     ------
     ValueError
-        If the header is damaged, wants objects, or promises more than there is.
+        If the header is damaged, has objects, or claims more data than there are.
     """
     version = np.lib.format.read_magic(file)
     read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
             else np.lib.format.read_array_header_2_0)
-    with warnings.catch_warnings():     # of names of types, and of escapes in names
+    with warnings.catch_warnings():     # of type names and escapes in field names
         warnings.simplefilter("ignore", DeprecationWarning)
         warnings.simplefilter("ignore", SyntaxWarning)
         shape, fortran, dtype = read(file)
@@ -66,7 +66,7 @@ def read_arrays(
     OSError
         If the file cannot be read.
     ValueError
-        If it is no such archive, or damaged.
+        If it has another format or is damaged.
     """
     data = Path(path).read_bytes()
     try:

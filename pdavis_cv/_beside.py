@@ -1,4 +1,4 @@
-"""Files that appear under their name only when they are whole."""
+"""Write files that appear under their name only when they are complete."""
 from __future__ import annotations
 
 import contextlib
@@ -12,11 +12,11 @@ from pathlib import Path
 __all__ = ["Unfinished", "clear", "write_beside"]
 
 _COUNT = itertools.count()
-"""Two threads may write one file at once: each to a part of its own."""
+"""Makes temporary names unique, as two threads may write the same file."""
 
 
 class Unfinished:
-    """A file that is written beside its final name and then renamed.
+    """A file that is written under a temporary name and then renamed.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Unfinished:
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
-        """Let an OSError in the block name the final file where it named none."""
+        """Add the final file's name to an OSError in the block that names no file."""
         try:
             yield
         except OSError as error:
@@ -50,7 +50,7 @@ class Unfinished:
                 raise  # of another file, e.g. the one that is read
             if error.errno is not None:
                 raise OSError(error.errno, error.strerror, str(self.path)) from error
-            said = str(error)  # NumPy's own words, or ours
+            said = str(error)  # a message by NumPy or by this library
             raise OSError(said if str(self.path) in said else f"{self.path}: {said}"
                           ) from error
 
@@ -66,9 +66,9 @@ class Unfinished:
 
 
 def clear(path: str | os.PathLike[str]) -> None:
-    """Remove what processes that were killed left of a file that is to be made again.
+    """Remove temporary files of killed processes for a file that is made again.
 
-    That of a live recording stays: it is all there is of it.
+    Those of live recordings are kept, as they hold the only data.
 
     Parameters
     ----------
@@ -81,11 +81,11 @@ def clear(path: str | os.PathLike[str]) -> None:
             path.with_name(name).unlink()
 
 
-@functools.cache   # a series of pictures would list its folder for each of them
+@functools.cache   # a series of pictures would list the folder for each picture
 def _left_behind(folder: str) -> dict[str, list[str]]:
-    """Return what processes that are gone left unfinished in a folder, by stem.
+    """Return the temporary files of ended processes in a folder, by stem.
 
-    Where a process cannot be asked whether it lives (Windows), nothing is.
+    None on Windows, where it cannot be checked whether a process runs.
     """
     found: dict[str, list[str]] = {}
     if os.name != "posix":
@@ -104,7 +104,7 @@ def _lives(pid: int) -> bool:
     except ProcessLookupError:
         return False
     except OSError:
-        pass    # another user's
+        pass    # a process of another user
     return True
 
 
@@ -112,9 +112,9 @@ def _lives(pid: int) -> bool:
 def write_beside(
     path: str | os.PathLike[str], suffix: str | None = None
 ) -> Iterator[Path]:
-    """Write a file beside its final name, and rename it when it is whole.
+    """Write a file under a temporary name, and rename it when it is complete.
 
-    What a process that was killed left of the same file is removed.
+    Temporary files that killed processes left of the same file are removed.
 
     Parameters
     ----------
@@ -126,13 +126,13 @@ def write_beside(
     Yields
     ------
     Path
-        Name to write to, in the same folder.  When the block raises, the file is
-        removed and `path` is as before.
+        Name to write to, in the same folder.  If the block raises, this file is removed
+        and `path` is unchanged.
 
     Raises
     ------
     OSError
-        What the system says in the block, with the final name where it named none.
+        Errors of the system in the block, with the final name if they have none.
     """
     clear(path)
     unfinished = Unfinished(path, suffix)

@@ -1,4 +1,4 @@
-"""Checks of arguments that several rooms share."""
+"""Checks of arguments that several packages share."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -18,20 +18,20 @@ def output(
     out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLike,
     *inputs: NDArray[Any] | None, name: str = "out",
 ) -> NDArray[Any]:
-    """Return ``out`` after checking it, or a new array when it is None.
+    """Return ``out`` after checking it, or a new array if it is None.
 
     Parameters
     ----------
     out : ndarray or None
-        What the caller gave.
+        The caller's argument.
     shape : tuple of int
-        Exact shape that it must have.
+        Required shape.
     dtype : dtype_like
-        Exact dtype that it must have.
+        Required dtype.
     *inputs : ndarray or None
         Arrays that it must not overlap.
     name : str
-        What to call the argument in messages.
+        Name of the argument in messages.
 
     Returns
     -------
@@ -60,8 +60,8 @@ def output(
     if not out.flags.writeable:
         raise ValueError(f"{name} must be writeable, got a read-only array")
     for array in inputs:
-        # may_share_memory compares bounds only, so it is quick; it can be wrong
-        # about a strided input, shares_memory cannot.
+        # may_share_memory is fast, as it compares bounds only; for strided inputs it
+        # may be wrong, where shares_memory is exact.
         if (array is not None and np.may_share_memory(out, array)
                 and np.shares_memory(out, array)):
             raise ValueError(f"{name} must not overlap an input, got memory of one")
@@ -78,11 +78,11 @@ def outputs(
     Parameters
     ----------
     out : tuple of (ndarray or None), or None
-        What the caller gave, in the order in which results are returned.
+        The caller's argument, in the order of the results.
     specs : sequence of (str, tuple of int, dtype_like)
         Name, shape and dtype of each result.
     *inputs : ndarray or None
-        Arrays that none of them may overlap.
+        Arrays that no entry may overlap.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def positive(name: str, value: float) -> float:
 
 
 def plain(value: Any) -> Any:
-    """Return Python's number for one of NumPy's, whose small integers overflow."""
+    """Convert a NumPy number, which may overflow, to a Python number."""
     return value.item() if isinstance(value, np.generic) else value
 
 

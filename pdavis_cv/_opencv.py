@@ -1,4 +1,4 @@
-"""OpenCV, loaded when it is needed."""
+"""Import OpenCV when it is needed."""
 from __future__ import annotations
 
 import importlib
@@ -8,7 +8,7 @@ __all__ = ["native_capture", "opencv"]
 
 
 def opencv() -> Any:
-    """Return the module cv2, or say how to get it.
+    """Return the module cv2, or raise an error that says how to install it.
 
     Returns
     -------

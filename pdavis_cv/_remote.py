@@ -1,4 +1,4 @@
-"""Paths with a scheme, such as s3://bucket/run.aedat4, by fsspec."""
+"""Paths of objects in stores, e.g. s3://bucket/run.aedat4, through fsspec."""
 from __future__ import annotations
 
 import contextlib
@@ -12,15 +12,15 @@ from typing import Any, cast
 __all__ = ["RemotePath", "as_path", "is_remote"]
 
 _BLOCK = 1 << 20
-"""Bytes of a request: at 100 Mbit/s it takes 80 ms, a few times what asking takes."""
+"""Bytes per request: 80 ms at 100 Mbit/s, a few times the latency of a request."""
 _KEPT = 32
-"""Blocks that are kept of a file."""
+"""Number of blocks of a file that are cached."""
 _TAGS = ("ETag", "etag", "md5Hash", "content_md5", "sha256", "checksum")
-"""What stores say of the content of an object."""
+"""Names under which stores give a hash of an object's content."""
 
 
 def is_remote(path: object) -> bool:
-    """Tell whether a path has a scheme and two slashes."""
+    """Return whether a path begins with a scheme and two slashes."""
     if isinstance(path, RemotePath):
         return True
     return isinstance(path, str) and path.partition("://")[0].isidentifier() and (
@@ -28,7 +28,7 @@ def is_remote(path: object) -> bool:
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
-    """Return a path as what can be opened: a Path, or what does as one in readers."""
+    """Return a Path, or for a URL a RemotePath, which readers accept as well."""
     if is_remote(path):
         return cast("Path", RemotePath(str(path)))
     text = os.fspath(path)
@@ -36,10 +36,10 @@ def as_path(path: str | os.PathLike[str]) -> Path:
 
 
 class RemotePath(PurePosixPath):
-    """An object of a store, with those methods of a Path that readers use.
+    """An object in a store, with the methods of Path that readers use.
 
-    Its store's own settings (keys, address of the server) come from the environment
-    or fsspec's configuration, as its library documents them.
+    Settings of the store (keys, address of the server) come from the environment or
+    fsspec's configuration, as its library documents.
     """
 
     def __str__(self) -> str:
@@ -52,7 +52,7 @@ class RemotePath(PurePosixPath):
         Raises
         ------
         ImportError
-            If fsspec, of the extra ``[remote]``, or what the scheme needs is missing.
+            If fsspec (extra ``[remote]``) or the scheme's library is not installed.
         """
         try:
             fsspec = importlib.import_module("fsspec")
@@ -66,46 +66,46 @@ class RemotePath(PurePosixPath):
         return facts
 
     def exists(self) -> bool:
-        """Tell whether it is there."""
+        """Return whether it exists."""
         return bool(self.store.exists(str(self)))
 
     def is_dir(self) -> bool:
-        """Tell whether names of other objects go on from it."""
+        """Return whether it is a prefix of other objects' names."""
         return bool(self.store.isdir(str(self)))
 
     def is_file(self) -> bool:
-        """Tell whether it is an object."""
+        """Return whether it is an object."""
         return bool(self.store.isfile(str(self)))
 
     def stat(self) -> os.stat_result:
-        """Return its size, as that of a file."""
+        """Return its size, in the form of `Path.stat`."""
         return os.stat_result((0o100444, 0, 0, 1, 0, 0, self._facts()["size"], 0, 0, 0))
 
     def open(self, mode: str = "rb") -> Any:
-        """Open it; what is written appears when it is closed."""
+        """Open it; data that are written appear when it is closed."""
         return self.store.open(str(self), mode)
 
     def read_bytes(self) -> bytes:
-        """Return all of it."""
+        """Return its content."""
         return bytes(self.store.cat_file(str(self)))
 
     def write_bytes(self, data: bytes) -> None:
-        """Put it, whole or not at all."""
+        """Write it, completely or not at all."""
         self.store.pipe_file(str(self), data)
 
     def put(self, file: Path) -> None:
-        """Put what a file holds, whole or not at all."""
+        """Upload a file, completely or not at all."""
         self.store.put_file(str(file), str(self))
 
     def remove(self) -> None:
-        """Remove it, and all whose names go on from it; nothing if there are none."""
+        """Remove it and all objects below it, if they exist."""
         self.store.invalidate_cache()
         names = self.store.find(str(self))
         if names:
             self.store.rm(names)
 
     def below(self) -> list[str]:
-        """Return the last parts of the names that are one part longer, sorted."""
+        """Return the names of the objects and folders directly below it, sorted."""
         self.store.invalidate_cache()
         try:
             found = self.store.ls(str(self), detail=False)
@@ -114,7 +114,7 @@ class RemotePath(PurePosixPath):
         return sorted(name.rstrip("/").rpartition("/")[2] for name in found)
 
     def ranges(self) -> functools._lru_cache_wrapper[bytes]:
-        """Return a function that reads its i-th MiB, and keeps what it has read."""
+        """Return a caching function that reads the i-th MiB."""
         store, name, size = self.store, str(self), self._facts()["size"]
 
         @functools.lru_cache(_KEPT)
@@ -125,13 +125,13 @@ class RemotePath(PurePosixPath):
         return block
 
     def read(self, block: Any, offset: int, size: int) -> bytes:
-        """Return bytes by means of `ranges`; fewer only at the end."""
+        """Return bytes, read with a function from `ranges`; fewer only at the end."""
         first, last = offset // _BLOCK, (offset + max(size, 1) - 1) // _BLOCK
         data = b"".join(block(i) for i in range(first, last + 1))
         return data[offset - first * _BLOCK:][:size]
 
     def content(self) -> str:
-        """Return what changes with its content: the store's word, or a SHA-256."""
+        """Return the store's hash of its content, or a SHA-256."""
         facts = self._facts()
         for tag in _TAGS:
             if facts.get(tag):

@@ -9,21 +9,21 @@ from itertools import pairwise
 __all__ = ["Workers", "usable_cores"]
 
 LEAST_ROWS = 16
-"""A band of fewer rows is not worth the hand-over: some 20 us, as long as the cheapest
-step takes for 16 rows of 346 pixels."""
+"""Smallest number of rows per band.  Starting a band in a thread takes some 20 us, as
+long as the cheapest step takes for 16 rows of 346 pixels."""
 
 
 class Workers:
-    """Does work on bands of an image's rows at once.
+    """Threads that process bands of an image's rows in parallel.
 
-    The kernels let go of the interpreter, so bands run beside each other.  What comes
-    out must not depend on how rows are grouped into bands: then it is the same for any
-    number of threads.
+    This is faster because kernels release the GIL.  The work must give the same result
+    however rows are grouped into bands, so that it does not depend on the number of
+    threads.
 
     Parameters
     ----------
     threads : int
-        1 = the caller's own thread alone.
+        1 = the calling thread only.
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -33,18 +33,18 @@ class Workers:
     def rows(
         self, height: int, work: Callable[[int, int], object], least: int = LEAST_ROWS
     ) -> None:
-        """Call work(first, last) for bands that together are the rows of an image.
+        """Call work(first, last) for bands that together make up an image's rows.
 
-        Returns when all are done; what one raises is raised.
+        Returns when all bands are done; an exception in one of them is raised here.
 
         Parameters
         ----------
         height : int
             Height of the image.
         work : callable
-            Works on the rows first <= row < last.
+            Processes the rows first <= row < last.
         least : int
-            Rows that a band has at least.
+            Smallest number of rows per band.
         """
         n = min(self.threads, height // least)
         if n < 2:
@@ -60,7 +60,7 @@ class Workers:
                 one.result()
 
     def _started(self) -> ThreadPoolExecutor:
-        # A forked child has the parent's objects but none of its threads.
+        # A forked child has the parent's objects, but not its threads.
         if self._pool is None or self._pool[0] != os.getpid():
             self._pool = os.getpid(), ThreadPoolExecutor(
                 self.threads - 1, "pdavis_cv-rows")
@@ -71,7 +71,7 @@ class Workers:
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

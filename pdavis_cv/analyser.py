@@ -1,4 +1,4 @@
-"""Responses of the four polarizers, and how to solve for the Stokes parameters."""
+"""Responses of the four polarizers, and the solution for the Stokes parameters."""
 from __future__ import annotations
 
 import math
@@ -15,8 +15,8 @@ __all__ = ["Analyser", "stokes_gain"]
 class Analyser:
     """Responses of the four channels to the Stokes parameters, and their solution.
 
-    ``stokes`` and ``PolarFrame`` take the plain array too; an Analyser that is used
-    again and again saves solving for it each time.
+    ``stokes`` and ``PolarFrame`` accept the plain array too; an Analyser that is used
+    repeatedly avoids solving for it each time.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Analyser:
         Returns
         -------
         ndarray of float32, shape (4,) or (4, H, W)
-            Its length has no meaning; (1, -1, 1, -1) times a factor for equal channels.
+            Of arbitrary length; proportional to (1, -1, 1, -1) for equal channels.
         """
         a = self.response
         rows = []
@@ -132,7 +132,7 @@ def _least_squares(
 
 
 def stokes_gain(extinction_ratio: float | None) -> float:
-    """Return what S1 and S2 are multiplied by to undo the polarizers' leakage.
+    """Return the factor for S1 and S2 that corrects the polarizers' leakage.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Frames of the active pixel sensor: double sampling, dark, gain, saturation."""
+"""Frames of the active pixel sensor (APS): double sampling, dark, gain, saturation."""
 from __future__ import annotations
 
 from typing import Any
@@ -12,10 +12,10 @@ from pdavis_cv._checks import outputs
 __all__ = ["LEAST_RESET_DN", "LEAST_SIGNAL_DN", "cds", "clip_level", "correct"]
 
 LEAST_RESET_DN = 384
-"""A reset below this is saturated (libcaer's rule): the column never recovered."""
+"""Smallest valid reset, as in libcaer: below it, the column has not recovered."""
 
 LEAST_SIGNAL_DN = 3
-"""A signal below this lies at the end of the converter."""
+"""Smallest valid signal: below it, the converter is saturated."""
 
 
 def cds(
@@ -27,16 +27,16 @@ def cds(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Correlated double sampling: (reset - signal - dark) * gain.
 
-    Nothing is clamped, so that the noise of dark pixels averages to zero.
+    Negative values are kept, so that the noise of dark pixels averages to zero.
 
     Parameters
     ----------
     reset, signal : ndarray of uint16, shape (H, W)
-        The two reads in DN; signal falls with light.
+        The two reads in DN; the signal decreases with light.
     dark : array_like, shape (H, W) or scalar, optional
-        Offset in DN that remains without light.
+        Offset without light, DN.
     gain : array_like, shape (H, W) or scalar, optional
-        Factor that evens out the pixels.
+        Factor that equalizes the pixels.
     out : tuple of (float32 array, bool array), shape (H, W), optional
         Receives the results; an entry may be None.
 
@@ -45,8 +45,8 @@ def cds(
     dn : ndarray of float32, shape (H, W)
         DN, larger = brighter; may be negative.
     valid : ndarray of bool, shape (H, W)
-        False where signal <= 2 or reset < 384: the value is a lower bound.  A pixel
-        may clip before the converter does; see `clip_level`.
+        False where signal <= 2 or reset < 384: the value is a lower bound.  A pixel may
+        saturate before the converter; see `clip_level`.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def correct(
     valid: NDArray[np.bool_] | None = None,
     out: tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Take dark and gain out of a frame and mark its saturated pixels.
+    """Correct a frame for dark offset and gain, and mark its saturated pixels.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def correct(
     clip_dn : float, optional
         Pixels whose ``dn``, as read, is at or above this are saturated.
     valid : ndarray of bool, shape (H, W), optional
-        What is usable already; default: everything.
+        True = usable; default: all.
     out : tuple of (float32 array, bool array), shape (H, W), optional
         Receives the results; an entry may be None.
 
@@ -112,7 +112,7 @@ def correct(
     dn : ndarray of float32, shape (H, W)
         ``(dn - dark) * gain``; may be negative.
     valid : ndarray of bool, shape (H, W)
-        False where it was, and where ``dn`` is saturated or NaN.
+        False where the argument is, and where ``dn`` is saturated or NaN.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def correct(
         out, (("dn", raw.shape, np.float32), ("valid", raw.shape, np.bool_)),
         raw, offsets, factors, valid)
     usable[...] = True if valid is None else valid
-    # No finite value and no NaN is below -inf or at +inf, but +inf itself is clipped.
+    # A limit of +inf marks no finite value, only +inf itself.
     limit = np.inf if clip_dn is None else float(clip_dn)
     _kernels.correct(raw, offsets, factors, limit, result, usable.view(np.uint8))
     return result, usable
@@ -148,21 +148,21 @@ def clip_level(
     *,
     least_pixels: int = 64,
 ) -> float | None:
-    """Find the DN at which pixels saturate, from the pile-up at the histogram's top.
+    """Find the DN at which pixels saturate, from the peak at the histogram's end.
 
-    A full pixel stays at its own limit however bright the light, so the brightest
-    values of a clipped frame form a narrow peak with nothing above it.  A scene whose
-    brightest part is one uniform patch looks the same: several frames at once
-    (shape (N, H, W)), or a calibration, are surer than one.
+    The value of a saturated pixel does not depend on the light, so the brightest values
+    of a saturated frame form a narrow peak with nothing above it.  A scene whose
+    brightest part is a uniform patch looks the same; several frames at once (shape
+    (N, H, W)) or a calibration are more reliable.
 
     Parameters
     ----------
     dn : ndarray, shape (H, W) or (N, H, W)
         Reset minus signal, as read, without dark and gain.
     full_scale_dn : int
-        Largest DN that the converter gives.
+        Largest DN of the converter.
     least_pixels : int
-        Fewer samples in the peak are not taken for saturation.
+        Smallest number of samples in the peak.
 
     Returns
     -------
@@ -176,37 +176,37 @@ def clip_level(
 def pile_up(
     dn: NDArray[Any], full_scale_dn: int, least_pixels: int = 64
 ) -> tuple[int | None, float | None]:
-    """Return (brightest value, lower edge of the pile-up there); see `clip_level`.
+    """Return the brightest value, and the lower edge of the peak; see `clip_level`.
 
-    The brightest is that of all pixels but 1 in 10,000, which may be hot; None where
-    it is below the upper quarter of the converter's range, or there is no pile-up.
+    The brightest 1 in 10,000 pixels are left out, as they may be hot.  None if the
+    value is below the upper quarter of the converter's range, or if there is no peak.
     """
     values = np.asarray(dn, np.float32)
     band, quarter = peak_width(full_scale_dn) // 2, 3 * full_scale_dn // 4
-    # Isolated hot pixels lie above the peak: leave out the brightest 1 in 10,000.
+    # Leave out the brightest 1 in 10,000: isolated hot pixels lie above the peak.
     hot = np.count_nonzero(np.isfinite(values)) // 10_000
-    # The upper quarter, and as far below it as peak and scene are looked for.
+    # The upper quarter, and the range below it that is needed for peak and scene.
     high = np.rint(values[(values > quarter - 4 * band - 1) & (values < np.inf)])
     if np.count_nonzero(high >= quarter) <= hot:
         return None, None
     counts = np.bincount(np.minimum(high, full_scale_dn).astype(np.intp),
                          minlength=full_scale_dn + 1)
     top = int(np.flatnonzero(np.cumsum(counts[::-1])[::-1] > hot)[-1])
-    # The peak is at most two bands wide; what lies below it is the scene.
+    # The peak is at most two bands wide; the scene lies below it.
     low = max(top - 2 * band + 1, 0)
     peak = int(counts[low:top + 1].sum())
     scene = int(counts[max(low - 2 * band, 0):low].sum())
     if peak < least_pixels or peak < 4 * scene + 4 * np.sqrt(scene):
         return top, None
-    # The edge is where the density leaves the scene's, over five values at a time:
-    # frames of 8 bits hold every fourth value only.
+    # The edge is where the density exceeds that of the scene.  It is summed over five
+    # values, as 8-bit frames have only every fourth value.
     density = np.convolve(counts, np.ones(5), "same")[low:top + 1]
     usual = 5 * scene / (2 * band)
     return top, float(low + int(np.argmax(density > 2 * usual + 3 * np.sqrt(usual))))
 
 
 def peak_width(full_scale_dn: int) -> int:
-    """Return how many DN wide a pile-up of full pixels is at most."""
+    """Return the largest width of the peak of saturated pixels, DN."""
     return 2 * max(full_scale_dn // 64, 1)
 
 

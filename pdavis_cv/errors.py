@@ -1,4 +1,4 @@
-"""Errors and warnings: one family, each also the builtin it refines."""
+"""Errors and warnings; each error is also a subclass of the fitting builtin."""
 
 __all__ = [
     "AnalysisWarning",
@@ -17,15 +17,15 @@ __all__ = [
 
 
 class PdavisError(Exception):
-    """Root of the errors that this library defines."""
+    """Base class of this library's errors."""
 
 
 class RecordingError(PdavisError, OSError):
-    """Raised when a recording is not what it says; names file, byte and finding."""
+    """Raised for a damaged or unknown recording; names file, byte and finding."""
 
 
 class DeviceError(RecordingError):
-    """Raised when a camera or a stream cannot be opened, or is gone."""
+    """Raised when a camera or a stream cannot be opened, or was disconnected."""
 
 
 class LayoutError(PdavisError, ValueError):
@@ -37,28 +37,28 @@ class CalibrationError(PdavisError, ValueError):
 
 
 class WeightsError(PdavisError, ValueError):
-    """Raised when the weights of a network are damaged, foreign or do not fit."""
+    """Raised when the weights of a network are damaged, unknown or do not fit."""
 
 
 class PdavisWarning(UserWarning):
-    """Root of the warnings that this library gives, once per recording."""
+    """Base class of this library's warnings, which are issued once per recording."""
 
 
 class LayoutWarning(PdavisWarning):
-    """The polarizer layout was assumed, not known."""
+    """The polarizer layout is unknown and a default was assumed."""
 
 
 class DamagedFileWarning(PdavisWarning):
-    """A part of a file could not be read; the rest was delivered."""
+    """A part of a file could not be read; the rest was read."""
 
 
 class ExposureWarning(PdavisWarning):
-    """Exposure times are missing, uncertain or too long for what was asked."""
+    """Exposure times are missing, uncertain or too long."""
 
 
 class AnalysisWarning(PdavisWarning):
-    """A measurement was asked for where its conditions do not hold."""
+    """The conditions of a measurement do not hold."""
 
 
 class WindowWarning(PdavisWarning):
-    """Events are summed over windows too long for what they show."""
+    """Events are summed over windows that are too long for the motion."""

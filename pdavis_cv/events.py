@@ -1,4 +1,4 @@
-"""Events: one dtype, and what becomes of them."""
+"""Events: their dtype, checks, and conversions to images and bins."""
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
@@ -96,7 +96,7 @@ def as_events(events: Any) -> NDArray[Any]:
 
 
 def timed_events(events: Any) -> NDArray[Any]:
-    """Return what `as_events` does, for what calculates with the times.
+    """Return `as_events(events)` after checking that times can be computed with.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def check_order(events: NDArray[Any], name: str = "events") -> None:
     events : ndarray of EVENT_DTYPE, shape (N,)
         Events that should be time-ordered.
     name : str
-        What to call the argument in the message.
+        Name of the argument in the message.
 
     Raises
     ------
@@ -156,7 +156,7 @@ class EventSlice(NamedTuple):
     start_us, stop_us : int
         Half-open interval [start_us, stop_us) that holds the events.
     events : ndarray of EVENT_DTYPE, shape (N,)
-        A view of the array that was cut.
+        A view of the original array.
     """
 
     start_us: int
@@ -386,8 +386,8 @@ def time_surface(
     tau_us : float
         Time constant in microseconds.
     t_us : int, optional
-        Time at which to look: events up to it, inclusive, count.  Default: the time
-        of the last event.
+        Time of the surface; later events are ignored.  Default: the time of the last
+        event.
     out : ndarray of float32, shape (2, H, W), optional
         Receives the result; overwritten.
 
@@ -430,7 +430,7 @@ def bad_event(
     Parameters
     ----------
     events : ndarray of EVENT_DTYPE, shape (N,)
-        What the kernel was given.
+        The events that were passed to the kernel.
     i : int
         Index of the event.
     shape : (int, int)

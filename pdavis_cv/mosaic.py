@@ -18,32 +18,32 @@ DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
 """Values of the ``demosaic`` arguments."""
 
 HALF_SIZE = frozenset(("superpixel", "binned"))
-"""Those whose images have one pixel per 2x2 cell."""
+"""Methods whose images have one pixel per 2x2 cell."""
 
 REACH = {"bilinear": 4, "superpixel": 0, "binned": 4, "guided": 9}
-"""Pixels beyond a region that its images depend on.
+"""Distance up to which an image depends on pixels outside its region.
 
-Bilinear: one, and three where it extrapolates at a border.  Guided: a window of one,
-two of two and the two that a weight looks at, and two more where it fills an unusable
-sample."""
+Bilinear: 1, and 3 more where it extrapolates at a border.  Guided: windows of radius 1,
+2 and 2, the 2 pixels of a weight, and 2 more for replacing an unusable sample."""
 
 PIXEL_DTYPES = tuple(map(np.dtype, (np.uint8, np.uint16, np.float32)))
 
 GUIDED_DTYPE = np.dtype([(name, "<f4") for name in (
     "floor", "across", "gain", "most", "additive", "noise")])
-"""Constants of ``"guided"``, without unit.
+"""Constants of ``"guided"``, dimensionless.
 
-``floor``: relative variance of a channel difference where no edge disturbs it.
-``across``: part of the intensity's change along the other axis that disturbs it.
-``gain``, ``most``: the second fit counts by ``gain`` times the share of the first one's
-residual that it explains, at most ``most``; above 1, as a smoothed residual is smaller
-than the residual.
-``additive``: weight of "channel differences are those around" against "they are in
-proportion to the intensity"; the second law alone divides by 0 behind a crossed
-polarizer.
-``noise``: the relative variance that differences show, times this, is noise in the
-detail of the intensity.  For white noise 64/9 * .64 = 4.6: a 3x3 difference has 9/64 of
-a sample's variance, the detail .64; less, as edges disturb the differences too."""
+``floor``: relative variance of a channel difference away from edges.
+``across``: fraction of the intensity's change along the other axis that disturbs it.
+``gain``, ``most``: weight of the second fit, ``gain`` times the fraction of the first
+one's residual that it explains, at most ``most``.  It exceeds 1, as a smoothed residual
+is smaller than the residual.
+``additive``: weight of the model that channel differences are locally constant, against
+the one that they are proportional to the intensity; the latter alone divides by 0
+behind a crossed polarizer.
+``noise``: ratio of the noise variance in the intensity's detail to the relative
+variance of differences.  For white noise it is 64/9 * .64 = 4.6: a 3x3 difference has
+9/64 of a sample's variance, the detail .64.  It is smaller, as edges disturb the
+differences too."""
 
 # Found by studies/demosaic_constants.py.
 _GUIDED = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 3.5)], GUIDED_DTYPE)
@@ -71,31 +71,30 @@ def demosaic(
         on constant and linear fields, borders included: a missing neighbour is
         extrapolated from the two nearest samples of its channel in that direction
         (from one, if a side is shorter than 4 and there is no other).
-        ``"superpixel"``: one value per 2x2 cell, nothing invented; the channels lie
-        up to a pixel apart.
-        ``"binned"``: one value per 2x2 cell, the mean of ``"bilinear"`` over it; the
-        channels lie at the cell's centre.
+        ``"superpixel"``: one value per 2x2 cell, without interpolation; the channels
+        are up to a pixel apart.
+        ``"binned"``: one value per 2x2 cell, the mean of ``"bilinear"`` over it; all
+        channels are at the cell's centre.
         ``"guided"``: each channel at every pixel; sharper than ``"bilinear"``, with
         a half to a third of its error in AoP and DoLP (docs/demosaicing.md).  The
-        mosaic's own pixels tell the intensity, their surroundings how the channels
-        differ in proportion to it, weighted by the absence of edges; what that leaves
-        is added as far as neighbours agree on it.
+        intensity comes from the pixels of the mosaic, and the differences of channels,
+        in proportion to it, from their surroundings, weighted by the absence of edges.
+        The residual is added as far as neighbours agree on it.
     out : ndarray of float32, shape of the result, optional
         Overwritten and returned.
     valid : ndarray of bool, shape (H, W), optional
-        True = usable.  ``"guided"`` then takes nothing from the other samples (a
-        usable pixel's result does not depend on their values) and fills them from
-        the usable ones of their channel two pixels away.  The other methods pass
-        on what they are given, and `demosaic_valid` tells where.
+        True = usable.  ``"guided"`` then ignores the values of the other samples, and
+        replaces them by usable ones of their channel two pixels away.  The other
+        methods use all samples; `demosaic_valid` returns which pixels are affected.
     variance : ndarray of float32, shape (H, W), optional
-        Variance of each usable sample's logarithm.  ``"guided"`` then takes
-        less of what its first fit leaves, as part of that is noise; the other methods
-        do not use it.
+        Variance of each usable sample's logarithm.  ``"guided"`` then adds less of the
+        residual of its first fit, as part of it is noise; the other methods do not use
+        it.
 
     Returns
     -------
     ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for the two per cell
-        In the order of ``CHANNELS``, whatever the places in the cell; the unit of
+        In the order of ``CHANNELS``, independent of the layout; in the unit of
         ``mosaic``.
 
     Raises
@@ -150,7 +149,7 @@ def demosaic(
 def demosaic_valid(
     valid: NDArray[np.bool_], layout: Layout | str, method: str = "bilinear"
 ) -> NDArray[np.bool_]:
-    """Tell where the four values of ``demosaic`` are made of usable samples.
+    """Return where the four values of ``demosaic`` come from usable samples.
 
     Parameters
     ----------
@@ -165,9 +164,9 @@ def demosaic_valid(
     Returns
     -------
     ndarray of bool, shape (H, W), or (H/2, W/2) for the two methods per cell
-        True where every sample that the four values are made of is usable; for
-        ``"guided"``, which was told ``valid`` and goes round the others, where the
-        pixel's own is and the 5x5 around it has nine usable ones in a square.
+        True where all samples of the four values are usable.  For ``"guided"``, which
+        avoids unusable samples: where the pixel's own is usable and the 5x5 around it
+        contain a square of nine usable ones.
 
     Raises
     ------
@@ -196,12 +195,12 @@ def demosaic_variance(
     variance: NDArray[np.float32], layout: Layout | str, method: str = "bilinear", *,
     valid: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Bring the samples' variances to where the channels of ``demosaic`` are.
+    """Interpolate the samples' variances to the pixels of ``demosaic``.
 
-    A channel gets the variance that its samples have there, not that of their mean:
-    neighbouring results share samples, and a mean over a region counts them by
-    `pdavis_cv.analysis.pixels_per_sample`.  Beyond a border stands what is opposite, as
-    extrapolated variances could be negative.
+    A channel gets the local variance of its samples, not that of their mean: as
+    neighbouring results share samples, a mean over a region accounts for them by
+    `pdavis_cv.analysis.pixels_per_sample`.  At borders variances are mirrored, as
+    extrapolation could make them negative.
 
     Parameters
     ----------
@@ -260,7 +259,7 @@ def _all_of_cell(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _and_beside(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """AND of each row and the one or two beside it."""
+    """Return the AND of each row and its one or two neighbours."""
     out = valid.copy()
     out[1:] &= valid[:-1]
     out[:-1] &= valid[1:]
@@ -268,16 +267,17 @@ def _and_beside(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _eroded(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """AND over each pixel's 3x3, as far as it lies in the image."""
+    """Return the AND over the 3x3 around each pixel, inside the image."""
     return np.ascontiguousarray(_and_beside(_and_beside(valid).T).T)
 
 
 def filled_samples(
     mosaic: NDArray[Any], valid: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Replace unusable samples by the mean of the usable among four of their channel.
+    """Replace each unusable sample by the mean of the usable ones two pixels away.
 
-    They lie two pixels away; where there is none, keep them (0 for what is not finite).
+    These belong to the same channel.  If there are none, the sample is kept, or 0 if it
+    is not finite.
     """
     filled = mosaic.astype(np.float32)
     filled[~(valid | np.isfinite(filled))] = 0
@@ -309,7 +309,7 @@ def checked_mosaic(mosaic: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_method(method: str, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless method is known and can work on an image (H, W)."""
+    """Raise ValueError unless the method is known and supports the shape (H, W)."""
     if method not in DEMOSAIC_METHODS:
         raise ValueError(
             f"demosaic method must be one of {', '.join(DEMOSAIC_METHODS)}, got "
@@ -326,16 +326,16 @@ def check_method(method: str, shape: tuple[int, ...]) -> None:
 
 
 def places_of(layout: Layout | str) -> NDArray[np.intp]:
-    """Return the place of each channel in the cell, as the kernels take it."""
+    """Return the place of each channel in the cell, as an array for kernels."""
     return _places(Layout.of(layout))
 
 
 def scratch_rows(rows: int, width: int) -> NDArray[np.float32]:
-    """Return memory for so many rows, as the kernels take it."""
+    """Return scratch memory for the kernels: a number of rows."""
     return np.empty(rows * (width + 32) + 32, np.float32)
 
 
-@lru_cache(maxsize=24)  # there are no more layouts
+@lru_cache(maxsize=24)  # the number of layouts
 def _places(layout: Layout) -> NDArray[np.intp]:
     places = np.array(layout.places, np.intp)
     places.flags.writeable = False

@@ -1,4 +1,4 @@
-"""Pixels of 10 and 12 bits as cameras pack them."""
+"""Unpack pixels of 10 and 12 bits in the formats of cameras."""
 from __future__ import annotations
 
 import math
@@ -23,7 +23,7 @@ _KERNELS: dict[str, tuple[_Kernel, int, int]] = {
     "12packed": (lambda data, out: _kernels.unpack_packed(data, 12, out), 2, 3),
 }
 PACKINGS = tuple(_KERNELS)
-"""Names that `unpack` takes, after the pixel formats Mono10p, Mono12Packed ..."""
+"""Names of packings, after the pixel formats Mono10p, Mono12Packed ..."""
 
 
 def unpack(
@@ -31,18 +31,18 @@ def unpack(
 ) -> NDArray[np.uint16]:
     """Unpack 10- or 12-bit pixels, such as PolarizedMono12Packed.
 
-    ``10p`` and ``12p`` (PFNC) run on without gaps, the least significant bit first.
+    ``10p`` and ``12p`` (PFNC) have no gaps, and the least significant bit is first.
     ``10packed`` and ``12packed`` (GigE Vision) put two pixels into three bytes, the
     lower bits of both into the second one.
 
     Parameters
     ----------
     data : bytes or ndarray of uint8
-        Packed pixels; what follows the last one is left alone.
+        Packed pixels; bytes after the last one are ignored.
     packing : {"10p", "12p", "10packed", "12packed"}
     shape : tuple of int
-        Shape of the result, e.g. (2048, 2448), or (frames, height, width); pixels run
-        on from row to row and from frame to frame.
+        Shape of the result, e.g. (2048, 2448), or (frames, height, width); there is no
+        padding between rows or frames.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def unpack(
         raise TypeError(f"data must be bytes or uint8, got {raw.dtype}")
     count = math.prod(operator.index(side) for side in shape)
     groups, rest = divmod(count, pixels)
-    # The bits of a group's first pixels reach into the byte after the last whole one.
+    # An incomplete group ends in the byte that holds the last bits of its last pixel.
     needed = groups * size + (rest * size + pixels - 1) // pixels
     if raw.size < needed:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Sensor and polarizer layout: what stands in front of which pixel."""
+"""Polarization sensors and the layouts of their polarizers."""
 from __future__ import annotations
 
 import warnings
@@ -14,18 +14,18 @@ CHANNELS = (0, 45, 90, 135)
 """Polarizer angle in degrees of each plane of a (4, H, W) array."""
 
 NOMINAL_THRESHOLDS = (0.2, 0.2)
-"""Contrast thresholds ON and OFF that are assumed where nothing is known, ln units.
+"""Contrast thresholds ON and OFF that are assumed if none are known, ln units.
 
-v2e's default for DAVIS cameras (Hu, Liu, Delbruck, CVPR Workshops 2021).  What a camera
-has is between 0.14 (Haessig et al., table S1) and some 0.4.
+The default of v2e for DAVIS cameras (Hu, Liu, Delbruck, CVPR Workshops 2021).  Values
+of cameras lie between 0.14 (Haessig et al., table S1) and about 0.4.
 """
 
 THRESHOLD_SIGMA = 0.035
 """Prior standard deviation of a pixel's thresholds about those of the sensor, ln units.
 
 "3.5 %" of Brandli et al. (IEEE J. Solid-State Circuits 49, 2014), read as an absolute
-contrast; 2.1 % in Lichtsteiner et al. (43, 2008), 0.03 in v2e.  Of thresholds near 0.17
-it is 20 %, which leaves room for a nominal value that is off.
+contrast; 2.1 % in Lichtsteiner et al. (43, 2008), 0.03 in v2e.  For thresholds near
+0.17 it is 20 %, which allows for an error of the nominal value.
 """
 
 
@@ -122,7 +122,7 @@ class Layout:
 
     @property
     def places(self) -> tuple[int, int, int, int]:
-        """Place of each channel in the cell: ``2 * (row % 2) + col % 2``."""
+        """Position of each channel in the cell: ``2 * (row % 2) + col % 2``."""
         cell = (*self.row0, *self.row1)
         a, b, c, d = (cell.index(angle) for angle in CHANNELS)
         return a, b, c, d
@@ -179,7 +179,7 @@ Layout.SONY = Layout((90, 45), (135, 0))
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Facts about a polarization sensor that hold for every specimen.
+    """Properties of a type of polarization sensor.
 
     Parameters
     ----------
@@ -196,15 +196,15 @@ class Sensor:
     pixel_um : float
         Pixel pitch in micrometres.
     mismatch : (float, float, float)
-        How pixels are assumed to differ (prior standard deviations): relative
-        sensitivity, angle of the polarizer in degrees, extinction ratio.
+        Prior standard deviations of the pixels' relative sensitivity, angle of the
+        polarizer in degrees, and extinction ratio.
     offset_dn : float
-        The same of what a frame without light shows after double sampling, DN.
+        Prior standard deviation of a pixel's offset after double sampling, DN.
 
     Notes
     -----
-    ``mismatch`` and ``offset_dn`` are assumptions, not data: docs/theory/priors.md says
-    where they come from, and what the cameras have that methods are scored on.
+    ``mismatch`` and ``offset_dn`` are assumptions, not data: docs/theory/priors.md
+    gives their origin, and the values of the cameras on which methods are scored.
     """
 
     name: str
@@ -233,12 +233,12 @@ def resolve_layout(
     *,
     stacklevel: int = 2,
 ) -> Layout:
-    """Return the layout to use: the caller's, the calibration's, the recording's.
+    """Return the layout to use: that of the caller, the calibration or the recording.
 
     Raises
     ------
     LayoutError
-        If two of them are given and disagree.
+        If two of them disagree.
 
     Warns
     -----

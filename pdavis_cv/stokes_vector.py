@@ -16,7 +16,7 @@ __all__ = ["aop", "debias_dolp", "dolp", "stokes"]
 _Array = TypeVar("_Array", bound=NDArray[Any])
 
 UNIFORM_SIGMA_RAD = math.pi / math.sqrt(12)
-"""Standard deviation of an angle about which nothing is known."""
+"""Standard deviation of a uniformly distributed axial angle, radians."""
 
 
 def stokes(
@@ -122,7 +122,7 @@ def dolp(
     Returns
     -------
     ndarray of float32
-        Not clipped: noise can carry it over 1.  0 where S0 is not positive.
+        Not clipped: noise may raise it above 1.  0 where S0 is not positive.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def dolp(
 def debias_dolp(
     dolp: ArrayLike, sigma: ArrayLike, out: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Take the noise's share off a degree of polarization.
+    """Correct a degree of polarization for the bias by noise.
 
     Noise makes S1 and S2 longer, never shorter, so that DoLP reads too high: by
     sigma^2 / (2 DoLP) where it is well above the noise, by 1.25 sigma where there is
@@ -189,7 +189,7 @@ def debias_dolp(
             f"{spread.shape}")
     if (spread < 0).any():
         raise ValueError(f"sigma must not be negative, got {np.nanmin(spread)}")
-    # Overlap is harmless: the result is whole before it is stored.
+    # Overlap is harmless, as the result is complete before it is stored.
     out = output(out, read.shape, np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         snr = np.square(read / spread.astype(float))
@@ -205,15 +205,15 @@ def propagated(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Propagate the variance of the intensities, (4, H, W).
 
-    To AoP, DoLP, and S1 / S0 and S2 / S0 across the direction of polarization.
-    Weighted least squares takes a part of the error out: that along `null`, in which
-    no light moves the four intensities.
+    Returns the standard deviations of AoP, of DoLP, and of (S1 / S0, S2 / S0) across
+    the direction of polarization.  Weighted least squares has removed the error along
+    `null`, a direction in which no light changes the four intensities.
     """
     s0, s1, s2 = (plane.astype(np.float64) for plane in planes)
     square = s1**2 + s2**2
     size = np.sqrt(square)
     var_aop, var_dolp, var_dark = (np.zeros_like(s0) for _ in range(3))
-    # Covariances with n . I, and its variance.
+    # Covariances with n . I, where n is `null`, and the variance of n . I.
     with_aop, with_dolp, along = (np.zeros_like(s0) for _ in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):
         for k in range(4):
@@ -227,7 +227,7 @@ def propagated(
             if null is not None:
                 with_dolp += slope * null[k] * variance[k]
                 along += null[k]**2 * variance[k]
-            # Without polarization the slope depends on the direction: its mean square.
+            # Without polarization the slope has no direction: use its mean square.
             var_dark += (m1**2 + m2**2) / 2 / s0**2 * variance[k]
         along = np.fmax(along, np.finfo(np.float32).tiny)
         var_aop = np.maximum(var_aop - with_aop**2 / along, 0)
@@ -281,7 +281,7 @@ def _alike(**values: ArrayLike) -> list[NDArray[np.float32]]:
 
 
 def flat(planes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (C, ...) as (C, n) without copying."""
+    """Return an array of shape (C, ...) as (C, n), without copying."""
     return planes.reshape(len(planes), math.prod(planes.shape[1:]))
 
 

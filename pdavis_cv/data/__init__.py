@@ -15,18 +15,18 @@ def example_recording(name: str = "davis346") -> Path:
     ----------
     name : {"davis346", "fan", "tendon"}
         ``davis346``: a real DAVIS346, a camera without polarizers, so that its AoP and
-        DoLP mean nothing; 0.17 s with 6,676 events and 4 frames, as DV wrote them,
-        from event-vision-library (MIT, notice beside it).
+        DoLP are meaningless; 0.17 s with 6,676 events and 4 frames, written by DV, from
+        event-vision-library (MIT, its notice is next to it).
         ``fan``: a simulated PDAVIS before a wheel of six polarizers at 60 RPM, its left
         half 2000 times brighter; 1 s, 56 x 56 pixels.
-        ``tendon``: a simulated PDAVIS before a fibre sheet that is pulled at 4.3 Hz;
+        ``tendon``: a simulated PDAVIS before a fibre sheet that is stretched at 4.3 Hz;
         1 s, 96 x 64 pixels.
 
     Returns
     -------
     Path
-        An AEDAT-4 file.  The truth of the simulated ones is
-        `pdavis_cv.simulation.example_truth`.
+        An AEDAT-4 file.  `pdavis_cv.simulation.example_truth` returns the ground truth
+        of the simulated ones.
 
     Raises
     ------
