@@ -28,6 +28,7 @@ from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.recorder import HURRY_BYTES, Recorder, _Pace
 from pdavis_cv.live.replay import ReplaySource
+from pdavis_cv.live.statistics import Patience
 from pdavis_cv.reconstruct.frames import FrameHold
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.simulation import Camera, RotatingPolarizer
@@ -242,7 +243,19 @@ def test_reading_never_waits_for_fusing(recording, tmp_path):
         np.testing.assert_array_equal(written.events(), recording.events())
 
 
-def test_a_method_of_our_choice_is_exchanged_for_one_that_keeps_up(recording):
+def test_jumps_count_where_they_come_soon_after_each_other():
+    patience = Patience()
+    patience.image_at(100.0)
+    assert not patience.spent(3, 101.0)     # the camera is being learned
+    times = [110.0, 125.0, 141.0, 142.0, 143.0, 144.0]
+    assert [patience.spent(4 + i, t) for i, t in enumerate(times)] == [
+        False, False, False, True, False, False]
+    assert not patience.spent(9, 150.0)
+
+
+def test_a_method_of_our_choice_is_exchanged_for_one_that_keeps_up(
+        recording, monkeypatch):
+    monkeypatch.setattr("pdavis_cv.live.statistics.SETTLING_S", 0.0)
     source = device(recording, realtime=True)
     with Session(source, **OPTIONS) as session:
         assert session.read() is not None

@@ -21,7 +21,7 @@ from pdavis_cv.live.base import endless
 from pdavis_cv.live.clock import HostClock
 from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.recorder import Recorder
-from pdavis_cv.live.statistics import Counter, SessionStats
+from pdavis_cv.live.statistics import Counter, Patience, SessionStats
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import CHEAPER
 from pdavis_cv.recording.base import (
@@ -41,8 +41,6 @@ KEPT_IMAGES = 8
 """Images that wait for a slow reader; then the oldest is skipped."""
 KEPT_EVENTS_US = 200_000
 """Events are kept for pictures of them for this stream time; us."""
-MOST_JUMPS = 3
-"""After so many jumps of time a method is taken that costs less: one may be a burst."""
 LEAST_IMAGES_S = 0.1
 """However late, an image is made this often: s of the host's time."""
 
@@ -173,7 +171,8 @@ class Session:
         self._closed = False
         self.clock = HostClock()
         self._clock_lock = threading.Lock()
-        self._jumps_known = self._skipped = 0
+        self._skipped = 0
+        self._patience = Patience()
         self._events, self._made, self._latency = Counter(), Counter(), Counter()
         self._last_image_s = -np.inf
         self._threads: list[threading.Thread] = []
@@ -266,10 +265,7 @@ class Session:
         """Go on to the next image and make it, unless it is late; False at the end."""
         if self._wanted is not None:
             self._fusion, self._wanted = self._wanted, None
-        if self._latest[1] is None:         # what loads at the start is no measure
-            self._jumps_known = self._inbox.jumps
-        if self._inbox.jumps - self._jumps_known >= MOST_JUMPS:
-            self._jumps_known = self._inbox.jumps
+        if self._patience.spent(self._inbox.jumps, time.monotonic()):
             self._be_cheaper()
         if not self._fusion.advance():
             return False
@@ -278,6 +274,7 @@ class Session:
             return True
         image = self._fusion.image()
         self._last_image_s = time.monotonic()
+        self._patience.image_at(self._last_image_s)
         self._note_latency(image)
         self._give(image)
         return True

@@ -8,10 +8,51 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Counter", "SessionStats"]
+__all__ = ["Counter", "Patience", "SessionStats"]
 
 WINDOW_S = 2.0
 """Rates and latencies are those of this time; s."""
+
+MOST_JUMPS = 3
+JUMPS_S = 30.0
+"""After so many jumps of time within so many seconds a method is taken that costs less:
+one may be a burst."""
+SETTLING_S = 4.0
+"""Jumps up to this time after the first image do not count: the camera is learned then,
+at .5, 1, 2 and 4 s, which takes more than what comes later; s of the host's time."""
+
+
+class Patience:
+    """Whether a method has shown that it cannot follow: time jumps again and again."""
+
+    def __init__(self) -> None:
+        self._known = 0
+        self._first_s: float | None = None
+        self._jumped_s: deque[float] = deque(maxlen=MOST_JUMPS)
+
+    def image_at(self, now_s: float) -> None:
+        """Note that an image was made."""
+        if self._first_s is None:
+            self._first_s = now_s
+
+    def spent(self, jumps: int, now_s: float) -> bool:
+        """Tell whether a cheaper method is due; then it begins anew.
+
+        Parameters
+        ----------
+        jumps : int
+            How often time has jumped so far.
+        now_s : float
+            Host's time.
+        """
+        new, self._known = jumps - self._known, jumps
+        if self._first_s is None or now_s - self._first_s < SETTLING_S:
+            return False
+        self._jumped_s.extend([now_s] * new)
+        if len(self._jumped_s) < MOST_JUMPS or now_s - self._jumped_s[0] > JUMPS_S:
+            return False
+        self._jumped_s.clear()
+        return True
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -291,6 +291,7 @@ class Handler(BaseHTTPRequestHandler):
         if image is not None:
             told["t_us"] = image.t_us
             told["height"], told["width"] = image.s0.shape
+            told["no_sigma"] = image.variance is None
             for name, plane in planes(asked.panes, show, image).items():
                 told["planes"].append(name)
                 parts.append(plane.data)

@@ -3,6 +3,8 @@
 const $ = id => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token");
 const MOST_POINTS = 20000;
+const LABELS = {s0: "S0", aop: "AoP", dolp: "DoLP", events: "events",
+  uncertainty: "sigma"};
 const NAMES = {s0: "S0", aop: "AoP, faded by DoLP", dolp: "DoLP",
   events: "events", uncertainty: "sigma of AoP"};
 const ENDS = {s0: ["0", "full scale"], aop: ["0\u00b0", "180\u00b0"], dolp: ["0", "1"],
@@ -10,7 +12,8 @@ const ENDS = {s0: ["0", "full scale"], aop: ["0\u00b0", "180\u00b0"], dolp: ["0"
 const shown = new Set(["s0", "aop", "dolp"]);
 const figures = {};
 let large = null, region = null, drag = null, status = {}, after = 0, drawn = 0;
-let trace = [], lastImage = null, lastValues = null, socket = null, asked = 0, colours = null;
+let trace = [], lastImage = null, lastValues = null, socket = null, asked = 0, colours = null,
+  shownUs = null;
 
 function address(path, values) {
   const query = new URLSearchParams(values);
@@ -72,9 +75,13 @@ function take(buffer) {
     planes[name] = new Uint8Array(buffer, 4 + length + i * size, size);
   });
   for (const name of shown) if (planes[name]) draw(name, told, planes);
+  const title = figures.uncertainty.title, no = told.no_sigma
+    ? `${NAMES.uncertainty}: ${told.status.method} gives none` : NAMES.uncertainty;
+  if (title.textContent !== no) title.textContent = no;
   after = told.number;
   if (told.planes.length) {
     drawn += 1;
+    shownUs = told.t_us;
     document.body.dataset.drawn = drawn;
     document.body.dataset.t = told.t_us;
   }
@@ -170,7 +177,7 @@ function histogram() {
 function makeFigures() {
   for (const name of Object.keys(NAMES)) {
     const button = document.createElement("button");
-    button.textContent = name;
+    button.textContent = LABELS[name];
     button.title = `show or hide ${NAMES[name]} (${Object.keys(figures).length + 1})`;
     button.onclick = () => toggle(name);
     $("panes").append(button);
@@ -189,7 +196,7 @@ function makeFigures() {
     const mark = document.createElement("div");
     mark.className = "region"; mark.hidden = true;
     figure.append(caption, canvas, mark);
-    figures[name] = {figure, canvas, button, bar, mark, image: null};
+    figures[name] = {figure, canvas, button, bar, mark, title, image: null};
     title.ondblclick = () => { large = large === name ? null : name; arrange(); };
     canvas.onpointerdown = event => {
       canvas.setPointerCapture(event.pointerId);
@@ -271,15 +278,23 @@ function measure(v) {
 
 function showValues() {
   const v = lastValues;
-  if (v.aop_deg === undefined) { put("angle", "\u2013"); return; }
+  if (v.aop_deg === undefined) {
+    put("angle", "\u2013");
+    put("each", "");
+    put("numbers", `(${v.x}, ${v.y})  nothing is known here`);
+    return;
+  }
   const pm = (sigma, digits) => sigma === undefined || sigma === null ? ""
     : " \u00b1 " + sigma.toFixed(digits);
   put("angle", `${v.aop_deg.toFixed(2)}\u00b0`
     + (v.aop_sigma_deg === undefined ? "" : pm(v.aop_sigma_deg, 2) + "\u00b0"));
-  put("numbers", `(${v.x}, ${v.y})  ${v.pixels} pixel${v.pixels > 1 ? "s" : ""}`
-    + `   DoLP ${v.dolp.toFixed(4)}${pm(v.dolp_sigma, 4)}   S0 ${number(v.s0, 2)}\n`
-    + `I0 ${number(v.quad[0], 2)}   I45 ${number(v.quad[1], 2)}   `
-    + `I90 ${number(v.quad[2], 2)}   I135 ${number(v.quad[3], 2)}`);
+  put("each", v.pixels > 1 && v.aop_sigma_deg !== undefined ? "(sigma of one pixel)" : "");
+  // A name and its value stay on one line.
+  const pairs = (...parts) => parts.map(part => part.replaceAll(" ", "\u00a0")).join("   ");
+  put("numbers", pairs(`(${v.x}, ${v.y})`, `${v.pixels} pixel${v.pixels > 1 ? "s" : ""}`,
+    `DoLP ${v.dolp.toFixed(4)}${pm(v.dolp_sigma, 4)}`, `S0 ${number(v.s0, 2)}`) + "\n"
+    + pairs(...["I0", "I45", "I90", "I135"].map(
+      (name, i) => `${name} ${number(v.quad[i], 2)}`)));
   plot();
 }
 
@@ -309,7 +324,9 @@ function plot() {
   line("dolp", p => Math.min(p.dolp, 1), false);
   line("aop", p => p.aop_deg / 180, true);
   context.fillStyle = style.getPropertyValue("--ink");
-  context.fillText(`${(span / 1e6).toPrecision(3)} s`, w - 50, h - 4);
+  context.font = "12px system-ui, sans-serif";
+  context.textAlign = "right";
+  context.fillText(`${(span / 1e6).toPrecision(3)} s`, w - 4, h / 2);
 }
 
 function save(parts, kind, name) {
@@ -357,6 +374,7 @@ function tell(told) {
     if (told.playing) $("seek").value = told.index;
     else change($("seek"), "value", String(told.index));
     change($("speed"), "value", String(told.speed));
+    put("time", shownUs === null ? "" : `${((shownUs - told.start_us) / 1e6).toFixed(3)} s`);
   }
   const error = told.live ? told.stats.error : told.error;
   if (error) say(error);
@@ -390,9 +408,15 @@ function zoom() {
   command("roi", chosen).then(arrange);
 }
 
+// The button says what it does.
+function named() {
+  put("look", document.documentElement.classList.contains("dark") ? "light" : "dark");
+}
+
 function begin() {
   if (matchMedia("(prefers-color-scheme: dark)").matches)
     document.documentElement.classList.add("dark");
+  named();
   makeFigures();
   for (const speed of [0.01, 0.03, 0.1, 0.25, 0.5, 1, 2, 4])
     $("speed").add(new Option(speed, speed));
@@ -404,8 +428,9 @@ function begin() {
     back: () => command("step", -1), on: () => command("step", 1),
     whole: () => command("roi", null), zoom, snapshot, csv,
     record: () => command("record", status.stats.recording === null),
-    forget: () => { trace = []; }, look: () => {
-      document.documentElement.classList.toggle("dark"); plot(); }};
+    forget: () => { trace = []; plot(); }, look: () => {
+      document.documentElement.classList.toggle("dark"); named(); plot();
+      if (lastImage) histogram(); }};
   for (const [id, does] of Object.entries(act)) $(id).onclick = does;
   const keys = {" ": "play", ArrowLeft: "back", ArrowRight: "on", r: "record",
     s: "snapshot", l: "look", w: "whole", z: "zoom"};

@@ -21,7 +21,7 @@ from pdavis_cv.live import Session, open_source
 from pdavis_cv.live.session import DEFAULT_FPS, KEPT_EVENTS_US
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
-from pdavis_cv.recording.base import Recording, Source
+from pdavis_cv.recording.base import Problem, Recording, Source
 
 __all__ = ["Show", "show_of"]
 
@@ -194,8 +194,7 @@ class LiveShow(Show):
         stats = dataclasses.asdict(self._session.stats)
         if stats["recording"] is not None:
             stats["recording"] = Path(stats["recording"]).name
-        return {"stats": stats, "problems": [
-            f"{problem.count} {problem.message}" for problem in self._session.problems]}
+        return {"stats": stats, "problems": _told(self._session.problems)}
 
     def close(self) -> None:
         """Stop, if the session is ours."""
@@ -349,8 +348,7 @@ class FileShow(Show):
         return {"playing": self._playing, "speed": self._speed,
                 "index": max(self._cursor.index - 1, 0), "count": self._count,
                 "start_us": self.fusion.start_us, "error": self._error,
-                "problems": [f"{problem.count} {problem.message}"
-                             for problem in self._recording.problems]}
+                "problems": _told(self._recording.problems)}
 
     def close(self) -> None:
         """Stop, and close the recording if it is ours."""
@@ -360,6 +358,12 @@ class FileShow(Show):
         self._thread.join()
         if self._owned:
             self._recording.close()
+
+
+def _told(problems: Iterable[Problem]) -> list[str]:
+    """Return problems in words; one of its kind needs no number."""
+    return [f"{problem.count} {problem.message}" if problem.count > 1
+            else problem.message for problem in problems]
 
 
 def _number(name: str, value: Any) -> float:
