@@ -56,4 +56,9 @@ def test_a_trace_follows_if_it_has_most_of_the_swing():
     made = [a_pull("truth", t, wave), a_pull("kalman", t, wave * 0.9 + 0.1),
             a_pull("cf", t, 0.4 + (wave - 0.4) / 2)]
     assert tendon_images._follows(made, 2.0) == (
-        "follow: kalman; do not: cf (0.50 of the swing)")
+        "-; follow: kalman; do not: cf (0.50 of the swing)")
+    frames = a_pull("frames, own times", t, np.full(len(t), 0.4))
+    said = tendon_images._follows([*made, frames, a_pull("joint", t, wave)], 2.0)
+    assert said.startswith("differs; follow: kalman, joint; do not")   # slow: frames do
+    fast = [dataclasses.replace(pull, hz=10.0) for pull in (made[0], frames)]
+    assert tendon_images._follows(fast, 10.0).startswith("agrees; follow: none")

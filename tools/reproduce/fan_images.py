@@ -177,9 +177,9 @@ def _uncertainty(image: PolarFrame, truth: KnownLight, at_us: int
     if image.sigma_aop is None:
         return ()
     y, x = (2 * place + 0.5 for place in np.indices(image.shape))
-    corners = [(dx, dy) for dx in (-1, 1) for dy in (-1, 1)]
+    about = np.linspace(-1, 1, 5)       # an edge is a pixel wide
     sure = image.valid & np.all([truth.dolp(at_us, x + dx, y + dy) > _SURE_DOLP
-                                 for dx, dy in corners], axis=0)
+                                 for dx in about for dy in about], axis=0)
     off = np.abs(axial_difference(
         image.aop.astype(np.float64), truth.aop(at_us, x, y)))
     return tuple(np.where(sure, np.rad2deg(plane), np.nan)

@@ -33,7 +33,8 @@ _IMAGES_PER_CYCLE = 40
 _SHOWN_CYCLES = 2.2
 _HARMONICS = 4
 _FRAMES = "frames, own times"
-_METHODS = (_FRAMES, "cf", "kalman", "firenet", "joint")
+_NETWORKS = ("firenet", "joint")
+_METHODS = (_FRAMES, "cf", "kalman", *_NETWORKS)
 # Of the networks: 50 and 10 ms at 1 and 10 Hz, as in the paper.
 _WINDOW_OF_CYCLE, _LONGEST_US = 0.1, 50_000
 
@@ -107,7 +108,7 @@ def _images(name: str, hz: float, preset: str, take: Take, grid: NDArray[np.int6
     method = runs.METHODS.get(name, runs.Method(parameters={"method": name}))
     options = fuse_parameters(method, Case(
         scene="tendon", light=lambda s0: Tendon(hz=hz), rpm=math.nan, camera=preset))
-    if name in ("firenet", "joint"):
+    if name in _NETWORKS:
         options |= {"weights": all_weights(())[name], "window_us": round(
             min(_LONGEST_US, 1e6 * _WINDOW_OF_CYCLE / hz))}
     when: dict[str, Any] = {"times_us": grid}
@@ -195,7 +196,12 @@ def _follows(made: Sequence[Pull], hz: float) -> str:
     told = [name for name, part in parts.items() if part > _FOLLOWS]
     lost = [f"{name} ({part:.2f} of the swing)" for name, part in parts.items()
             if part <= _FOLLOWS]
-    return "; ".join([f"follow: {', '.join(told) or 'none'}",
+    aliased = hz > 2 * OFF_LOCK     # of two speeds of the paper the fast one
+    agree = [(_FRAMES in told) != aliased] * (_FRAMES in parts) + [
+        any(name in told for name in _NETWORKS)] * any(
+            name in parts for name in _NETWORKS)
+    verdict = "-" if not agree else "agrees" if all(agree) else "differs"
+    return "; ".join([verdict, f"follow: {', '.join(told) or 'none'}",
                       *([f"do not: {', '.join(lost)}"] if lost else [])])
 
 
