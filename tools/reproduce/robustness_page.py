@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .page import FORMATS, table
-from .print_style import PAGE_IN, new_figure
+from .print_style import PAGE_IN, letters, new_figure
 from .robustness import CAUSAL, RECORDED
 from .run import Row
 
@@ -197,6 +197,7 @@ def robustness_figure(rows: Sequence[Row]) -> Figure:
     divide = sum(name in CAUSAL for name in names)
     drawing = new_figure(PAGE_IN, 1.9 + 0.126 * len(found))
     panels = drawing.subplots(1, 2, sharey=True)
+    letters(panels)
     for axes, (column, title) in zip(panels, _COLUMNS.items(), strict=True):
         errors = np.array([[
             _quantile(methods[name], column) if name in methods else np.nan
