@@ -1,6 +1,6 @@
-"""Recordings in other people's programs.
+"""Adapters with which other libraries open recordings.
 
-``patching`` lets programs that call ``cv2.VideoCapture`` open recordings,
-``pims_reader`` and ``imageio_plugin`` plug into the packages of these names, which
-they need installed.
+``patching`` replaces ``cv2.VideoCapture`` in programs that call it; ``pims_reader``,
+``imageio_plugin`` and ``napari_plugin`` are plugins of pims, imageio and napari, which
+must be installed.
 """

@@ -1,4 +1,4 @@
-"""Recordings for imageio: ``imiter("run.aedat4", plugin="pdavis", fps=100)``."""
+"""Plugin for imageio: ``imiter("run.aedat4", plugin="pdavis", fps=100)``."""
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -26,25 +26,24 @@ _POS_FRAMES, _FPS, _FRAME_COUNT = 1, 5, 7
 
 
 class PdavisPlugin(PluginV3):
-    """Reads the images of a recording; pictures are RGB, as imageio has them.
+    """Read the images of a recording; pictures are RGB, as usual in imageio.
 
-    Every parameter may also be given to the reading functions, as ``imread`` and
-    ``imiter`` do with theirs; they hold until another call gives others, because
-    ``imageio.v2`` gives them to the first of several calls only.
+    Parameters may also be passed to the reading functions.  They remain in effect until
+    a call passes others, because ``imageio.v2`` passes them to the first call only.
 
     Parameters
     ----------
     request : imageio.core.Request
     output : int
-        ``CAP_PDAVIS_*``; default the grey picture.
+        ``CAP_PDAVIS_*``; default: the grey picture.
     **parameters
-        Of `VideoCapture`, e.g. ``fps``.
+        Parameters of `VideoCapture`, e.g. ``fps``.
 
     Raises
     ------
     InitializationError
-        If this is not a recording, a package for it is missing, or it should be
-        written.
+        If the file is not a recording, a package for it is missing, or it is opened
+        for writing.
     """
 
     def __init__(
@@ -54,7 +53,7 @@ class PdavisPlugin(PluginV3):
         self._capture: VideoCapture | None = None
         self._given = {"output": output, **parameters}
         self._used: dict[str, Any] = {}
-        self._last: int | None = None  # number of the image that was read last
+        self._last: int | None = None  # number of the last image that was read
         if request.mode.io_mode == IOMode.write:
             raise InitializationError("recordings are not written through imageio")
         self._path = request.get_local_filename()
@@ -97,7 +96,7 @@ class PdavisPlugin(PluginV3):
             yield image
 
     def write(self, ndimage: Any, **keywords: Any) -> None:
-        """Refuse: recordings are not written through imageio."""
+        """Raise NotImplementedError: imageio cannot write recordings."""
         raise NotImplementedError("recordings are not written through imageio")
 
     def properties(self, index: Any = 0, **parameters: Any) -> ImageProperties:
@@ -115,7 +114,7 @@ class PdavisPlugin(PluginV3):
     ) -> dict[str, Any]:
         """Return ``fps`` and, for one image, its time ``t_us``.
 
-        The image that was read last is not read again.
+        The last image that was read is not read again.
         """
         capture = self._opened(parameters)
         found: dict[str, Any] = {"fps": capture.get(_FPS)}
@@ -126,13 +125,13 @@ class PdavisPlugin(PluginV3):
         return found
 
     def close(self) -> None:
-        """Release the recording."""
+        """Close the recording."""
         if self._capture is not None:
             self._capture.release()
         super().close()
 
     def _opened(self, parameters: dict[str, Any]) -> VideoCapture:
-        """Return the capture; other parameters than the last time open it anew."""
+        """Return the capture, opened again if the parameters have changed."""
         used = {**self._given, **parameters}
         if self._capture is None or (parameters and used != self._used):
             if self._capture is not None:
@@ -151,7 +150,7 @@ def _next(capture: VideoCapture) -> NDArray[Any] | None:
 
 
 def register() -> None:
-    """Make imageio know recordings by their names' ends; once is enough."""
+    """Register the suffixes of recordings with imageio; needed once."""
     if "pdavis" in known_plugins:
         return
     known_plugins["pdavis"] = PluginConfig(

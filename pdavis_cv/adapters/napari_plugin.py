@@ -1,7 +1,7 @@
-"""A reader for napari: recordings, and OME-TIFFs that `pdavis export` wrote.
+"""Plugin for napari: reads recordings, and OME-TIFFs of `pdavis export`.
 
-napari finds it by ``napari.yaml`` beside this file, and makes a widget of
-`fuse_recording` by its annotations, which are no strings here for that reason.
+napari finds it through ``napari.yaml`` next to this file, and makes a widget of
+`fuse_recording` from its annotations, which therefore must not be strings.
 """
 import json
 import math
@@ -29,24 +29,24 @@ Layer = tuple[NDArray[np.float32], dict[str, Any], str]
 _QUANTITIES = ("S0", "AoP", "DoLP")
 _COLOURS = {"AoP": "hsv", "DoLP": "viridis"}
 _LIMITS = {"AoP": (0.0, math.pi), "DoLP": (0.0, 1.0)}
-_BRIGHT = 99.5  # per cent of an intensity's pixels that are not shown as white
+_BRIGHT = 99.5  # percentile of an intensity that is shown as white
 _METHODS = ("what fits the file", *METHODS)
 _LAYOUTS = ("as the file says", "pdavis", "sony")
 _CREATOR = 'Creator="pdavis_cv"'
 
 
 def get_reader(path: str | Sequence[str]) -> Callable[[Any], list[Layer]] | None:
-    """Return what reads a file, None if it is not ours.
+    """Return a reader for a file, None if it is not supported.
 
     Parameters
     ----------
     path : str or sequence of str
-        As napari passes it; of several the first is looked at.
+        Argument of napari; of several paths, the first is checked.
 
     Returns
     -------
     callable or None
-        Takes a path and returns layers.
+        Function from a path to layers.
     """
     first = path if isinstance(path, str) else path[0]
     if not first.lower().endswith((".tif", ".tiff")):
@@ -60,7 +60,7 @@ def read_recording(path: str | Sequence[str]) -> list[Layer]:
     Parameters
     ----------
     path : str or sequence of str
-        A recording; of several the first is read.
+        A recording; of several paths, the first is read.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def fuse_recording(
     images_per_second: float = 0.0, start_s: float = 0.0, seconds: float = 1.0,
     layout: Annotated[str, {"choices": _LAYOUTS}] = _LAYOUTS[0],
 ) -> "list[napari.types.LayerDataTuple]":
-    """Fuse a part of a recording into layers: napari makes a widget of this function.
+    """Fuse a part of a recording into layers; napari makes a widget of this function.
 
     Parameters
     ----------
@@ -87,20 +87,20 @@ def fuse_recording(
     images_per_second : float
         0: one image for each frame.
     start_s, seconds : float
-        First image, after the start of the recording, and for how long; memory holds
-        them all.
+        Time of the first image after the start of the recording, and duration; all
+        images are kept in memory.
     layout : str
-        Name of a `Layout`, for files that do not say how their polarizers lie.
+        Name of a `Layout`, for files without polarizer layout.
 
     Returns
     -------
     list of (ndarray, dict, str)
-        As of `read_recording`.
+        As for `read_recording`.
 
     Raises
     ------
     ValueError
-        If there is no image in that time.
+        If there is no image in that interval.
     """
     with open_recording(
             recording, layout=None if layout == _LAYOUTS[0] else layout) as opened:
@@ -126,18 +126,17 @@ def _layers(fused: Iterable[PolarFrame]) -> list[Layer]:
 
 
 def read_stack(path: str | Sequence[str]) -> list[Layer]:
-    """Read an OME-TIFF of `export.OmeTiffFile` into a layer per quantity.
+    """Read an OME-TIFF from `export.OmeTiffFile`, one layer per quantity.
 
     Parameters
     ----------
     path : str or sequence of str
-        The file; of several the first is read.
+        The file; of several paths, the first is read.
 
     Returns
     -------
     list of (ndarray, dict, str)
-        A layer per channel, float32 (T, H, W), scaled in s and um where those are
-        known.
+        A layer per channel, float32 (T, H, W), with scales in s and um if known.
     """
     import tifffile
     first = path if isinstance(path, str) else path[0]

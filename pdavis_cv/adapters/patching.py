@@ -1,4 +1,4 @@
-"""Programs that call cv2.VideoCapture open recordings while this is in force."""
+"""Replace cv2.VideoCapture temporarily, so that other programs open recordings."""
 from __future__ import annotations
 
 import contextlib
@@ -20,38 +20,38 @@ __all__ = ["patched_cv2"]
 def patched_cv2(
     *modules: ModuleType, mosaics: bool = False, **parameters: Any
 ) -> Iterator[type[VideoCapture]]:
-    """Put `VideoCapture` in the place of ``cv2.VideoCapture``.
+    """Replace ``cv2.VideoCapture`` by `VideoCapture` in a ``with`` block.
 
-    For libraries that construct it themselves (imutils, vidgear, supervision,
-    ultralytics).  It is put into cv2 and into every imported module that holds a
-    copy of the name; sources that are not recordings go to the real one, as ever.
-    Captures that were made inside live on after the end.
+    This is for libraries that construct it themselves (imutils, vidgear, supervision,
+    ultralytics).  It is replaced in cv2 and in every imported module that holds a copy
+    of the name.  Sources that are not recordings are passed to the real class.
+    Captures that were made inside the block remain usable after it.
 
     Parameters
     ----------
     *modules : module
-        More modules with a ``VideoCapture`` of their own to be replaced.
+        Further modules whose ``VideoCapture`` is replaced.
     mosaics : bool
         Also read videos and images as those of a polarization camera; needs a
         ``layout``.
     **parameters
-        Of `VideoCapture`, for every recording that is opened, e.g. ``fps``.
+        Parameters of `VideoCapture` for every recording that is opened, e.g. ``fps``.
 
     Yields
     ------
     type
-        What stands in the place of ``cv2.VideoCapture``.
+        The class that replaces ``cv2.VideoCapture``.
 
     Raises
     ------
     TypeError
         If a parameter is unknown.
     ValueError
-        If `mosaics` is asked for without a layout.
+        If `mosaics` is True without a layout.
 
     Notes
     -----
-    The change is seen by all threads.
+    The change affects all threads.
     """
     if mosaics and parameters.get("layout") is None:
         raise ValueError("mosaics=True needs layout=, the images do not say it")
@@ -71,7 +71,7 @@ def patched_cv2(
     finally:
         for module, original in originals:
             vars(module)["VideoCapture"] = original
-        # Modules that were imported meanwhile hold copies of the replacement.
+        # Modules that were imported inside the block hold copies of the replacement.
         for module in _holding(patched):
             vars(module)["VideoCapture"] = outer
 
@@ -89,9 +89,9 @@ def _patched(
     layout = parameters.get("layout") if mosaics else None
 
     class PatchedVideoCapture(VideoCapture):
-        """VideoCapture that uses parameters for recordings only."""
+        """A VideoCapture that applies the parameters to recordings only."""
 
-        replaces = real  # where sources that are not recordings go
+        replaces = real  # opens sources that are not recordings
 
         def __init__(
             self,
@@ -114,7 +114,7 @@ def _patched(
             return super()._open(function, filename, backend, params, index)
 
         def __reduce__(self) -> tuple[Any, ...]:
-            # This class has no name that another process could find.
+            # Another process cannot import this local class.
             return object.__new__, (VideoCapture,), self.__getstate__()
 
     PatchedVideoCapture.__name__ = PatchedVideoCapture.__qualname__ = "VideoCapture"

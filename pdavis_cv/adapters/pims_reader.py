@@ -1,4 +1,4 @@
-"""Recordings as a sequence of frames for pims (and so for trackpy)."""
+"""Reader for pims (and so for trackpy): recordings as sequences of frames."""
 from __future__ import annotations
 
 import os
@@ -19,17 +19,17 @@ _POS_FRAMES, _FRAME_COUNT = 1, 7
 
 
 class PdavisSequence(pims.FramesSequence):  # type: ignore[misc]
-    """Images of a recording, by number, sliced and piped as pims does.
+    """The images of a recording, by number, with slices and pipelines of pims.
 
-    Once this module is imported, ``pims.open("run.aedat4")`` finds it.
+    ``pims.open("run.aedat4")`` uses it after this module has been imported.
 
     Parameters
     ----------
     filename : path or Recording
     output : int
-        ``CAP_PDAVIS_*``; default S0, float32.
+        ``CAP_PDAVIS_*``; default: S0, float32.
     **parameters
-        Of `VideoCapture`, e.g. ``fps``.
+        Parameters of `VideoCapture`, e.g. ``fps``.
 
     Raises
     ------
@@ -41,7 +41,7 @@ class PdavisSequence(pims.FramesSequence):  # type: ignore[misc]
 
     @classmethod
     def class_exts(cls) -> set[str]:
-        """File names' ends that ``pims.open`` gives to this class."""
+        """Return the suffixes that ``pims.open`` passes to this class."""
         return {suffix[1:] for suffix in suffixes()}
 
     def __init__(
@@ -51,7 +51,7 @@ class PdavisSequence(pims.FramesSequence):  # type: ignore[misc]
         self._capture = VideoCapture(filename, output=output, **parameters)
         if not self._capture.isOpened():
             raise OSError(self._capture.last_error)
-        # pims is used by several threads at once; a position belongs to one.
+        # Several threads may use pims at once, but the capture has one position.
         self._lock = threading.Lock()
         self._count = int(self._capture.get(_FRAME_COUNT))
         first, _ = self._image(0) if self._count else (np.empty((0, 0), np.uint8), 0)
@@ -71,7 +71,7 @@ class PdavisSequence(pims.FramesSequence):  # type: ignore[misc]
         return self._dtype
 
     def get_frame(self, ind: int) -> pims.Frame:
-        """Return image number ind; its metadata hold ``t_us``."""
+        """Return image number ind, with ``t_us`` in its metadata."""
         image, t = self._image(ind)
         return pims.Frame(image, frame_no=ind, metadata={"t_us": t})
 
@@ -85,7 +85,7 @@ class PdavisSequence(pims.FramesSequence):  # type: ignore[misc]
             return image, int(self._capture.get(CAP_PROP_PDAVIS_POS_US))
 
     def close(self) -> None:
-        """Release the recording."""
+        """Close the recording."""
         self._capture.release()
 
     def __getstate__(self) -> dict[str, Any]:

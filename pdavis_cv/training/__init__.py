@@ -1,4 +1,4 @@
-"""Training of the recurrent networks on simulated events; needs torch.
+"""Train the recurrent networks on simulated events; needs torch.
 
-Nothing in the package imports this room; ``pdavis train`` does.
+Only ``pdavis train`` imports this package.
 """

@@ -1,4 +1,4 @@
-"""An endless stream of simulated clips: events of four channels, and the truth."""
+"""Simulate an endless stream of clips: events of four channels, and the truth."""
 from __future__ import annotations
 
 import copy
@@ -24,16 +24,16 @@ from pdavis_cv.training.scenery import (
 __all__ = ["UNIT", "Chunk", "Clips"]
 
 STEPS = 8
-"""Nodes of light per window; two in each interval between bins."""
+"""Times per window at which light is computed; two per interval between bins."""
 
 UNIT = 0.2
-"""Log intensity that counts as 1 in the voxel grid."""
+"""Change of log intensity that is 1 in the voxel grid."""
 
 Truth = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 class Chunk(NamedTuple):
-    """Some windows of a batch of clips, one after the other.
+    """Some consecutive windows of a batch of clips.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ class Chunk(NamedTuple):
     integrals : tensor of float32, shape (K, N, 4, 2, H, W)
         Leaky integrals of each channel's events, natural-log units.
     light : tensor of float32, shape (K, N, 4, H, W)
-        Light on each pixel behind its analyser at the window's end.
+        Light on each pixel behind its polarizer at the window's end.
     log_s0 : tensor of float32, shape (K, N, 4, H, W)
         Natural log of S0 before each pixel.
     polar : tensor of float32, shape (K, N, 2, H, W)
-        S1/S0 and S2/S0 in the middle of each cell, as the analysers see them.
+        S1/S0 and S2/S0 in the middle of each cell, in front of the polarizers.
     age : tensor of float32, shape (K, N)
-        Windows since the clip began.
+        Number of windows since the clip began.
     fresh : tensor of bool, shape (N,)
         Clips that begin with this chunk.
     kinds : list of str
@@ -70,14 +70,14 @@ class Clips:
     Parameters
     ----------
     n : int
-        Clips side by side.
+        Number of clips in parallel.
     side : int
-        Macropixels along a side of a clip.
+        Height and width of a clip in macropixels.
     seed : int
     renew : float
-        Chance that a clip is replaced by a new one when a chunk begins.
+        Probability that a clip is replaced by a new one at the beginning of a chunk.
     kind : str, optional
-        Only scenes of this kind.
+        Simulate only scenes of this kind.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Clips:
         self._path = [Path() for _ in range(n)]
         shape = (n, 4, side, side)
         self._maps = torch.zeros(n, 3, MAP_SIDE, MAP_SIDE)
-        self._seen = torch.zeros(shape)        # what the photoreceptor says
+        self._seen = torch.zeros(shape)        # output of the photoreceptor, log
         self._reference = torch.zeros(shape)
         self._theta = torch.ones(2, *shape)    # ON, OFF
         self._nominal = torch.ones(2, n, 1, 1, 1)
@@ -140,7 +140,7 @@ class Clips:
                 if name.startswith("_") and name not in ("_x", "_y", "_decay")}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `state` returned."""
+        """Restore what `state` returned."""
         for name, value in state.items():
             if name == "_random":
                 self._random.bit_generator.state = value
@@ -176,7 +176,7 @@ class Clips:
         dark = np.exp(random.uniform(np.log(1e-5), np.log(0.03)))
         slow = random.random()
         cutoff = np.exp(random.uniform(np.log(0.7), np.log(20))) if slow < 0.5 else 1e3
-        share = random.random() if slow < 0.25 else 0.0  # that follows the light
+        share = random.random() if slow < 0.25 else 0.0  # proportional to the light
         for p, value in enumerate((contrast, dark, cutoff * (1 - share),
                                    cutoff * share)):
             self._pixel[p, i] = float(value)
@@ -186,7 +186,7 @@ class Clips:
             0.01 * random.random() ** 2)
         self._age[i] = 0
         self._memory[i] = 0
-        # The first node is where the path is before it moves.
+        # The first node is the position before the path moves.
         self._last[i] = walk(random, _still(motion), self._path[i], 1)[0]
         light = self._light(*self._look(self._last[:, None], [i]), [i])[0]
         level = torch.log(light + self._pixel[1, [i]])
@@ -205,7 +205,7 @@ class Clips:
         at = torch.from_numpy(nodes.astype(np.float32))
         c, s = (torch.cos(at[..., 2]) * at[..., 3], torch.sin(at[..., 2]) * at[..., 3])
         c, s, x0, y0 = (v.view(n, k, 1, 1, 1) for v in (c, s, at[..., 0], at[..., 1]))
-        # Turning the scene counter-clockwise is looking up places turned clockwise.
+        # The scene turns counter-clockwise if positions are looked up clockwise.
         u = x0 + c * self._x - s * self._y
         v = y0 + s * self._x + c * self._y
         scale = 2 / (MAP_SIDE - 1)
@@ -233,8 +233,8 @@ class Clips:
         nodes = np.stack([walk(self._random, m, p, STEPS) for m, p in
                           zip(self._motion, self._path, strict=True)
                           if m is not None])
-        # Maps are looked at in every second node and between by their mean; what
-        # the polarization passes is known at each.
+        # Maps are sampled at every second node and interpolated between; the
+        # matrix of the polarization is known at every node.
         whole = np.concatenate((self._last[:, None], nodes), 1)
         seen, _ = self._look(whole[:, ::2])
         passing = torch.from_numpy(
@@ -245,7 +245,7 @@ class Clips:
         lights = self._light(seen, passing)
         dark, fixed, follows = self._pixel[1:]
         level = torch.log(lights + dark)
-        # The exponential of a long step would only be 0.
+        # Clamped, as the exponential of a long step is 0 anyway.
         gain = -torch.expm1(-(fixed + follows * lights).clamp(max=80) / STEPS)
         grid = torch.zeros(self.n, 4, BINS, self.side, self.side)
         leak = torch.from_numpy(self._noise[:, 1].astype(np.float32)).view(-1, 1, 1, 1)

@@ -1,4 +1,4 @@
-"""The recurrent networks in torch, as they are trained."""
+"""The recurrent networks in torch, for training."""
 from __future__ import annotations
 
 import torch
@@ -26,7 +26,7 @@ class ConvGru(nn.Module):
 
 
 class Residual(nn.Module):
-    """Two convolutions around which the input passes."""
+    """Residual block of two convolutions."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -44,9 +44,9 @@ class Network(nn.Module):
     Parameters
     ----------
     inputs, outputs : int
-        Planes in and out.
+        Number of input and output planes.
     direct : int
-        How many of the last input planes reach the prediction directly.
+        Number of last input planes that are fed to the prediction directly.
     """
 
     def __init__(self, inputs: int, outputs: int, direct: int = 0) -> None:
@@ -73,11 +73,11 @@ class Network(nn.Module):
 
 
 def make_network(name: str) -> Network:
-    """Make a network with its first weights.
+    """Make a network with initial weights.
 
-    ``firenet`` takes the bins of a channel and gives its intensity.  ``joint`` takes
-    bins and integrals of all and gives ln S0 before each of the four pixels, starting
-    out from their slow integrals, and S1/S0 and S2/S0.
+    ``firenet`` maps the bins of one channel to its intensity.  ``joint`` maps bins and
+    integrals of all channels to ln S0 at each of the four pixels, as corrections of
+    their slow integrals, and to S1/S0 and S2/S0.
     """
     if name == "firenet":
         net = Network(5, 1)

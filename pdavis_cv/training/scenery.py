@@ -1,4 +1,4 @@
-"""Random scenes for training: maps of light, and how they move."""
+"""Random scenes for training: maps of light and their motion."""
 from __future__ import annotations
 
 import math
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 __all__ = ["KINDS", "MAP_SIDE", "Motion", "Path", "draw_map", "draw_motion"]
 
 KINDS = ("texture", "polarizer", "plate", "wheel")
-"""What a scene is: see `draw_motion`."""
+"""Kinds of scenes, see `draw_motion`."""
 
 SHARES = (0.5, 0.22, 0.16, 0.12)
 
@@ -22,36 +22,36 @@ FloatArray = NDArray[np.float32]
 
 @dataclass
 class Motion:
-    """How one scene moves; rates are per window.
+    """The motion of a scene; rates are per window.
 
     Parameters
     ----------
     kind : str
         One of ``KINDS``.
     velocity : ndarray of float64, shape (2,)
-        Of the map, in pixels of the mosaic, x and y.
+        Velocity of the map in pixels of the mosaic, x and y.
     turn : float
-        Of the map, radians.
+        Rotation of the map, radians.
     zoom, zoom_rate : float
-        Amplitude of the map's breathing, and its phase in radians.
+        Amplitude of the map's oscillating magnification, and its phase rate, radians.
     spin : float
-        Of the phase 2 AoP of a rotator before the scene, radians.
+        Rate of the phase 2 AoP of a rotator before the scene, radians.
     tilt : float
-        Angle 2 axis of a retarder behind the rotator, radians.
+        Twice the axis angle of a retarder behind the rotator, radians.
     across : float
-        Cosine of its retardance: what is left of the component across its axis.
+        Cosine of its retardance: transmission of the component across its axis.
     follows : float
         1 if polarization turns with the map, 0 if not; 2 if the retarder turns.
     pivot : (float, float)
-        Place in the picture around which the map turns, pixels from its middle.
+        Centre of the map's rotation in the image, pixels from its middle.
     swing : float
-        Phase rate of a swinging motion, radians; 0 = steady.
+        Phase rate of an oscillating motion, radians; 0 = steady.
     swing_dolp : float
-        Relative amplitude of DoLP that swings along.
+        Relative amplitude of DoLP that oscillates with it.
     pause : float
-        Chance that a pause begins in a window.
+        Probability that a pause begins in a window.
     redraw : float
-        Chance that the motion changes in a window.
+        Probability that the motion changes in a window.
     """
 
     kind: str
@@ -72,7 +72,7 @@ class Motion:
 
 @dataclass
 class Path:
-    """Where a scene is."""
+    """The current position of a scene."""
 
     x: float = 0.0
     y: float = 0.0
@@ -88,11 +88,12 @@ def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def draw_motion(random: np.random.Generator, kind: str | None = None) -> Motion:
-    """Draw how a scene moves.
+    """Draw the motion of a scene.
 
-    A texture drifts, turns and breathes; a polarizer before an even light turns by up
-    to 2 radians of 2 AoP per window; a plate is a retarder behind such a polarizer,
-    or a turning one; a wheel of polarizers turns, and its polarization with it.
+    A texture moves, turns and changes its magnification.  A polarizer before uniform
+    light turns by up to 2 radians of 2 AoP per window.  A plate is a retarder behind
+    such a polarizer, or a turning one.  A wheel of polarizers turns, and its
+    polarization with it.
     """
     if kind is None:
         kind = str(random.choice(KINDS, p=SHARES))
@@ -143,7 +144,7 @@ def _noise(random: np.random.Generator, side: int, power: float) -> FloatArray:
 def _objects(
     random: np.random.Generator, light: FloatArray, pol: NDArray[np.complex64]
 ) -> None:
-    """Draw half-planes and discs of other light and polarization into the maps."""
+    """Draw half-planes and discs of different light and polarization into the maps."""
     side = light.shape[0]
     y, x = np.mgrid[:side, :side].astype(np.float32)
     for _ in range(random.integers(0, 8)):
@@ -211,13 +212,13 @@ def draw_map(random: np.random.Generator, motion: Motion) -> FloatArray:
 def walk(
     random: np.random.Generator, motion: Motion, path: Path, steps: int
 ) -> NDArray[np.float64]:
-    """Move on by one window.
+    """Advance the path by one window.
 
     Returns
     -------
     ndarray of float64, shape (steps, 8)
-        At the end of each step: x, y, angle and magnification of the map; the matrix
-        that the polarization passes, row by row.
+        Values at the end of each step: x, y, angle and magnification of the map; the
+        matrix that is applied to the polarization, row by row.
     """
     if path.paused:
         path.paused -= 1
@@ -252,9 +253,9 @@ def _turn(angle: float) -> NDArray[np.float64]:
 
 
 def _passing(motion: Motion, path: Path) -> NDArray[np.float64]:
-    """Return the matrix that S1, S2 of the map pass on their way to the camera."""
+    """Return the matrix from S1, S2 of the map to S1, S2 at the camera."""
     rotator, axis = path.phase, motion.tilt
-    if motion.follows == 2:  # a turning retarder before which the polarizer rests
+    if motion.follows == 2:  # a turning retarder behind a polarizer at rest
         rotator, axis = 0.0, motion.tilt + path.phase
     matrix = _turn(rotator)
     if motion.across != 1:

@@ -1,4 +1,4 @@
-"""The training loop: chunks of clips, truncated back-propagation, checkpoints."""
+"""Train networks: chunks of clips, truncated back-propagation, checkpoints."""
 from __future__ import annotations
 
 import math
@@ -22,20 +22,20 @@ DARKEST = 1e-2
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is trained.
+    """Parameters of the training of a network.
 
     Parameters
     ----------
     network : {"joint", "firenet"}
     seed : int
-        Of the first weights and of the clips.
+        Seed of the initial weights and of the clips.
     steps : int
-        Updates, over which the rate falls along a cosine.
+        Number of updates, over which the rate decreases as a cosine.
     rate : float
-        Largest rate of Adam.
+        Largest learning rate of Adam.
     batch, side, windows : int
-        Clips side by side, macropixels along a side, and windows through which
-        errors are propagated back.
+        Number of clips, their height and width in macropixels, and number of windows
+        through which errors are propagated back.
     half : bool
         Convolve in bfloat16; states and losses stay float32.
     """
@@ -51,7 +51,7 @@ class Recipe:
 
 
 class Trainer:
-    """Train a network step by step; the state can be saved and taken up again.
+    """Train a network step by step; the state can be saved and loaded.
 
     Parameters
     ----------
@@ -68,10 +68,10 @@ class Trainer:
         shape = (self.planes, WIDTH, recipe.side, recipe.side)
         self.states = [torch.zeros(shape), torch.zeros(shape)]
         self.step = 0
-        self.pixel_steps = 0  # cells times windows that were learned from
+        self.pixel_steps = 0  # number of cells times windows so far
 
     def advance(self) -> dict[str, float]:
-        """Make one update; return its loss and errors."""
+        """Do one update; return its loss and errors."""
         recipe, net = self.recipe, self.net
         done = min(self.step / recipe.steps, 1)
         rate = recipe.rate * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * done)))
@@ -106,7 +106,7 @@ class Trainer:
     # ---- checkpoints ---------------------------------------------------------
 
     def save(self, path: Path) -> None:
-        """Write everything that is needed to go on, beside and then in place."""
+        """Write a checkpoint from which training can continue."""
         state = {"recipe": asdict(self.recipe), "step": self.step,
                  "pixel_steps": self.pixel_steps,
                  "net": self.net.state_dict(),
@@ -117,13 +117,13 @@ class Trainer:
 
     @classmethod
     def load(cls, path: Path, recipe: Recipe | None = None) -> Trainer:
-        """Go on from a checkpoint of one's own (it is a pickle: trust it).
+        """Continue from a trusted checkpoint (it is a pickle).
 
         Parameters
         ----------
         path : Path
         recipe : Recipe, optional
-            Another one from here on; clips go on only with equal seed and sizes.
+            New parameters; clips continue only if seed and sizes are equal.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class Trainer:
         return trainer
 
     def weights(self, **about: Any) -> Weights:
-        """Return the weights as they are, for `Weights.save`."""
+        """Return the current weights, for `Weights.save`."""
         arrays = {name: value.detach().numpy().copy()
                   for name, value in self.net.state_dict().items()}
         return Weights(self.recipe.network, arrays, UNIT, {
@@ -167,7 +167,7 @@ def planes(chunk: Chunk, network: str) -> torch.Tensor:
 def _measured(
     outputs: torch.Tensor, network: str
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return ln S0 before each pixel, or of each cell, and S1/S0 and S2/S0."""
+    """Return ln S0 at each pixel, or of each cell, and S1/S0 and S2/S0."""
     if network == "joint":
         return outputs[:, :, :4], outputs[:, :, 4:]
     i0, i45, i90, i135 = outputs.clamp(min=DARKEST).unbind(2)
@@ -181,10 +181,10 @@ def score(
 ) -> tuple[torch.Tensor, dict[str, float]]:
     """Return the loss, and errors by kind of scene.
 
-    The loss is the sum of mean absolute errors: of S1/S0, of S2/S0, of DoLP (where the
-    angle is in doubt, the other two alone would make it too small), a third of that of
-    ln S0 up to one gain per clip and chunk; for ``firenet`` also a half of that of
-    intensity, in which mean S0 is 1.
+    The loss is the sum of the mean absolute errors of S1/S0, S2/S0 and DoLP (with the
+    first two alone, DoLP would become too small where the angle is uncertain), and a
+    third of that of ln S0 up to one gain per clip and chunk.  For ``firenet`` it also
+    has half of that of intensity, relative to mean S0.
     """
     log_s0, polar = _measured(outputs, network)
     true_s0, true = chunk.log_s0, chunk.polar
@@ -195,7 +195,7 @@ def score(
     off = log_s0 - true_s0
     gain = off.mean((0, 2, 3, 4), keepdim=True)
     light = (off - gain).abs() * weight
-    # Unlike hypot, the norm has a gradient at 0.
+    # Unlike hypot, norm has a gradient at 0.
     degree, true_degree = (
         torch.linalg.vector_norm(p, dim=2, keepdim=True) for p in (polar, true))
     loss = (2 * ((polar - true).abs() * weight).mean() + light.mean() / 3
@@ -228,13 +228,13 @@ class Averages:
         self._sums: dict[str, tuple[float, int]] = {}
 
     def add(self, scores: dict[str, float]) -> None:
-        """Count scores."""
+        """Add scores."""
         for name, value in scores.items():
             total, n = self._sums.get(name, (0.0, 0))
             self._sums[name] = total + value, n + 1
 
     def take(self) -> dict[str, float]:
-        """Return the means, and begin anew."""
+        """Return the means and reset them."""
         means = {name: total / n for name, (total, n) in sorted(self._sums.items())}
         self._sums = {}
         return means
@@ -245,9 +245,9 @@ def train(
     told: Callable[[dict[str, float]], None] = lambda scores: None,
     shown: Callable[[range], Iterable[int]] = iter,
 ) -> None:
-    """Train to the recipe's end, saving to path every so many steps.
+    """Train to the end of the recipe, and save to path every `every` steps.
 
-    What passes the steps on in ``shown`` may show progress.
+    ``told`` receives the scores, and ``shown`` iterates over steps to show progress.
     """
     averages = Averages()
     for _ in shown(range(trainer.step, trainer.recipe.steps)):
