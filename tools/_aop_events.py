@@ -1,4 +1,4 @@
-"""``pdavis export --what aop-events``: an angle after each event, as file or video."""
+"""``pdavis export --what aop-events``: write an angle after each event, or a video."""
 from __future__ import annotations
 
 import argparse
@@ -34,16 +34,16 @@ def export_aop_events(
     Parameters
     ----------
     args : Namespace
-        ``out`` (its suffix says what is written), ``slow``.
+        ``out`` (its suffix determines the output), ``slow``.
     recording : Recording
     options : dict
-        Of `fuse`: interval, layout, thresholds, calibration, fps; ``parameters`` of
-        `AopEvents` beside them.
+        Options of `fuse`: interval, layout, thresholds, calibration, fps; and
+        ``parameters`` of `AopEvents`.
 
     Returns
     -------
     lines : list of str
-        For the terminal.
+        Text for the terminal.
     facts : dict
         The same for ``--json``.
     """
@@ -153,7 +153,7 @@ def _video(
 def _intervals(
     pieces: Iterator[NDArray[Any]], start_us: int | None, interval_us: int
 ) -> Iterator[NDArray[Any]]:
-    """Cut a stream into intervals, empty ones within it too."""
+    """Divide a stream into intervals, including empty ones."""
     waiting: list[NDArray[Any]] = []
     end: int | None = None if start_us is None else start_us + interval_us
     for piece in pieces:

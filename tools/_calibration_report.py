@@ -1,4 +1,4 @@
-"""A page of figures and numbers about one part of a calibration."""
+"""Report with figures and numbers for one part of a calibration."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
@@ -17,14 +17,14 @@ __all__ = ["Page", "write_report"]
 
 @dataclass
 class Page:
-    """What a report shows.
+    """The content of a report.
 
     Parameters
     ----------
     title : str
         Headline.
     lines : list of str
-        ``"what: value"``, printed and kept in the calibration's notes.
+        ``"what: value"``, printed and stored in the calibration's notes.
     figures : list of tuple
         (kind, title, data).
     """
@@ -54,7 +54,7 @@ class Page:
 
 
 def write_report(path: Path, page: Page) -> bool:
-    """Draw the page as PNG; False if matplotlib is not installed, which is said."""
+    """Draw the page as PNG; print a message and return False without matplotlib."""
     if not can_draw():
         return False
     from matplotlib.backends.backend_agg import FigureCanvasAgg

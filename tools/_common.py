@@ -1,4 +1,4 @@
-"""What the tools share: errors in one line, and the options of fuse()."""
+"""Shared code of the commands: one-line errors, and the options of fuse()."""
 from __future__ import annotations
 
 import argparse
@@ -32,7 +32,7 @@ from ._values import (
     within,
 )
 
-if TYPE_CHECKING:  # an interrupt while NumPy loads must find `command` at work
+if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
     from pdavis_cv import Calibration, Recording, Source
     from pdavis_cv.fusion.options import OptionFacts
 
@@ -69,7 +69,7 @@ TRACEBACK = "PDAVIS_CV_TRACEBACK"
 
 
 class Main(Protocol):
-    """A command: takes the arguments, by default those of the process."""
+    """A command: a function of the arguments, by default those of the process."""
 
     def __call__(self, argv: Sequence[str] | None = None) -> int:
         """Run it and return the exit code."""
@@ -77,11 +77,11 @@ class Main(Protocol):
 
 
 class UsageError(Exception):
-    """A mistake of the user; its text is the line that they see."""
+    """A mistake of the user; its text is printed as one line."""
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """An ArgumentParser whose complaints are one line."""
+    """An ArgumentParser whose error messages are one line."""
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError instead of printing the whole usage."""
@@ -100,9 +100,9 @@ class Parser(OneLineParser):
     name : str
         Name of the subcommand.
     description : str
-        What it does.
+        Description, shown by ``--help``.
     example : str
-        A command line that works, shown by ``--help``.
+        An example command line, shown by ``--help``.
     """
 
     def __init__(self, name: str, description: str, example: str) -> None:
@@ -112,17 +112,16 @@ class Parser(OneLineParser):
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument(
             "--progress", action=AlwaysProgress, nargs=0, default=argparse.SUPPRESS,
-            help="tell stages and the time left even if stderr is no terminal")
+            help="show stages and the remaining time even if stderr is not a terminal")
 
 
 def command(main: Main) -> Main:
-    """Give a tool's main the manners of a command.
+    """Decorate the main function of a command to report errors in one line.
 
-    A mistake of the user or a file that cannot be read gives one line and 2, an
-    output that cannot be written, or an interrupt, one line and 1; warnings are
-    one line each.  Whatever else goes wrong is a mistake of ours: one line that says
-    how to report it, and 70 (EX_SOFTWARE); where, is said if the environment holds
-    PDAVIS_CV_TRACEBACK.
+    The exit code is 2 for a mistake of the user or a file that cannot be read, and 1
+    for an output that cannot be written or an interrupt.  Warnings are one line each.
+    Any other exception is a bug: the line says how to report it, and the exit code is
+    70 (EX_SOFTWARE).  If PDAVIS_CV_TRACEBACK is set, the traceback is printed.
     """
 
     @functools.wraps(main)
@@ -135,7 +134,7 @@ def command(main: Main) -> Main:
                     code = _flushed(main, argv)
             except SystemExit as leave:  # argparse after --help
                 return leave.code if isinstance(leave.code, int) else 0
-            except BrokenPipeError:  # the reader of our output has gone
+            except BrokenPipeError:  # the reader of the output has exited
                 return 1
             except (FileNotFoundError, NotADirectoryError, IsADirectoryError,
                     PermissionError, PdavisError, UsageError, ImportError,
@@ -161,13 +160,13 @@ def command(main: Main) -> Main:
 
 @contextlib.contextmanager
 def _terminated() -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, so that nothing unfinished is left."""
+    """Let SIGTERM end the block like Ctrl-C, so that unfinished files are removed."""
     def interrupt(*_: Any) -> NoReturn:
         raise KeyboardInterrupt
 
     if (threading.current_thread() is not threading.main_thread()
             or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL):
-        yield   # signals come to another thread, or mean something else here
+        yield   # not the main thread, or signals are handled by somebody else
         return
     signal.signal(signal.SIGTERM, interrupt)
     try:
@@ -177,7 +176,7 @@ def _terminated() -> Iterator[None]:
 
 
 def _flushed(main: Main, argv: Sequence[str] | None) -> int:
-    """Run a command and write out what it printed, where that can still be told."""
+    """Run a command and flush its output, so that errors of writing are reported."""
     try:
         code = main(argv)
         if sys.stdout is not None:
@@ -189,7 +188,7 @@ def _flushed(main: Main, argv: Sequence[str] | None) -> int:
 
 
 def _drop_output() -> None:
-    """Let what waits for standard output go nowhere, if that cannot be written."""
+    """Discard buffered output if standard output cannot be written."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -213,17 +212,17 @@ def _show_warning(
 def opened(
     args: argparse.Namespace, file: str | os.PathLike[str] | None = None
 ) -> Recording:
-    """Open a recording, of whatever format, as the options of a command say.
+    """Open a recording of any format according to the options of a command.
 
-    A live source is recorded to a temporary file first, until it ends: commands may
-    read what they are given more than once.
+    A live source is first recorded to a temporary file until it ends, as commands may
+    read their input more than once.
 
     Parameters
     ----------
     args : Namespace
-        With ``layout``: where it is None, videos and images are no recordings.
+        Has ``layout``; if that is None, videos and images are not recordings.
     file : path, optional
-        Default ``args.file``.
+        Default: ``args.file``.
 
     Raises
     ------
@@ -241,7 +240,7 @@ def opened(
 def source_of(
     args: argparse.Namespace, file: str | os.PathLike[str] | None = None
 ) -> Source:
-    """Open a recording or a live source, as the options of a command say.
+    """Open a recording or a live source according to the options of a command.
 
     Parameters
     ----------
@@ -264,7 +263,7 @@ def source_of(
 
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the block in peace: what is live has no other end."""
+    """Let Ctrl-C and SIGTERM end the block normally, as a live source has no end."""
     def interrupt(*_: Any) -> NoReturn:
         raise KeyboardInterrupt
 
@@ -283,17 +282,17 @@ def checked_out(
 ) -> None:
     """Raise UsageError if a command must not write a file.
 
-    Commands replace what an earlier run wrote, but never the recording that they read,
-    and another recording only with ``--force``: a measurement may not come again.
+    Commands replace the output of an earlier run, but never the recording that they
+    read, and another recording only with ``--force``, as it may be irreplaceable.
 
     Parameters
     ----------
     path : Path
-        To be written.
+        The output.
     source : path, optional
-        What is read.
+        The input.
     recording : bool
-        Whether it will be a recording.
+        Whether the output is a recording.
     force : bool
         Whether ``--force`` was given.
 
@@ -311,13 +310,13 @@ def checked_out(
 
 
 def require_samples(recording: Recording, start_us: int | None) -> None:
-    """Raise UsageError if a recording holds nothing at start_us or later.
+    """Raise UsageError if a recording has no sample at start_us or later.
 
     Parameters
     ----------
     recording : Recording
     start_us : int or None
-        None asks for any sample at all.
+        None = any time.
     """
     if next(recording.packets(start_us), None) is not None:
         return
@@ -330,7 +329,7 @@ def require_samples(recording: Recording, start_us: int | None) -> None:
 
 
 def covered(recording: Recording) -> str:
-    """Return which seconds a recording covers, for messages; reads it to its end."""
+    """Return a text with the seconds that a recording covers; reads it to its end."""
     report = recording.scan()
     if report.start_us is None or report.stop_us is None:
         return "the recording is empty"
@@ -346,7 +345,7 @@ def add_layout_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_fuse_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what fuse() is to do."""
+    """Add the options of fuse()."""
     group = parser.add_argument_group("fusion")
     for name, facts in _offered():
         add: dict[str, Any] = {"help": facts.brief or facts.help}
@@ -364,12 +363,12 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
 
 
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
-    """Return the keyword arguments of fuse() that the options stand for.
+    """Return the keyword arguments of fuse() for the options.
 
     Raises
     ------
     UsageError
-        If the recording holds nothing after ``--start``.
+        If the recording has no sample after ``--start``.
     """
     from pdavis_cv.fusion.options import FusionOptions
     defaults = FusionOptions()
@@ -384,9 +383,9 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
 
 
 def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
-    """Return those keyword arguments of fuse() that were given.
+    """Return the keyword arguments of fuse() for the options that were given.
 
-    Times are us after the start of the recording, which is not known here.
+    Times are in us after the start of the recording, which is unknown here.
     """
     options: dict[str, Any] = {}
     for name, facts in _offered():
@@ -404,19 +403,19 @@ def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def option_value(name: str, text: str) -> tuple[str, Any]:
-    """Return name and value of an option of fuse(), or of a parameter of its method.
+    """Return name and value of an option of fuse() or a parameter of its method.
 
     Parameters
     ----------
     name : str
-        As the command line spells it.
+        Name on the command line.
     text : str
-        Numbers that belong together may have slashes between them.
+        Numbers of one value may be separated by slashes.
 
     Raises
     ------
     UsageError
-        If it cannot be read, or only holds for one recording, as a time does.
+        If the text is invalid, or the option is specific to one recording, as times.
     """
     if re.fullmatch(r"[-+.\deE]+(/[-+.\deE]+)+", text):
         text = text.replace("/", ",")
@@ -439,26 +438,26 @@ def option_value(name: str, text: str) -> tuple[str, Any]:
 
 
 def _threads_for(size: tuple[int, int]) -> int:
-    """Return how many threads an image is worth: smaller ones cost less than them."""
+    """Return the number of threads for images of a size, 1 for small ones."""
     from pdavis_cv._workers import usable_cores
     return usable_cores() if size[0] * size[1] > 65_536 else 1
 
 
 def calibration_of(path: Path) -> Calibration:
-    """Return what ``pdavis calibrate`` wrote."""
+    """Return a calibration that ``pdavis calibrate`` wrote."""
     from pdavis_cv.calibration.model import Calibration
     return Calibration.load(path)
 
 
 def _offered() -> list[tuple[str, OptionFacts]]:
-    """Return the options of fuse() that commands have, with their facts."""
+    """Return the names and facts of the options of fuse() that commands offer."""
     from pdavis_cv.fusion.options import FusionOptions
     return [(name, facts) for name, facts in FusionOptions.facts().items()
             if facts.word is not None]
 
 
 def _flag(name: str) -> str:
-    """Return the option of a command: start_us is --start, in seconds."""
+    """Return the name of an option on the command line, e.g. --start for start_us."""
     return "--" + name.removesuffix("_us").replace("_", "-")
 
 
@@ -471,7 +470,7 @@ def start_of(recording: Recording) -> int:
 
 
 def can_draw() -> bool:
-    """Return whether matplotlib is there; where it is not, say how to get it."""
+    """Return whether matplotlib is installed; if not, print how to install it."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -481,32 +480,32 @@ def can_draw() -> bool:
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Add --json to a command that ends with `tell`."""
+    """Add --json to a command that reports its result with `tell`."""
     parser.add_argument(
         "--json", action="store_true",
         help="print what was done as JSON, for programs")
 
 
 def for_people(args: argparse.Namespace) -> contextlib.AbstractContextManager[object]:
-    """Send what is printed on the way to standard error after --json.
+    """Redirect messages to standard error if --json was given.
 
-    There a program may log it; standard output is for `tell`.
+    Standard output is then reserved for `tell`.
     """
     return (contextlib.redirect_stdout(sys.stderr) if args.json
             else contextlib.nullcontext())
 
 
 def tell(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
-    """Print what a command did: lines, or after --json an object of facts.
+    """Print the result of a command: lines, or with --json an object of facts.
 
     Parameters
     ----------
     args : Namespace
         With ``json``.
     lines : iterable of str
-        For people.
+        Text for users.
     **facts
-        For programs; arrays and paths as JSON can hold them, NaN as null.
+        The same for programs; arrays and paths are converted for JSON, NaN to null.
     """
     if args.json:
         print(_as_json(facts, indent=2))
@@ -516,10 +515,10 @@ def tell(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
 
 
 def tell_now(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
-    """Print, as `tell` does, what a command says that then goes on.
+    """Print an intermediate result of a command, as `tell` prints the final one.
 
-    After --json each time it is an object in one line, which a program can read before
-    the command ends.
+    With --json each is an object in one line, which a program can read before the
+    command ends.
     """
     for line in [_as_json(facts)] if args.json else lines:
         print(line, flush=True)
@@ -544,4 +543,4 @@ _WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
     "thresholds": (thresholds, "T"),
     "pair": (pair, "ON,OFF"),
 }
-"""How a command line reads an option of fuse(), and what stands for its value."""
+"""The parser of each kind of option of fuse(), and the placeholder of its value."""

@@ -1,4 +1,4 @@
-"""What the tools that make videos share: times, tone curves, provenance."""
+"""Shared code of commands that make videos: times, tone curves, provenance."""
 from __future__ import annotations
 
 import itertools
@@ -40,7 +40,7 @@ __all__ = [
 def grid_times(
     recording: Recording, fps: float, start_us: int | None, stop_us: int | None
 ) -> NDArray[np.int64]:
-    """Return the times of fuse()'s grid, so that their number is known before.
+    """Return the times of fuse()'s images, so that their number is known in advance.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def grid_times(
     UsageError
         If there is no image in the interval.
     """
-    # Times do not depend on the layout; without one, fuse would warn of it.
+    # Times do not depend on the layout, but without one fuse would warn.
     start = Fusion(recording, method="frames", start_us=start_us,
                    layout=recording.info.layout or Layout.PDAVIS).start_us
     end = recording.scan().stop_us if stop_us is None else stop_us
@@ -76,7 +76,7 @@ def grid_times(
 
 def of_frames(options: dict[str, Any], settings: list[tuple[str, Any]]
               ) -> dict[str, Any]:
-    """Return fuse()'s options for ``frames``: without those of another method."""
+    """Return the options of fuse() that apply to the method ``frames``."""
     others = {"thresholds", *(name for name, _ in settings)}
     kept = {name: value for name, value in options.items() if name not in others}
     return {**kept, "method": "frames"}
@@ -85,7 +85,7 @@ def of_frames(options: dict[str, Any], settings: list[tuple[str, Any]]
 def tone_of(
     recording: Recording, options: dict[str, Any], quantity: str, count: int = 6
 ) -> render.ToneCurve:
-    """Fit a tone curve to some images spread over the times of an export."""
+    """Fit a tone curve to some images, evenly spread over an export."""
     times = options["times_us"]
     # The first image may lie before the first frame has been read out.
     chosen = times[np.linspace(len(times) // 4, len(times) - 1, count).astype(int)]
@@ -106,7 +106,7 @@ def tone_of(
 
 
 def full_scale(recording: Recording) -> float | None:
-    """Return the intensity at which the converter ends, None without frames.
+    """Return the intensity at the converter's full scale, None without frames.
 
     A pixel that is not valid is too bright rather than too dark if its sample is more
     than half of that.
@@ -121,15 +121,15 @@ def told_if_nothing(
     images: Iterator[PolarFrame], recording: Recording,
     calibration: Calibration | None,
 ) -> Iterator[PolarFrame]:
-    """Yield images; at their end warn if none had a valid pixel, and say why.
+    """Yield images; at the end, warn if none had a valid pixel, with the reason.
 
     Parameters
     ----------
     images : iterator of PolarFrame
     recording : Recording
-        That the images are of.
+        Recording of the images.
     calibration : Calibration or None
-        That they were made with.
+        Calibration that was used.
 
     Warns
     -----
@@ -150,7 +150,7 @@ def told_if_nothing(
 def warn_of_nothing(
     recording: Recording, method: str, calibration: Calibration | None
 ) -> None:
-    """Warn that a method made no valid pixel of a recording, with the likely reason."""
+    """Warn that no image has a valid pixel, with the likely reason."""
     warnings.warn(
         f"no image has a valid pixel: {_why_nothing(recording, method, calibration)}",
         PdavisWarning, stacklevel=3)
@@ -159,7 +159,7 @@ def warn_of_nothing(
 def _why_nothing(
     recording: Recording, method: str, calibration: Calibration | None
 ) -> str:
-    """Return the likely reason why a method made no valid pixel of a recording."""
+    """Return the likely reason why no image has a valid pixel."""
     frames = list(itertools.islice(
         (frame for packet in recording.packets() for frame in packet.frames), 10))
     if frames:
@@ -174,8 +174,8 @@ def _why_nothing(
         if usable < 0.5:
             return (f"{1 - usable:.0%} of the pixels of its frames cannot be used "
                     "(too bright, or not valid in the file)")
-        return (f"method {method!r} made nothing of its frames: does the interval "
-                "begin before the first of them is read out?")
+        return (f"method {method!r} has no valid pixel from its frames: does the "
+                "interval begin before the readout of the first frame?")
     if method == "events":
         return "too few events in the interval"
     return f"method {method!r} needs frames, and there are none; events needs none"
@@ -184,13 +184,13 @@ def _why_nothing(
 def facts_of(
     recording: Recording, options: dict[str, Any], **facts: Any
 ) -> dict[str, Any]:
-    """Return the provenance of images that these options make."""
+    """Return the provenance of images that are made with these options."""
     first = next(fuse(recording, **{**options, "times_us": options["times_us"][:1]}))
     return export.provenance(first.provenance, recording.path, **facts)
 
 
 def held_at(frames: Iterator[PolarFrame], times: Iterator[int]) -> Iterator[PolarFrame]:
-    """Yield for each time the last of the frames that is not after it."""
+    """Yield, for each time, the last frame at or before it."""
     last = next(frames, None)
     following = next(frames, None)
     if last is None:

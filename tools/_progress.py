@@ -1,4 +1,4 @@
-"""Stages and bars of progress, on a terminal or where --progress asks for them."""
+"""Show stages and progress bars, on a terminal or with --progress."""
 from __future__ import annotations
 
 import argparse
@@ -13,13 +13,13 @@ __all__ = ["AlwaysProgress", "asked_for", "no_progress", "own_progress", "progre
            "progress_in_time", "stage"]
 
 _ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
-"""Whether --progress was given to this command, or to one that runs it."""
+"""Whether --progress was given to this command or to the one that calls it."""
 _NEVER: ContextVar[bool] = ContextVar("_NEVER", default=False)
-_EVERY_S = 4    # a choice: nobody waits longer for a sign of life
+_EVERY_S = 4    # interval of messages during a stage; a choice
 
 
 class AlwaysProgress(argparse.Action):
-    """Notes --progress at once: stages and bars ask for it wherever they are."""
+    """Store --progress in `_ALWAYS`, which stages and bars read."""
 
     def __call__(self, *_: Any) -> None:
         _ALWAYS.set(True)
@@ -27,7 +27,7 @@ class AlwaysProgress(argparse.Action):
 
 @contextlib.contextmanager
 def own_progress() -> Iterator[None]:
-    """Let --progress hold for one command, and for those that it runs."""
+    """Limit the effect of --progress to one command and those that it calls."""
     before = _ALWAYS.set(_ALWAYS.get())
     try:
         yield
@@ -38,7 +38,7 @@ def own_progress() -> Iterator[None]:
 
 @contextlib.contextmanager
 def no_progress() -> Iterator[None]:
-    """Show no stages and bars: the process that asked for the work shows its own."""
+    """Show no stages and bars, as the parent process shows its own."""
     before = _NEVER.set(True)
     try:
         yield
@@ -52,7 +52,7 @@ def asked_for() -> bool:
 
 
 def _shown(**options: Any) -> dict[str, Any]:
-    """Return tqdm's options: it shows itself on a terminal, or after --progress."""
+    """Return tqdm's options, to show bars on a terminal or with --progress."""
     if _NEVER.get():
         return {"disable": True, **options}
     if _ALWAYS.get():
@@ -61,7 +61,7 @@ def _shown(**options: Any) -> dict[str, Any]:
 
 
 def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterator[Any]:
-    """Show how many are done and the time left, on a terminal or after --progress."""
+    """Show the progress of an iteration, on a terminal or with --progress."""
     from tqdm import tqdm
     for item in tqdm(items, **_shown(total=total, unit=f" {unit}", leave=False)):
         _Stage.end()
@@ -71,13 +71,13 @@ def progress(items: Iterable[Any], total: int | None, unit: str) -> Iterator[Any
 def progress_in_time(
     packets: Iterable[Any], start_us: int | None, stop_us: int | None
 ) -> Iterator[Any]:
-    """Pass packets on; show which second of the recording they have reached.
+    """Yield packets and show the time that they have reached.
 
     Parameters
     ----------
     packets : iterable of Packet
     start_us, stop_us : int or None
-        Ends of the recording; the time left is not known without the second.
+        Ends of the recording; without the second, the remaining time is unknown.
     """
     from tqdm import tqdm
     start, total = start_us, None
@@ -91,7 +91,7 @@ def progress_in_time(
 
 
 class _Stage:
-    """What goes on before there is progress: says every few seconds for how long."""
+    """A stage before there is progress; prints its duration every few seconds."""
 
     now: ClassVar[_Stage | None] = None
 
@@ -114,7 +114,7 @@ class _Stage:
 
 
 def stage(what: str) -> None:
-    """Say, where `progress` shows, what takes a while before it can."""
+    """Show the name of a stage, where `progress` would show a bar."""
     _Stage.end()
     if _NEVER.get():
         return

@@ -1,4 +1,4 @@
-"""What a command line reads as numbers, regions, layouts and options."""
+"""Parse numbers, regions, layouts and options of command lines."""
 from __future__ import annotations
 
 import argparse
@@ -26,15 +26,15 @@ __all__ = [
 ]
 
 MOST = 1e18
-"""Numbers of options lie within this of 0: what is larger is a slip, and whole ones
-still fit 64 bits."""
+"""Largest magnitude of numbers of options: larger ones are mistakes, and integers up to
+it fit into 64 bits."""
 LAST_SEED = 2**63 - 1
 MOST_S = 1e12
-"""Seconds: as microseconds within the 2**61 that recordings hold."""
+"""Largest magnitude of times, s: in us, it is below the 2**61 of recordings."""
 
 
 def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:
-    """Parse so many finite numbers with commas between them."""
+    """Parse `count` finite numbers separated by commas."""
     parts = text.split(",")
     if len(parts) != count:
         raise argparse.ArgumentTypeError(
@@ -55,7 +55,7 @@ def number(text: str) -> float:
 
 
 def whole(text: str) -> int:
-    """Parse a whole number."""
+    """Parse an integer."""
     return int(numbers(text, 1, int)[0])
 
 
@@ -68,7 +68,7 @@ def positive(text: str) -> float:
 
 
 def within(low: int, high: int) -> Callable[[str], int]:
-    """Return a function that parses a whole number of low to high."""
+    """Return a function that parses an integer from low to high."""
     def parse(text: str) -> int:
         value = whole(text)
         if not low <= value <= high:
@@ -80,7 +80,7 @@ def within(low: int, high: int) -> Callable[[str], int]:
 
 
 def seconds(text: str) -> float:
-    """Parse a time in seconds that fits the clock of recordings."""
+    """Parse a time in seconds within the range of recordings."""
     value = number(text)
     if not abs(value) < MOST_S:
         raise argparse.ArgumentTypeError(
@@ -126,7 +126,7 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def _several(text: str) -> tuple[float, ...]:
-    """Parse numbers with commas between them, such as bandwidth=250,0."""
+    """Parse numbers separated by commas, as in bandwidth=250,0."""
     return tuple(float(part) for part in text.split(","))
 
 

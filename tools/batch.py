@@ -1,11 +1,11 @@
-"""Do the same with many recordings: every recording, every setting.
+"""Process many recordings, each with every combination of settings.
 
-What was done before is not done again; an interrupted run goes on when it is called
-again.  OUT gets a folder and a .json for each job, summary.csv, and index.html to look
-at.  A recording that fails is a row with its error.  "pdavis batch status OUT" says
-how far it is.  With --work reproduce, FILEs are experiments of pdavis reproduce (all,
-fig2, fig3, fig4a, dr, flicker, robustness): their parts are the jobs, and OUT gets
-their tables and pages too.
+Jobs that are done are not repeated, so an interrupted run continues when it is called
+again.  OUT receives a folder and a .json file for each job, summary.csv, and the web
+page index.html.  A recording that fails becomes a row with its error.  "pdavis batch
+status OUT" shows the progress.  With --work reproduce, FILEs are experiments of pdavis
+reproduce (all, fig2, fig3, fig4a, dr, flicker, robustness); their parts are the jobs,
+and OUT also receives their tables and pages.
 """
 from __future__ import annotations
 
@@ -87,13 +87,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "files", nargs="+", metavar="FILE",
         help="recordings; or: status OUT")
-    parser.add_argument("-o", "--out", metavar="OUT", help="folder of the results, or s3://...")
+    parser.add_argument(
+        "-o", "--out", metavar="OUT", help="folder for results, or s3://...")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE,...",
         dest="settings", type=_setting,
-        help="an option of fuse or a parameter of the method; of several values each "
-             "is tried with each of the others; numbers that belong together have "
-             "slashes: bandwidth=250/0")
+        help="an option of fuse or a parameter of the method; several values are "
+             "combined with those of all other settings; numbers of one value are "
+             "separated by slashes: bandwidth=250/0")
     parser.add_argument(
         "--work", default="export", metavar="WORK",
         help=f"{', '.join(batch.WORKS)}, {_REPRODUCE}, or MODULE:FUNCTION of your "
@@ -101,26 +102,26 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--with", action="append", default=[], metavar="NAME=VALUE",
         dest="work_settings", type=_setting,
-        help="of the work: export has suffix (.npz, .h5, .ome.tif), quantities, "
-             "start_s, stop_s; traces regions, start_s, stop_s; score seconds; "
-             "calibrate nominal; reproduce quick, seeds, seconds")
+        help="parameters of the work: export has suffix (.npz, .h5, .ome.tif), "
+             "quantities, start_s, stop_s; traces regions, start_s, stop_s; score "
+             "seconds; calibrate nominal; reproduce quick, seeds, seconds")
     parser.add_argument(
         "--jobs", type=within(1, _MOST_WORKERS), metavar="N",
-        help="how many at a time; default one per core")
+        help="number of jobs at a time; default: one per core")
     parser.add_argument(
         "--executor", default="process", metavar="WHERE",
         help=f"{EXECUTORS}, which makes a concurrent.futures.Executor; default process")
     parser.add_argument(
         "--retries", type=within(0, 100), default=1, metavar="N",
-        help="how often what failed is tried again; default 1")
+        help="number of further attempts at a job that failed; default 1")
     parser.add_argument(
-        "--timeout", type=positive, metavar="S", help="seconds for each job")
+        "--timeout", type=positive, metavar="S", help="time limit of each job, seconds")
     parser.add_argument(
-        "--parquet", action="store_true", help="write summary.parquet too")
+        "--parquet", action="store_true", help="also write summary.parquet")
     parser.add_argument(
-        "--dry-run", action="store_true", help="say what would be done")
+        "--dry-run", action="store_true", help="only print what would be done")
     parser.add_argument(
-        "--resume", action="store_true", help="goes without saying")
+        "--resume", action="store_true", help="has no effect: runs always continue")
     add_json_option(parser)
     return parser
 

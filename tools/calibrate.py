@@ -1,4 +1,4 @@
-"""Measure a camera and write what was found into its calibration file."""
+"""Measure a camera and write the results to its calibration file."""
 from __future__ import annotations
 
 import argparse
@@ -220,7 +220,7 @@ def _sweep(
 
 
 def _fit(steps: Any, known: Calibration) -> SweepFit:
-    # The file does not say of how many frames the dark values are: the paper's number.
+    # The file has no number of frames for the dark values: use that of the paper.
     error = 0.0 if known.dark_noise is None else known.dark_noise / np.sqrt(100)
     return fit_sweep(read_sweep(
         steps, dark=known.dark, gain=known.gain, dark_sigma=error))
@@ -360,7 +360,7 @@ def _parser() -> argparse.ArgumentParser:
     parts = parser.add_subparsers(
         dest="part", metavar="PART", required=True, parser_class=_PartParser)
     texts = {
-        "dark": "offset, noise and hot pixels, from covered frames (the paper: 100)",
+        "dark": "offset, noise and hot pixels, from covered frames (100 in the paper)",
         "flat": "gain and dead pixels, from uniform unpolarized light",
         "clip": "DN at which pixels saturate, from an overexposed scene",
         "layout": "polarizer layout, from a rotating polarizer",
@@ -370,7 +370,7 @@ def _parser() -> argparse.ArgumentParser:
                       "polarizer",
         "background": "polarization of the instrument, without a sample",
         "all": "every part that a set of recordings allows",
-        "check": "whether layout and orientation can be right (exit code 1: no)",
+        "check": "whether layout and orientation are plausible (exit code 1: no)",
         "align": "mean, SD and extinction ratio of neighbours, frame by frame"}
     for part, text in texts.items():
         one = parts.add_parser(
@@ -415,12 +415,12 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
     parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
                         help="lit part of the sensor, in pixels")
     if part == "align":
-        parser.add_argument("--camera", metavar="NPZ", help="take its dark frame out")
+        parser.add_argument("--camera", metavar="NPZ", help="subtract its dark frame")
     if part in ("check", "align"):
         return
     parser.add_argument(
         "-o", "--out", required=True, metavar="NPZ",
-        help="the camera's calibration file; what it holds already is kept")
+        help="the camera's calibration file; its other parts are kept")
     parser.add_argument("--force", action="store_true",
                         help="replace a layout that contradicts the new one")
     for name, text in (("wavelength-nm", "wavelength, noted"),
@@ -429,7 +429,7 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
         parser.add_argument(f"--{name}", type=positive, help=text)
     if part in ("layout", "all"):
         parser.add_argument("--direction", choices=("ccw", "cw"),
-                            help="sense of rotation as displayed")
+                            help="direction of rotation as displayed")
         parser.add_argument("--known", type=lambda text: numbers(text, 2),
                             metavar="S,DEG", help="angle at one time")
         parser.add_argument("--family", type=layout_option, metavar="LAYOUT",
@@ -444,15 +444,15 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
                                  f"{LEAK_HZ[0]:g},{LEAK_HZ[1]:g}")
     if part in ("sweep", "all"):
         parser.add_argument("--angles", type=_floats, metavar="DEG,DEG,...",
-                            help="one angle per file; else one file holds all steps")
+                            help="one angle per file; otherwise one file has all steps")
         parser.add_argument("--wavelengths", type=_floats, metavar="NM,NM,...",
-                            help="one per file: a table; the first is kept")
+                            help="one per file, for a table; the first is stored")
         for name, default, text in (
                 ("start-deg", 0.0, "angle of the first step"),
-                ("step-deg", 5.0, "from step to step, counter-clockwise as displayed"),
-                ("hold-s", 1.0, "seconds from step to step"),
+                ("step-deg", 5.0, "angle of a step, counter-clockwise as displayed"),
+                ("hold-s", 1.0, "seconds between steps"),
                 ("settle-s", 0.1, "seconds after a step that are left out"),
-                ("first-s", 0.0, "when the first step begins")):
+                ("first-s", 0.0, "time at which the first step begins")):
             parser.add_argument(f"--{name}", type=number, default=default,
                                 help=f"{text}; default {default:g}")
         parser.add_argument("--steps", type=within(1, 10**9),

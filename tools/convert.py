@@ -50,16 +50,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("convert", __doc__ or "",
                     "pdavis convert jaer-recording.aedat upright.aedat4")
-    parser.add_argument("input", help="a recording of any kind")
-    parser.add_argument("output", help="the file to write; its ending says the format")
+    parser.add_argument("input", help="a recording of any format")
     parser.add_argument(
-        "--format", metavar="NAME", help="if the ending does not: "
+        "output", help="the file to write; its suffix determines the format")
+    parser.add_argument(
+        "--format", metavar="NAME", help="format, if the suffix does not determine it: "
         + ", ".join(one.name for one in formats() if one.writer is not None))
     parser.add_argument("--compression", choices=("lz4", "none", "zstd"),
-                        help="of AEDAT-4; default lz4")
+                        help="compression of AEDAT-4; default lz4")
     add_layout_option(parser)
-    parser.add_argument("--camera", help="which camera, if the file holds several")
-    parser.add_argument("--force", action="store_true", help="replace a recording")
+    parser.add_argument("--camera", help="name of the camera, if the file has several")
+    parser.add_argument(
+        "--force", action="store_true", help="replace an existing recording")
     add_json_option(parser)
     return parser
 

@@ -1,9 +1,9 @@
-"""Make pictures and a video from the recordings that ship with the library.
+"""Make pictures and a video from the included recordings.
 
-FOLDER gets two simulated recordings of a polarization event camera, a wheel of
-polarizers (fan) and a loaded tendon, with pictures of what is made of them; a strip
-that holds the angle of a polarizer at 1000 RPM against the truth; and the intensity of
-a real recording, of a camera without polarizers.
+FOLDER receives two simulated recordings of a polarization event camera, a wheel of
+polarizers (fan) and a loaded tendon, with pictures of the results; a picture that
+compares the measured angle of a polarizer at 1000 RPM with the truth; and the intensity
+of a real recording, from a camera without polarizers.
 """
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ METHODS = ("frames", "kalman")
 _FAN = ("--fps", "100", "--slow", "5", "--scale", "4", "--start", "0.25",
         "--stop", "0.75")
 RPM = 1000
-_TURNING = 1.013 * RPM  # lest the turn keeps step with the frames
+_TURNING = 1.013 * RPM  # not a multiple of the frame rate
 _STEP_US = 2000
 _SHOWN_US = 200_000     # of the polarizer, at the end
 _TENDON_HZ = 200
-_WINDOW_US = 20_000     # of the events shown beside it
+_WINDOW_US = 20_000     # of the events that are shown
 _FILES = ("fan.aedat4", "tendon.aedat4", "fan.webm", "fan.png", "tendon.png",
           f"polarizer_{RPM}rpm.png", f"{example_recording().stem}.webm")
-_MOMENT = 0.7           # of the tendon that is shown, as a share of its time
+_MOMENT = 0.7           # time of the tendon that is shown, relative to its length
 _COLOURS = {"truth": (255, 255, 255), "frames": (150, 150, 150),
             "kalman": (80, 220, 255)}  # BGR
 
@@ -58,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser("demo", __doc__ or "", "pdavis demo -o demo")
     parser.add_argument(
         "-o", "--out", type=Path, default=Path("demo"), metavar="FOLDER",
-        help="where to write; default demo")
+        help="output folder; default demo")
     add_json_option(parser)
     args = parser.parse_args(argv)
     with for_people(args):
@@ -101,7 +101,7 @@ def _say(line: str) -> None:
 
 
 def _tendon(path: Path, recording: Recording) -> dict[str, float]:
-    """Show one moment of the tendon, and the DoLP of all of it over time.
+    """Show the tendon at one time, and its mean DoLP over time.
 
     Returns the mean error of that DoLP, by method.
     """
@@ -147,10 +147,9 @@ def _mean_dolp(truth: Truth, times: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _polarizer(path: Path) -> dict[str, float]:
-    """Hold a polarizer's angle at 1000 RPM, where frames are stale, against the truth.
+    """Compare the angle of a polarizer at 1000 RPM with the truth.
 
-    The error, returned in degrees by method, is that of one second; its last part is
-    shown.
+    Returns the error over one second, in degrees by method; the last part is shown.
     """
     recording, truth = Camera.preset("nominal").record(
         RotatingPolarizer(rpm=_TURNING), 1.0)
@@ -159,7 +158,7 @@ def _polarizer(path: Path) -> dict[str, float]:
     titles = {"truth": f"truth: {RPM} RPM, {_SHOWN_US / 1e6:g} s from left to right"}
     for method in METHODS:
         images = list(fuse(recording, method=method, times_us=times))
-        # A pixel that has drifted below the floor is not usable; its neighbours are.
+        # Single pixels may have drifted below the floor and be unusable.
         seen = np.array([2 * frame.valid.mean() > 1 for frame in images])
         strips[method] = np.array([
             mean_aop(frame) if usable else np.nan
@@ -195,7 +194,7 @@ def mean_aop(frame: PolarFrame) -> float:
 def axial_difference(
     a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return how far axial angles are apart, radians, 0..pi/2."""
+    """Return the absolute difference of axial angles, radians, 0..pi/2."""
     return np.abs((a - b + np.pi / 2) % np.pi - np.pi / 2)
 
 

@@ -1,11 +1,11 @@
 """Fuse a recording into a video, pictures or arrays.
 
-The suffix of OUT says what is written: .webm (soonest done; browsers play it, and
-.mp4), .mkv, .avi a colour video; .webp, .gif the same for slides; .png pictures; .npy
+The suffix of OUT determines the output: .webm (fastest; browsers play it, and .mp4),
+.mkv and .avi a colour video; .webp and .gif the same for slides; .png pictures; .npy
 float arrays (AoP in radians); .ome.tif, .h5 and .npz stacks with names, units, times
-and provenance inside, which --resume can continue.  With --lossless, .mkv or .avi hold
-one quantity in 16 bits (FFV1).  Times, units and scales of these and of .npy stand in a
-.json beside it.
+and provenance, which --resume can continue.  With --lossless, .mkv or .avi hold one
+quantity in 16 bits (FFV1).  Times, units and scales of these and of .npy are written to
+a .json file next to it.
 """
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ from ._values import numbers, positive, seconds, within
 __all__ = ["QUANTITIES", "Sheet", "main"]
 
 QUANTITIES = {name.lower(): unit for name, unit in export.QUANTITIES.items()}
-"""Quantities as the command line spells them, with the units of their numbers."""
+"""Names of quantities on the command line, with units."""
 
 _TITLES = {"s0": "intensity S0", "aop": "angle of polarization",
            "dolp": "degree of linear polarization",
-           "dolp_debiased": "DoLP without the noise's share",
+           "dolp_debiased": "DoLP corrected for noise",
            "sigma_aop": "standard deviation of AoP",
            "sigma_dolp": "standard deviation of DoLP"}
-_UNIFORM = math.pi / math.sqrt(12)  # sigma of an angle of which nothing is known
+_UNIFORM = math.pi / math.sqrt(12)  # sigma of a uniformly distributed angle
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
 _COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
@@ -86,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "themselves")
     checked_out(args.out, args.file)
     if suffix not in (".npy", *_STACKS):
-        render.opencv()  # say what is missing before the work, not after
+        render.opencv()  # report a missing package before the work
     with contextlib.ExitStack() as pools, opened(args) as recording:
         options = fuse_options(args, recording)
         if args.at is not None:
@@ -104,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             fuse(recording, executor=executor, tiles=args.jobs, by_time=args.by_time,
                  **options), recording,
             options["calibration"])
-        stage("learning what the recording tells of its camera")
+        stage("estimating parameters of the camera")
         first = list(itertools.islice(images, 2))
         if not first:
             raise UsageError(
@@ -129,7 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options["fps"] is None and args.at is None and (
                 recording.info.event_count != 0 and recording.info.frame_count != 0):
             lines.append(
-                "one image for each frame; --fps 200 makes 200 a second, by the events")
+                "one image for each frame; --fps 200 makes 200 per second, by events")
     tell(args, lines, method=first[0].provenance["method"],
          quantities=args.quantities,
          units=[QUANTITIES[name] for name in args.quantities], **facts)
@@ -163,57 +163,58 @@ def _parser() -> argparse.ArgumentParser:
              "radius=, correct_phase=true; default images")
     parser.add_argument(
         "--at", type=seconds, metavar="S",
-        help="one image, at so many seconds after the start of the recording")
+        help="one image, at this time in seconds after the start of the recording")
     parser.add_argument(
         "--quantities", type=_quantities, default=["s0", "aop", "dolp"],
-        metavar="LIST", help=f"of {','.join(QUANTITIES)}; default s0,aop,dolp")
+        metavar="LIST",
+        help=f"quantities from {','.join(QUANTITIES)}; default s0,aop,dolp")
     parser.add_argument(
-        "--lossless", action="store_true", help="16-bit FFV1 of one quantity")
+        "--lossless", action="store_true", help="write one quantity as 16-bit FFV1")
     parser.add_argument(
         "--range", type=_range, action="append", default=[],
         metavar="[NAME=]LOW,HIGH", dest="ranges",
-        help="values at the ends of a quantity's colours (of dolp also the one of full "
-             "colour in faded AoP) or of the 16-bit scale, e.g. dolp=0,0.3; "
-             "repeatable; default: dolp 0,1, intensities up to --white, of 16 bits "
-             "all that can occur")
+        help="values at the ends of a quantity's colours or of the 16-bit scale, e.g. "
+             "dolp=0,0.3 (for dolp, the upper one is also that of full colour in faded "
+             "AoP); repeatable; default: dolp 0,1, intensities up to --white, and for "
+             "16 bits all possible values")
     parser.add_argument(
         "--pixel-um", type=positive, metavar="UM",
-        help="size of a pixel in the object: pictures get a bar of a round length, "
-             "stacks hold it")
+        help="size of a pixel in the object: pictures get a scale bar, stacks "
+             "store it")
     parser.add_argument(
         "--resume", action="store_true",
-        help="keep what an interruption leaves of a stack, and continue it")
+        help="keep the stack if interrupted, and continue an interrupted one")
     parser.add_argument(
         "--jobs", type=within(1, 1024), default=1, metavar="N",
-        help="processes that share the sensor's rows; of kalman one works ahead; "
-             "default 1")
+        help="number of processes that share the sensor's rows; with kalman, one "
+             "process works ahead; default 1")
     parser.add_argument(
         "--by-time", action="store_true",
-        help="--jobs share the time instead of rows")
+        help="divide time among --jobs instead of rows")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",
-        help="play a video so many times slower; default 1")
+        help="factor of slow motion of a video; default 1")
     look.add_argument(
         "--white", type=positive, metavar="DN/MS",
         help="intensity shown as white; default: from the first image, then fixed")
     look.add_argument(
         "--aop", choices=("faded", "even", "full"), default="faded",
         help="colours of the angle: hues that fade where DoLP is low (default), the "
-             "same of even lightness, or hues at full strength whatever DoLP is")
+             "same with uniform lightness, or full hues for any DoLP")
     look.add_argument(
         "--mask-dolp", type=positive, metavar="DOLP",
         help="grey out AoP of weaker polarization")
     look.add_argument(
         "--mask-sigma", type=positive, metavar="DEG",
-        help="grey out AoP of a larger standard deviation, as kalman knows it")
+        help="grey out AoP with a larger standard deviation (needs kalman)")
     look.add_argument(
         "--background", choices=("dark", "light"), default="dark",
-        help="around the pictures, and what AoP fades to; light is for print")
+        help="background of the pictures, to which AoP fades; light is for print")
     look.add_argument("--title", default="", help="a line above each picture")
     look.add_argument(
         "--columns", type=within(1, 64), metavar="N",
-        help="panels in a row; default all")
+        help="number of panels per row; default: all")
     look.add_argument(
         "--bare", action="store_true", help="no titles, no legends, no margins")
     add_json_option(parser)
@@ -239,12 +240,12 @@ def _range(text: str) -> tuple[str | None, float, float]:
 
 
 def _ranges(args: argparse.Namespace) -> dict[str, tuple[float, float]]:
-    """Return the ranges asked for, by quantity; one without a name is of the only one.
+    """Return the given ranges by quantity; a range may omit the name of the only one.
 
     Raises
     ------
     UsageError
-        If it is not clear of which, or that quantity has none.
+        If the quantity is ambiguous or cannot have a range.
     """
     found: dict[str, tuple[float, float]] = {}
     for name, low, high in args.ranges:
@@ -263,16 +264,16 @@ def _ranges(args: argparse.Namespace) -> dict[str, tuple[float, float]]:
 
 
 class Sheet:
-    """How each image of an export looks: fixed when it starts.
+    """The appearance of an export's images, fixed when it starts.
 
     Parameters
     ----------
     args : Namespace
         Options of the command line.
     recording : Recording
-        Gives the name and the start of time in the title.
+        Determines the name and the zero of time in the title.
     first : PolarFrame
-        First image; gives the white of intensities unless --white does.
+        First image, which determines the white of intensities unless --white is given.
     """
 
     def __init__(
@@ -290,7 +291,7 @@ class Sheet:
         self.fading = _ranges(args).get("dolp", (0.0, render.FULL_COLOUR_DOLP))
         self.style = render.LIGHT if args.background == "light" else render.DARK
         self._masked = args.mask_dolp is not None or args.mask_sigma is not None
-        # small images are shown large enough to see and to carry a caption
+        # enlarge small images, so that they are visible and captions fit
         scale = max(1, -(-240 // first.shape[1]))
         pixel_um = args.pixel_um and args.pixel_um * (
             2 if first.provenance.get("demosaic") in HALF_SIZE else 1)
@@ -304,7 +305,7 @@ class Sheet:
     def picture(self, frame: PolarFrame) -> Picture:
         """Compose the picture of one image.
 
-        Its memory is used again, but not before a video is through with it.
+        Its memory is reused, but not before a video has encoded it.
         """
         names = self.args.quantities
         places = (None,) * len(names) if self._sheet is None else self._sheet.places
@@ -326,7 +327,7 @@ class Sheet:
         return self._sheet.draw(pictures, line.rstrip())
 
     def _usual(self, name: str) -> bool:
-        """Whether `draw_polarization` gives the picture of a quantity."""
+        """Return whether `draw_polarization` draws the picture of a quantity."""
         if name == "aop":
             return self.args.aop != "even" and not self._masked
         if name == "dolp":
@@ -356,8 +357,8 @@ class Sheet:
             return render.dolp_bgr(plane, frame.valid, top=width, out=out)
         if name == "quality" or name.startswith("sigma") or name in ("s1", "s2"):
             return render.grey_bgr(plane, width, out=out)
-        # An intensity that is not valid is too dark or too bright to measure, and
-        # may still be seen.
+        # Intensities that are not valid are too dark or too bright to measure, but
+        # may be shown.
         return render.grey_bgr(
             plane, width, frame.valid, saturated=self.saturated - low, out=out)
 
@@ -376,7 +377,7 @@ class Sheet:
 
 
 def _shown_range(name: str, white: float) -> tuple[float, float]:
-    """Return the values at the ends of a quantity's colours, if nothing else is said.
+    """Return the default values at the ends of a quantity's colours.
 
     The middle grey of S1 and S2 is 0.
     """
@@ -388,7 +389,7 @@ def _shown_range(name: str, white: float) -> tuple[float, float]:
 
 
 def _white(frame: PolarFrame, top: float | None) -> float:
-    """Return a round intensity somewhat above all but the brightest pixels."""
+    """Return a round intensity slightly above all but the brightest pixels."""
     usable = frame.s0[frame.valid & np.isfinite(frame.s0)]
     bright = float(np.percentile(usable, 99)) * 1.1 if usable.size else 0.0
     if not bright > 0:
@@ -409,7 +410,7 @@ def _playing_rate(
 def _expected(
     recording: Recording, options: dict[str, Any], first: Sequence[PolarFrame]
 ) -> int | None:
-    """Return how many images there will be, where that is known before."""
+    """Return the number of images, if it is known in advance."""
     stop: int | None = options["stop_us"] or recording.info.stop_us
     fps: float | None = options["fps"]
     if fps is None or stop is None or first[0].t_us is None:
@@ -418,7 +419,7 @@ def _expected(
 
 
 class _Log:
-    """Times and provenance of the images that pass, for the JSON beside them."""
+    """Record times and provenance of images during an iteration, for the JSON file."""
 
     def __init__(self, frames: Iterator[PolarFrame]) -> None:
         self._frames = frames
@@ -448,7 +449,7 @@ def _write_video(
     with export.moving_file(args.out, rate, facts) as video:
         for frame in frames:
             picture = sheet.picture(frame)
-            video.add(picture, copy=False)  # encodes while the next one comes about
+            video.add(picture, copy=False)  # encodes while the next one is made
     height, width = picture.shape[:2]
     line = (f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
             f"{rate:g} per second; white is {sheet.white:g} DN/ms")
@@ -498,7 +499,7 @@ def _write_plane(
 
 
 def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
-    """Return the range that the camera's converter leaves a quantity."""
+    """Return the largest range of a quantity that the camera's converter allows."""
     fixed = {"aop": (0.0, math.pi), "dolp": (0.0, 1.0), "dolp_debiased": (0.0, 1.0),
              "sigma_aop": (0.0, _UNIFORM), "sigma_dolp": (0.0, 1.0),
              "quality": (0.0, 1.0)}

@@ -1,8 +1,8 @@
-"""Make the video of a turning fan of polarizers: frames above, fused below.
+"""Make a video of a rotating wheel of polarizers: frames above, fused below.
 
 Each row shows I0, AoP and DoLP; a second recording (of another camera) adds a row.
-With --centre and --radius the angle of each sector is measured, and written to
-OUT.csv (one row per image and sector) and to the terminal (one line per sector).
+With --centre and --radius the angle of each sector is measured, and written to OUT.csv
+(one row per image and sector) and to the terminal (one line per sector).
 """
 from __future__ import annotations
 
@@ -82,19 +82,19 @@ def _parser() -> argparse.ArgumentParser:
         "--beside-layout", type=layout_option, metavar="LAYOUT", help="its polarizers")
     parser.add_argument(
         "--beside-fps", type=number, metavar="RATE",
-        help="its images per second, if the file does not say")
+        help="its images per second, if the file has no times")
     parser.add_argument(
         "--beside-offset", type=seconds, default=0.0, metavar="S",
         help="its time at the first image shown, seconds after its own first image")
     look = parser.add_argument_group("pictures")
     look.add_argument("--slow", type=number, default=20.0, metavar="FACTOR",
-                      help="play so many times slower; default 20")
+                      help="factor of slow motion; default 20")
     look.add_argument("--scale", type=within(1, 64), default=1, metavar="N",
                       help="enlarge each pixel; default 1")
     look.add_argument("--mask-dolp", type=number, default=0.3, metavar="DOLP",
                       help="grey out AoP of weaker polarization; default 0.3")
     look.add_argument("--still", type=Path, metavar="PNG",
-                      help="also write the picture in the middle of the video")
+                      help="also write the middle picture of the video")
     wheel = parser.add_argument_group("sectors")
     wheel.add_argument("--centre", type=lambda text: numbers(text, 2),
                        metavar="X,Y", help="axis, in sensor pixels")
@@ -102,13 +102,13 @@ def _parser() -> argparse.ArgumentParser:
     wheel.add_argument("--hub", type=number, default=0.0, metavar="PX",
                        help="inner radius; default 0")
     wheel.add_argument("--sectors", type=within(1, 360), default=6, metavar="N",
-                       help="how many; default 6")
+                       help="number of sectors; default 6")
     wheel.add_argument("--rpm", type=number, default=0.0, metavar="RPM",
                        help="turns per minute, positive counter-clockwise; default 0")
     wheel.add_argument("--sector0", type=number, default=0.0, metavar="DEG",
-                       help="angle of sector 0's middle at the recording's start")
+                       help="angle of the middle of sector 0 at the recording's start")
     wheel.add_argument("--spacing", type=number, metavar="DEG",
-                       help="from a sector's polarizer to the next; default 180/N")
+                       help="angle between adjacent polarizers; default 180/N")
     add_json_option(parser)
     add_fuse_options(parser)
     parser.set_defaults(fps=1000.0)
@@ -118,7 +118,7 @@ def _parser() -> argparse.ArgumentParser:
 def make_fan(
     args: argparse.Namespace, recording: Recording, second: Recording | None
 ) -> tuple[list[str], dict[str, Any]]:
-    """Write the video and what goes with it.
+    """Write the video and the measurements.
 
     Parameters
     ----------
@@ -127,19 +127,19 @@ def make_fan(
     recording : Recording
         The fan.
     second : Recording, optional
-        Of another camera.
+        Recording of another camera.
 
     Returns
     -------
     (list of str, dict of str to object)
-        What to tell the user, and a program.
+        Text for the user, and facts for --json.
     """
     options = fuse_options(args, recording)
     origin = start_of(recording)
     times = grid_times(recording, args.fps, options["start_us"], options["stop_us"])
     options |= {"fps": None, "start_us": None, "stop_us": None, "times_us": times}
     held_options = of_frames(options, args.settings)
-    stage("brightness; learning what the recording tells of its camera")
+    stage("measuring brightness; estimating parameters of the camera")
     tones = [tone_of(recording, each, "I0") for each in (held_options, options)]
     facts = facts_of(recording, options, slow=args.slow, images_per_second=args.fps)
     wheel = None if args.centre is None else Wheel(
@@ -190,7 +190,7 @@ def _title(args: argparse.Namespace, recording: Recording, t_us: int) -> str:
 def _beside(
     args: argparse.Namespace, second: Recording | None, times: Any
 ) -> Iterator[list[Any]] | None:
-    """Row of the second camera at each time; its own frames, held."""
+    """Yield the row of the second camera at each time: its last frame."""
     if second is None:
         return None
     first = next(fuse(second, method="frames", hold="mid"), None)
@@ -213,7 +213,7 @@ def _write_sectors(
     args: argparse.Namespace, wheel: Wheel, measured: dict[str, list[Any]],
     facts: dict[str, Any], origin: int,
 ) -> list[str]:
-    """Write the table beside the video, and return a line per sector."""
+    """Write the table of sectors, and return a line per sector."""
     def rows() -> Iterator[Sequence[Any]]:
         for source, images in measured.items():
             for image in images:

@@ -1,4 +1,4 @@
-"""Say what a recording holds: its header, and with --scan everything in it."""
+"""Show what a recording contains: its header, and with --scan all its data."""
 from __future__ import annotations
 
 import argparse
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _clock(recording: Recording) -> list[Advice]:
-    """Return what is to be said about the clocks of frames and events."""
+    """Return advice if the clocks of frames and events differ."""
     found = clock_offset_in_situ(recording) if recording.info.frame_count != 0 else None
     if found is None or not found.counts:
         return []
@@ -57,7 +57,7 @@ def _clock(recording: Recording) -> list[Advice]:
         "clocks", f"frames' stamps are {abs(found.us) / 1000:.1f} +- "
         f"{found.sigma_us / 1000:.1f} ms {'early' if found.us > 0 else 'late'} by the "
         "clock of the events",
-        "method kalman moves them; give other methods --clock-offset "
+        "method kalman corrects them; for other methods use --clock-offset "
         f"{found.applied_us}")]
 
 
@@ -67,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     add_layout_option(parser)
     parser.add_argument("--json", action="store_true", help="for programs")
     parser.add_argument(
-        "--scan", action="store_true", help="read everything once and count it")
+        "--scan", action="store_true", help="read and count all data")
     return parser
 
 
@@ -114,7 +114,7 @@ def _count(count: int | None, seconds: float | None) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return value as JSON can write it."""
+    """Return a value that JSON can represent."""
     if isinstance(value, Layout):
         return [list(row) for row in value.angles_deg]
     if isinstance(value, Sensor):

@@ -1,4 +1,4 @@
-"""pdavis: frames and events of a polarization event camera, fused."""
+"""pdavis: fuse frames and events of a polarization event camera."""
 from __future__ import annotations
 
 import argparse
@@ -12,26 +12,26 @@ from ._common import OneLineParser, UsageError, command
 
 __all__ = ["COMMANDS", "main"]
 
-# Subcommand -> what it does; each is pdavis_cv.tools.<name>.main(argv).
+# Description of each subcommand, which is pdavis_cv.tools.<name>.main(argv).
 COMMANDS = {
-    "info": "say what a recording holds",
+    "info": "show what a recording contains",
     "view": "show a recording or a live source in a browser, and stream it as MJPEG",
     "stream": "send a recording or a live source to DV and dv-processing",
-    "devices": "list cameras that are plugged in, or record what one sends as it is",
+    "devices": "list connected cameras, or record the raw data of one",
     "export": "fuse a recording into a video, pictures or arrays",
-    "batch": "do the same with many recordings, on all cores or a cluster",
+    "batch": "process many recordings, on all cores or a cluster",
     "convert": "write a recording in another format",
     "calibrate": "measure a camera into its calibration file",
-    "score": "which method suits a recording, by frames that are left out",
-    "simulate": "make a recording whose truth is known",
+    "score": "find the best method for a recording, by predicting left-out frames",
+    "simulate": "simulate a recording with known ground truth",
     "bench": "time the library against fixed floors",
-    "fan": "make the video of a turning fan of polarizers, with each sector's angle",
+    "fan": "make a video of a rotating wheel of polarizers, and measure its angles",
     "tendon": "measure a loaded sample: traces, spectra, lock-in maps, a report",
-    "reproduce": "the paper's figures, every method against the truth",
+    "reproduce": "reproduce the paper's figures, with all methods and known truth",
     "train": "train a network for the methods joint and firenet on simulated events",
-    "weights": "convert a published network's checkpoint, or show a file of weights",
-    "demo": "make pictures of the recordings that ship with the library",
-    "soak": "stream simulated data for hours and watch memory, handles and drift",
+    "weights": "convert the checkpoint of a published network, or show a weights file",
+    "demo": "make pictures of the included recordings",
+    "soak": "stream simulated data for hours and monitor memory, handles and drift",
 }
 
 
@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "commands:", *(f"  {name:<{width}}  {what}"
                            for name, what in COMMANDS.items()),
             "", "example:", "  pdavis export recording.aedat4 -o fused.webm --fps 200",
-            "", "pdavis COMMAND --help tells more."]))
+            "", "pdavis COMMAND --help shows its options."]))
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="see below")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     parser.add_argument(

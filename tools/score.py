@@ -1,11 +1,11 @@
-"""Score methods on a recording by the frames that they are not shown.
+"""Score methods on a recording by predicting left-out frames.
 
-Every second frame is taken away; each method predicts the log intensity at its
-mid-exposure from the rest, and the frame says how far off that is: root mean squared
-error in natural-log units (0.1 is 10 %), for pixels that move (at least 3 events
-within 40 ms) and others, and the part of the errors within one sigma (0.68 for an
-honest method).  Where cells of 2x2 pixels move, the error of their ratios, which
-polarization is made of, is told as well.  Needs no truth but the recording.
+Every second frame is left out.  Each method predicts the log intensity at its
+mid-exposure from the rest, and is compared with the frame: root mean squared error in
+natural-log units (0.1 is 10 %), for pixels that move (at least 3 events within 40 ms)
+and for others, and the fraction of errors within one sigma (0.68 if sigmas are
+correct).  Where 2x2 cells move, the error of the ratios of their pixels, which
+determine the polarization, is reported as well.  No ground truth is needed.
 """
 from __future__ import annotations
 
@@ -57,21 +57,21 @@ METHODS: dict[str, dict[str, Any]] = {
     "kalman causal": {"method": "kalman", "causal": True},
     "kalman offline": {"method": "kalman", "mode": "offline"},
 }
-"""Name -> options of fuse."""
+"""Options of fuse by name of the method."""
 
 _RELATIVE = frozenset(name for name in METHODS if name.startswith("events"))
-"""What gives the ratios of a cell's channels only, and needs polarizers for that."""
+"""Methods that estimate only ratios of a cell's channels, and so need polarizers."""
 _WORDS = {EventRedundancy: "events --set offsets=redundancy"}
 _CELLS = CLASSES[-1]
 
 SOURCES = ("default", "nominal", "in-situ", "fitted")
-_LEAST_MOVING = 100   # pixels: with fewer, what is static decides
-_ALLOWED_STATIC = 1.2  # times the least static error that a suited method may have
+_LEAST_MOVING = 100   # pixels: with fewer, static pixels decide
+_ALLOWED_STATIC = 1.2  # largest static error of a chosen method, over the least one
 
 
 @dataclass(frozen=True)
 class Row:
-    """A method, where its thresholds came from, and its scores by class."""
+    """A method, the origin of its thresholds, and its scores by class."""
 
     method: str
     source: str
@@ -80,12 +80,12 @@ class Row:
 
     @property
     def by_class(self) -> dict[str, PredictionScore]:
-        """Class -> score."""
+        """The score of each class."""
         return {score.kind: score for score in self.scores}
 
     @property
     def name(self) -> str:
-        """Method and thresholds, for people."""
+        """Text with the method and its thresholds."""
         return f"{self.method}, {self.source}" if self.source else self.method
 
 
@@ -126,21 +126,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("file", help="a recording with frames and events")
     parser.add_argument(
         "-o", "--out", type=Path, metavar="STEM",
-        help="writes STEM.csv, STEM.json and, with matplotlib, STEM.png")
+        help="write STEM.csv, STEM.json and, with matplotlib, STEM.png")
     parser.add_argument(
         "--methods", nargs="+", choices=METHODS, metavar="NAME",
-        help=f"of {', '.join(map(repr, METHODS))}; causal: from nothing but what had "
-             "arrived, as live; default all that the recording has what they need for")
+        help=f"methods from {', '.join(map(repr, METHODS))}; causal: only from data "
+             "that had arrived, as live; default: all that the recording supports")
     parser.add_argument(
         "--thresholds", nargs="+", type=_source, default=list(SOURCES), metavar="T",
-        help=f"of {', '.join(SOURCES)} (by regression on the frames), or ON,OFF in "
-             "natural-log units; default these")
+        help=f"thresholds from {', '.join(SOURCES)} (by regression on the frames), or "
+             "ON,OFF in natural-log units; default: all of these")
     parser.add_argument(
         "--calibration", type=Path, metavar="NPZ",
-        help="of this camera; its thresholds are tried too")
+        help="calibration of this camera, whose thresholds are tried too")
     parser.add_argument(
         "--seconds", type=positive, default=10.0,
-        help="how much of the recording is scored; default 10")
+        help="length of the recording's beginning that is scored; default 10")
     add_layout_option(parser)
     parser.add_argument(
         "--json", action="store_true", help="print JSON instead of the table")
@@ -150,12 +150,12 @@ def _parser() -> argparse.ArgumentParser:
 def _possible(
     methods: Sequence[str] | None, recording: Recording,
 ) -> list[str]:
-    """Return the methods asked for, or those that the recording allows."""
+    """Return the requested methods, or all that the recording supports."""
     if recording.info.layout is not None:
         return list(methods or METHODS)
     for name in methods or ():
         if name in _RELATIVE:
-            raise UsageError(f"{name!r} needs polarizers: say --layout")
+            raise UsageError(f"{name!r} needs polarizers: give --layout")
     return [name for name in methods or METHODS if name not in _RELATIVE]
 
 
@@ -170,7 +170,7 @@ def _tries(
     sources: Sequence[str | tuple[float, float]], calibration: Calibration | None,
     left_out: LeftOutFrames,
 ) -> list[tuple[str, dict[str, Any]]]:
-    """Return where thresholds come from, and the options that say so to fuse."""
+    """Return the origins of thresholds to try, each with the options of fuse."""
     tries: list[tuple[str, dict[str, Any]]] = []
     for source in sources:
         if source != "fitted":
@@ -212,16 +212,17 @@ def _simple(
 
 
 def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
-    """Return the row of the method that suits the recording.
+    """Return the row of the best method for the recording.
 
-    The least error where pixels move, of those that are not much worse than the best
-    where nothing does; the least static error where nothing moves.
+    It has the smallest error for moving pixels, among methods that are not much worse
+    than the best one for static pixels.  If too little moves, it has the smallest error
+    for static pixels.
 
     Parameters
     ----------
     rows : sequence of Row
     causal : bool
-        Only methods that use nothing but the past.
+        Consider only methods that use no later data.
 
     Returns
     -------
@@ -248,13 +249,13 @@ def _is_causal(method: str) -> bool:
 
 
 def suited_for_polarization(rows: Sequence[Row], *, causal: bool = False) -> Row:
-    """Return the row whose ratios of a cell's channels are least off where it moves.
+    """Return the row with the smallest error of the channels' ratios in moving cells.
 
     Parameters
     ----------
     rows : sequence of Row
     causal : bool
-        Only methods that use nothing but the past.
+        Consider only methods that use no later data.
     """
     return min((row for row in rows if not causal or _is_causal(row.method)),
                key=lambda row: row.by_class[_CELLS].rmse)

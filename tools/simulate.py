@@ -1,8 +1,8 @@
-"""Simulate a polarization event camera before a scene whose truth is known.
+"""Simulate a polarization event camera before a scene with known ground truth.
 
-FILE is AEDAT-4 (.aedat4) or AEDAT-2.0 (.aedat); FILE.truth.npz beside it holds what
-a perfect instrument would have measured (t_us, aop, dolp, s0 at one place; roi; lit;
-load and losses of the read-out bus).
+FILE is AEDAT-4 (.aedat4) or AEDAT-2.0 (.aedat).  FILE.truth.npz, next to it, holds the
+values of a perfect instrument (t_us, aop, dolp, s0 at one position; roi; lit; load and
+losses of the read-out bus).
 """
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ __all__ = ["main"]
 
 _WHOLE = ("fan", "tendon", "texture")
 LONGEST_S = 1e6
-"""A choice: what takes longer to simulate than anybody waits."""
-_REGION = (12, 12)  # of the paper's figures
+"""Longest simulation, s; a choice."""
+_REGION = (12, 12)  # that of the paper's figures, pixels
 
 
 @command
@@ -97,28 +97,29 @@ def _parser() -> argparse.ArgumentParser:
         "--camera", choices=list(PRESETS), default="nominal", help="default nominal")
     parser.add_argument(
         "--optics", choices=list(LENSES),
-        help="lens and crosstalk in front of the sensor; default none, light falls "
-             "straight on the polarizers")
+        help="lens and crosstalk in front of the sensor; default none: light reaches "
+             "the polarizers directly")
     parser.add_argument(
         "--temperature", type=_temperature, metavar="C[,C]",
-        help="of the chip in degrees Celsius: at the start, and that to which it warms "
-             "in some ten minutes; default 25, at which calibrations hold")
+        help="temperature of the chip in degrees Celsius, at the start and after "
+             "warming up for some ten minutes; default 25, that of calibrations")
     parser.add_argument(
         "--seconds", type=positive, default=3.0, help="duration, default 3")
     parser.add_argument(
         "--seed", type=within(0, LAST_SEED), default=0,
-        help="names the specimen, default 0")
+        help="number of the specimen, default 0")
     parser.add_argument(
         "--run", type=within(0, LAST_SEED), default=0,
-        help="same specimen, other noise; default 0")
+        help="number of the noise of this specimen; default 0")
     parser.add_argument(
         "--size", type=_size, metavar="WxH",
-        help="pixels in the middle of the sensor; default 346x260 for scenes with "
-             "structure, 12x12 for uniform ones")
+        help="pixels around the middle of the sensor; default 346x260 for structured "
+             "scenes, 12x12 for uniform ones")
     parser.add_argument(
         "--threads", type=within(1, 256), default=1,
-        help="default 1; the result is the same")
-    parser.add_argument("--force", action="store_true", help="replace a recording")
+        help="number of threads, default 1; it does not change the result")
+    parser.add_argument(
+        "--force", action="store_true", help="replace an existing recording")
     add_json_option(parser)
     group = parser.add_argument_group("scene")
     group.add_argument(

@@ -1,8 +1,8 @@
 """Stream simulated data for hours through fuse, export, a live session and the viewer.
 
-One period of a rotating polarizer on a small sensor is sent again and again, with its
-times going on: faster than time passes, unless --paced.  Memory, handles and threads
-of this process are sampled, and how far each image is from the one a period earlier.
+One period of a rotating polarizer on a small sensor is repeated with continuing times,
+faster than real time unless --paced is given.  Memory, handles and threads of this
+process are sampled, and the difference of each image from the one a period earlier.
 """
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ PERIOD_US = round(60e6 / RPM)
 FPS = 10
 """Images per second of stream time."""
 PART_S = 60.0
-"""Stream time that each way is given at a time."""
+"""Stream time of each part, s."""
 WARM_S = 600.0
-"""Growth counts from here on: code is loaded, pools and caches are filled; s of stream
-time, or the first turn of all ways where that takes longer."""
+"""Stream time, s, after which growth is measured, when code is loaded and caches are
+filled; if the first round of all parts takes longer, that is used."""
 PARTS = ("fuse", "export", "live", "viewer")
 
 
 @dataclass
 class Sample:
-    """What was seen at the end of one part of the stream."""
+    """Measurements at the end of one part of the stream."""
 
     stream_s: float
     wall_s: float
@@ -87,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _grown(samples: list[Sample], turn: int) -> tuple[list[str], dict[str, Any]]:
-    """Return what grew since everything was loaded, in words and by name."""
+    """Return the growth after the warm-up, as text and by name."""
     after = [s for i, s in enumerate(samples) if s.stream_s >= WARM_S and i >= turn - 1]
     stream, wall = samples[-1].stream_s, samples[-1].wall_s
     images = sum(s.images for s in samples)
@@ -117,7 +117,7 @@ def _stream(
     parts: Sequence[str], methods: Sequence[str], wanted_s: float, side: int,
     paced: bool,
 ) -> Iterator[Sample]:
-    """Give each way of using the stream its turn, with each method, until the end."""
+    """Cycle through all ways of using the stream and all methods until the end."""
     begun, stream_s = time.monotonic(), 0.0
     with tempfile.TemporaryDirectory() as folder:
         ways: dict[str, Callable[..., Iterator[PolarFrame]]] = {
@@ -141,7 +141,7 @@ def _stream(
 
 
 def _followed(images: Iterator[PolarFrame]) -> tuple[int, float]:
-    """Return how many images there are, and the last one's distance from the first.
+    """Return the number of images, and the distance of the last from an earlier one.
 
     The distance is the root mean square of I0 .. I135 relative to S0, of the last
     image and the one at the same phase of the second period.
@@ -194,7 +194,7 @@ def _live(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
 
 
 def _viewed(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
-    """Give images while a page looks at them."""
+    """Yield images while a client requests them."""
     from pdavis_cv import Session, serve
     with Session(where, **_options(method)) as session, serve(
             session, port=0) as server:
@@ -209,7 +209,7 @@ def _viewed(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
 
 
 def _look(url: str, ended: threading.Event) -> None:
-    """Ask for pictures as the viewer's page does."""
+    """Request pictures like the viewer's page."""
     number = 0
     while not ended.is_set():
         address = (f"{url}frame?panes=s0,aop,dolp,events&after={number}"
@@ -235,17 +235,17 @@ def _write(path: Path, samples: list[Sample]) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("soak", __doc__ or "", "pdavis soak --hours 24 -o soak.csv")
     parser.add_argument("--hours", type=positive, default=24.0,
-                        help="of stream time, default 24")
+                        help="hours of stream time, default 24")
     parser.add_argument("--minutes", type=positive,
-                        help="of stream time, in place of --hours")
+                        help="seconds of stream time, instead of --hours")
     parser.add_argument("--paced", action="store_true",
-                        help="at the pace of a camera, not as fast as it goes")
+                        help="in real time instead of as fast as possible")
     parser.add_argument("--methods", metavar="M,M", help="default all")
     parser.add_argument("--parts", nargs="+", choices=PARTS, help="default all")
     parser.add_argument("--size", type=int, default=8, choices=(8, 16, 32, 64),
-                        help="pixels of a side, default 8")
+                        help="height and width in pixels, default 8")
     parser.add_argument("--most-mb", type=positive, default=10.0,
-                        help="growth of memory that is a failure, default 10")
+                        help="largest growth of memory that passes, default 10")
     parser.add_argument("-o", "--out", type=Path, metavar="CSV",
                         help="table of samples")
     add_json_option(parser)

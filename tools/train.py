@@ -34,10 +34,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("network", choices=("joint", "firenet"))
     parser.add_argument(
         "-o", "--out", required=True, metavar="FILE.npz",
-        help="weights; beside it FILE.pt, from which training goes on when it is "
-             "there, and FILE.csv with the scores")
+        help="weights to write; also written are FILE.pt, from which training "
+             "continues if it exists, and FILE.csv with the scores")
     parser.add_argument("--steps", type=within(1, 10**9), default=20_000,
-                        help="updates in all; the rate falls to them along a cosine")
+                        help="total number of updates; the rate decreases as a cosine")
     parser.add_argument("--every", type=within(1, 10**9), default=200,
                         help="updates between checkpoints")
     parser.add_argument("--seed", type=within(0, LAST_SEED), default=0)
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--side", type=within(4, 512), default=20,
                         help="macropixels (2x2 pixels) along a side of a clip")
     parser.add_argument("--half", action="store_true",
-                        help="convolve in bfloat16: quicker on processors that have it")
+                        help="convolve in bfloat16, which some processors do faster")
     add_json_option(parser)
     args = parser.parse_args(argv)
     out = Path(args.out)

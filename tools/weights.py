@@ -1,4 +1,4 @@
-"""pdavis weights: convert a FireNet checkpoint that you have, or show a file."""
+"""Convert a checkpoint of FireNet, or show a file of weights."""
 from __future__ import annotations
 
 import argparse
@@ -25,17 +25,17 @@ class _ActionParser(argparse.ArgumentParser):
 @command
 def main(argv: Sequence[str] | None = None) -> int:
     """Convert or show; return 0."""
-    parser = Parser("weights", (__doc__ or "").split(": ", 1)[1],
+    parser = Parser("weights", __doc__ or "",
                     "pdavis weights convert firenet_1000.pth.tar -o firenet.npz")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION",
                                     parser_class=_ActionParser)
     convert = actions.add_parser(
-        "convert", help="read a checkpoint of the published FireNet, without torch and "
-                        "without running what is in it")
-    convert.add_argument("checkpoint", help="a file that torch.save wrote")
+        "convert", help="convert a checkpoint of the published FireNet, without torch "
+                        "and without executing its pickle")
+    convert.add_argument("checkpoint", help="a file written by torch.save")
     convert.add_argument("-o", "--out", required=True, metavar="FILE.npz",
                          help="for fuse(method='firenet', weights=...)")
-    show = actions.add_parser("show", help="say what an npz file of weights holds")
+    show = actions.add_parser("show", help="show the content of an npz file of weights")
     show.add_argument("file", metavar="FILE.npz")
     for action in (convert, show):
         add_json_option(action)

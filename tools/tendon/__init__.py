@@ -1,4 +1,4 @@
-"""``pdavis tendon``: command.py measures, video.py and report.py show."""
+"""``pdavis tendon``: measure a loaded sample, make a video and a report."""
 from .command import main
 
 __all__ = ["main"]

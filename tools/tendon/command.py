@@ -1,9 +1,9 @@
 """Measure a loaded sample: traces of regions, the load's frequency, maps, a report.
 
-The frames alone and the fused images are measured side by side.  The folder OUT gets
-traces.csv and frames.csv (one row per region and time, jAER's dialect beside),
-lockin.npz, cycle.csv, loop.csv with a load file, tendon.webm and report.html, which
-holds all figures and needs nothing else.
+Both the frames alone and the fused images are measured.  The folder OUT receives
+traces.csv and frames.csv (one row per region and time; also in jAER's dialect),
+lockin.npz, cycle.csv, loop.csv if there is a load file, tendon.webm, and report.html,
+which contains all figures and needs no other files.
 """
 from __future__ import annotations
 
@@ -55,34 +55,34 @@ __all__ = ["Findings", "main", "measure"]
 
 
 class MeanStokes:
-    """Mean Stokes planes over images; a pixel counts where it is valid."""
+    """Mean Stokes planes of images, over valid pixels."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._sum, self._count = np.zeros((3, *shape)), np.zeros(shape, np.int64)
 
     def add(self, image: PolarFrame) -> None:
-        """Take in one image."""
+        """Add an image."""
         for total, plane in zip(
                 self._sum, (image.s0, image.s1, image.s2), strict=True):
             np.add(total, plane, out=total, where=image.valid)
         self._count += image.valid
 
     def maps(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
-        """Return AoP (radians) and DoLP of the means, and where there are any."""
+        """Return AoP (radians) and DoLP of the means, and where they are valid."""
         s0, s1, s2 = self._sum.astype(np.float32)
         return aop(s1, s2), dolp(s0, s1, s2), self._count > 0
 
 
 @dataclass(eq=False)
 class Findings:
-    """Everything that was measured; what the report shows.
+    """All measurements, which the report shows.
 
     Parameters
     ----------
     origin_us : int
-        Time that seconds count from.
+        Time of 0 s.
     fused, frames : Traces
-        Of the fused images, and of the frames alone (None without frames).
+        Traces of the fused images, and of the frames alone (None without frames).
     tones : list of Tone
         DoLP's dominant periodic component, one per region.
     load_hz : float
@@ -117,10 +117,10 @@ class Findings:
 
 @dataclass(frozen=True, eq=False)
 class _Busiest(analysis.Roi):
-    """The quarter of a region's pixels that have the most events.
+    """The quarter of a region's pixels with the most events.
 
-    Events are late by what the light has to change for one, which is less of a cycle
-    where there are many in it.
+    An event is delayed until the light has changed by a threshold.  That is a smaller
+    part of a cycle for pixels with many events per cycle.
     """
 
     counts: NDArray[np.float64] | None = None
@@ -134,7 +134,7 @@ class _Busiest(analysis.Roi):
         assert self.counts is not None
         x, y = origin
         part = self.counts[y:y + shape[0] * scale, x:x + shape[1] * scale]
-        # Images hold what pixels share with their neighbours.
+        # Demosaiced pixels share samples with their neighbours.
         near = uniform_filter(part, 3 * scale)[::scale, ::scale]
         return np.asarray(inside & (near >= np.quantile(near[inside], 0.75)))
 
@@ -145,7 +145,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     if (args.thickness_um is None) != (args.wavelength_nm is None):
         raise UsageError("--thickness-um and --wavelength-nm belong together")
-    report.matplotlib()  # say what is missing before the work, not after
+    report.matplotlib()  # report a missing package before the work
     render.opencv()
     load = None if args.load is None else analysis.read_load(args.load)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -174,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
              "repeatable; default the whole image")
     parser.add_argument(
         "--estimate", choices=("stokes", "pixels"), default="stokes",
-        help="DoLP and AoP of the mean Stokes vector, or the mean of the pixels'")
+        help="DoLP and AoP of the mean Stokes vector, or their mean over pixels")
     parser.add_argument("--load-hz", type=number, metavar="HZ",
                         help="frequency of the load; default: the strongest in DoLP")
     parser.add_argument(
@@ -191,18 +191,18 @@ def _parser() -> argparse.ArgumentParser:
     load.add_argument("--load", metavar="CSV", help="force or displacement over time")
     load.add_argument(
         "--align", choices=("correlation", "trigger", "offset"), default="correlation",
-        help="how its clock is found; default correlation with DoLP")
+        help="how to align its clock; default: correlation with DoLP")
     load.add_argument("--offset", type=seconds, metavar="S",
-                      help="recording's time at the file's zero; with correlation, "
-                           "where to look")
+                      help="time of the recording at the file's zero; with "
+                           "correlation, its expected value")
     load.add_argument("--within", type=seconds, default=0.5, metavar="S",
-                      help="how far from --offset correlation looks; default 0.5")
+                      help="largest deviation from --offset; default 0.5")
     load.add_argument("--skew-ppm", type=number, default=0.0, metavar="PPM",
-                      help="with --align offset: how much slower its clock runs")
+                      help="with --align offset: by how much its clock is slower")
     look = parser.add_argument_group("video")
     look.add_argument("--no-video", action="store_true", help="write no video")
     look.add_argument("--slow", type=number, default=4.0, metavar="FACTOR",
-                      help="play so many times slower; default 4")
+                      help="factor of slow motion; default 4")
     look.add_argument("--scale", type=within(1, 64), default=1, metavar="N",
                       help="enlarge each pixel; default 1")
     look.add_argument("--pixel-um", type=number, metavar="UM",
@@ -222,7 +222,7 @@ def _regions(text: str) -> list[analysis.Roi]:
 def measure(
     args: argparse.Namespace, recording: Recording, load: analysis.LoadTrace | None
 ) -> Findings:
-    """Measure a recording; write the video on the way.
+    """Measure a recording and write the video.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def measure(
     counts = None if load is None else _counts(recording)
     busy = [] if counts is None or not counts.any() else [
         _Busiest(roi.name, roi.rings, roi.rectangle, counts) for roi in regions]
-    stage("traces of the fused images; learning what the recording tells of its camera")
+    stage("traces of the fused images; estimating parameters of the camera")
     fused, busiest = _traces(args, recording, options, regions, busy, background)
     assert fused is not None  # there is a time on the grid
     frames = None
@@ -291,15 +291,15 @@ def measure(
     return found
 
 
-# A sample is slow against an exposure, so that its frames are sharp: what de-blurring
-# leaves of them is 2 % rather than 5 %, and events count for less beside them.
+# The sample moves little during an exposure, so frames are sharp: their error after
+# de-blurring is 2 % instead of 5 %, and events have a smaller weight.
 _NOISE = (0.02, 3.0, 0.02)
 
 
 def _patient(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any]
 ) -> dict[str, Any]:
-    """Let frames after an image correct it too, where nothing else is asked for."""
+    """Use frames after an image to correct it too, unless other options are given."""
     if args.causal or "noise" not in Fusion(recording, **options).needs.learned:
         return options
     return {"mode": "offline", "noise": _NOISE, **options}
@@ -323,7 +323,7 @@ def _traces(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any],
     regions: Sequence[analysis.Roi], busy: Sequence[_Busiest], background: Any,
 ) -> tuple[analysis.Traces | None, analysis.Traces | None]:
-    """Record the regions, and the busiest pixels of each if they are asked for."""
+    """Record traces of the regions, and of the busiest pixels of each if requested."""
     recorder = analysis.TraceRecorder(
         regions, estimate=args.estimate, background=background)
     busiest = analysis.TraceRecorder(busy, background=background) if busy else None
@@ -354,7 +354,7 @@ def _load_hz(args: argparse.Namespace, tones: Sequence[analysis.Tone]) -> float:
 def _not_learned(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return options by which fuse() does not learn times from frames and events."""
+    """Return options with which fuse() does not estimate times from the data."""
     if args.causal or "bandwidth" not in Fusion(recording, **options).needs.learned:
         return {}
     stated: dict[str, Any] = {}
@@ -366,7 +366,7 @@ def _not_learned(
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
-    """Mean Stokes planes of the recording without the sample."""
+    """Return the mean Stokes planes of the recording without the sample."""
     if args.background is None:
         return None
     kept = {name: options[name] for name in ("roi", "layout", "demosaic")}
@@ -382,7 +382,7 @@ def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
 
 
 def _evaluate(args: argparse.Namespace, found: Findings, fps: float) -> None:
-    """Add what follows from the traces."""
+    """Add the results that follow from the traces."""
     fused, facts = found.fused, found.facts
     load_hz, frame_hz = found.load_hz, found.frame_hz
     t = fused.t_us
@@ -460,12 +460,12 @@ def _align(
 def _correlated(
     args: argparse.Namespace, found: Findings, load: analysis.LoadTrace
 ) -> analysis.Clock:
-    """Align by DoLP: of the frames, which lag behind nothing, if they fix the offset.
+    """Align by the DoLP of frames, which have no lag, if it determines the offset.
 
-    They do unless they are locked to the load's phase; that they alias does not
-    matter, as the load is known between them.
+    It does, unless frames are locked to the load's phase.  Aliasing is no problem, as
+    the load is known between frames.
     """
-    # Each region would do; the one with the clearest cycle is best.
+    # Any region would do; the one with the most precise frequency is best.
     best = int(np.argmin([tone.hz_se / tone.hz for tone in found.tones]))
 
     def aligned(traces: analysis.Traces) -> analysis.Clock:
@@ -481,7 +481,7 @@ def _correlated(
             warnings.simplefilter("always", AnalysisWarning)
             try:
                 clock = aligned(found.frames)
-            except ValueError:  # too few in common; the fused images may do
+            except ValueError:  # too few samples overlap; try the fused images
                 clock = None
         if clock is not None and clock.offset_se_s < 5e-3 / found.load_hz:
             for warning in caught:
@@ -497,7 +497,7 @@ def _correlated(
 
 
 def _lag_error(facts: dict[str, Any]) -> float:
-    """Return by how many seconds the pixels may lag more than the filter takes out."""
+    """Return the uncertainty of the pixels' lag after its correction, seconds."""
     hz, _, relative = facts.get("parameters", {}).get("bandwidth") or (0.0, 0.0, 0.0)
     return math.expm1(relative) / (2 * math.pi * hz) if hz > 0 else 0.0
 
@@ -506,7 +506,7 @@ def _maps_and_video(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any],
     held: dict[str, Any], found: Findings,
 ) -> None:
-    """Go through the images a second time, now that the frequency is known."""
+    """Process the images a second time, with the known frequency."""
     stage("maps" if args.no_video else "maps and video")
     times = options["times_us"]
     lock: analysis.LockIn | None = None
@@ -521,7 +521,7 @@ def _maps_and_video(
     else:
         sheet = TendonSheet(args, recording, found, {**options, "times_us": times})
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1e4
-        # Of frames there may be none; then the fused images stand in.
+        # Without frames, the fused images are used instead.
         frames: Iterator[PolarFrame] = held_at(
             fuse(recording, **(held if found.frames is not None else options)),
             iter(times.tolist()))
@@ -544,7 +544,7 @@ def _maps_and_video(
 
 
 def _write(args: argparse.Namespace, found: Findings) -> list[Path]:
-    """Write all files but the report; return their paths."""
+    """Write all files except the report; return their paths."""
     out, origin, facts = args.out, found.origin_us, found.facts
     written = [out / "traces.csv"]
     export.write_traces(written[0], found.fused, origin_us=origin,

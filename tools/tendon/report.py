@@ -1,4 +1,4 @@
-"""The report of ``pdavis tendon``: one HTML file that holds its figures."""
+"""The report of ``pdavis tendon``: one HTML file that contains all figures."""
 from __future__ import annotations
 
 import base64
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["matplotlib", "summary", "write_report"]
 
-_TOGETHER_DEG = 60.0        # from their mean: phases then get a map of their own range
-_LEAST_REACH_DEG = 5.0      # of that map: it is not stretched over noise
+_TOGETHER_DEG = 60.0        # largest deviation of phases that get a map of their range
+_LEAST_REACH_DEG = 5.0      # smallest range of that map, so that it does not show noise
 _LEAST_WIDTH = 360          # pixels of a map in the report
 _COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:pink")
 _STYLE = """
@@ -39,7 +39,7 @@ pre{background:#f6f6f6;padding:1em;overflow:auto;font-size:12px}
 
 
 def matplotlib() -> Any:
-    """Return matplotlib's Figure, or say how to get it."""
+    """Return matplotlib's Figure, or raise an error that says how to install it."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -54,9 +54,9 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
     Parameters
     ----------
     path : path
-        File to write; appears when it is whole.
+        File to write; appears when it is complete.
     found : Findings
-        What was measured.
+        The measurements.
     """
     parts = [
         "<!doctype html><html lang=en><meta charset=utf-8>",
@@ -92,7 +92,7 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
 
 
 def summary(found: Findings) -> tuple[list[str], dict[str, Any]]:
-    """Return what was found, in lines and as facts by name."""
+    """Return the results as lines of text and as facts by name."""
     lines, regions = [], []
     for roi, tone in zip(found.fused.rois, found.tones, strict=True):
         regions.append({
@@ -186,7 +186,7 @@ def _image(data: bytes, more: str = "") -> str:
 
 
 def _drawn(draw: Any, found: Findings, height: float) -> tuple[bytes, Any]:
-    """Return a figure as PNG, and itself for where its axes came to lie."""
+    """Return a figure as PNG, and the figure itself for the positions of its axes."""
     figure = matplotlib()(figsize=(9, height), layout="constrained")
     draw(figure, found)
     buffer = io.BytesIO()
@@ -201,7 +201,7 @@ def _figure(draw: Any, found: Findings, height: float) -> str:
 def _hover(found: Findings) -> str:
     """Return the figure of traces, its numbers, and the script that shows them.
 
-    A script of forty lines: a plotting library would add 4 MB to each report.
+    The script has forty lines; a plotting library would add 4 MB to each report.
     """
     data, figure = _drawn(_traces, found, 3.0 * 3)
     panes = []
@@ -229,7 +229,7 @@ def _hover(found: Findings) -> str:
 def _line(
     source: str, roi: str, table: Any, seconds: Any, key: str, turn: bool
 ) -> dict[str, Any]:
-    """Return a trace as the script reads it: five digits, null where there is none."""
+    """Return a trace for the script: five digits, null where there is no value."""
     def digits(values: Any) -> list[float | None]:
         return [float(f"{value:.5g}") if np.isfinite(value) else None
                 for value in values]
@@ -249,7 +249,7 @@ def _traces(figure: Any, found: Findings) -> None:
         colour = _COLOURS[i % len(_COLOURS)]
         for axes, name, turn in ((dolp, "dolp", False), (aop, "aop", True)):
             values, se = table[name], table[name + "_se"]
-            if turn:  # degrees, unwrapped about the mean so that 0 does not tear it
+            if turn:  # degrees, unwrapped about the mean to avoid jumps at 0
                 values, se = _degrees(values), np.rad2deg(se)
             axes.fill_between(
                 t, values - se, values + se, color=colour, alpha=0.3, lw=0)
@@ -320,8 +320,8 @@ def _maps(figure: Any, found: Findings) -> None:
 def _phase(maps: analysis.LockInMaps) -> tuple[Any, float, float, str]:
     """Return phases in degrees, the ends of their colours, and a colour map.
 
-    Phases that lie together get an even map of the range that they span, which may
-    pass 180; others a cyclic one of the whole turn.
+    Phases in a narrow range get a uniform map of that range, which may include 180;
+    others a cyclic map of the whole turn.
     """
     significant = maps.significant
     middle = np.angle(np.mean(np.exp(1j * maps.phase[significant]))

@@ -21,14 +21,14 @@ _COLOURS = ((80, 220, 255), (255, 180, 80), (120, 255, 120), (255, 120, 220))
 
 
 class TendonSheet:
-    """Composes the pictures of the video; what is fixed is fixed here.
+    """Compose the pictures of the video.
 
     Parameters
     ----------
     args : Namespace
         Options of the command line.
     recording : Recording
-        Gives the events.
+        Source of the events.
     found : Findings
         Traces and the load's frequency.
     options : dict
