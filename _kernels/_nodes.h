@@ -15,7 +15,17 @@ typedef struct {
     double slope[NODES * BESIDE];   /* per interval */
     double log[NODES * BESIDE];
     double rise[NODES * BESIDE];    /* slope of the log, per interval */
+    /* Where cutoff and leak are constant, of the interval that ends there: */
+    double level[NODES * BESIDE];   /* filtered log at its end */
+    double calm[NODES * BESIDE];    /* 1: with the leak it goes one way */
+    double drift[BESIDE];           /* by the leak, per interval */
+    double flat[BESIDE];            /* 1: light rests in some interval */
 } nodes_t;
+
+/* The photoreceptor's filter: as config_t in _pixel.pxd. */
+typedef struct {
+    double phi, e, w0, w1, w2, w3;
+} nodes_filter_t;
 
 #define NODES_ROUND 6755399441055744.0
 
@@ -58,6 +68,34 @@ PDAVIS_CLONES PDAVIS_UNUSED static void nodes_row(
         slope[i] = d;
         log[i] = nodes_log(now);
         rise[i] = d / now;
+    }
+}
+
+/* Filtered log light of n pixels at the end of the interval from one node, 0, to the
+   next, 1; the operations are those of begin, end_level and quiet in _pixel.pxd. */
+PDAVIS_CLONES PDAVIS_UNUSED static void nodes_level_row(
+    ptrdiff_t n, const nodes_filter_t *filter, const double *restrict drift,
+    const double *restrict light, const double *restrict slope,
+    const double *restrict log, const double *restrict rise,
+    const double *restrict level0, double *restrict level1, double *restrict calm,
+    double *restrict flat)
+{
+    const double *next_light = light + BESIDE, *next_slope = slope + BESIDE;
+    const double *next_log = log + BESIDE, *next_rise = rise + BESIDE;
+    const double phi = filter->phi;
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        double v0 = log[i], m0 = rise[i], m1 = next_rise[i], dv = next_log[i] - v0;
+        double b = 3 * dv - 2 * m0 - m1, e = m0 + m1 - 2 * dv, level = level0[i];
+        double last = filter->e * level + filter->w0 * v0 + filter->w1 * m0
+            + (filter->w2 * b + filter->w3 * e);
+        double by = drift[i], end = (last + by) - by;
+        double first = (v0 - level) * phi, second = (v0 + m0 + b + e - end) * phi;
+        int rests = (light[i] == next_light[i]) & (slope[i] == 0)
+            & (next_slope[i] == 0);
+        level1[i] = last;
+        calm[i] = (first + by) * (second + by) > 0 ? 1.0 : 0.0;
+        flat[i] = rests ? 1.0 : flat[i];
     }
 }
 

@@ -41,9 +41,52 @@ cdef extern from "_nodes.h" nogil:
         double *slope
         double *log
         double *rise
+        double *level
+        double *calm
+        double *drift
+        double *flat
+    ctypedef struct nodes_filter_t:
+        double phi, e, w0, w1, w2, w3
+    void nodes_level_row(Py_ssize_t n, const nodes_filter_t *filter,
+                         const double *drift, const double *light,
+                         const double *slope, const double *log, const double *rise,
+                         const double *level0, double *level1, double *calm,
+                         double *flat)
     void nodes_row(Py_ssize_t n, double dark, double faint, const double *seen,
                    const double *change, double *light, double *slope, double *log,
                    double *rise)
+
+
+cdef void look_ahead(nodes_t *nodes, const config_t *cfg, Py_ssize_t many,
+                     Py_ssize_t k, const double[:, ::1] light,
+                     const double[:, ::1] slope, const double[:, ::1] pixels,
+                     const double[:, ::1] state, Py_ssize_t i) noexcept nogil:
+    """Follow the light of pixels i and some more to the last node, event or not."""
+    cdef Py_ssize_t j, at
+    cdef nodes_filter_t filter
+    for j in range(k + 1):
+        at = j * BESIDE
+        nodes_row(many, cfg.dark, FAINT, &light[j, i], &slope[j, i], &nodes.light[at],
+                  &nodes.slope[at], &nodes.log[at], &nodes.rise[at])
+    if cfg.cutoff_slope != 0 or cfg.leak_slope != 0:
+        return
+    filter.phi = cfg.cutoff * cfg.h
+    filter.e = cfg.e
+    filter.w0 = cfg.w0
+    filter.w1 = cfg.w1
+    filter.w2 = cfg.w2
+    filter.w3 = cfg.w3
+    for j in range(many):
+        nodes.level[j] = state[i + j, 0]
+        nodes.drift[j] = pixels[i + j, 2] * cfg.h
+        nodes.flat[j] = 0
+        if nodes.light[j] == state[i + j, 4]:
+            nodes.log[j] = state[i + j, 5]
+    for j in range(k):
+        at = j * BESIDE
+        nodes_level_row(many, &filter, nodes.drift, &nodes.light[at], &nodes.slope[at],
+                        &nodes.log[at], &nodes.rise[at], &nodes.level[at],
+                        &nodes.level[at + BESIDE], &nodes.calm[at + BESIDE], nodes.flat)
 
 
 def pixel_events(const double[:, ::1] light not None,
@@ -75,7 +118,7 @@ def pixel_events(const double[:, ::1] light not None,
     cdef sink_t sink
     cdef double d0, d1, light1, v1, last, burst_t, t0, top = 0, bottom = 0, m0, m1
     cdef int burst_p = 0, shared = analyser is not None
-    cdef int known, direct, still
+    cdef int known, direct, still, known_ahead, passed
     cdef Py_ssize_t before, at, ahead = 0
     cdef int linear = slope.shape[0] == 0
     cdef nodes_t nodes
@@ -103,11 +146,7 @@ def pixel_events(const double[:, ::1] light not None,
             if together and (i - start) % BESIDE == 0:
                 ahead = i
                 many = stop - i if stop - i < BESIDE else BESIDE
-                for j in range(k + 1):
-                    at = j * BESIDE
-                    nodes_row(many, cfg.dark, FAINT, &light[j, i], &slope[j, i],
-                              &nodes.light[at], &nodes.slope[at], &nodes.log[at],
-                              &nodes.rise[at])
+                look_ahead(&nodes, &cfg, many, k, light, slope, pixels, state, i)
             saved = sink.n
             p.level = state[i, 0]
             p.ref = state[i, 1]
@@ -122,7 +161,7 @@ def pixel_events(const double[:, ::1] light not None,
             sink.y = places[i, 1]
             p.light = state[i, 4]
             p.v = state[i, 5]
-            d0 = m0 = m1 = v1 = 0
+            d0 = m0 = m1 = v1 = passed = 0
             if p.counter == 0:
                 next_noise(&p, &cfg)
             edge = 0
@@ -130,9 +169,30 @@ def pixel_events(const double[:, ::1] light not None,
             # Without filter and leak, light itself is compared, and seldom its log.
             direct = cfg.unfiltered and p.leak == 0 and cfg.leak_slope == 0
             burst_t = next_burst(&p, &cfg, edges, &edge, first_edge, cfg.t0, &burst_p)
+            # Light that rests somewhere is looked at interval by interval.
+            known_ahead = (together and cfg.cutoff_slope == 0 and cfg.leak_slope == 0
+                           and nodes.flat[i - ahead] == 0)
             for j in range(k + 1):
                 if together:
                     at = j * BESIDE + i - ahead
+                    if known_ahead and j > 0:
+                        last = nodes.level[at] + nodes.drift[i - ahead]
+                        t0 = cfg.t0 + (j - 1) * cfg.h
+                        if (nodes.calm[at] and p.ref - p.off < last < p.ref + p.on
+                                and p.noise_t >= t0 + cfg.h
+                                and burst_t >= t0 + cfg.h and p.release <= t0):
+                            p.ref -= nodes.drift[i - ahead]
+                            passed = 1
+                            continue
+                        if passed:
+                            at -= BESIDE
+                            p.level = nodes.level[at]
+                            p.light = nodes.light[at]
+                            p.v = nodes.log[at]
+                            d0 = nodes.slope[at]
+                            m0 = nodes.rise[at]
+                            at += BESIDE
+                            passed = 0
                     light1 = nodes.light[at]
                     d1 = nodes.slope[at]
                     v1 = nodes.log[at]
@@ -206,6 +266,11 @@ def pixel_events(const double[:, ::1] light not None,
             if sink.full:
                 sink.n = saved
                 break
+            if passed:
+                at = k * BESIDE + i - ahead
+                p.level = nodes.level[at]
+                p.light = nodes.light[at]
+                p.v = nodes.log[at]
             state[i, 0] = p.level
             state[i, 1] = p.ref
             state[i, 2] = p.release
