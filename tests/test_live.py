@@ -27,7 +27,7 @@ from pdavis_cv.live.clock import HostClock, in_order
 from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.recorder import HURRY_BYTES, Recorder, _Pace
-from pdavis_cv.live.replay import ReplaySource
+from pdavis_cv.live.replay import PIECE_US, ReplaySource, pieces
 from pdavis_cv.live.statistics import Patience
 from pdavis_cv.reconstruct.frames import FrameHold
 from pdavis_cv.recording.files import ProblemLog
@@ -361,6 +361,25 @@ def test_packets_are_stored_only_where_that_is_faster():
     assert again.index(True) > 5                    # it may have been a bad moment
     pace.took(1.0, 1)
     assert pace.hurries(HURRY_BYTES + 1)
+
+
+@pytest.mark.parametrize("span_us", [1, 2_000, 2_001, 9_000, 10**12])
+def test_pieces_hold_what_falls_into_each_two_milliseconds(span_us):
+    for seed in range(20):
+        events = random_events(seed, (8, 8), seed=seed, start_us=5, stop_us=5 + span_us)
+        frames = tuple(
+            random_frame((8, 8), t - 7_000) for t in (5 + span_us // 3,) * (seed % 2))
+        packet = Packet(events, frames)
+        found = list(pieces(packet))
+        times = [*events["t"].tolist(), *(frame.available_us for frame in frames)]
+        numbers = sorted({(t - min(times)) // PIECE_US for t in times})
+        assert len(found) == len(numbers)
+        for number, piece in zip(numbers, found, strict=True):
+            own = (events["t"] - min(times, default=0)) // PIECE_US == number
+            np.testing.assert_array_equal(piece.events, events[own])
+            assert piece.frames == tuple(
+                frame for frame in frames
+                if (frame.available_us - min(times)) // PIECE_US == number)
 
 
 def test_packets_that_wait_are_handed_out_as_one_of_ten_milliseconds():

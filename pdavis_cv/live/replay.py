@@ -5,10 +5,6 @@ import math
 import time
 from bisect import bisect_left
 from collections.abc import Iterator
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv.live.base import HEARTBEAT_S, LiveSource, endless
 from pdavis_cv.live.clock import moved
@@ -130,24 +126,21 @@ def pieces(packet: Packet) -> Iterator[Packet]:
     start, stop = packet.start_us, packet.stop_us
     if start is None or stop is None:
         return
-    times = [samples["t"] for samples in (packet.events, packet.imu, packet.triggers)]
-    times.append(np.array([f.available_us for f in packet.frames], np.int64))
-    # Pieces that hold nothing are not looked for: a wrong time may be years away.
-    numbers = np.unique(np.concatenate([(t - start) // PIECE_US for t in times]))
-    for number in numbers.tolist():
-        before = start + number * PIECE_US
-        edge = min(before + PIECE_US, stop)
-        piece = Packet(
-            _part(packet.events, before, edge),
-            tuple(f for f in packet.frames if before <= f.available_us < edge),
-            _part(packet.imu, before, edge), _part(packet.triggers, before, edge))
-        if piece.start_us is not None:
-            yield piece
-
-
-def _part(samples: NDArray[Any], start_us: int, stop_us: int) -> NDArray[Any]:
-    times = samples["t"]
-    part: NDArray[Any] = samples[bisect_left(times, start_us):
-                                 bisect_left(times, stop_us)]
-    return part
-
+    arrays = (packet.events, packet.imu, packet.triggers)
+    times = [samples["t"] for samples in arrays]
+    frames, lows = packet.frames, [0, 0, 0]
+    next_us: int | None = start
+    # From one sample to the next: a wrong time may be years away.
+    while next_us is not None:
+        number = (next_us - start) // PIECE_US
+        edge = min(start + (number + 1) * PIECE_US, stop)
+        highs = [bisect_left(t, edge, low) for t, low in zip(times, lows, strict=True)]
+        events, imu, triggers = (samples[low:high] for samples, low, high in zip(
+            arrays, lows, highs, strict=True))
+        yield Packet(events, tuple(f for f in frames if f.available_us < edge), imu,
+                     triggers)
+        frames = tuple(f for f in frames if f.available_us >= edge)
+        lows = highs
+        next_us = min((
+            *(int(t[low]) for t, low in zip(times, lows, strict=True) if low < len(t)),
+            *(f.available_us for f in frames)), default=None)
