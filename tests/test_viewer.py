@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import types
 
 import cv2
@@ -247,7 +248,10 @@ def test_the_stream_repeats_its_last_picture_where_none_comes(served, monkeypatc
 
 def opened(running, path="/images", **headers):
     """Return a connection that asked for a WebSocket, and the answer's first line."""
-    link = socket.create_connection(("127.0.0.1", running.port), PATIENCE_S)
+    link = socket.socket()
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    link.settimeout(PATIENCE_S)
+    link.connect(("127.0.0.1", running.port))
     named = {"Host": f"127.0.0.1:{running.port}", "Upgrade": "websocket",
              "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
              "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", **headers}
@@ -441,6 +445,64 @@ def test_a_ninth_client_is_told_that_there_is_no_place(served):
             assert link.getresponse().status == 200
         assert ask(served, "/stream.mjpg")[0] == 503
         assert ask(served, "/status")[0] == 200
+
+
+def places(running):
+    free = []
+    while running.clients.acquire(blocking=False):
+        free.append(1)
+    for _ in free:
+        running.clients.release()
+    return len(free)
+
+
+@pytest.mark.parametrize("how", ["gone", "slow"])
+def test_a_client_that_is_gone_or_takes_nothing_gives_its_place_back(
+        recording, how, monkeypatch):
+    monkeypatch.setattr("pdavis_cv.viewer.handler.PATIENCE_S", 1.0)
+    monkeypatch.setattr("pdavis_cv.viewer.handler.POLL_S", 0.01)
+    all_of_them = b'{"panes": ["s0", "aop", "dolp", "events"]}'
+    with serve(recording, port=0, **OPTIONS) as running:
+        link, file, _ = opened(running)
+        player = socket.create_connection(("127.0.0.1", running.port), PATIENCE_S)
+        player.sendall(b"GET /stream.mjpg HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert player.recv(1)
+        assert places(running) == 6
+        if how == "gone":
+            for one in (file, link, player):
+                one.close()
+        else:               # until what it is sent fills the buffers between
+            player.close()
+            link.settimeout(0.05)
+            with contextlib.suppress(OSError):
+                while True:
+                    sent(link, all_of_them)
+        until_s = time.monotonic() + PATIENCE_S
+        while places(running) < 8:
+            assert time.monotonic() < until_s
+            time.sleep(0.05)
+        for one in (file, link, player):
+            one.close()
+        assert ask(running, "/status")[0] == 200
+
+
+@pytest.mark.gate
+def test_a_thousand_connections_leave_the_server_alive(served):
+    links = [socket.create_connection(("127.0.0.1", served.port), PATIENCE_S)
+             for _ in range(250)]
+    for _ in range(3):          # a thousand, a quarter of them open at a time
+        for link in links:
+            link.close()
+        links = [socket.create_connection(("127.0.0.1", served.port), PATIENCE_S)
+                 for _ in range(250)]
+    for link in links:
+        link.close()
+    until_s = time.monotonic() + PATIENCE_S
+    while True:
+        with contextlib.suppress(ConnectionError, http.client.HTTPException):
+            assert ask(served, "/status")[0] == 200
+            break
+        assert time.monotonic() < until_s
 
 
 def test_closing_ends_streams_and_threads(recording):
