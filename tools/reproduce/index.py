@@ -87,7 +87,7 @@ def write_index(stem: Path, figures: Sequence[tuple[str, str, Settings]]) -> Non
             f"{glob.escape(stem.name)}-{name}*.png"))
         caption = (f"<b>{html.escape(name)}</b>: "
                    f"{html.escape(_CAPTIONS.get(name, what + '.'))} "
-                   f"{html.escape(_of(settings))} <code>pdavis reproduce {name}"
+                   f"{html.escape(_of(name, settings))} <code>pdavis reproduce {name}"
                    f"{' --quick' if settings.quick else ''}</code>, pdavis_cv "
                    f"{__version__}. <a href=\"{html.escape(stem.name)}-{name}.md\">"
                    f"Numbers</a>, <a href=\"{html.escape(stem.name)}-{name}.csv\">table"
@@ -167,8 +167,15 @@ def write_html(stem: Path, title: str, body: str) -> None:
         unfinished.write_text(text, encoding="utf-8")
 
 
-def _of(settings: Settings) -> str:
-    """Say of which specimens the figures are."""
-    cameras = ", ".join(settings.cameras or ("nominal",))
+# Of what else than the cameras asked for a figure is.
+_CAMERAS = {"transfer": "ideal, without noise and mismatch",
+            "robustness": "nominal and davis346, changed as each line says"}
+
+
+def _of(name: str, settings: Settings) -> str:
+    """Say of which cameras and specimens a figure is."""
+    cameras = _CAMERAS.get(name, ", ".join(settings.cameras or ("nominal",)))
+    if name == "transfer":
+        return f"Cameras {cameras}."
     return (f"Cameras {cameras}; {settings.told_specimens}; an image every "
             f"{settings.step_us} us.")
