@@ -241,6 +241,9 @@ cdef inline bint renewed(const known_t* k, Py_ssize_t at, lanes_t* lanes, Py_ssi
     """Enter a pixel in its lane; False if it shows what no lane can say."""
     cdef walk_t walk
     cdef const state_t* s = &k.states[at]
+    cdef int32_t first = k.tracks[at].first
+    if first >= 0 and k.t < k.store[first].t <= k.known:
+        return False        # the usual case of those below
     walk_to(&walk, k.t, k.store, &k.tracks[at], k.tuning.refractory_us)
     if (is_hot(s) or (walk.next >= 0 and k.store[walk.next].t <= k.known)
             or (k.known > k.t and k.tuning.holds_part > 0.0)):

@@ -177,3 +177,20 @@ def test_files_of_events_that_are_timed_hold_the_events(name, tmp_path):
     write(tmp_path / "x", events)
     with open_recording(tmp_path / "x", **options) as recording:
         np.testing.assert_array_equal(recording.events(), events)
+
+
+def test_streams_are_timed_by_packets_threads_and_pixels(monkeypatch, capsys):
+    monkeypatch.setattr("pdavis_cv.tools.bench.streams.SIZES", ((16, 16),))
+    monkeypatch.setattr("pdavis_cv.tools.bench.streams.STREAM_RATE", 1e5)
+    assert bench.main(["image-pixels", "latency", "--pairs", "2", "--json"]) in (0, 1)
+    report = json.loads(capsys.readouterr().out)
+    assert [(r["case"], r["goal"]) for r in report["results"]] == [
+        ("image-pixels", 10), ("latency", 40), ("latency", 40)]
+    assert all(r["candidate"] > r["floor"] > 0 for r in report["results"])
+
+
+def test_images_of_two_threads_equal_those_of_one(monkeypatch):
+    compared = next(CASES["threads"].comparisons())
+    compared.check()
+    assert compared.candidate() > 0
+    assert compared.name == "kalman, 0.033 Mev/s"

@@ -26,6 +26,7 @@ from . import (  # noqa: F401  # they register their cases
     kalman,
     network,
     simulate,
+    streams,
     usb,
 )
 from .cases import CASES, Case, Comparison

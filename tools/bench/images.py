@@ -19,7 +19,7 @@ from pdavis_cv.sensor import Layout
 
 from .cases import CASES, SHAPE, Case, Comparison, mosaic_input
 
-__all__ = ["IMAGES", "endless"]
+__all__ = ["IMAGES", "endless", "shown"]
 
 FRAME_US, EXPOSURE_US, READOUT_US = 40_000, 8_000, 12_000
 PACKET_EVENTS = 10_000
@@ -86,8 +86,8 @@ def _fusion(rate: float, fps: float, options: dict[str, Any], **more: Any) -> Fu
         fps=fps, thresholds=(0.2, 0.2), **more), **options)
 
 
-def _shown(image: PolarFrame) -> PolarFrame:
-    """Have computed what is timed."""
+def shown(image: PolarFrame) -> PolarFrame:
+    """Return the image, after what is timed of it has been computed."""
     assert image.aop.shape == image.dolp.shape
     return image
 
@@ -106,7 +106,7 @@ def _images(name: str) -> Iterator[Comparison]:
     def check() -> None:
         one, two = (_fusion(33e3, 100.0, options, threads=n) for n in (1, 2))
         for _ in range(3):
-            np.testing.assert_array_equal(_shown(next(one)).aop, next(two).aop)
+            np.testing.assert_array_equal(shown(next(one)).aop, next(two).aop)
 
     for rate in RATES:
         for fps in (1000.0, 50.0):
@@ -119,7 +119,7 @@ def _images(name: str) -> Iterator[Comparison]:
                 n = 40 if fps > 100 else 2  # a whole period of frames
                 start = thread_time()
                 for _ in range(n):
-                    _shown(next(fusion))
+                    shown(next(fusion))
                 return (thread_time() - start) / n
 
             yield Comparison(

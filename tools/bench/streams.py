@@ -1,0 +1,173 @@
+"""What `pdavis bench` times of streams: images in time, and by threads."""
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from statistics import median
+from time import perf_counter, process_time, thread_time
+from typing import Any
+
+import numpy as np
+
+from pdavis_cv._workers import usable_cores
+from pdavis_cv.data import example_recording
+from pdavis_cv.fusion import FusionOptions
+from pdavis_cv.fusion.engine import Fusion
+from pdavis_cv.polarimetry import polarization
+from pdavis_cv.recording.open import open_recording
+from pdavis_cv.sensor import Layout
+
+from .cases import SHAPE, Comparison, case, mosaic_input
+from .images import IMAGES, endless, shown
+
+__all__ = ["SIZES"]
+
+SIZES = ((64, 64), (128, 128), SHAPE, (480, 640), (720, 1280))
+"""Heights and widths of sensors."""
+
+EVENTS_PER_PIXEL = 33e3 / (SHAPE[0] * SHAPE[1])
+"""Per second: those of the slow scene that images are judged by."""
+
+STREAM_RATE = 1e6
+"""Events per second of the stream whose images must not be late."""
+
+
+def _chain(shape: tuple[int, int]) -> Callable[[], float]:
+    """Return what times the chain from mosaic to AoP and DoLP."""
+    mosaic = mosaic_input(shape, Layout.PDAVIS, 0.7, 0.6).astype(np.float32)
+    out = (np.empty(shape, np.float32), np.empty(shape, np.float32))
+
+    def floor() -> float:
+        start = thread_time()
+        for _ in range(10):
+            polarization(mosaic, Layout.PDAVIS, out=out)
+        return (thread_time() - start) / 10
+    return floor
+
+
+def _fusion(
+    method: str, rate: float, fps: float, shape: tuple[int, int] = SHAPE,
+    threads: int = 1,
+) -> Fusion:
+    """Return images of a stream, a second after its beginning."""
+    fusion = Fusion(endless(rate, shape), FusionOptions(
+        fps=fps, thresholds=(0.2, 0.2), threads=threads), **IMAGES[method][0])
+    while fusion.index < fps:
+        fusion.advance()
+    return fusion
+
+
+def _same(one: Callable[[], Fusion], two: Callable[[], Fusion]) -> None:
+    """Check that both make the same images."""
+    for mine, other in zip(*(
+            [next(fusion) for _ in range(2)] for fusion in (one(), two())),
+            strict=True):
+        np.testing.assert_array_equal(shown(mine).aop, other.aop)
+
+
+def _milliseconds(seconds: float) -> float:
+    return 1e3 * seconds
+
+
+@case("image-pixels", "an image of kalman by pixels, CPU, against mosaic to AoP", 10,
+      by_time=True)
+def _by_pixels() -> Iterator[Comparison]:
+    for shape in SIZES:
+        make = partial(_fusion, "kalman", EVENTS_PER_PIXEL * shape[0] * shape[1], 1e3,
+                       shape)
+        fusion = make()
+
+        def candidate(fusion: Fusion = fusion) -> float:
+            n = 40      # a whole period of frames
+            start = thread_time()
+            for _ in range(n):
+                shown(next(fusion))
+            return (thread_time() - start) / n
+
+        yield Comparison(
+            f"{shape[1]}x{shape[0]}", partial(_same, make, make), candidate,
+            _chain(shape), _milliseconds, "ms", judged=shape == SHAPE)
+
+
+@case("latency", "a causal image after a packet's last event, CPU, against the chain",
+      40, by_time=True)
+def _latency() -> Iterator[Comparison]:
+    # An image every 10 ms, the span of a packet: each takes one packet, and shows it.
+    make = partial(_fusion, "causal", STREAM_RATE, 100.0)
+    fusion = make()
+
+    def one() -> float:
+        start = thread_time()
+        shown(next(fusion))
+        return thread_time() - start
+
+    # Images of two periods of frames: most come without one, the slowest with one.
+    for name, which in (("1 Mev/s, median", median), ("1 Mev/s, with a frame", max)):
+        def candidate(which: Callable[[list[float]], float] = which) -> float:
+            return which([one() for _ in range(8)])
+
+        yield Comparison(name, partial(_same, make, make), candidate, _chain(SHAPE),
+                         _milliseconds, "ms", judged=which is median)
+
+
+@case("first-image", "learning and the first image, CPU, against the chain", 4000,
+      by_time=True)
+def _first_image() -> Iterator[Comparison]:
+    files = {"simulated fan": example_recording("fan")}
+    if folder := os.environ.get("PDAVIS_TEST_DATA"):
+        files["davis346"] = Path(folder, "davis346.aedat4")
+    for name, path in files.items():
+        def first(path: Path = path) -> Any:
+            with open_recording(path) as recording:
+                return shown(next(Fusion(recording, layout=Layout.PDAVIS)))
+
+        def candidate(first: Callable[[], Any] = first) -> float:
+            start = process_time()
+            first()
+            return process_time() - start
+
+        def check(first: Callable[[], Any] = first) -> None:
+            np.testing.assert_array_equal(first().aop, first().aop)
+
+        yield Comparison(name, check, candidate, _chain(SHAPE), _milliseconds, "ms",
+                         judged=name == "davis346")
+
+
+@contextlib.contextmanager
+def _every_core() -> Iterator[None]:
+    """Let this thread, and those that it starts, run on all cores."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+@case("threads", "images of kalman with two threads, wall time, against one", 1.7)
+def _threads() -> Iterator[Comparison]:
+    def images(fusion: Fusion, n: int) -> float:
+        with _every_core():
+            start = perf_counter()
+            for _ in range(n):
+                shown(next(fusion))
+            return (perf_counter() - start) / n
+
+    with _every_core():
+        cores = usable_cores()
+    for method, rate in (("kalman", 33e3), ("kalman", 1e6), ("offline", 33e3)):
+        make = partial(_fusion, method, rate, 1e3)
+        with _every_core():
+            one, two = make(), make(threads=2)
+
+        yield Comparison(
+            f"{method}, {rate / 1e6:g} Mev/s", partial(
+                _same, make, partial(make, threads=2)),
+            partial(images, two, 40), partial(images, one, 40), _milliseconds, "ms",
+            judged=cores > 1 and (method, rate) == ("kalman", 33e3))
