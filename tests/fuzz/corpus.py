@@ -194,10 +194,24 @@ def http(make):
             b"Content-Length: %d\r\n\r\n%s")
     bodies = (b'{"do": "seek", "value": 1}', b'{"do": "roi", "value": [2, 2, 8, 6]}',
               b'{"do": "method", "value": "cf"}', b'{"do": "speed", "value": 2.5}')
-    return [b"GET /status?ramp" + host + b"\r\n", b"GET /" + host + b"\r\n",
+    return [b"GET /status?palettes" + host + b"\r\n", b"GET /" + host + b"\r\n",
             b"GET /frame?panes=aop,s0&after=0&region=1,2,5,4" + host + b"\r\n",
             b"GET /snapshot.npz?token=abc" + host + b"Origin: http://localhost\r\n\r\n",
-            *(json % (len(body), body) for body in bodies)]
+            *(json % (len(body), body) for body in bodies), *sockets(host)]
+
+
+def sockets(host):
+    """Return WebSockets of a page that asks for images."""
+    head = (b"GET /images" + host + b"Upgrade: websocket\r\nConnection: Upgrade\r\n"
+            b"Sec-WebSocket-Version: 13\r\n"
+            b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n")
+    mask = bytes((7, 11, 13, 17))
+    asked = (b'{"after": 0, "panes": ["s0", "aop"], "id": 1}',
+             b'{"panes": ["events"], "region": [1, 2, 3, 4]}')
+    texts = [bytes((0x81, 0x80 | len(text))) + mask + bytes(
+        byte ^ mask[i % 4] for i, byte in enumerate(text)) for text in asked]
+    return [head + texts[0], head + texts[0] + b"\x89\x80" + mask + texts[1],
+            head + texts[1] + b"\x88\x80" + mask]
 
 
 def aedat4_packets(data):
