@@ -54,8 +54,8 @@ class StateTransfer:
     clock_us: int = 0
 
 
-class InOrderState:
-    """A method that is fed in time order, each frame at its mid-exposure.
+class _MethodState:
+    """A method, the window that it computes, and the self-calibration.
 
     Parameters
     ----------
@@ -71,28 +71,6 @@ class InOrderState:
     ) -> None:
         self.method, self.window, self.camera = method, window, camera
         self.fed_us: int | None = None
-
-    def add_events(self, events: NDArray[Any]) -> None:
-        """Add events of the whole sensor."""
-        if self.camera is not None:
-            self.camera.add_events(events)
-        inside = self.window.events(events)
-        if len(inside):
-            self.method.add_events(inside)
-
-    def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
-        """Add a corrected frame of the whole sensor.
-
-        Parameters
-        ----------
-        frame : ApsFrame
-        clock_us : int
-            Added to its exposure times for the method; the camera learns the clock's
-            offset and gets the frame unchanged.
-        """
-        if self.camera is not None:
-            self.camera.add_frame(frame)
-        self.method.add_frame(self.window.frame(frame.moved(clock_us)))
 
     def add_wave(self, wave: Wave) -> None:
         """Add the lamp's flicker."""
@@ -115,6 +93,41 @@ class InOrderState:
     def snapshot(self) -> Snapshot:
         """Return the method's state after everything up to `fed_us`."""
         return self.method.snapshot()
+
+
+class InOrderState(_MethodState):
+    """A method that is fed in time order, each frame at its mid-exposure.
+
+    Parameters
+    ----------
+    method : Reconstructor
+        A method for the size of the window.
+    window : Window
+    camera : SelfCalibration, optional
+        Is fed the same events and frames, of the whole sensor.
+    """
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Add events of the whole sensor."""
+        if self.camera is not None:
+            self.camera.add_events(events)
+        inside = self.window.events(events)
+        if len(inside):
+            self.method.add_events(inside)
+
+    def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
+        """Add a corrected frame of the whole sensor.
+
+        Parameters
+        ----------
+        frame : ApsFrame
+        clock_us : int
+            Added to its exposure times for the method; the camera learns the clock's
+            offset and gets the frame unchanged.
+        """
+        if self.camera is not None:
+            self.camera.add_frame(frame)
+        self.method.add_frame(self.window.frame(frame.moved(clock_us)))
 
     @property
     def committed_us(self) -> int | None:
@@ -140,7 +153,7 @@ class InOrderState:
         self.restore(transfer.snapshot, transfer.fed_us, transfer.committed_us)
 
 
-class ArrivalState:
+class ArrivalState(_MethodState):
     """A method that takes late frames, fed in the order of arrival.
 
     Only the self-calibration is fed in time order: the events since the last frame's
@@ -168,9 +181,8 @@ class ArrivalState:
     def __init__(
         self, method: Reconstructor, window: Window, camera: SelfCalibration | None
     ) -> None:
-        self.method, self.window, self.camera = method, window, camera
+        super().__init__(method, window, camera)
         self.clock_us = 0
-        self.fed_us: int | None = None
         self.committed_us: int | None = None
         self._pending: deque[NDArray[Any]] = deque()   # events after committed_us
 
@@ -202,28 +214,6 @@ class ArrivalState:
         if self.camera is not None:
             self.camera.add_frame(frame)
         self._apply_frame(self.window.frame(frame.moved(self.clock_us)))
-
-    def add_wave(self, wave: Wave) -> None:
-        """Add the lamp's flicker."""
-        if self.camera is not None:
-            self.camera.add_wave(wave)
-        self.method.add_wave(wave)
-
-    def mark_fed(self, t_us: int) -> None:
-        """Note that everything that arrived up to t_us, inclusive, has been fed."""
-        self.fed_us = t_us if self.fed_us is None else max(self.fed_us, t_us)
-
-    def settle(self, t_us: int) -> None:
-        """Let the method do what is due when all data up to t_us have been fed."""
-        self.method.settle(t_us)
-
-    def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Change parameters of the method, given for the whole sensor, from t_us on."""
-        self.method.retune(**self.window.planes(learned))
-
-    def snapshot(self) -> Snapshot:
-        """Return the method's state after everything up to `fed_us`."""
-        return self.method.snapshot()
 
     def restore(
         self, snapshot: Snapshot, fed_us: int | None, committed_us: int | None
