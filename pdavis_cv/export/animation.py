@@ -6,13 +6,13 @@ import itertools
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.provenance import embed
 from pdavis_cv.export.video import VideoFile
 from pdavis_cv.render import opencv
@@ -31,7 +31,7 @@ _GIF_DITHERED = 8   # IMWRITE_GIF_QUALITY, 1..8: without dither, 256 colours sho
 _GIF_OWN_COLOURS = 1    # IMWRITE_GIF_COLORTABLE: a table for each picture
 
 
-class AnimationFile:
+class AnimationFile(SeriesFile):
     """Write a looping animation for slides and web pages; it is encoded at the end.
 
     Parameters
@@ -125,21 +125,6 @@ class AnimationFile:
         self._part.write_bytes(bytes(data))
         if self.facts is not None:
             embed(self._part, self.facts)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if error is None:
-            try:
-                self._finish()
-            except BaseException as failure:
-                self._stack.__exit__(type(failure), failure, failure.__traceback__)
-                raise
-        self._stack.__exit__(kind, error, traceback)
 
 
 def moving_file(

@@ -4,18 +4,18 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv.export.files import SeriesFile
 
 __all__ = ["ArrayFile"]
 
 
-class ArrayFile:
+class ArrayFile(SeriesFile):
     """Write an NPY file of unknown length, image by image, in bounded memory.
 
     Parameters
@@ -72,18 +72,6 @@ class ArrayFile:
             "descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False,
             "shape": (self.count, *shape)})
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if error is None:
-            try:
-                self._file.seek(0)
-                self._write_header()
-            except BaseException as failure:
-                self._stack.__exit__(type(failure), failure, failure.__traceback__)
-                raise
-        self._stack.__exit__(kind, error, traceback)
+    def _finish(self) -> None:
+        self._file.seek(0)
+        self._write_header()

@@ -1,16 +1,57 @@
-"""Write JSON."""
+"""JSON files, and the base of files that are written image by image."""
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 
 from pdavis_cv._beside import write_beside
 
-__all__ = ["plain", "write_json"]
+__all__ = ["SeriesFile", "plain", "write_json"]
+
+
+class SeriesFile(ABC):
+    """Base of files that are written image by image in a ``with`` block.
+
+    The file is completed at the end of the block; after an error it is removed.
+
+    Attributes
+    ----------
+    _stack : ExitStack
+        Holds what has to be closed, `write_beside` first.
+    """
+
+    _stack: contextlib.ExitStack
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Complete the file."""
+
+    def _abandon(self) -> None:  # noqa: B027  an optional hook
+        """Prepare for the removal of the file after an error in the block."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            try:
+                self._finish()
+            except BaseException as failure:
+                self._stack.__exit__(type(failure), failure, failure.__traceback__)
+                raise
+        else:
+            self._abandon()
+        self._stack.__exit__(kind, error, traceback)
 
 
 def write_json(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:

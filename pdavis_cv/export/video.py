@@ -8,13 +8,13 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.provenance import embed, embed_png
 from pdavis_cv.render import even, opencv, png_of
 
@@ -30,7 +30,7 @@ _MOST_FPS = {".webm": 1000, ".mp4": 60_000, ".m4v": 60_000, ".mkv": 1000, ".avi"
 """Highest frame rate of each container, as measured."""
 
 
-class VideoFile:
+class VideoFile(SeriesFile):
     """Write a colour video, picture by picture.
 
     While it is open, OpenCV's log is silenced.
@@ -188,30 +188,17 @@ class VideoFile:
         if self.facts is not None:
             embed(self._part, self.facts)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if error is None:
-            try:
-                self._finish()
-            except BaseException as failure:
-                self._stack.__exit__(type(failure), failure, failure.__traceback__)
-                raise
-        elif self._writer is not None:
-            with contextlib.suppress(Exception):  # the first error is the one to tell
+    def _abandon(self) -> None:
+        if self._writer is not None:
+            with contextlib.suppress(Exception):  # the error in the block is reported
                 self._wait()
             self._writer.release()
-        self._stack.__exit__(kind, error, traceback)
 
 
 class _Silence:
-    """Keeps OpenCV from a line of its own for each failure; one of ours says it.
+    """Silence OpenCV's own messages about failures, which this library reports.
 
-    For several videos at a time too: OpenCV's level returns with the end of the last.
+    Several videos may be open at a time: the level is restored at the end of the last.
     """
 
     def __init__(self) -> None:
