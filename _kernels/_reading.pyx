@@ -258,13 +258,14 @@ cdef inline bint renewed(const known_t* k, Py_ssize_t at, lanes_t* lanes, Py_ssi
 
 
 cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* pixels,
-                      Py_ssize_t begin, Py_ssize_t end, Py_ssize_t n,
+                      Py_ssize_t begin, Py_ssize_t end, Py_ssize_t n, bint mixed,
                       Py_ssize_t first, Py_ssize_t last, uint8_t* flags,
                       lanes_t* lanes, float* planes, Py_ssize_t size,
                       const images_t* out) noexcept nogil:
     """Write what the listed pixels begin <= i < end show, if they lie in [first, last).
 
-    All are of one group; n is the length of the list, size that of the image.
+    All are of one group; n is the length of the list, size that of the image.  mixed:
+    some may lie outside, whose lanes another thread may be writing.
     """
     cdef shown_t group
     cdef uint8_t[LANES] done
@@ -280,7 +281,16 @@ cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* p
                 k, at, lanes, lane, &flags[at]):
             show_one(k, at, out)
             done[lane] = 1
-    show_lanes(lanes, &group, reader, begin - base, end - base)
+    if not mixed:
+        show_lanes(lanes, &group, reader, begin - base, end - base)
+    i = begin
+    while mixed and i < end:
+        at = i
+        while i < end and not done[i - base]:
+            i += 1
+        if i > at:
+            show_lanes(lanes, &group, reader, at - base, i - base)
+        i += 1
     for i in range(begin, end):
         at = pixels[i]
         lane = i - base
@@ -400,12 +410,12 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
         end = found(pixels, ordered, last)
         while i < end:
             stop = min(i // LANES * LANES + LANES, end)
-            show_listed(&k, &reader, &pixels[0], i, stop, n, first, last, flag,
+            show_listed(&k, &reader, &pixels[0], i, stop, n, False, first, last, flag,
                         kept + i // LANES, plane, h * w, &out)
             i = stop
         i = ordered
         while i < n:
             stop = min(i // LANES * LANES + LANES, n)
-            show_listed(&k, &reader, &pixels[0], i, stop, n, first, last, flag,
+            show_listed(&k, &reader, &pixels[0], i, stop, n, True, first, last, flag,
                         kept + i // LANES, plane, h * w, &out)
             i = stop
