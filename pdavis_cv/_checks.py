@@ -11,7 +11,7 @@ __all__ = ["MOST_SIDE", "checked_threshold", "output", "outputs", "plain",
            "positive", "sensor_shape", "whole_number"]
 
 MOST_SIDE = 65_536
-"""Of a sensor, pixels: coordinates of events have 16 bits."""
+"""Largest side of a sensor, pixels: coordinates of events have 16 bits."""
 
 
 def output(

@@ -1,4 +1,4 @@
-"""PolarFrame: an image of polarization, and a mosaic turned into one."""
+"""PolarFrame, an image of polarization, and `polarization`, which makes one."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -31,19 +31,19 @@ __all__ = ["PolarFrame", "polarization"]
 
 
 class PolarFrame:
-    """Four polarization channels at one time, and what follows from them.
+    """Four polarization channels at one time, with the quantities derived from them.
 
-    It owns its memory for ever: later images never change an earlier one.  All
-    arrays are read-only.  Stokes parameters, angle and degree are computed at first
-    use and kept; threads may share a PolarFrame.
+    It owns its memory: later images never change an earlier one.  All arrays are
+    read-only.  Stokes parameters, angle and degree are computed at first use and
+    cached; threads may share a PolarFrame.
 
     Parameters
     ----------
     quad : array_like, shape (4, H, W)
         I0, I45, I90, I135 in ``CHANNELS`` order, linear intensity (DN per ms of
-        exposure where the exposure is known); copied to float32.
+        exposure if the exposure is known); copied to float32.
     valid : ndarray of bool, shape (H, W), optional
-        True = usable; default: everything.
+        True = usable; default: all.
     t_us : int, optional
         Time of the image on the recording's clock.
     frame_us : int, optional
@@ -55,19 +55,20 @@ class PolarFrame:
     variance : array_like, shape (4, H, W), optional
         Variance of the natural log of each of the four intensities.
     provenance : mapping of str to object, optional
-        How the image came about.
+        Software, options and parameters that made the image.
     quality : array_like of shape (H, W), optional
-        How well the method's assumptions hold, 0 (well) to 1.
+        Violation of the method's assumptions, 0 (none) to 1.
     reconciled : bool
-        ``quad`` was moved by weighted least squares onto what Stokes parameters can
-        give; ``variance`` is that of before, and sigmas are smaller for it.
+        Whether ``quad`` was adjusted by weighted least squares to be consistent with
+        three Stokes parameters.  ``variance`` is that before the adjustment; sigmas
+        account for it.
 
     Raises
     ------
     TypeError
         If ``quad`` does not hold real numbers or ``valid`` is not bool.
     ValueError
-        If shapes do not fit, ``extinction_ratio`` is not greater than 1 or is given
+        If shapes do not match, ``extinction_ratio`` is not greater than 1 or is given
         together with ``analyser``.
 
     Examples
@@ -136,11 +137,11 @@ class PolarFrame:
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
     ) -> Self:
-        """Make a PolarFrame that takes the arrays over instead of copying them.
+        """Make a PolarFrame that takes ownership of the arrays without copying them.
 
-        Parameters are those of the class.  ``quad``, ``variance`` and ``quality`` must
-        be C-contiguous float32, ``valid`` C-contiguous bool; they become read-only,
-        and nobody else may hold on to their memory.
+        The parameters are those of the class.  ``quad``, ``variance`` and ``quality``
+        must be C-contiguous float32, ``valid`` C-contiguous bool.  They become
+        read-only, and no other code may keep references to their memory.
         """
         for name, array, dtype in (("quad", quad, np.float32),
                                    ("valid", valid, np.bool_),
@@ -169,15 +170,15 @@ class PolarFrame:
         provenance: Mapping[str, Any] | None = None,
         quality: NDArray[np.float32] | None = None,
     ) -> Self:
-        """Make a PolarFrame of a mosaic, bilinearly, when it is asked for the result.
+        """Make a PolarFrame from a mosaic, by bilinear interpolation at first use.
 
-        Angle and degree then come in one pass from the mosaic's pixels.
+        Angle and degree are then computed in one pass from the mosaic's pixels.
 
         Parameters
         ----------
         mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
-            Linear intensity, C-contiguous, sides at least 2; becomes read-only, and
-            nobody else may hold on to its memory.
+            Linear intensity, C-contiguous, sides at least 2; becomes read-only, and no
+            other code may keep a reference to its memory.
         layout : Layout
             Polarizer in front of each pixel.
         valid : ndarray of bool, optional
@@ -200,7 +201,7 @@ class PolarFrame:
     def retimed(
         self, t_us: int, frame_us: int | None, provenance: Mapping[str, Any]
     ) -> Self:
-        """Return the same image of another time; what one computes, both have.
+        """Return the same image for another time; both share cached quantities.
 
         Parameters
         ----------
@@ -236,7 +237,7 @@ class PolarFrame:
         reconciled: bool = False,
     ) -> None:
         self._quad, self._mosaic, self._reconciled = quad, mosaic, reconciled
-        self._origin = None     # computes what this one is asked for
+        self._origin = None     # the image whose cached quantities this one uses
         self._aop_dolp = self._sigmas = self._stokes = self._usable = None
         if quad is not None and (quad.ndim != 3 or quad.shape[0] != 4):
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
@@ -287,20 +288,20 @@ class PolarFrame:
 
     @property
     def provenance(self) -> Mapping[str, Any]:
-        """How the image came about; read-only."""
+        """Software, options and parameters that made the image; read-only."""
         return MappingProxyType(self._provenance)
 
     @property
     def variance(self) -> NDArray[np.float32] | None:
-        """Variance of the log of each intensity, shape (4, H, W), where it is known."""
+        """Variance of the log of each intensity, shape (4, H, W); None if unknown."""
         return self._variance
 
     @property
     def quality(self) -> NDArray[np.float32] | None:
-        """How well the method's assumptions hold, 0 (well) to 1, shape (H, W).
+        """Violation of the method's assumptions, 0 (none) to 1, shape (H, W).
 
-        With ``events`` and ``offsets="redundancy"``: the ratio of the two smallest
-        eigenvalues, 1 where nothing is known.  None for methods that cannot tell.
+        For ``events`` with ``offsets="redundancy"``, it is the ratio of the two
+        smallest eigenvalues, 1 where they are unknown.  None for other methods.
         """
         return self._quality
 
@@ -331,7 +332,7 @@ class PolarFrame:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """True = usable: what was given, and S0 > 0; shape (H, W)."""
+        """True = usable: the given `valid`, and S0 > 0; shape (H, W)."""
         if self._usable is None:
             positive = self.s0 > 0
             usable = positive if self._valid is None else positive & self._valid
@@ -340,15 +341,15 @@ class PolarFrame:
 
     @property
     def given_valid(self) -> NDArray[np.bool_] | None:
-        """`valid` before S0 > 0 is asked for; None if everything was."""
+        """The given `valid`, without the condition S0 > 0; None if none was given."""
         return self._valid
 
     @property
     def sigma_aop(self) -> NDArray[np.float32] | None:
         """Standard deviation of AoP in radians, shape (H, W); None without variance.
 
-        First-order propagation of four independent errors; too small where DoLP is
-        itself uncertain, and never above pi / sqrt(12), that of an unknown angle.
+        First-order propagation of four independent errors.  It is too small where DoLP
+        itself is uncertain, and at most pi / sqrt(12), the value for a random angle.
         """
         sigmas = self._propagated()
         return None if sigmas is None else sigmas[0]
@@ -358,17 +359,17 @@ class PolarFrame:
         """Standard deviation of DoLP, shape (H, W); None without variance.
 
         First-order propagation of four independent errors; infinite where S0 is not
-        positive.  A DoLP near 0 is biased upwards by about as much:
-        `dolp_debiased` is not.
+        positive.  A DoLP near 0 is biased upwards by about one sigma; `dolp_debiased`
+        corrects that.
         """
         sigmas = self._propagated()
         return None if sigmas is None else sigmas[1]
 
     @property
     def dolp_debiased(self) -> NDArray[np.float32] | None:
-        """DoLP without the noise's share, shape (H, W); None without variance.
+        """DoLP corrected for the bias by noise, shape (H, W); None without variance.
 
-        See `debias_dolp`.  Half of DoLP where nothing but noise can be told.
+        See `debias_dolp`.  It is half of DoLP where DoLP is much below its noise.
         """
         sigmas = self._propagated()
         if sigmas is None:
@@ -447,7 +448,7 @@ class PolarFrame:
 
     def _repr_png_(self) -> bytes | None:
         """Return a picture of S0, AoP and DoLP for notebooks; None without OpenCV."""
-        # By the package's lazy name: only a notebook needs the room above this one.
+        # Through the package's lazy attribute, as `render` is above this module.
         try:
             return pdavis_cv.render.png_of(pdavis_cv.render.summary(self))
         except ImportError:
@@ -467,7 +468,7 @@ def polarization(
     extinction_ratio: float | None = None,
     out: tuple[NDArray[np.float32] | None, NDArray[np.float32] | None] | None = None,
 ) -> PolarFrame:
-    """Turn a mosaic into a PolarFrame, in one pass from pixels to angle and degree.
+    """Make a PolarFrame from a mosaic.
 
     Parameters
     ----------
@@ -480,18 +481,18 @@ def polarization(
     extinction_ratio : float, optional
         S1 and S2 are multiplied by (ER + 1) / (ER - 1).
     out : tuple of two float32 arrays, shape of the result, optional
-        Receive AoP and DoLP at once; an entry may be None.  These two the frame
-        shares with the caller instead of owning them.
+        Receive AoP and DoLP immediately; an entry may be None.  The frame shares these
+        arrays with the caller.
 
     Returns
     -------
     PolarFrame
-        Without ``t_us``; computes what it is asked for.
+        Without ``t_us``; quantities are computed at first use.
 
     Raises
     ------
     TypeError, ValueError
-        As `pdavis_cv.demosaic` and `stokes` do.
+        As for `pdavis_cv.demosaic` and `stokes`.
     """
     pixels = checked_mosaic(mosaic)
     check_method(demosaic, pixels.shape)

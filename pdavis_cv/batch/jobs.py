@@ -28,7 +28,7 @@ _WITHOUT_EFFECT = frozenset({"threads"})
 
 
 class Work(Protocol):
-    """What is done with one recording: a function or another callable.
+    """A function, or another callable, that processes one recording.
 
     It must be picklable; a function must therefore be defined in a module.  If it has
     an attribute ``opens`` that is False, no recording is opened: it is called with the

@@ -308,7 +308,7 @@ class PlaneVideo(VideoFile):
 
     @property
     def scale(self) -> dict[str, float]:
-        """How to return to values: ``offset + step * code``."""
+        """Offset and step of the values, which are ``offset + step * code``."""
         step = (self.high - self.low) / 65534
         return {"offset": self.low - step, "step": step, "invalid_code": 0}
 

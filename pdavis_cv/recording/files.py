@@ -383,7 +383,7 @@ class FileRecording(Recording):
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """What was found wrong so far."""
+        """Problems found so far."""
         return self._log.problems
 
     def close(self) -> None:
