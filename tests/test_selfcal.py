@@ -16,7 +16,12 @@ from pdavis_cv.reconstruct.model import WAVE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal import SelfCalibration, window
 from pdavis_cv.selfcal.estimator import QUANTITIES
-from pdavis_cv.selfcal.likelihood import vertex
+from pdavis_cv.selfcal.likelihood import (
+    NORMAL,
+    evidence,
+    negative_log_likelihood,
+    vertex,
+)
 from pdavis_cv.selfcal.pixel_sample import (
     CANDIDATE_DTYPE,
     INNOVATIONS_DTYPE,
@@ -151,6 +156,34 @@ def test_many_candidates_find_the_same_as_each_alone(recording):
     together = sample.innovations(candidates)
     alone = [sample.innovations(candidates[i:i + 1])[0] for i in range(90)]
     assert together.tolist() == [each.tolist() for each in alone]
+
+
+def test_blocks_of_time_add_up_to_what_the_whole_sample_tells(recording):
+    sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
+    candidates = candidates_of([(250.0, 0.0), (0.0, 8.0)])
+    whole, parts = sample.innovations(candidates), sample.innovations_by_time(
+        candidates, 7)
+    for name in whole.dtype.names:
+        np.testing.assert_allclose(parts[name].sum(1), whole[name], rtol=1e-9)
+    half = sample.innovations_by_time(candidates, 2)["count"]
+    assert np.all(half > 0.3 * whole["count"][:, None])
+    gain, error = evidence(*parts)
+    assert gain == pytest.approx(np.diff(negative_log_likelihood(whole))[0])
+    assert 0 < error < np.inf
+
+
+def test_innovations_smaller_than_stated_are_little_evidence():
+    one, other = np.zeros((2, 4), INNOVATIONS_DTYPE)
+    for found, square in ((one, 0.05), (other, 0.06)):
+        found["count"], found["chi2"] = 50, 50 * square
+    scaled, _ = evidence(one, other, NORMAL)
+    assert scaled == pytest.approx(100 * np.log(1.2))
+    stated, error = evidence(one, other, NORMAL, least=1.0)
+    assert stated == pytest.approx(100 * 0.01)
+    assert error == 0
+    for found in (one, other):
+        found["chi2"] *= 100
+    assert evidence(one, other, NORMAL, least=1.0)[0] == pytest.approx(scaled)
 
 
 def test_frames_between_like_events_are_those_that_a_search_per_pixel_finds(recording):

@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv.selfcal.likelihood import (
     LONG_TAILED,
     NORMAL,
+    evidence,
     negative_log_likelihood,
     vertex,
 )
 from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
 from pdavis_cv.selfcal.priors import TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
 
-__all__ = ["Bandwidth", "combine_bandwidths", "fit_bandwidth", "least_cost_by_light"]
+__all__ = ["Bandwidth", "combine_bandwidths", "fit_bandwidth", "likeliest_by_light"]
 
 
 @dataclass(frozen=True)
@@ -103,19 +104,11 @@ _CURVATURE_INFLATION, _MODEL_SIGMA = 1.2, 0.016
 # a lag of dt = 0.3 ms * (72 Hz / r)^4, r = events per second and pixel.
 _TURN_LAG_S, _TURN_RATE_HZ, _TURN_POWER = 0.3e-3, 72.0, 4
 
-_LAW_EVIDENCE, _LAW_FALL = 20.0, 0.15
-"""By how much -ln L must fall for a bandwidth in proportion to the light to be
-preferred to a constant one: by 20, and the mean square of the innovations by .15,
-relatively.  What interpolation and de-blurring get wrong repeats in every frame, so
-the evidence that it fakes grows with their number: a fan's steps lower the mean square
-by up to .13; where pixels do follow it falls by .20 or more, but for the dimmest light
-(studies/selfcal_law.py)."""
-
-_SLOW_HZ, _SLOW_EVIDENCE = 150.0, 40.0
-"""Below this best constant, half the usual, a fall by 40 alone is enough, if bright
-pixels then have a usual bandwidth: a photoreceptor that slow is slow for want of light,
-which its bandwidth then follows (Lichtsteiner et al. 2008).  Of pixels whose bandwidth
-is constant and so low, a fan fakes evidence of up to 39 (studies/selfcal_law.py)."""
+_LAW_EVIDENCE = 8.0
+"""How much likelier, in ln L, a bandwidth in proportion to the light must be than a
+constant one (see `evidence`).  What interpolation and de-blurring get wrong fakes up to
+7 before a fan; where pixels do follow the light it is 41 or more, but for the dimmest
+light (studies/selfcal_law.py)."""
 
 _GRID_SHARES = np.array([0.0, 0.5, 0.8, 1.0])
 """Shares in proportion to the light at which -ln L is first evaluated."""
@@ -128,9 +121,17 @@ _COARSE_STEPS, _FINE_STEPS = 0.25 * np.arange(-3, 4), (0.25, 0.1)
 """Steps in ln hz about a minimum: those that find it, as slow pixels make it .2 wide,
 and of two parabolas with all pixels, the latter of which gives the curvature too."""
 
+_ROUGH = 2.0
+"""What -ln L must rise by on both sides of a parabola together for its curvature to
+count rather than that of a wider one: one sigma each.  Within less, its roughness, as
+one frame or another passes an event, decides; numerical."""
+
 _SHARE_STEP = 0.25
 """Step of the ln of dim light's corner frequency over bright light's, by which the
 share is refined."""
+
+_FINE_SHARES = 201
+"""Shares by which the posterior mean is summed up; numerical."""
 
 _DIM = 0.1
 """Log intensity changes fastest where the light is dim: a tenth of a bright pixel's."""
@@ -154,14 +155,12 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     """
     cost = _Cost(sample)
     least = cost.minima()
-    constant, best = least[0], min(least, key=lambda each: each.cost)
+    constant, best = least[0], min(least, key=_cost)
     # A law is applied beyond the light that told it, as where frames saturate:
     # without evidence for one the bandwidth is constant.
-    slow = constant.ln_hz < math.log(_SLOW_HZ) and _is_usual(best.ln_hz)
-    enough = _SLOW_EVIDENCE if slow else max(
-        _LAW_EVIDENCE, _LAW_FALL * cost.count / 2)
-    if constant.cost - best.cost < enough:
-        best = constant
+    if best.share > 0:
+        best = constant if cost.evidence(best, constant) < _LAW_EVIDENCE else (
+            cost.with_mean_share(least))
     hz, slope = _law(best.share, best.ln_hz, sample.bright)
     at = _DIM * sample.bright
     lag_s = _TURN_LAG_S * (_TURN_RATE_HZ / max(sample.events_per_s, 1.0)) ** _TURN_POWER
@@ -170,19 +169,28 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     return Bandwidth(float(hz), float(slope), at, min(sigma, _LN_HZ_SIGMA))
 
 
-def least_cost_by_light(sample: PixelSample) -> float:
-    """Return the least -ln L of pixels whose bandwidth follows the light.
+def likeliest_by_light(
+    sample: PixelSample,
+) -> tuple[float, tuple[float, float] | None]:
+    """Return the least -ln L of pixels whose bandwidth follows the light, and a law.
 
-    With long tails, as that of the clocks' offset.  Infinite if a constant is likelier,
-    or if bright pixels' corner frequency would be more than 3 standard deviations from
-    what is usual.
+    Innovations have long tails, as in the fit of the clocks' offset.  -ln L is infinite
+    if a constant is likelier, or if bright pixels' corner frequency would be more than
+    3 standard deviations from what is usual.  The law, (hz, hz_per_intensity), is the
+    likeliest of those that are usual; None if none is.
 
     Parameters
     ----------
     sample : PixelSample
     """
-    best = min(_Cost(sample, LONG_TAILED).minima(), key=_cost)
-    return best.cost if best.share > 0 and _is_usual(best.ln_hz) else math.inf
+    found = _Cost(sample, LONG_TAILED).minima()
+    likely = [each for each in found if each.share > 0 and _is_usual(each.ln_hz)]
+    if not likely:
+        return math.inf, None
+    best = min(likely, key=_cost)
+    hz, slope = _law(best.share, best.ln_hz, sample.bright)
+    least = best.cost if best.cost <= min(map(_cost, found)) else math.inf
+    return least, (float(hz), float(slope))
 
 
 class _Minimum(NamedTuple):
@@ -198,6 +206,23 @@ def _cost(each: _Minimum) -> float:
     return each.cost
 
 
+def _by_share(found: Sequence[_Minimum]) -> list[_Minimum]:
+    """Return the likeliest of each share, in order of the share."""
+    best: dict[float, _Minimum] = {}
+    for each in sorted(found, key=_cost, reverse=True):
+        best[each.share] = each
+    return [best[share] for share in sorted(best)]
+
+
+def _between(known: Sequence[_Minimum], share: float) -> float:
+    """Return ln hz of a share, between those known in order of the share.
+
+    Linear in ln of the corner frequency of dim light over that of bright light.
+    """
+    return float(np.interp(-_ln_dim(share), [-_ln_dim(each.share) for each in known],
+                           [each.ln_hz for each in known]))
+
+
 def _is_usual(ln_hz: float) -> bool:
     """Return whether a bright pixel's corner frequency is within 3 usual sigmas."""
     hz, _, sigma = TYPICAL_BANDWIDTH
@@ -209,7 +234,6 @@ class _Cost:
 
     def __init__(self, sample: PixelSample, power: float = NORMAL) -> None:
         self._sample, self._power = sample.with_leak_in_frames(), power
-        self.count = 0.0        # of innovations, at the last call
 
     def __call__(
         self, share: ArrayLike, ln_hz: NDArray[np.float64], every: int = 1,
@@ -218,9 +242,15 @@ class _Cost:
         found = self._sample.innovations(candidates_of(np.transpose(
             _law(np.broadcast_to(share, ln_hz.shape), ln_hz, self._sample.bright))),
             every)
-        self.count = float(found["count"][0])
         prior = 0.5 * ((ln_hz - _LN_HZ) / _LN_HZ_SIGMA) ** 2
         return negative_log_likelihood(found, self._power) + prior
+
+    def evidence(self, one: _Minimum, other: _Minimum) -> float:
+        """Return by how much one is likelier, with variances as stated or larger."""
+        found = self._sample.innovations(candidates_of(
+            [_law(each.share, each.ln_hz, self._sample.bright)
+             for each in (one, other)]))
+        return evidence(found[:1], found[1:], self._power, least=1.0)[0]
 
     def coarse(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ln hz of the minimum and its -ln L for each of `_GRID_SHARES`.
@@ -265,16 +295,38 @@ class _Cost:
             found += beside
         return found
 
+    def with_mean_share(self, found: list[_Minimum]) -> _Minimum:
+        """Return the minimum at the posterior mean of the share, uniform before.
+
+        -ln L is interpolated linearly between the minima found and those at the rest
+        of `_GRID_SHARES`.  Where it is flat, the likeliest share is often one of no
+        bandwidth at all in the dark.
+        """
+        known = _by_share(found)
+        found = found + [
+            self.minimum(share, _between(known, share)) for share in
+            _GRID_SHARES.tolist() if share not in {each.share for each in known}]
+        known = _by_share(found)
+        fine = np.linspace(0, 1, _FINE_SHARES)
+        costs = np.interp(fine, [each.share for each in known],
+                          [each.cost for each in known])
+        weight = np.exp(costs.min() - costs)
+        mean = float(weight @ fine / weight.sum())
+        return self.minimum(mean, _between(known, mean))
+
     def minimum(self, share: float, ln_hz: float) -> _Minimum:
         """Return the minimum near ln_hz at a share, by all pixels."""
+        told = 0.0
         for step in _FINE_STEPS:
             x = ln_hz + step * np.array([-1.0, 0.0, 1.0])
             y = self(share, x)
             ln_hz = vertex(x, y)
-        bend = (y[0] + y[2] - 2 * y[1]) / step**2
+            rise = y[0] + y[2] - 2 * y[1]
+            bend = rise / step**2
+            told = bend if rise > _ROUGH or told == 0.0 else told
         fall = 0.5 * bend * (ln_hz - x[1])**2 if bend > 0 else 0.0
         return _Minimum(share, ln_hz, float(min(y[1] - fall, y.min())),
-                        1 / math.sqrt(max(bend, 1 / _LN_HZ_SIGMA**2)))
+                        1 / math.sqrt(max(told, 1 / _LN_HZ_SIGMA**2)))
 
 
 def _law(share: Any, ln_hz: Any, bright: float) -> tuple[Any, Any]:

@@ -8,9 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.selfcal.bandwidth import least_cost_by_light
-from pdavis_cv.selfcal.likelihood import negative_log_likelihood, vertex
-from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
+from pdavis_cv.selfcal.bandwidth import likeliest_by_light
+from pdavis_cv.selfcal.likelihood import (
+    BLOCKS,
+    evidence,
+    negative_log_likelihood,
+    vertex,
+)
+from pdavis_cv.selfcal.noise import fit_event_noise
+from pdavis_cv.selfcal.pixel_sample import FILTER_NOISE, PixelSample, candidates_of
 from pdavis_cv.selfcal.priors import CLOCK_OFFSET_SIGMA_US, TYPICAL_BANDWIDTH
 
 __all__ = ["ClockOffset", "fit_clock_offset"]
@@ -35,9 +41,9 @@ _LAW_HZ = (60.0, 120.0, 240.0, 480.0)
 with, Hz; a factor of two apart, as -ln L is a parabola in their ln."""
 
 _LAW_EVIDENCE = 20.0
-"""By how much -ln L must fall for a lag that depends on the light to be preferred, as
-for the bandwidth: with an offset, or, if its bandwidth follows the light in part, in
-place of one."""
+"""By how much -ln L must fall for a lag that depends on the light to be preferred: with
+an offset, or, if its bandwidth follows the light in part, in place of one; an
+engineering choice."""
 
 _LAG_SHARE = 0.2
 """Error of the lag that such a camera makes of the delay, relative: 1.3 to 1.8 ms of 7
@@ -46,6 +52,10 @@ at 30 RPM where the clocks agree (studies/selfcal_clock_offset.py)."""
 _EVIDENCE = 8.0
 """By how much -ln L must fall against a camera whose clocks agree and whose lag is in
 proportion to 1 / light: in dim light it reaches milliseconds."""
+
+_MUCH_NOISE = 2.0
+"""Event noise beyond so many times what the innovations' variances state is much: half
+a step of the grid that it is found on (`fit_event_noise`)."""
 
 _CURVATURE_INFLATION = 2.0
 """Of the sigma by the curvature of -ln L, an engineering choice: pixels that see the
@@ -157,8 +167,8 @@ def fit_clock_offset(
             found = by_light._replace(sigma_us=math.hypot(
                 by_light.sigma_us, _LAG_SHARE * (delay_us - by_light.us)))
         agree = without < found.cost + _EVIDENCE or (
-            not usual and least_cost_by_light(
-                whole.between_like_events(start + lag_us)) < found.cost - _LAW_EVIDENCE)
+            not usual and _light_explains(
+                whole.between_like_events(start + lag_us), found.cost, start, law))
     if usual or agree:
         found = found._replace(sigma_us=math.hypot(found.sigma_us, found.us))
     return _offset(found, agree and not (told or usual))
@@ -182,6 +192,32 @@ def _in_proportion(sample: PixelSample, start: float) -> tuple[_Fit, float]:
     without = min(float(_costs(sample, np.zeros(1), (0.0, hz / sample.bright))[0])
                   for hz in (*_LAW_HZ, math.exp(best)))
     return found, without
+
+
+def _light_explains(
+    sample: PixelSample, cost: float, us: float, law: tuple[float, float]
+) -> bool:
+    """Return whether clocks that agree and a lag by the light explain the delay.
+
+    They do if -ln L falls by `_LAW_EVIDENCE` from the cost of an offset.  Where event
+    noise is more than the variances state, a few samples that it puts off by a
+    threshold decide: there the offset of us with the usual law must be likelier,
+    priors included, by one standard error (the rule of Breiman et al., Classification
+    and Regression Trees, 1984).
+    """
+    least, other = likeliest_by_light(sample)
+    if least < cost - _LAW_EVIDENCE or other is None:
+        return other is not None
+    clean = sample.with_leak_in_frames()
+    noise = fit_event_noise(clean.with_frames_moved(round(us)), law)
+    if noise <= _MUCH_NOISE * FILTER_NOISE[1]:
+        return False
+    candidates = candidates_of([law, other])
+    candidates["clock_us"][0] = round(us)
+    gain, error = evidence(*clean.innovations_by_time(candidates, BLOCKS))
+    hz, _, sigma = TYPICAL_BANDWIDTH
+    away = math.log((other[0] + other[1] * sample.bright) / hz) / sigma
+    return gain + 0.5 * away**2 - 0.5 * (us / CLOCK_OFFSET_SIGMA_US)**2 < error
 
 
 def _minimum(sample: PixelSample, us: float, law: tuple[float, float]) -> _Fit:

@@ -315,6 +315,29 @@ class PixelSample:
             self.refractory_us, candidates, out)
         return out
 
+    def innovations_by_time(
+        self, candidates: NDArray[np.void], blocks: int
+    ) -> NDArray[np.void]:
+        """Return the innovations of each of B blocks of frames, shape (C, B).
+
+        Blocks are equal parts of the frames in order of time: each is what the filter
+        adds to the sums up to the block before.
+
+        Parameters
+        ----------
+        candidates : ndarray of CANDIDATE_DTYPE, shape (C,)
+        blocks : int
+        """
+        number = np.arange(len(self._frames))[:, None]
+        sums = np.stack([
+            self._with_usable(np.broadcast_to(
+                number * blocks < (k + 1) * len(number), self._frames.shape))
+            .innovations(candidates) for k in range(blocks)], axis=1)
+        out = sums.copy()
+        for name in out.dtype.names or ():
+            out[name][:, 1:] -= sums[name][:, :-1]
+        return out
+
     def _readings(self, every: int) -> tuple[NDArray[np.void], NDArray[np.void]]:
         """Return one in `every` pixels, and their usable frames, pixel after pixel."""
         if every not in self._packed:
