@@ -4,7 +4,7 @@ python studies/batch.py workers    two workers against one, 16 recordings, kalma
 python studies/batch.py done       a second run of 200 done jobs
 python studies/batch.py memory     the parent's memory with 10,000 jobs
 python studies/batch.py warmup     what cf still knows of seconds ago: bits that differ
-python studies/batch.py tiles FILE CPU time of two workers on a recording against none
+python studies/batch.py tiles FILE two threads or processes on a recording: CPU time
 """
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import (
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from pathlib import Path
 from typing import Any
 
@@ -139,35 +144,38 @@ def warmup(folder: Path) -> None:
 
 
 def tiles(path: Path) -> None:
-    """Print the CPU time of a recording by this process, and by it and two more."""
-    with open_recording(path) as recording, ProcessPoolExecutor(2) as pool:
+    """Print time and bits of a recording by two threads or processes against none."""
+    with (open_recording(path) as recording, ProcessPoolExecutor(2) as processes,
+          ThreadPoolExecutor(2) as threads):
+        ways: dict[str, dict[str, Any]] = {
+            "none": {}, "threads": {"executor": threads, "tiles": 2},
+            "processes": {"executor": processes, "tiles": 2}}
         for method in ("cf", "events", "frames", "kalman"):
             options = FusionOptions(method=method, fps=100, layout="pdavis")
-            ways: dict[str, dict[str, Any]] = {
-                "whole": {}, "stripes": {"executor": pool, "tiles": 2}}
             cpu: dict[str, list[float]] = {way: [] for way in ways}
             wall: dict[str, list[float]] = {way: [] for way in ways}
             for turn in range(TURNS + 1):
                 for way, more in ways.items():
-                    start, busy = time.perf_counter(), _busy(pool)
+                    start, busy = time.perf_counter(), _busy(processes)
                     _make(fuse(recording, options, **more))
-                    if turn:        # before, the pool starts and imports
-                        cpu[way].append(_busy(pool) - busy)
+                    if turn:        # before, the pools start and import
+                        cpu[way].append(_busy(processes) - busy)
                         wall[way].append(time.perf_counter() - start)
-            pairs = zip(*(fuse(recording, options, **more) for more in ways.values()),
-                        strict=True)
-            differ = [a.quad.tobytes() != b.quad.tobytes()
-                      or a.valid.tobytes() != b.valid.tobytes() for a, b in pairs]
-            overheads = [two / one - 1 for one, two in zip(
-                cpu["whole"], cpu["stripes"], strict=True)]
-            low, high = np.quantile(overheads, (0.25, 0.75))
-            print(f"{method}: CPU {statistics.median(cpu['whole']):.2f} s as a whole, "
-                  f"{statistics.median(cpu['stripes']):.2f} s by two workers "
-                  f"({statistics.median(overheads):+.0%}, quartiles {low:+.0%} to "
-                  f"{high:+.0%}); wall {statistics.median(wall['whole']):.2f} and "
-                  f"{statistics.median(wall['stripes']):.2f} s; {len(differ)} "
-                  f"images, {sum(differ)} of them differ; "
+            print(f"{method}: CPU {statistics.median(cpu['none']):.2f} s by none, wall "
+                  f"{statistics.median(wall['none']):.2f} s; "
                   f"load {os.getloadavg()[0]:.1f}")
+            for way in ("threads", "processes"):
+                pairs = zip(fuse(recording, options),
+                            fuse(recording, options, **ways[way]), strict=True)
+                differ = [a.quad.tobytes() != b.quad.tobytes()
+                          or a.valid.tobytes() != b.valid.tobytes() for a, b in pairs]
+                overheads = [two / one - 1 for one, two in zip(
+                    cpu["none"], cpu[way], strict=True)]
+                low, high = np.quantile(overheads, (0.25, 0.75))
+                print(f"  two {way}: CPU {statistics.median(cpu[way]):.2f} s "
+                      f"({statistics.median(overheads):+.0%}, quartiles {low:+.0%} to "
+                      f"{high:+.0%}), wall {statistics.median(wall[way]):.2f} s; "
+                      f"{len(differ)} images, {sum(differ)} of them differ")
 
 
 def _busy(pool: ProcessPoolExecutor) -> float:

@@ -1,15 +1,16 @@
 """One recording by several workers: the same bits as by one."""
 import itertools
 import pickle
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from test_batch import write
 
-from pdavis_cv import FusionOptions, fuse, open_recording
+from pdavis_cv import EVENT_DTYPE, FusionOptions, fuse, open_recording
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import tiles
+from pdavis_cv.fusion.window import Window
 from pdavis_cv.recording.stream import source_from_packets
 from pdavis_cv.tools.main import main
 
@@ -106,6 +107,24 @@ def test_a_camera_s_images_are_the_same_bits(options, recording, monkeypatch, by
                        by_time=by_time)
 
 
+@pytest.mark.parametrize("rows", [(0, 6), (2, 4), (4, 6)])
+@pytest.mark.parametrize("columns", [(0, 8), (2, 6)])
+def test_events_are_cut_to_a_window_at_the_same_events(rows, columns):
+    rng = np.random.default_rng(0)
+    events = np.zeros(50, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, 1000, 50))
+    events["x"], events["y"] = rng.integers(0, 8, 50), rng.integers(0, 6, 50)
+    before = events.copy()
+    window = Window(slice(*rows), slice(*columns), (6, 8))
+    edges = [0, 0, 7, 7, 30, 50]
+    inside, cuts = window.cut_events(events, edges)
+    np.testing.assert_array_equal(events, before)
+    for (first, last), (start, stop) in zip(
+            itertools.pairwise(edges), itertools.pairwise(cuts), strict=True):
+        np.testing.assert_array_equal(
+            inside[start:stop], window.events(events[first:last]))
+
+
 @pytest.mark.parametrize("shape", [(260, 346), (7, 5), (2, 2), (1, 4)])
 @pytest.mark.parametrize("n", [1, 2, 3, 50])
 def test_stripes_are_whole_cells_and_cover_the_sensor(shape, n):
@@ -135,8 +154,19 @@ def test_what_is_read_once_is_shared_too(causal, recording):
         assert_same_bits(one, other)
 
 
+@pytest.mark.parametrize("method", ["cf", "frames"])
+def test_threads_make_the_same_bits(method, recording, monkeypatch):
+    monkeypatch.setattr("pdavis_cv.fusion.stripes._IMAGES_PER_TASK", 5)
+    options = FusionOptions(method=method, layout="pdavis", fps=80)
+    with ThreadPoolExecutor(3) as threads:
+        for one, other in zip(
+                fuse(recording, options),
+                fuse(recording, options, executor=threads, tiles=3), strict=True):
+            assert_same_bits(one, other)
+
+
 @pytest.mark.gate
-def test_export_by_processes_writes_the_same_arrays(tmp_path):
+def test_export_by_threads_writes_the_same_arrays(tmp_path):
     for jobs in "12":
         assert main([
             "export", str(example_recording()), "--method", "cf", "--layout", "pdavis",

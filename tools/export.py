@@ -15,13 +15,13 @@ import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
-from pdavis_cv.batch.processes import ProcessPool
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.render.colours import Picture
 
@@ -98,8 +98,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             at = start_of(recording) + round(args.at * 1e6)
             require_samples(recording, at)
             options |= {"fps": None, "times_us": [at]}
-        executor = None if args.jobs == 1 else pools.enter_context(
-            ProcessPool(args.jobs))
+        executor = None
+        if args.jobs > 1:   # threads: kernels release the GIL, and nothing is copied
+            executor = ThreadPoolExecutor(args.jobs)
+            pools.callback(executor.shutdown, cancel_futures=True)
         images = told_if_nothing(
             fuse(recording, executor=executor, tiles=args.jobs, by_time=args.by_time,
                  **options), recording,
@@ -186,8 +188,8 @@ def _parser() -> argparse.ArgumentParser:
         help="keep the stack if interrupted, and continue an interrupted one")
     parser.add_argument(
         "--jobs", type=within(1, 1024), default=1, metavar="N",
-        help="number of processes that share the sensor's rows; with kalman, one "
-             "process works ahead; default 1")
+        help="number of threads that share the sensor's rows; with kalman, one "
+             "thread works ahead; default 1")
     parser.add_argument(
         "--by-time", action="store_true",
         help="divide time among --jobs instead of rows")

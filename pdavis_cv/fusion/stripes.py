@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._workers import Workers
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.images import Samples, samples_of
 from pdavis_cv.fusion.options import FusionOptions
@@ -98,6 +99,55 @@ def _stripes(roi: Roi, n: int) -> tuple[Roi, ...]:
 
 
 @dataclass(frozen=True, eq=False)
+class _Calls:
+    """Calls to a state, the events of all of them in one array.
+
+    A call that adds events costs time in each stripe, however few they are; what the
+    state becomes does not depend on how they are cut.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE
+    cuts : sequence of int
+        How many of the events are added before each of the other calls, which take
+        them as they lie between two cuts.
+    others : sequence of Call
+        All other calls, with a call `_READ` for each image.
+    """
+
+    events: NDArray[Any]
+    cuts: Sequence[int]
+    others: Sequence[Call]
+
+    @classmethod
+    def of(cls, calls: Sequence[Call]) -> _Calls:
+        """Return recorded calls in this form."""
+        parts: list[NDArray[Any]] = []
+        cuts: list[int] = []
+        others: list[Call] = []
+        count = 0
+        for call in calls:
+            if call[0] == "add_events":
+                parts.append(np.ascontiguousarray(call[1][0]))
+                count += len(parts[-1])
+            else:
+                others.append(call)
+                cuts.append(count)
+        # Concatenating structured arrays would compare their fields each time.
+        joined = b"".join(part.data for part in parts)
+        return cls(np.frombuffer(joined, EVENT_DTYPE), cuts, others)
+
+    def __iter__(self) -> Iterator[Call]:
+        """Yield the calls in order."""
+        start = 0
+        for stop, other in zip(self.cuts, self.others, strict=True):
+            if stop > start:
+                yield "add_events", (self.events[start:stop],)
+                start = stop
+            yield other
+
+
+@dataclass(frozen=True, eq=False)
 class _Stripe:
     """A part of the sensor, or all of it, that one worker computes.
 
@@ -118,21 +168,18 @@ class _Stripe:
     make: Callable[[], Reconstructor]
     causal: bool
 
-    def cropped(self, calls: Sequence[Call]) -> list[Call]:
+    def cropped(self, calls: _Calls) -> _Calls:
         """Return calls for the whole sensor, cropped to the window."""
+        events, cuts = self.window.cut_events(calls.events, calls.cuts)
         found: list[Call] = []
-        for name, args in calls:
-            if name == "add_events":
-                events = self.window.events(args[0])
-                if len(events):
-                    found.append((name, (events,)))
-            elif name == "add_frame":
+        for name, args in calls.others:
+            if name == "add_frame":
                 found.append((name, (self.window.frame(args[0]),)))
             elif name == "retune":
                 found.append((name, (args[0], self.window.planes(args[1]))))
             else:
                 found.append((name, args))
-        return found
+        return _Calls(events, cuts, found)
 
     def make_state(self) -> InOrderState | ArrivalState:
         """Make the state that the calls from `cropped` feed."""
@@ -148,8 +195,8 @@ class _Task:
     Parameters
     ----------
     stripe : _Stripe
-    calls : sequence of Call
-        To its state, with a call `_READ` for each image.
+    calls : _Calls
+        To its state.
     before : SharedValue, StateTransfer or None
         The state to start from; None = the initial one.
     returns_state : bool
@@ -159,7 +206,7 @@ class _Task:
     """
 
     stripe: _Stripe
-    calls: Sequence[Call]
+    calls: _Calls
     before: SharedValue | StateTransfer | None
     returns_state: bool
     path: str | None
@@ -269,7 +316,7 @@ class _Coordinator(Fusion):
             calls += [*self.recorder.calls, (_READ, (self.t_us,))]
             self.recorder.calls.clear()
             images.append((self.t_us, self.frame_us(), self.provenance))
-        return _Batch(images, calls)
+        return _Batch(images, _Calls.of(calls))
 
     def stripe(self, roi: Roi) -> _Stripe:
         """Return the stripe that computes a region."""
@@ -287,12 +334,12 @@ class _Batch(NamedTuple):
     ----------
     images : list of (int, int or None, mapping)
         Time, mid-exposure of the last frame and provenance of each image.
-    calls : list of Call
+    calls : _Calls
         For the whole sensor.
     """
 
     images: list[tuple[int, int | None, Mapping[str, Any]]]
-    calls: list[Call]
+    calls: _Calls
 
 
 def fuse_tiles(
@@ -332,7 +379,7 @@ def _fused(
     count = itertools.count()
 
     def submit(
-        stripe: _Stripe, calls: Sequence[Call],
+        stripe: _Stripe, calls: _Calls,
         before: SharedValue | StateTransfer | None, returns_state: bool,
     ) -> None:
         # A file is used again two rounds later: while a round runs, the results of the
