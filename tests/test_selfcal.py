@@ -428,3 +428,19 @@ def test_calibrated_frames_count(recording):
     assert np.median(dark.sigma) < 0.9 * np.median(plain.sigma)
     assert dark.common_scale_sigma < plain.common_scale_sigma
 
+
+
+@pytest.mark.parametrize("seed", [18, 22])
+def test_sums_that_are_noise_tell_no_scale(seed):
+    """A tenth of the events is lost: a third and a quarter of the thresholds fitted."""
+    camera = Camera.preset("nominal", seed=seed, size=(12, 12), faults={"lost": 0.1})
+    made, _ = camera.record(RotatingPolarizer(
+        rpm=1013.0, start_angle=np.deg2rad((17 + 111.2 * seed) % 180)), 1.5)
+    look = SelfCalibration((12, 12), NOMINAL, every_pixel=False)
+    for packet in made.packets():
+        look.add_events(packet.events)
+        for frame in packet.frames:
+            look.add_frame(frame)
+    found = look.estimate(wanted={"scale", "bandwidth", "clock_offset"})
+    assert found.common_scale_sigma == 0
+    assert np.all(found.theta_on == NOMINAL[0])

@@ -195,6 +195,11 @@ class PixelSample:
         return other
 
     @property
+    def samples(self) -> int:
+        """Number of usable samples, of all pixels and frames."""
+        return int(np.count_nonzero(self._frames["variance"] > 0))
+
+    @property
     def gaps_us(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Times between consecutive events of one pixel, and where the sign changes."""
         first = np.zeros(len(self._events) + 1, np.bool_)
