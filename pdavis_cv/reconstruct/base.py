@@ -1,4 +1,4 @@
-"""What every reconstruction method is: a Reconstructor of log intensity."""
+"""The base class of all reconstruction methods, and what they return."""
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
@@ -27,8 +27,8 @@ __all__ = [
 ]
 
 WHOLE_SENSOR = 1 << 20
-"""`Reconstructor.margin` of a method whose pixels depend on all others: larger than
-any sensor."""
+"""`Reconstructor.margin` of a method in which each pixel depends on all others: more
+pixels than any sensor is wide."""
 
 
 class Estimate(NamedTuple):
@@ -39,7 +39,7 @@ class Estimate(NamedTuple):
     log_intensity : ndarray of float32, shape (H, W)
         Natural log of DN per ms of exposure (of DN where no exposure is known).
     variance : ndarray of float32, shape (H, W), or None
-        Variance of ``log_intensity``, where the method knows it.
+        Variance of ``log_intensity``; None if the method does not estimate it.
     valid : ndarray of bool, shape (H, W)
         True = usable.
     """
@@ -51,7 +51,7 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """What a method has to be given, so that nobody has to ask for its name.
+    """The inputs that a method needs, so that no caller depends on its name.
 
     Thresholds and the pixels' response need no entry: a method that takes
     ``theta_on`` and ``theta_off``, or ``response``, gets them.
@@ -59,15 +59,15 @@ class Needs:
     Parameters
     ----------
     events, frames : bool
-        Whether it is fed those at all.
+        Whether the method is fed events, and frames, at all.
     lamp : bool
-        Whether it makes use of `Reconstructor.add_wave`.
+        Whether the method uses `Reconstructor.add_wave`.
     learned : frozenset of str
-        Parameters that are estimated from the recording where the caller states none:
+        Parameters to estimate from the recording if the caller states none:
         ``"bandwidth"``, ``"noise"``, ``"refractory_us"``, as `KalmanFilter` takes them.
     prior : frozenset of str
-        Parameters that are taken from calibration and sensor where the caller states
-        none: ``"threshold_sigma"`` and ``"offset_dn"``, as `KalmanFilter` takes them.
+        Parameters to take from calibration and sensor if the caller states none:
+        ``"threshold_sigma"`` and ``"offset_dn"``, as `KalmanFilter` takes them.
     crossed_diagonal : bool
         Whether the 0 and 90 degree polarizers must lie diagonally in the cell.
     """
@@ -110,9 +110,8 @@ class Snapshot:
 def nbytes(value: Any) -> int:
     """Return the bytes of all arrays and byte strings in a nested value.
 
-    Looks into mappings, sequences, dataclasses and objects with ``__slots__`` or
-    attributes; an array that is met twice, or is a view of one that was met, counts
-    once.
+    It looks into mappings, sequences, dataclasses and objects with ``__slots__`` or
+    attributes.  An array that occurs twice, or as several views, counts once.
 
     >>> nbytes({"a": (np.zeros(3), [b"four"])})
     28
@@ -157,34 +156,34 @@ class Reconstructor(ABC):
     """Name of the method, as in ``METHODS``."""
 
     lookahead_us: int | None = 0
-    """What must be fed after t before ``read(t)``; 0 = causal, None = everything."""
+    """How much after t must be fed before ``read(t)``, us; 0 = causal, None = all."""
 
     margin: int = 0
-    """How many pixels around a pixel its result depends on."""
+    """Distance in pixels up to which a pixel's result depends on other pixels."""
 
     needs: Needs = Needs()
-    """What the method must be given."""
+    """The inputs that the method needs."""
 
     causal_parameters: Mapping[str, Any] = MappingProxyType({})
-    """Parameters with which its `lookahead_us` is 0, where it is not without them."""
+    """Parameters that make the method causal (`lookahead_us` of 0) if it is not so."""
 
     shows_at_readout: bool = False
     """Whether a frame shows from the end of its readout, not from mid-exposure, on."""
 
     takes_late_frames: bool = False
-    """Whether a frame may also be fed when it arrives, after what came since its
-    mid-exposure: `settle` then makes the state the one with the frame in its place."""
+    """Whether a frame may also be fed when it arrives, after events that follow its
+    mid-exposure: `settle` then gives the state that feeding in order gives."""
 
     shape: tuple[int, int]
     """(height, width)."""
 
     workers: Workers = Workers()
-    """Threads that may share the rows of what it does; `fuse` sets them."""
+    """Threads that share the rows of the image; `fuse` sets them."""
 
     @property
     @abstractmethod
     def parameters(self) -> Mapping[str, Any]:
-        """Parameters that make an equal Reconstructor."""
+        """Constructor parameters that make an equal Reconstructor."""
 
     @abstractmethod
     def add_events(self, events: NDArray[Any]) -> None:
@@ -193,8 +192,8 @@ class Reconstructor(ABC):
         Raises
         ------
         ValueError
-            If an event lies outside ``shape`` or before the last time seen; the
-            message names it, and the events before it have been taken.
+            If an event lies outside ``shape`` or before the last time fed; the message
+            names it, and the events that precede it have been taken.
         """
 
     @abstractmethod
@@ -204,42 +203,43 @@ class Reconstructor(ABC):
         Raises
         ------
         ValueError
-            If the frame has another shape or lies before the last time seen.
+            If the frame has another shape or lies before the last time fed.
         """
 
     def add_wave(self, wave: Wave) -> None:  # noqa: B027
-        """Tell how the lamp flickers in a block that no sample fed before lies in.
+        """Feed the lamp's flicker in a block, before any event or frame of that block.
 
-        A `LampTracker` that sees the whole sensor says so; the blocks come in order.
+        It comes from a `LampTracker` that sees the whole sensor, block after block.
         """
 
     def retune(self, **learned: Any) -> None:
-        """Go on with other values of the parameters that ``needs.learned`` names.
+        """Continue with other values of the parameters that ``needs.learned`` names.
 
-        And of thresholds and ``threshold_sigma``, where ``needs.prior`` names that.
-        The state stays as it is: what was fed before is not looked at again.
+        Thresholds and ``threshold_sigma`` may also be given if ``needs.prior`` names
+        the latter.  Earlier events and frames are not processed again.
 
         Parameters
         ----------
         **learned
-            By name, as the constructor takes them; and to a method that needs frames
-            ``frames_moved_us``, where the stamps of those fed before turn out to be
-            off: by how much later the ones to come are taken.
+            New values by name, as the constructor takes them.  A method that needs
+            frames also takes ``frames_moved_us``: by how much later frames are stamped
+            from now on, because the stamps so far turned out to be wrong.
         """
         raise TypeError(
             f"method {self.method!r} has no parameters that can be learned, got "
             f"{', '.join(learned)}")
 
     def settle(self, t_us: int) -> None:  # noqa: B027
-        """Do what is due, so that no read has to do it on a copy of the state.
+        """Do pending work, so that no read has to do it on a copy of the state.
 
-        Nothing that is fed later lies at or before t_us, and no later read before
-        t_us less `lookahead_us`.  What is read does not depend on it.
+        The caller promises that everything fed later lies after t_us, and that no
+        later read is of a time before t_us less `lookahead_us`.  The call saves time
+        only: it does not change what is read.
 
         Parameters
         ----------
         t_us : int
-            Not before the last time seen.
+            Not before the last time fed.
         """
 
     @abstractmethod
@@ -249,29 +249,29 @@ class Reconstructor(ABC):
         Parameters
         ----------
         t_us : int
-            Not before the last time seen, less ``lookahead_us``.
+            Not before the last time fed, less ``lookahead_us``.
         out : ndarray of float32, shape (H, W), optional
             Receives ``log_intensity``.
         """
 
     def shows(self, t_us: int) -> object | None:
-        """Return what stands for all that `read` returns at t_us, if it is held.
+        """Return an object that identifies the estimate at t_us, if it is held.
 
-        The same object means the same estimate as where it was returned before; None:
-        the estimate may be another one at each time.
+        As long as the same object is returned, `read` returns the same estimate.  None
+        means that the estimate may differ at each time.
         """
         return None
 
     @property
     def quality(self) -> NDArray[np.float32] | None:
-        """How well the method's assumptions hold, 0 (well) to 1; None: cannot tell.
+        """How well the method's assumptions held at the last read; None: unknown.
 
-        As of the last time that was read; float32, shape (H, W).
+        0 (well) to 1; float32, shape (H, W).
         """
         return None
 
     def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the intensity of what `read` returned, as a new array."""
+        """Return exp(log_intensity) as a new array."""
         out = np.empty_like(log_intensity)
         self.workers.rows(len(out), lambda first, last: _kernels.exp(
             log_intensity[first:last], out[first:last]))
@@ -282,7 +282,7 @@ class Reconstructor(ABC):
         return Snapshot(self.method, self.shape, dict(self.parameters), self._state())
 
     def assign(self, other: Reconstructor) -> None:
-        """Take over the state of an equal Reconstructor, which stays as it is.
+        """Copy the state of an equal Reconstructor.
 
         Parameters
         ----------
@@ -318,11 +318,11 @@ class Reconstructor(ABC):
 
     @abstractmethod
     def _restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `_state` returned."""
+        """Return to what `_state` returned, which is copied."""
 
 
 Factory = Callable[..., Reconstructor]
 """Makes a Reconstructor: ``factory(shape, *, theta_on, theta_off, **parameters)``.
 
-A class of one's own derived from `Reconstructor`, or a function.  Of ``theta_on``,
+It is a class derived from `Reconstructor`, or a function.  Of ``theta_on``,
 ``theta_off`` and ``response`` it is given those that its signature names."""

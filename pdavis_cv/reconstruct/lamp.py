@@ -1,4 +1,4 @@
-"""The lamp: what it adds to all log intensities as it flickers, from events alone."""
+"""Flicker of a mains lamp: a ripple common to all pixels, estimated from events."""
 from __future__ import annotations
 
 from bisect import bisect_right
@@ -16,32 +16,34 @@ from pdavis_cv.recording.base import ApsFrame
 __all__ = ["BLOCK_US", "LampTracker", "Lamplight", "Wave"]
 
 BLOCK_US = 100_000
-"""A wave holds for this long, and comes from what was seen before."""
+"""Length of a block, us.  Each block has one wave, fitted to the blocks before it."""
 
 MEMORY_US = 30_000_000
-"""How long waves are kept: for longer than kernels look back at them."""
+"""How long waves are kept, us: longer than any kernel looks back."""
 
 _BLOCKS = 10
-"""Blocks that a wave is fitted to: mains keep their frequency for a second."""
+"""Number of blocks that a wave is fitted to: mains keep a frequency for a second."""
 _PIXELS = 4096
-"""Pixels that are looked at, at most, spread over the sensor; bounds the time."""
-# Time constants in us of the weight of three events over which light is taken to change
-# evenly, tried shortest first; a fit is accepted without trying the next if explained /
-# residual variance exceeds _ENOUGH.  Chosen on `nominal` (docs/theory/lamp.md).
+"""Most pixels that are used, spread over the sensor; this bounds the computing time."""
+# Time constants (us) of the local-linearity weight: three events of a pixel count the
+# less, the longer they take.  The shortest is tried first; a fit is accepted without
+# trying the next if explained / residual variance exceeds _ENOUGH.  Chosen on `nominal`
+# (docs/theory/lamp.md).
 _EVEN_US, _ENOUGH = np.array([1000.0, 4000.0, 15000.0]), 4000.0
-# Detection: explained / residual variance above _EVIDENCE; what separate waves of the
-# four places of a macropixel explain beyond, below _APART of the common wave; amplitude
-# above _LEAST, ln units.  Steady light passes none of them: studies/lamp_detection.py.
+# Detection: explained / residual variance above _EVIDENCE; variance that separate waves
+# of the four places of a macropixel explain in addition, below _APART of the common
+# wave's; amplitude above _LEAST, ln units.  Steady light passes none of these tests:
+# studies/lamp_detection.py.
 _EVIDENCE, _APART, _LEAST = 200.0, 0.5, 0.02
 
 _LONG_AGO = -(2**62)
-"""A time in us before all stamps; differences to it fit 64 bits."""
+"""A time in us before all stamps; differences to it fit into 64 bits."""
 _STAMP = 2 * _LONG_AGO
 _SUMS = 7
-"""Numbers of a normal equation of (cosine, sine): three of the matrix, two of the right
-side, sum of squares, number (`normal_t` of _lamp.pyx)."""
+"""Length of the normal equations of (cosine, sine): three elements of the matrix, two
+of the right side, sum of squares, count (`normal_t` of _lamp.pyx)."""
 _FIT = 8
-"""Numbers that `_kernels.lamp_wave` gives, in the order of its docstring."""
+"""Length of the result of `_kernels.lamp_wave`, whose docstring gives the order."""
 
 
 class Wave(NamedTuple):
@@ -50,13 +52,14 @@ class Wave(NamedTuple):
     Parameters
     ----------
     start_us : int
-        A multiple of `BLOCK_US`.
+        Start of the block, a multiple of `BLOCK_US`.
     hz : float
-        0 = a steady lamp.
+        Frequency; 0 = a steady lamp.
     cosine, sine : float
         Amplitudes in natural-log units, phase 0 at start_us.
     of_light : bool
-        True: amplitudes of the light, before the pixels' low-pass; False: after it.
+        True: the amplitudes are those of the light; False: those behind the pixels'
+        low-pass.
     """
 
     start_us: int
@@ -67,19 +70,19 @@ class Wave(NamedTuple):
 
 
 class Lamplight:
-    """The waves of the last blocks, as kernels take them.
+    """The waves of the recent blocks, in the form that kernels take.
 
     Attributes
     ----------
     waves : ndarray of WAVE_DTYPE, shape (blocks,)
-        One per block of `BLOCK_US`, in order; none if the lamp is steady.
+        One per block of `BLOCK_US`, in order; empty if the lamp is steady.
     """
 
     def __init__(self) -> None:
         self._all = self.waves = np.empty(0, WAVE_DTYPE)
 
     def add(self, wave: Wave) -> None:
-        """Take the wave of the next block, or of a first one."""
+        """Append the wave of the next block; any other block begins a new series."""
         row = np.array([(wave.start_us, 1e-6 * wave.hz, wave.cosine, wave.sine,
                          float(wave.of_light))], WAVE_DTYPE)
         all_ = self._all
@@ -88,7 +91,7 @@ class Lamplight:
         self._show(np.concatenate([all_, row]))
 
     def forget(self, before_us: int) -> None:
-        """Drop the blocks that end before a time."""
+        """Drop the blocks that end at or before a time, us."""
         if not len(self._all):
             return
         n = min((before_us - int(self._all["start_us"][0])) // BLOCK_US,
@@ -101,7 +104,7 @@ class Lamplight:
         self.waves = waves if waves["turns_per_us"].any() else waves[:0]
 
     def state(self) -> NDArray[Any]:
-        """Return what there is; the array is never changed."""
+        """Return all waves; the array is never changed in place."""
         return self._all
 
     def restore(self, state: NDArray[Any]) -> None:
@@ -110,23 +113,24 @@ class Lamplight:
 
 
 class LampTracker:
-    """Finds the flicker of a lamp on the mains (100 or 120 Hz) in the events.
+    """Estimates the flicker of a mains lamp (100 or 120 Hz) from events.
 
-    One wave is fitted for the whole sensor.  Flicker of less than a threshold makes no
-    events where the light rests; where it changes, the ripple shifts them.  The middle
-    one of three events of a pixel then deviates from the straight line between the
-    others.  Least squares fit one wave to that over the last second, whose frequency
-    may be 0.6 Hz off.  A wave that differs between the four polarizers is not the
-    lamp's.  If the lamp's light is no sine, its first harmonic is found.
-    Events show a lamp as the photoreceptors pass it on: it is divided out where their
-    bandwidth is known, and taken to be alike in all pixels where it is not.
+    One wave is fitted for the whole sensor.  Flicker below a threshold triggers no
+    events in constant light, but where the light changes it shifts the events in time:
+    the middle one of three events of a pixel then deviates from the straight line
+    between the others.  A least-squares fit to these deviations over the last second
+    gives the wave; its frequency may be 0.6 Hz off the nominal one.  A wave that
+    differs between the four polarizers is not attributed to the lamp.  Of a lamp whose
+    light is not sinusoidal the first harmonic is found.
+    Events show the lamp behind the photoreceptors' low-pass.  The low-pass is divided
+    out where the bandwidth is known, and taken to be equal in all pixels otherwise.
 
     Parameters
     ----------
     shape : (int, int)
         (height, width) of the sensor.
     theta_on, theta_off : array_like
-        Contrast thresholds, natural-log units; their mean counts.
+        Contrast thresholds, natural-log units; their means are used.
     bandwidth : sequence of float, optional
         (hz, hz_per_intensity, ...) of the photoreceptors, as for `KalmanFilter`.
     """
@@ -145,7 +149,7 @@ class LampTracker:
         self._stamps = np.full(
             (2 * -(-height // step), 2 * -(-width // step), 2), _STAMP, np.int64)
         self._hz, self._slope, *_ = bandwidth or (0.0, 0.0)
-        # Until there is a frame a pixel may be as slow as in the dark.
+        # Before the first frame, all pixels are taken to be as slow as in the dark.
         self._corners = np.full(self._stamps.shape[:2], self._hz, np.float32)
         self._now = np.zeros((len(_EVEN_US), 4, 4, _SUMS))
         self._sums: tuple[NDArray[np.float64], ...] = ()
@@ -153,9 +157,9 @@ class LampTracker:
         self._seen_us = _LONG_AGO
 
     def push(self, events: NDArray[Any]) -> Iterator[Wave]:
-        """Take events in order of time; yield the waves of the blocks they begin.
+        """Take events in order of time; yield the waves of the blocks that they begin.
 
-        Events at times that `advance` passed are left out.
+        Events up to the time that `advance` was given are ignored.
         """
         i = 0
         if len(events) and events["t"][0] <= self._seen_us:
@@ -169,7 +173,7 @@ class LampTracker:
                 self._corners, self._stamps, self._now)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Note how bright it is, and so how fast the pixels are, from now on."""
+        """Take the pixels' brightness, and so their bandwidth, from a frame."""
         if not self._slope:
             return
         cells = 1 << self._shift
@@ -179,12 +183,12 @@ class LampTracker:
         self._corners[:len(rows), :len(columns)] = self._hz + self._slope * bright
 
     def retune(self, bandwidth: Sequence[float] | None) -> None:
-        """Go on with another bandwidth; how bright it is the next frame says."""
+        """Continue with another bandwidth; the next frame gives the brightness."""
         self._hz, self._slope, *_ = bandwidth or (0.0, 0.0)
         self._corners[:] = self._hz
 
     def advance(self, t_us: int) -> Iterator[Wave]:
-        """Pass to t_us: all events up to it have been there."""
+        """Advance to t_us, up to which all events have been pushed; yield the waves."""
         self._seen_us = max(self._seen_us, t_us)
         if self._block is not None:
             yield from self._enter(t_us // BLOCK_US)
@@ -216,13 +220,13 @@ class LampTracker:
                 else Wave(start_us))
 
     def state(self) -> Mapping[str, Any]:
-        """Return copies of everything that events change."""
+        """Return copies of everything that feeding changes."""
         return {"stamps": self._stamps.copy(), "now": self._now.copy(),
                 "corners": self._corners.copy(),
                 "sums": self._sums, "block": self._block, "seen_us": self._seen_us}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `state` returned."""
+        """Return to what `state` returned, which is copied."""
         self._stamps[:], self._now[:] = state["stamps"], state["now"]
         self._corners[:] = state["corners"]
         self._sums, self._block = state["sums"], state["block"]

@@ -9,18 +9,18 @@ __all__ = ["EXPOSURE_DTYPE", "GAP_DTYPE", "LANES", "LANE_VALUES", "NODE_DTYPE",
 
 STORED_DTYPE = np.dtype([
     ("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1"), ("next", "<i4")])
-"""An event (t in us) and the index of its pixel's next one, -1 for none."""
+"""A stored event (t in us) and the index of its pixel's next event, -1 for none."""
 
 TRACK_DTYPE = np.dtype([
     ("last", "<i8"), ("n_off", "<f8"), ("n_on", "<f8"), ("gap", "<u4"),
     ("first", "<i4")])
-"""Stamp (2 t + p) of a pixel's last event, counts of events since the last sample, with
-what a refractory period lost of the light, in thresholds; twice the gap before the last
-event in us, plus the polarity of the one before, `NO_GAP` where there is none, and the
-index of the first stored event after them, -1 for none."""
+"""A pixel's past events: stamp (2 t + p) of the last one; counts of OFF and ON events
+since the last sample, which include the change lost in refractory periods, in
+thresholds; twice the gap (us) between the last two events plus the polarity of the
+earlier one, or `NO_GAP`; index of the first stored event after them, -1 for none."""
 
 NO_GAP = 2**32 - 2
-"""Gap of a pixel that had no two events within 35 minutes."""
+"""Gap of a pixel whose last two events are missing or more than 35 minutes apart."""
 
 STATE_DTYPE = np.dtype([
     ("base", "<f8"), ("theta_on", "<f8"), ("theta_off", "<f8"),
@@ -32,14 +32,15 @@ STATE_DTYPE = np.dtype([
     ("seen_off", "<f8"), ("part", "<f8")])
 """State (base, theta_on, theta_off) of a pixel and its covariance, natural-log units.
 
-base is the log intensity (ln DN/ms) at the last event before ``sampled_us``, the middle
-of the exposure of the last sample used; ``samples`` counts those (0: the base means
-nothing), ``seen_on`` and ``seen_off`` all events up to then.  The priors are the
-thresholds started from; ``pull`` is d(base) / d(offset of all frames), ln per DN.
-``frame_log`` is the last sample, as it was; ``hot`` the ln of the odds that the pixel
-is hot, less the prior's; ``moves`` the mean square of what log intensity changes by
-between two samples, ln^2, of a hot pixel.  ``part`` is what a pixel at rest has
-crossed of the last event's threshold, as samples since then were taken with it.
+``base`` is the log intensity (ln DN/ms) at the last event before ``sampled_us``, the
+middle of the exposure of the last sample used.  ``samples`` counts the samples used (0:
+base is undefined), ``seen_on`` and ``seen_off`` all events up to then.  ``prior_on``
+and ``prior_off`` are the initial thresholds.  ``pull`` is d(base) / d(offset of all
+frames), ln per DN.  ``frame_log`` is the last sample as measured.  ``hot`` is the log
+of the odds that the pixel is hot, relative to the prior odds; ``moves`` is the mean
+square change of log intensity between two samples of a hot pixel, ln^2.  ``part`` is
+the fraction of the last event's threshold by which a pixel at rest has moved on, as it
+was assumed for the samples since then.
 """
 
 TUNING_DTYPE = np.dtype([
@@ -50,48 +51,52 @@ TUNING_DTYPE = np.dtype([
     ("motion_variance", "<f8"), ("doubt", "<f8"), ("still_us", "<f8"),
     ("refractory_us", "<f8"), ("threshold_drift", "<f8"),
     ("holds_part", "<f8")])
-"""Process noise: variance of the sum of events, in thresholds^2, per second and per
-event.  Photoreceptor: corner frequency in Hz, what an intensity of 1 DN/ms adds to it,
-relative error of both.  Measurement noise: sigma of ln intensity that de-blurring
-leaves, factor of the read and shot noise's variance, that of read noise in DN^2 and of
-shot noise in DN^2 per DN, sigma in DN of an offset of all frames.  Variance (ln^2) up
-to which an estimate is valid.  Where events come: variance in thresholds^2 of what
-interpolation between them leaves; the probability that an event of a pixel at rest is
-noise; gap between two events of which half say rest, us, 0: all of them are
-interpolated; how long a pixel is held in reset after an event, us; variance of the
-thresholds' relative change from one frame to the next; whether a pixel at rest keeps
-``part`` (1) or has none (0)."""
+"""Parameters of the filter, in the order of the fields.
+
+Process noise: variance of the sum of events per second and per event, thresholds^2.
+Photoreceptor: corner frequency, Hz; its increase per DN/ms, Hz; relative standard error
+of both.  Measurement noise: sigma of ln intensity after de-blurring; factor on the
+variance of read and shot noise; variance of read noise, DN^2; of shot noise, DN^2 per
+DN; sigma of an offset common to all frames, DN.  Validity: largest variance, ln^2.
+Interpolation: error variance of interpolation between events, thresholds^2; probability
+that an event of a pixel at rest is noise; gap between two events at which rest and
+motion are equally likely, us (0: all gaps are interpolated); refractory period, us.
+Then the variance of the thresholds' relative change from frame to frame, and whether a
+pixel at rest keeps ``part`` (1) or not (0)."""
 
 SAMPLE_DTYPE = np.dtype([("log", "<f4"), ("variance", "<f4"), ("per_dn", "<f4")])
-"""A frame's ln intensity, variance of its read and shot noise (ln^2; 0: no usable
-sample), and what 1 DN more adds to it."""
+"""A frame's sample of one pixel: ln intensity, variance of its read and shot noise
+(ln^2; 0: not usable), and change of ln intensity per DN."""
 
 EXPOSURE_DTYPE = np.dtype([("begin", "<i8"), ("middle", "<i8"), ("end", "<i8")])
-"""Exposure of a column, us."""
+"""Begin, middle and end of a column's exposure, us."""
 
 WAVE_DTYPE = np.dtype([
     ("start_us", "<i8"), ("turns_per_us", "<f8"), ("cosine", "<f8"), ("sine", "<f8"),
     ("of_light", "<f8")])
-"""Ripple of a lamp in one block (see `Wave`)."""
+"""Ripple of a lamp in one block (see `Wave`); its frequency is in turns per us."""
 
 NODE_DTYPE = np.dtype([
     ("level", "<f4"), ("h_on", "<f4"), ("h_off", "<f4"), ("noise", "<f4"),
     ("drift", "<f4"), ("n_on", "<f8"), ("n_off", "<f8")])
-"""A frame's measurement of one pixel."""
+"""A frame's measurement of one pixel, as the smoother takes it: level of log intensity,
+its derivatives by the thresholds, its variance, process noise since the frame before,
+and counts of events up to it."""
 
 PAST_DTYPE = np.dtype([
     ("base", "<f8"), ("var", "<f8"), ("t", "<i8"), ("n_on", "<f8"), ("n_off", "<f8")])
-"""Estimate of one pixel from the frames on one side of a time."""
+"""Estimate of one pixel from all frames on one side of a time: log intensity, variance
+(negative: no frame), time in us, and counts of events up to it."""
 
 GAP_DTYPE = np.dtype([
     ("before", PAST_DTYPE), ("after", PAST_DTYPE), ("drift", "<f8")])
-"""Estimates from both sides."""
+"""Estimates from the frames before and after a time, and process noise in between."""
 
 REST_PLANES, SMOOTH_PLANES = 4, 6
-"""Planes of pixels at rest, float32: log intensity, its variance at an epoch, growth of
-the variance per second, and variance of an offset of all frames; where later samples
-count, also growth of log intensity per second, and of the variance per squared
-second."""
+"""Number of float32 planes cached for pixels at rest: log intensity; its variance at an
+epoch; growth of the variance per second; variance of an offset common to all frames.
+The smoother adds the growth of log intensity per second, and of the variance per
+squared second."""
 
 LANES, LANE_VALUES = 64, 16
-"""Moving pixels that are read together, and numbers that are kept of each."""
+"""Moving pixels that are read together, and values cached for each of them."""

@@ -1,4 +1,4 @@
-"""AoP and DoLP from events alone: the four channels measure three numbers."""
+"""AoP and DoLP from events alone, as four channels measure three Stokes parameters."""
 from __future__ import annotations
 
 import math
@@ -32,51 +32,54 @@ from pdavis_cv.recording.base import ApsFrame
 __all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "EventRedundancy"]
 
 STEP_US = 2_000
-"""Interval at which the four channels are compared."""
+"""Interval at which the four channels are compared, us."""
 SOLVE_EVERY = 10
-"""Comparisons between two solutions."""
+"""Number of comparisons from one solution for the gains to the next."""
 LEAST = 20
-"""Comparisons before a first solution."""
+"""Number of comparisons needed for the first solution."""
 
 WINDOW = 75.0
-"""Comparisons that are remembered; a macropixel counts those with an event of its."""
+"""Memory of the moments, in comparisons (decay by 1/e); each macropixel counts those in
+which it had an event."""
 MEMORY = 3000.0
-"""Events of a pixel that its balance of ON and OFF remembers."""
+"""Memory of a pixel's balance of ON and OFF events, in events (decay by 1/e)."""
 RATIO_SIGMA = 0.06
-"""Standard deviation of ln(theta_on / theta_off) over pixels, before its events."""
+"""Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel."""
 PULL = 1e-3
 """Ridge weight pulling the gains towards equal mean square, as relative variance."""
 VALID_QUALITY = 0.3
-"""Ratio of the two smallest eigenvalues below which a pixel is valid: a third
-is far from the 1 of gains that the data leave open; chosen on `nominal`."""
+"""Ratio of the two smallest eigenvalues below which a pixel is valid.  It is far from
+1, the ratio where the data do not determine the gains; chosen on `nominal`."""
 
 POLICY_DTYPE = np.dtype([
     (name, "<f8") for name in (
         "keep", "ratio_sigma", "forget", "loss", "pull", "least")])
-"""See ``policy_t`` in the kernel."""
+"""Constants of the method: ``policy_t`` in the kernel."""
 
 BALANCE_DTYPE = np.dtype([
     (name, "<f8") for name in (
         "weight", "mean_all", "mean_on", "var_all", "cov_on", "var_on", "null")])
-"""A pixel's curve of ON events against all, and its weight in the macropixel's sum."""
+"""Running regression of a pixel's ON events on all its events, and the pixel's
+coefficient in the null vector of its macropixel (`null_of`)."""
 
 MOMENTS_DTYPE = np.dtype([
     ("product", "<f8", (10,)), ("weight", "<f8"), ("since", "<f8"),
     ("ratio", "<f4"), ("smallest", "<f4")])
-"""Moments of a macropixel's weighted intensities, and what their eigenvalues tell."""
+"""Second moments of a macropixel's weighted intensities, then the ratio of the two
+smallest eigenvalues and the smallest one."""
 
-# A reader writes no variance and validity there: it knows them from frames alone.
+# Empty: variance and validity are not read, as a reader knows only those of frames.
 _NOT_ASKED = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint8)
 
 
 class EventRedundancy(Reconstructor):
-    """Log intensity up to one offset per macropixel, from events alone.
+    """Log intensity from events alone, up to one offset per macropixel.
 
-    Whatever the light, I0 + I90 = I45 + I135.  With I_i = a_i exp(E_i), E_i the sum
-    of a pixel's events, that holds at all times for one set of gains a only, if
-    polarization changes: so AoP and DoLP follow without a frame.  Each pixel's
-    thresholds are balanced so that its sum of events has no trend; between two events
-    of a pixel the intensity is interpolated.  Frames are ignored.
+    For any light I0 + I90 = I45 + I135.  With I_i = a_i exp(E_i), where E_i is the sum
+    of a pixel's events, this determines the gains a up to one factor if polarization
+    changes, so AoP and DoLP follow without a frame.  Each pixel's thresholds are
+    balanced so that its sum of events has no trend; between two events of a pixel the
+    intensity is interpolated.  Frames are ignored.
 
     Parameters
     ----------
@@ -88,9 +91,9 @@ class EventRedundancy(Reconstructor):
         Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
         orthogonal ones on the diagonals.
     cutoff_hz : float
-        Below it, common changes of a macropixel's four pixels fade.
+        Corner of a high-pass filter on the common changes of a macropixel's pixels.
     lookahead_us : int
-        How long to wait for each pixel's next event; 0 = not at all.
+        How long to wait for each pixel's next event, us; 0 = not at all.
     bandwidth : (float, float) or (float, float, float), optional
         As for `KalmanFilter`.
 
@@ -101,11 +104,12 @@ class EventRedundancy(Reconstructor):
 
     Notes
     -----
-    docs/theory/events.md.  Gains are the eigenvector of the smallest eigenvalue of the
-    macropixel's moments, over the last moments in which it had events.  The quality
-    of a pixel is the ratio of the two smallest eigenvalues: 0 where one set of gains
-    explains all, 1 where nothing is known; it is valid below 0.3.  The variance is the
-    smallest eigenvalue: what the best gains leave unexplained.
+    docs/theory/events.md derives the method.  The gains are the eigenvector of the
+    smallest eigenvalue of the macropixel's moments, over its last comparisons with
+    events.  The quality of a pixel is the ratio of the two smallest eigenvalues: 0
+    where one set of gains explains all data, 1 where the data determine none; a pixel
+    is valid below 0.3.  The variance is the smallest eigenvalue, the residual variance
+    of the best gains.
     """
 
     method = "events"
@@ -144,9 +148,9 @@ class EventRedundancy(Reconstructor):
         self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
         self._unsolved = False
-        self._fed = 0                   # how often anything was
+        self._fed = 0                   # calls that changed the state so far
         self._ahead: tuple[EventRedundancy, int] | None = None
-        self._shown = self              # whose moments the last read was of
+        self._shown = self              # the object that answered the last read
         self._solved: NDArray[np.float32] | None = None
 
     def _tune(self) -> None:
@@ -156,7 +160,7 @@ class EventRedundancy(Reconstructor):
             self._tuning[name] = value
 
     def retune(self, **learned: Any) -> None:
-        """Go on with another bandwidth (see `Reconstructor.retune`)."""
+        """Continue with another bandwidth (see `Reconstructor.retune`)."""
         if learned.keys() - {"bandwidth"}:
             raise TypeError(f"retune takes bandwidth, got {', '.join(sorted(learned))}")
         if "bandwidth" in learned:
@@ -173,16 +177,16 @@ class EventRedundancy(Reconstructor):
 
     @property
     def quality(self) -> NDArray[np.float32]:
-        """Ratio of the two smallest eigenvalues, 1 = unknown; shape (H, W).
+        """Ratio of the two smallest eigenvalues at the last read; shape (H, W).
 
-        As of the last time that was read.
+        It is 1 where the data do not determine the gains.
         """
         ratio: NDArray[np.float32] = self._shown._solution[0]
         return ratio.copy()
 
     @property
     def _solution(self) -> NDArray[np.float32]:
-        """Ratio of the smallest eigenvalues, and the smallest, of each pixel."""
+        """Each pixel's ratio of the two smallest eigenvalues, and the smallest."""
         if self._solved is None:
             self._solved = np.empty((2, *self.shape), np.float32)
             _kernels.redundancy_shown(self._moments, *self._solved)
@@ -201,7 +205,7 @@ class EventRedundancy(Reconstructor):
             self._compare(self._clock.last_us - self.lookahead_us - 1)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Check the frame and note its time."""
+        """Check the frame and advance to its time; its image is not used."""
         self._fed += 1
         self._clock.check_frame(frame)
         self._compare(self._clock.last_us - self.lookahead_us - 1)
@@ -223,10 +227,10 @@ class EventRedundancy(Reconstructor):
             self._unsolved or self._tracks.waiting_us is not None)
 
     def _compare(self, until_us: int) -> None:
-        """Make the comparisons, and solutions, up to until_us inclusive.
+        """Make the comparisons and solutions up to until_us, inclusive.
 
-        Which they are is a matter of time alone: not of packets, nor of what other
-        macropixels do.
+        They fall on fixed times, so results depend neither on how the stream is cut
+        into packets nor on the activity of other macropixels.
         """
         tracks = self._tracks
         while self._next is not None and self._next * STEP_US <= until_us:
@@ -243,7 +247,7 @@ class EventRedundancy(Reconstructor):
                     (self._states, self._balance, self._moments), self._reader.flags)
                 self._unsolved = True
             else:
-                # Nothing happens until the next event, or the next solution.
+                # Skip to the next event or the next solution, whichever is first.
                 waiting = tracks.waiting_us
                 self._next = max(k + 1, until_us // STEP_US + 1 if waiting is None
                                  else -(-waiting // STEP_US))
@@ -266,10 +270,10 @@ class EventRedundancy(Reconstructor):
         return self._shown._estimate(t, log)
 
     def _compared(self, t: int) -> EventRedundancy:
-        """Return an equal one that has made the comparisons up to t, inclusive.
+        """Return a copy that has made the comparisons up to t, inclusive.
 
-        They come after the last event fed less the look-ahead, as at the end of a
-        recording; a read must not change the state, so another one makes them.
+        This is needed where less than the look-ahead has been fed after t, as at the
+        end of a recording.  A read must not change the state, so a copy does the work.
         """
         one, fed = self._ahead or (EventRedundancy(self.shape, **self.parameters), -1)
         if fed != self._fed or (one._next or 0) > t // STEP_US + 1:
@@ -289,7 +293,7 @@ class EventRedundancy(Reconstructor):
         return Estimate(log, smallest.copy(), ratio < VALID_QUALITY)
 
     def assign(self, other: Reconstructor) -> None:
-        """Take over the state of an equal one (see `Reconstructor.assign`)."""
+        """Copy the state of an equal object (see `Reconstructor.assign`)."""
         if not isinstance(other, EventRedundancy) or other.shape != self.shape:
             raise ValueError(f"other must be an equal EventRedundancy, got {other!r}")
         self._bandwidth = other._bandwidth
@@ -324,7 +328,7 @@ class EventRedundancy(Reconstructor):
         self._changed()
 
     def _changed(self) -> None:
-        """Note that what was computed ahead holds no more."""
+        """Invalidate everything cached from the state."""
         self._fed += 1
         self._reader.forget()
 
@@ -332,7 +336,7 @@ class EventRedundancy(Reconstructor):
 def null_of(
     response: NDArray[np.float64] | None, shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return by pixel what a macropixel's intensities sum to 0 with, for all light.
+    """Return weights with which a macropixel's intensities sum to 0 for any light.
 
     Parameters
     ----------
@@ -344,7 +348,7 @@ def null_of(
     Returns
     -------
     ndarray of float32, shape (H, W)
-        The largest of a macropixel is 1; 0 where there is no whole macropixel.
+        The largest weight of each macropixel is 1; 0 outside whole macropixels.
 
     Raises
     ------

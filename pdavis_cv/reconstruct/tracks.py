@@ -1,4 +1,4 @@
-"""Recent events, and a reader of states that leaves pixels at rest alone."""
+"""Store of recent events, and a reader of states that skips pixels at rest."""
 from __future__ import annotations
 
 from bisect import bisect_right
@@ -24,43 +24,45 @@ from pdavis_cv.reconstruct.model import (
 __all__ = ["Reader", "Tracks", "as_bytes"]
 
 LOOKAHEAD_US = 50_000
-"""How long a pixel's next event is waited for, unless nothing may be waited for."""
+"""Default look-ahead, us: how long to wait for each pixel's next event."""
 
 LONG_AGO = -(2**62)
-"""A time in us before all stamps; differences to it fit 64 bits."""
+"""A time in us before all stamps; differences to it fit into 64 bits."""
 SWEEP_US = 100_000
-"""How often, in stream time, the reader looks for pixels that came to rest."""
+"""Interval in stream time, us, at which the reader looks for pixels come to rest."""
 
 NO_GAPS = np.zeros((0, 0), GAP_DTYPE)
 _LEAST = 1 << 14
-"""Events that there is room for at first; it doubles when it is full."""
+"""Initial capacity in events; it doubles when it is full."""
 
 
 class Tracks:
-    """Store of the events of the last moments, and each pixel's last ones.
+    """Store of the recent events, and a summary of the older ones of each pixel.
 
-    An event is pushed; then committed: it belongs to the past of every later read;
-    then passed: the exposure of every later frame begins after it.
+    An event goes through three stages.  It is pushed; it is committed once it precedes
+    every later read; it is passed once it precedes every later frame's exposure.
 
     Parameters
     ----------
     shape : (int, int)
         (height, width).
     keep_us : int
-        How long committed events wait for a frame at least.
+        How long committed events are kept for a frame at least, us.
     late : bool
-        Keep a second account of events, that of a reader who comes later.
+        Keep a second summary for a reader that lags behind (the smoother's).
 
     Attributes
     ----------
     tracks : ndarray of TRACK_DTYPE, shape (H, W)
-        Last events and counts of each pixel, of the events committed.
+        Last events and counts of each pixel over the committed events.
     late : ndarray of TRACK_DTYPE, shape (H, W), or (0, 0)
-        The same of those that `commit_late` has committed; counts are never reset.
+        The same over the events that `commit_late` has committed; its counts are never
+        reset.
     old : ndarray of TRACK_DTYPE, shape (H, W)
-        The same of the events passed.
+        The same over the passed events.
     store : ndarray of STORED_DTYPE, shape (capacity,)
-        Chained by pixel from one of the three, the one that was chained last.
+        Events that continue one of the three, which was chained last: its records hold
+        each pixel's first event, and events hold the pixel's next one.
     committed : int
         Index of the first event that is not committed.
     refractory_us : float
@@ -83,14 +85,17 @@ class Tracks:
 
     @property
     def chain(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """The store, chained from `tracks`, as a reader takes it."""
+        """The store chained to `tracks`, and `tracks`, as a reader takes them."""
         self._chain(self.tracks, self.committed, self._stop)
         return self.store, self.tracks
 
     def late_chain(
         self, until_us: int, reader: Reader
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the same of `late`; list the pixels of the events up to until_us."""
+        """Return the store chained to `late` up to until_us, and `late`.
+
+        The pixels of these events are added to the reader's list.
+        """
         self.chain_late(until_us)
         assert self._chained is not None
         _, start, stop = self._chained
@@ -99,7 +104,10 @@ class Tracks:
         return self.store, self.late
 
     def push(self, events: NDArray[Any], last_us: int, reader: Reader) -> int:
-        """Append events and list their pixels; return how many were taken."""
+        """Append events and list their pixels with the reader; return how many.
+
+        Events are taken up to the first one that is out of order or off the sensor.
+        """
         self._make_room(len(events))
         taken, reader.n = _kernels.store_push(
             events, last_us, self._stop, self.store, reader.pixels, reader.n,
@@ -121,25 +129,25 @@ class Tracks:
                 self.refractory_us, self.tracks)
 
     def commit_late(self, until_us: int) -> None:
-        """Commit all events up to until_us, inclusive, for the later reader."""
+        """Commit all events up to until_us, inclusive, for the lagging reader."""
         if self._late < self._stop:
             self._late = _kernels.store_commit(
                 self.store, self._late, self._stop, until_us, self.refractory_us,
                 self.late)
 
     def chain_since(self, t_us: int) -> None:
-        """Pass all committed events up to t_us, and chain those after them to old."""
+        """Pass the committed events up to t_us, and chain the others to `old`."""
         self._passed = _kernels.store_commit(
             self.store, self._passed, self.committed, t_us, self.refractory_us,
             self.old)
         self._chain(self.old, self._passed, self._stop)
 
     def chain_pending(self) -> None:
-        """Chain the events that are not committed yet to tracks."""
+        """Chain the events that are not committed yet to `tracks`."""
         self._chain(self.tracks, self.committed, self._stop)
 
     def chain_late(self, until_us: int) -> None:
-        """Chain to late the events not committed there, up to until_us."""
+        """Chain the events up to until_us that `late` does not include to `late`."""
         stop = bisect_right(self.store["t"], until_us, self._late, self._stop)
         self._chain(self.late, self._late, stop)
 
@@ -152,7 +160,7 @@ class Tracks:
         self._chained = tracks, start, stop
 
     def unchain(self) -> None:
-        """Take the chains off again: they do not outlive a move of the store."""
+        """Remove the chains, whose indices a move of the store would invalidate."""
         if self._chained is not None:
             tracks, start, stop = self._chained
             _kernels.store_unlink(self.store, start, stop, tracks)
@@ -168,7 +176,7 @@ class Tracks:
                 self.store, self._passed, self.committed, recent, self.refractory_us,
                 self.old)
         drop = self._begin
-        # Half of the room is left for what comes, so that moving stays rare.
+        # Half of the capacity stays free, so that the store is rarely moved.
         room = max(len(self.store), 2 * (self._stop - drop + n))
         old = as_bytes(self.store[drop:self._stop])
         if room > len(self.store):
@@ -181,11 +189,11 @@ class Tracks:
 
     @property
     def _begin(self) -> int:
-        """Index of the first event that is still of use."""
+        """Index of the first event that is still needed."""
         return min(self._passed, self._late) if self.late.size else self._passed
 
     def assign(self, other: Tracks) -> None:
-        """Take over what an equal one holds."""
+        """Copy the state of an equal object."""
         self.unchain()
         other.unchain()
         for mine, theirs in zip(self._all, other._all, strict=True):
@@ -206,7 +214,7 @@ class Tracks:
                            self._late - begin)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `state` returned."""
+        """Return to what `state` returned, which is copied."""
         self.unchain()
         for mine, kept in zip(self._all, state["tracks"], strict=True):
             as_bytes(mine)[:] = kept
@@ -225,9 +233,9 @@ class Tracks:
 
 
 def _no_events(shape: tuple[int, int]) -> NDArray[Any]:
-    """Return tracks of pixels without events; none lies across two cache lines."""
+    """Return tracks of pixels without events, each within one cache line."""
     record = TRACK_DTYPE.itemsize
-    # As void a record is copied at once, not field by field.
+    # A record viewed as void is copied at once, not field by field.
     none = np.array((2 * LONG_AGO, 0, 0, NO_GAP, -1), TRACK_DTYPE).view(f"V{record}")
     room = np.empty(shape[0] * shape[1] * record + record, np.uint8)
     begin = -room.ctypes.data % record
@@ -237,21 +245,21 @@ def _no_events(shape: tuple[int, int]) -> NDArray[Any]:
 
 
 class Reader:
-    """Reads states at a time; what did not change since the last read is kept.
+    """Reads states at a time and caches the pixels that have not changed since.
 
-    Nothing in it is a state: what is read does not depend on what it remembers.
+    The cache only saves time: it never changes what is read.
 
     Parameters
     ----------
     shape : (int, int)
         (height, width).
     smooth : bool
-        Frames after the time count as well.
+        Frames after the time read are used as well (offline mode).
 
     Attributes
     ----------
     pixels : ndarray of int32, shape (H * W,)
-        Begins with the list of the pixels that may not be at rest.
+        Its first `n` elements list the pixels that may be moving, by flat index.
     n : int
         Length of the list.
     flags : ndarray of uint8, shape (H, W)
@@ -269,7 +277,7 @@ class Reader:
         self._swept_us: int | None = None
 
     def forget(self) -> None:
-        """Note that all states may have changed."""
+        """Invalidate the cache, because any state may have changed."""
         self._swept_us = None
 
     def read(
@@ -284,23 +292,24 @@ class Reader:
         Parameters
         ----------
         t_us, known_us : int
-            When; up to when events are known.
+            Time to read; time up to which events are known.
         rest_us : int
-            No later read is of a time before this one.
+            Lower bound of the times of all later reads.
         epoch_us : int
-            Not before the time of any state; a function of the stream alone.
+            Reference time of variances, at or after the time of every state; it must
+            depend on the stream alone, not on packets or calls.
         chain : (ndarray of STORED_DTYPE, ndarray of TRACK_DTYPE, shape (H, W))
             Store, and the tracks that it is chained to.
         states : ndarray of STATE_DTYPE, shape (H, W)
-            What is read.
+            States of the filter.
         model : (ndarray of TUNING_DTYPE, shape (1,), ndarray of WAVE_DTYPE)
             Noise and bandwidth; waves of the lamp.
         shown : (ndarray of float32, ndarray of float32, ndarray of uint8)
-            Log intensity, variance, validity; shape (H, W).
+            Receive log intensity, variance, validity; shape (H, W).
         workers : Workers
-            Share the rows.
+            Threads that share the rows.
         gaps : ndarray of GAP_DTYPE, shape (H, W), optional
-            What frames on both sides say, if it is `smooth`.
+            Estimates from the frames on both sides, for a `smooth` reader.
         """
         tuning, waves = model
 
@@ -315,7 +324,7 @@ class Reader:
                     t_us, known_us, epoch_us, chain, model, states, (first, last),
                     shown)
 
-        if len(waves):      # the light of a lamp is never at rest
+        if len(waves):      # under a flickering lamp no pixel is at rest
             workers.rows(len(states), each)
             return
         if self._swept_us is None or rest_us - self._swept_us >= SWEEP_US:
@@ -330,6 +339,6 @@ class Reader:
 
 
 def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return a view of records as bytes."""
-    # Unaligned records are copied field by field, which takes ten times as long.
+    """Return records viewed as bytes, which are copied ten times as fast."""
+    # NumPy copies unaligned records field by field.
     return events.view(np.uint8)

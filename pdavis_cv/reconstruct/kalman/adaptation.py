@@ -1,4 +1,4 @@
-"""What the filter learns of noise from its own innovations, frame by frame."""
+"""Adaptive noise estimation: the filter fits its noise to its own innovations."""
 from __future__ import annotations
 
 import math
@@ -18,43 +18,47 @@ from pdavis_cv.reconstruct.kalman.threshold_drift import (
 __all__ = ["ADAPT_FRAMES", "DOUBT", "KEPT", "MISFIT", "SUMS", "adapt"]
 
 DOUBT = (0.5, 50.0)
-"""Prior probability that an event of a pixel at rest is noise, and how many such events
-it counts for beside those that frames confirm or deny.  Engineering choice: even."""
+"""Prior probability that an event of a pixel at rest is noise, and its weight in events
+(as many as frames have confirmed or denied count the same).  Engineering choice: even
+odds."""
 ADAPT_FRAMES = 20.0
-"""Frames for which the innovations that tell of noise are remembered, by 1/e;
-engineering choice, a second of the paper's cameras."""
+"""Memory of the innovation statistics: their weight decays by 1/e in so many frames.
+Engineering choice: a second of the paper's cameras."""
 
-# Sums over samples that kalman_frame collects, terms in _measure.h, the first three
-# being `KalmanFilter.misfit`; beside them, sums over frames of what they say of motion
-# and events, and of the thresholds' drift.  Last what the frame before said of that.
+# Layout of the array of statistics.  First come the sums over samples that kalman_frame
+# collects (terms in _measure.h), of which the first three are `KalmanFilter.misfit`;
+# then sums over frames for motion and events, and for the drift of the thresholds;
+# last the drift found in the frame before.
 SUMS, MISFIT, _OF_EVENTS, _OF_DRIFT, _LAST = 20, 3, 5, 2, 5
 KEPT = SUMS + _OF_EVENTS + _OF_DRIFT + _LAST
-# Where what is remembered of the first, doubted events, ends, and what follows: of
-# motion and events, noise of frames, and drift, by one frame; then sums over frames.
+# Where the remembered statistics are split: doubted events; motion and events, noise
+# of frames, and drift of the present frame; then motion and events, and drift, summed
+# over frames.
 _ENDS = 2, 7, 12, 17, 22
 
 
 def adapt(
     innovations: NDArray[np.float64], tuning: NDArray[Any], per_event: float,
 ) -> None:
-    """Take the noise of events, motion and reads for what innovations say it is.
+    """Re-estimate the noise of events, motion and frames from the innovations.
 
     Parameters
     ----------
     innovations : ndarray of float64, shape (KEPT,)
-        Sums, a frame's added; in place, what is older counts for less.
+        Innovation statistics, those of the present frame included; older ones are
+        discounted in place.
     tuning : ndarray of TUNING_DTYPE, shape (1,)
-        Changed in place.
+        Receives the estimates.
     per_event : float
-        Variance of the sum of events per event that is stated, thresholds^2.
+        Stated process noise per event, thresholds^2: the lower bound of its estimate.
     """
     kept, before = np.split(innovations[MISFIT:], [-_LAST])
     (denied, doubted), frame, normal, drift, frames, drifts = np.split(kept, _ENDS)
     share, weight = DOUBT
     tuning["doubt"] = (share * weight + denied) / (weight + doubted)
-    # By least squares in each frame, and no frame outweighs the others: the first
-    # ones come before thresholds and bandwidth are known.
-    least = 2 / MOTION[1]**2     # the variance of e^2 / v is 2
+    # Each frame's normal equations are scaled to a weight of at most 1: the first
+    # frames, before thresholds and bandwidth are known, must not outweigh the rest.
+    least = 2 / MOTION[1]**2     # e^2 / v of a Gaussian innovation has variance 2
     frames += frame / (frame[2] + least)
     tuning["motion_variance"], tuning["noise_per_event"] = event_noise(
         frames.tolist(), per_event)

@@ -1,4 +1,4 @@
-"""Noise of motion and of events: what is assumed of it, and what innovations say."""
+"""Noise of motion and of events: its prior, and its estimate from innovations."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -6,38 +6,39 @@ from collections.abc import Sequence
 __all__ = ["MOTION", "event_noise"]
 
 MOTION = (0.002, 0.05, 1.0)
-"""Variance (thresholds^2) of what interpolation between events leaves: prior, standard
-deviation below which a frame's estimate of it does not count in full, and the most.
-Engineering choice: turning polarizers have 0 to .02, the real DAVIS346 .5, and a part
-of which nothing is known 1/3."""
+"""Error variance of interpolation between events (thresholds^2): prior mean; standard
+error at which one frame's estimate has half its full weight; upper bound.  Engineering
+choice: rotating polarizers have 0 to 0.02, the real DAVIS346 has 0.5, and a uniformly
+distributed fraction of a threshold has a mean square of 1/3."""
 
 PER_EVENT = (400.0, 0.5)
-"""Variance of the sum of events per event (thresholds^2), beyond what is stated: what
-its prior counts for, as `MOTION`'s counts for 1: a frame with forty events per pixel;
-and the most.  Engineering choice: where a part p of the events is lost it is
-p / (1 - p), so a third of them."""
+"""Process noise per event (thresholds^2) above the stated value: weight of its prior,
+relative to `MOTION`'s weight of 1 (400 is a frame with forty events per pixel); upper
+bound.  Engineering choice: losing a fraction p of the events makes a variance of
+p / (1 - p), so the bound is a loss of a third."""
 
-# Turns of a least-squares fit of two numbers, which converges geometrically.
+# Iterations of the alternating least-squares fit, which converges geometrically.
 _TURNS = 20
 
 
 def event_noise(normal: Sequence[float], per_event: float) -> tuple[float, float]:
-    """Return the variances of motion and per event by their normal equations.
+    """Return the variances of motion and per event that fit the innovations.
 
-    Least squares within bounds and with priors, by turns.
+    Solves the normal equations with priors and bounds by alternating between both.
 
     Parameters
     ----------
     normal : sequence of float
-        Sums over innovations e of variance v without both, whose derivatives by the
-        two are m v and n v: of m (e^2 / v - 1), n (e^2 / v - 1), m m, m n and n n.
+        Sums of m (e^2 / v - 1), n (e^2 / v - 1), m m, m n and n n over innovations e,
+        where v is their variance without either noise, and m v and n v its derivatives
+        by the two variances.
     per_event : float
-        What is assumed of the second, thresholds^2, and its least.
+        Stated variance per event, thresholds^2: prior mean and lower bound.
 
     Returns
     -------
     (float, float)
-        thresholds^2.
+        Both variances, thresholds^2.
     """
     (motion, _, most), (weight, most_each), each = MOTION, PER_EVENT, per_event
     of_motion, of_events, squares, cross, squares_each = normal

@@ -1,4 +1,4 @@
-"""The Kalman method: de-blurred frames and events, thresholds learned on the way."""
+"""Kalman filter that fuses events and de-blurred frames and learns the thresholds."""
 from __future__ import annotations
 
 import copy
@@ -49,34 +49,34 @@ from pdavis_cv.sensor import THRESHOLD_SIGMA
 __all__ = ["LOOKAHEAD_US", "KalmanFilter"]
 
 SMOOTHING_US = 500_000
-"""How far ahead of an image the offline mode takes frames into account."""
+"""Default look-ahead of the offline mode, us: frames this much later are used."""
 
 NOISE = (0.01, 0.02, 0.0003)
-"""Residual error of a de-blurred frame (standard deviation of log intensity); process
-noise per second (leak) and per event, variance in thresholds^2.
+"""Measurement noise of a de-blurred frame (standard deviation of log intensity), then
+process noise per second (leak) and per event (variances in thresholds^2).
 
-For pixels without events: 68 to 77 % of the innovations of the real DAVIS346 are then
-within one sigma.  Errors of events and motion are learned (`DOUBT`, `MOTION`); the
-differences between pixels (gains, angles of polarizers) are added to images.
+Chosen on pixels without events: 68 to 77 % of the innovations of the real DAVIS346 are
+then within one sigma.  Noise of events and of motion is learned (`DOUBT`, `MOTION`);
+differences between pixels (gains, polarizer angles) are added to the images' sigma.
 """
 
 CALIBRATED_NOISE = (0.006, 0.02, 0.000005, 0.33)
-"""The same if a calibration corrects the pixels' differences: a smaller residual error,
-and a third of the variance that is assumed of read and shot noise."""
+"""`NOISE` where a calibration corrects the differences between pixels: the residual
+error is smaller, and read and shot noise have a third of the variance assumed."""
 
 STILL_US = 250_000.0
-"""Gap between two events (us) at which rest and motion are as likely.  Engineering
-choice: five frames of the paper's cameras; a threshold of .2 in it is .04 from frame to
-frame, which frames tell better than interpolation."""
-# Committed events are kept this long, and at least twice the longest exposure; before
-# the first frame tells how late frames arrive, for exposures of half a second.
+"""Gap between two events (us) at which rest and motion are equally likely.  Engineering
+choice: five frames of the paper's cameras.  A threshold of 0.2 crossed in that gap is a
+change of 0.04 per frame, which frames measure better than interpolation does."""
+# Committed events are kept for KEEP_US and for at least twice the longest exposure.
+# Until the first frame shows how late frames arrive, half a second is kept.
 KEEP_US, _FIRST_KEEP_US = 100_000, 500_000
 _DIM_SHARE = 0.12
-"""Share of a pixel's brightest light at which a lag in inverse proportion to light is
-taken.  Log intensity changes fastest in dim light: weighted by the squared slope of
-ln(1 + .9 cos), the mean square of the lag is that at .12 of the brightest."""
+"""Fraction of a pixel's brightest light at which its lag is evaluated.  The lag goes as
+1 / light, and log intensity changes fastest in dim light: weighted by the squared slope
+of ln(1 + 0.9 cos), the mean square lag is that at 0.12 of the brightest light."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
-# Rows that a frame is used by at a time, and what changes all states.
+# Rows of the sensor that are processed together, by frames and by whole-state updates.
 _BAND = 32
 _NO_NODES = np.zeros((0, 0), NODE_DTYPE)
 
@@ -84,12 +84,12 @@ _NO_NODES = np.zeros((0, 0), NODE_DTYPE)
 class KalmanFilter(Reconstructor):
     """Kalman filter per pixel of log intensity and of both contrast thresholds.
 
-    Events move the log intensity; each frame, de-blurred by the events of its own
-    exposure, corrects it and the thresholds by their covariance.  Between two events
-    of a pixel the intensity is interpolated, and the lag of the photoreceptor is taken
-    out if its bandwidth is given.  What a lamp on the mains adds (`add_wave`) is taken
-    out of the events before and put back after: less than a threshold of it shows in
-    the events of some pixels only.
+    Events are the transition: they move the log intensity.  Each frame, de-blurred by
+    the events of its own exposure, is a measurement that corrects log intensity and
+    thresholds by their covariance.  Between two events of a pixel the intensity is
+    interpolated, and the lag of the photoreceptor is removed if its bandwidth is given.
+    The flicker of a mains lamp (`add_wave`) is subtracted from the events and added
+    back to the images, because flicker below a threshold triggers only some pixels.
 
     Parameters
     ----------
@@ -99,30 +99,29 @@ class KalmanFilter(Reconstructor):
         Contrast thresholds to start from, positive, in natural-log units.
     mode : {"buffered", "causal", "offline"}
         "buffered" waits up to `lookahead_us` for each pixel's next event and
-        interpolates; "causal" extrapolates from the last two; "offline" also lets the
-        frames up to `lookahead_us` later correct what the frames before say.
+        interpolates; "causal" extrapolates from the last two events; "offline" also
+        smooths the estimate with the frames up to `lookahead_us` later.
     lookahead_us : int, optional
         Default 50,000 when buffered, 500,000 offline, 0 when causal (no other value
         is possible).
     threshold_sigma : float or array_like of shape (2,) or (2, H, W)
-        Standard deviation of the thresholds given (ON, OFF), natural-log units;
-        0 keeps them as they are.
+        Prior standard deviation of the thresholds (ON, OFF), natural-log units;
+        0 keeps the thresholds fixed.
     bandwidth : (float, float) or (float, float, float), optional
-        Corner frequency of the photoreceptor in Hz, what is added to it per unit of
-        intensity (Hz per DN/ms), and the relative error of both, default 0.03, which
-        counts in the variance.  Default: no lag.
+        Corner frequency of the photoreceptor in Hz, its increase per unit of intensity
+        (Hz per DN/ms), and the relative standard error of both, default 0.03, which
+        is propagated to the variance.  Default: no lag.
     noise : (float, float, float) or (float, float, float, float)
-        Residual error of a de-blurred frame (standard deviation of log intensity), and
-        the variance of the sum of events per second and per event, in units of the
-        threshold squared; then what the variance of the frames' read and shot noise
-        is multiplied by, default 1.  `CALIBRATED_NOISE` is for pixels whose responses
-        are known.
+        Residual error of a de-blurred frame (standard deviation of log intensity),
+        process noise of the sum of events per second and per event (variances in
+        thresholds^2), and a factor on the variance of the frames' read and shot noise,
+        default 1.  `CALIBRATED_NOISE` is for pixels whose responses are known.
     offset_dn : float
-        Standard deviation of what a pixel's frames all are off by, DN; it counts in
-        the variance, where light is dim above all.
+        Standard deviation of the error that all frames of a pixel share, DN; it adds
+        to the variance, most where light is dim.
     refractory_us : float
-        How long a pixel is held in reset after an event, us; what light does meanwhile
-        is put back by its slope before and after.
+        How long a pixel is held in reset after an event, us; the change lost meanwhile
+        is restored from the slope before and after.
     response : array_like of shape (2, 2, 3) or (H, W, 3), optional
         Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
         orthogonal ones on the diagonals.
@@ -136,12 +135,12 @@ class KalmanFilter(Reconstructor):
     -----
     Samples that are not valid are not used.  A pixel is valid from its first usable
     sample on, while its variance (without that of the lag) is at most 0.25.  A pixel
-    without any, as in light that saturates every frame, takes its offset from the
-    other three of its macropixel (`EventRedundancy`); without these it shows its last
-    sample, a bound, and is not valid.  Packet borders do not change results.
+    that every frame saturates gets its offset from the other three pixels of its
+    macropixel (`EventRedundancy`); without these it shows its last sample, which is a
+    bound, and is not valid.  Results do not depend on how the stream is cut up.
 
-    Offline, a fixed-lag smoother replaces one over the whole recording: a few frames
-    away, leak and noise have moved the events' sum by as much as the error of a frame.
+    The offline mode is a fixed-lag smoother, not one over the whole recording: within
+    a few frames the leak and noise of summed events exceed the error of a frame.
     Memory does not grow with the recording: 28 bytes per pixel and frame within the
     look-ahead, and 17 bytes per event.  Where frames are dim and noisy, a longer
     look-ahead averages over more of them.
@@ -151,7 +150,7 @@ class KalmanFilter(Reconstructor):
     needs = Needs(lamp=True, learned=frozenset({"bandwidth", "noise", "refractory_us"}),
                   prior=frozenset({"threshold_sigma", "offset_dn"}))
     causal_parameters = MappingProxyType({"mode": "causal"})
-    margin = WHOLE_SENSOR  # the noise of motion is learned from all of its innovations
+    margin = WHOLE_SENSOR  # the noise of motion is learned from all pixels' innovations
     lookahead_us: int
 
     def __init__(
@@ -175,7 +174,8 @@ class KalmanFilter(Reconstructor):
                 f"in mode 'causal', got {lookahead_us} in {mode!r}")
         self._mode, self.lookahead_us = mode, lookahead_us
         self.takes_late_frames = mode == "causal"
-        # The filter goes ahead of the smoother: it waits for next events only.
+        # The filter runs ahead of the smoother: it waits for each pixel's next event,
+        # not for later frames.
         self._wait_us = (min(self.lookahead_us, LOOKAHEAD_US) if mode == "offline"
                          else self.lookahead_us)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
@@ -195,7 +195,7 @@ class KalmanFilter(Reconstructor):
         self._tuning["shot_variance"] = 1 / DN_PER_SHOT
         self._tuning["doubt"], self._tuning["motion_variance"] = DOUBT[0], MOTION[0]
         self._tuning["still_us"] = STILL_US
-        self._tuning["holds_part"] = mode == "causal"   # images know less than samples
+        self._tuning["holds_part"] = mode == "causal"   # images see no later events
         self._saturated = Saturated(
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
             self._bandwidth)
@@ -204,22 +204,22 @@ class KalmanFilter(Reconstructor):
         self._begin_thresholds()
 
     def _begin(self) -> None:
-        """Make what changes when the filter is fed; nothing has been yet."""
+        """Create the state of a filter to which nothing has been fed."""
         offline = self._mode == "offline"
         self._states = np.zeros(self.shape, STATE_DTYPE)
         self._tracks = Tracks(
             self.shape, max(_FIRST_KEEP_US, KEEP_US + self._wait_us), late=offline)
         self._smoother = Smoother(self.shape) if offline else None
         self._reader = Reader(self.shape, smooth=offline)
-        self._epoch_us = 0      # not before the last sample of any pixel
-        self._interval_us = 0   # between the last two frames used, 0 before
-        self._mid_us = NEVER    # of the last frame fed
+        self._epoch_us = 0      # at or after the last sample of every pixel
+        self._interval_us = 0   # time between the last two frames used; 0: fewer
+        self._mid_us = NEVER    # mid-exposure of the last frame fed
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._frames: tuple[WaitingFrame, ...] = ()
         self._unsampled: NDArray[np.intp] | None = None
         self._innovations = np.zeros(KEPT)
-        self._fed = 0           # how often anything was
+        self._fed = 0           # calls that changed the state so far
         self._scratch: tuple[KalmanFilter, int, int] | None = None
 
     def _tune(self) -> None:
@@ -231,11 +231,11 @@ class KalmanFilter(Reconstructor):
         self._tracks.refractory_us = self._refractory_us
 
     def _adapt(self) -> None:
-        """Take the noise of events, motion and reads for what innovations say it is."""
+        """Re-estimate the noise of events, motion and frames from the innovations."""
         adapt(self._innovations, self._tuning, self._noise[2])
 
     def _begin_thresholds(self) -> None:
-        """Set the thresholds of the states to their prior, whatever they were."""
+        """Reset the thresholds of all states, and their covariance, to the prior."""
         on, off, *sigmas = (np.broadcast_to(each, self.shape) for each in (
             self._theta_on, self._theta_off, *self._sigma))
         for first in range(0, self.shape[0], _BAND):    # as in `_give_up`
@@ -250,15 +250,15 @@ class KalmanFilter(Reconstructor):
             states["cov_on_off"] = 0
 
     def retune(self, **learned: Any) -> None:
-        """Go on with another bandwidth, noise or thresholds (see `Reconstructor`).
+        """Continue with another bandwidth, noise or thresholds (see `Reconstructor`).
 
-        Thresholds and their sigma (`theta_on`, `theta_off`, `threshold_sigma`) are a
-        new prior, with which pixels begin anew; what gives it has seen what they have.
-        So they do with another refractory period: thresholds made up for what was lost.
-        With another bandwidth, or frames that are moved from now on, thresholds that
-        were learned made up for what was wrong with the delay of events behind frames:
-        they become less certain by as much.  What innovations said of noise was said
-        of a wrong delay too if frames are moved, and is forgotten.
+        `theta_on`, `theta_off` and `threshold_sigma` are a new prior, which replaces
+        the learned thresholds: its estimator has seen the same data.  Another
+        refractory period also resets them, because they had compensated for the events
+        lost.  Another bandwidth, or frames moved in time from now on, means that
+        learned thresholds had compensated for a wrong delay of events against frames:
+        their variance grows accordingly.  Moved frames and another refractory period
+        also discard the noise statistics, which held the same error.
         """
         prior = {"theta_on", "theta_off", "threshold_sigma"}
         unknown = learned.keys() - self.needs.learned - prior - {"frames_moved_us"}
@@ -275,7 +275,7 @@ class KalmanFilter(Reconstructor):
             self._give_up(np.abs(self._lags() - before + 1e-6 * moved_us))
         if moved_us:
             self._doubt_bases(1e-6 * moved_us)
-            self._frames = ()   # what waits has the stamps of before
+            self._frames = ()   # waiting frames still have the old time stamps
         if "refractory_us" in learned:
             before_us, self._refractory_us = self._refractory_us, checked_refractory(
                 learned["refractory_us"])
@@ -298,25 +298,25 @@ class KalmanFilter(Reconstructor):
         self._changed()
 
     def _lags(self) -> NDArray[np.float64]:
-        """Return the time constant of every pixel in dim light, s; 0 for none."""
+        """Return each pixel's photoreceptor lag in dim light, s; 0: no lag."""
         light = self.intensity(self._states["base"].astype(np.float32))
         hz = self._bandwidth[0] + self._bandwidth[1] * _DIM_SHARE * light.astype(float)
         return np.divide(1 / math.tau, hz, out=np.zeros(self.shape), where=hz > 0)
 
     def _give_up(self, lag_error_s: NDArray[np.float64]) -> None:
-        """Add to the thresholds' covariance what a wrong lag did to them.
+        """Inflate the thresholds' covariance by the error that a wrong lag caused.
 
-        A lag that is wrong by dt shifts a sample by the slope of log intensity times
-        dt.  Between two samples T apart the light changed by slope * T at most, so
-        thresholds that explain both err by 2 dt / T, relatively.  Their error becomes
-        ``kept`` times what it was plus an independent one of the prior's distribution,
-        with so much variance but no more than the prior's: a covariance stays one.
+        A lag wrong by dt shifts a sample by dt times the slope of log intensity.
+        Between two samples T apart the light changes by about slope * T, so thresholds
+        fitted to both have a relative error of up to 2 dt / T.  The new error is
+        ``kept`` times the old one plus an independent part of the prior's distribution
+        with that variance, at most the prior's: the covariance stays positive definite.
         """
         if not self._interval_us:
-            return                      # nothing has been learned
+            return                      # no thresholds have been learned yet
         errors = 2 * lag_error_s / (1e-6 * self._interval_us)
         sigmas = [np.broadcast_to(sigma, self.shape) for sigma in self._sigma]
-        # By bands whose records stay in a processor's cache.
+        # In bands of rows whose records fit into the processor's cache.
         for first in range(0, self.shape[0], _BAND):
             rows = slice(first, first + _BAND)
             states, relative = self._states[rows], errors[rows]
@@ -335,9 +335,10 @@ class KalmanFilter(Reconstructor):
                 states["cov_on_off"] *= kept
 
     def _doubt_bases(self, error_s: float) -> None:
-        """Add to the variance of the bases what frames that far off did to them.
+        """Inflate the variance of the bases for frames whose stamps were wrong.
 
-        The slope of log intensity is that of the events between frames so far.
+        Their error is the time error times the slope of log intensity, which is taken
+        from the mean number of events between frames so far.
         """
         states = self._states
         theta = 0.5 * (states["theta_on"] + states["theta_off"])
@@ -348,10 +349,10 @@ class KalmanFilter(Reconstructor):
                 1e6 * error_s / self._interval_us * events * theta)**2
 
     def _doubt_sums(self, lost_us: float) -> None:
-        """Add to the variance of the bases what sums of events lost that resets hid.
+        """Inflate the variance of the bases for a wrong refractory period.
 
-        Of each event's threshold as much as light changed by in that time; of all of
-        them at most as much as if all had one sign.
+        After each event the light changes unseen for that time.  The sum of these
+        losses is largest if all of them have one sign, which is assumed.
         """
         states = self._states
         theta = 0.5 * (states["theta_on"] + states["theta_off"])
@@ -362,7 +363,7 @@ class KalmanFilter(Reconstructor):
                 lost_us / self._interval_us * events**2 * theta)**2
 
     def _changed(self) -> None:
-        """Note that what was computed ahead holds no more, and states may differ."""
+        """Invalidate everything cached from the state."""
         self._fed += 1
         self._reader.forget()
         self._unsampled = None
@@ -379,9 +380,9 @@ class KalmanFilter(Reconstructor):
 
     @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Thresholds learned so far: (2, H, W) ON and OFF, and their covariance.
+        """Thresholds learned so far and their covariance.
 
-        The covariance has shape (H, W, 2, 2).
+        Shapes (2, H, W), ON then OFF, and (H, W, 2, 2).
         """
         s = self._states
         covariance = [s["var_on"], s["cov_on_off"], s["cov_on_off"], s["var_off"]]
@@ -390,7 +391,7 @@ class KalmanFilter(Reconstructor):
 
     @property
     def misfit(self) -> NDArray[np.float64]:
-        """Sums of e^2 / v and of ln v over the innovations e, and their number.
+        """Sums of e^2 / v and of ln v over innovations e of variance v, and the count.
 
         Returns
         -------
@@ -410,9 +411,9 @@ class KalmanFilter(Reconstructor):
             self._settle(self._clock.last_us)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Take a frame; it acts when the events that it needs are there.
+        """Take a frame, which updates the state once the events it needs are there.
 
-        In mode "causal" also one that is late: when it has been read out.
+        In mode "causal" a frame may also be fed late, when it has been read out.
         """
         first = self._mid_us == NEVER
         self._mid_us = self._clock.check_frame(
@@ -457,7 +458,7 @@ class KalmanFilter(Reconstructor):
 
     @property
     def _unknown(self) -> NDArray[np.intp]:
-        """Flat indices of the pixels without a sample, as of the last read."""
+        """Flat indices of the pixels without any sample at the last read."""
         if self._smoother is not None:
             return self._smoother.unknown
         if self._unsampled is None:
@@ -465,9 +466,9 @@ class KalmanFilter(Reconstructor):
         return self._unsampled
 
     def _ahead(self, due: int, seen_us: int) -> KalmanFilter:
-        """Return a filter that has used the first `due` frames that wait here."""
+        """Return a copy of this filter that has used the first `due` waiting frames."""
         if self._scratch is None:
-            # What saturates is read and fed here, never there.
+            # The copy shares `_saturated`, which is fed and read through self only.
             one, fed, done = copy.copy(self), -1, 0
             one._tuning = self._tuning.copy()
             one._begin()
@@ -484,7 +485,7 @@ class KalmanFilter(Reconstructor):
         self, t: int, log: NDArray[np.float32], variance: NDArray[np.float32],
         valid: NDArray[np.uint8],
     ) -> None:
-        # Reads of an earlier time than the last one may follow, down to the last seen.
+        # No later read can be of a time before `rest`.
         rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
         shown = log, variance, valid
         if self._smoother is not None:
@@ -501,7 +502,7 @@ class KalmanFilter(Reconstructor):
         return self._tuning, self._lamp.waves
 
     def _settle(self, seen_us: int) -> None:
-        """Commit what lies in the past of every later read, and use due frames."""
+        """Commit the events that precede every later read, and use the frames due."""
         recent, smoother = self._tracks, self._smoother
         recent.commit(seen_us - self._wait_us)
         if smoother is not None:
@@ -518,7 +519,7 @@ class KalmanFilter(Reconstructor):
             self._interval_us = middle - self._epoch_us if self._epoch_us else 0
             self._epoch_us = max(self._epoch_us, middle)
             self._reader.forget()
-            if self._unsampled is not None:     # a pixel with a sample keeps one
+            if self._unsampled is not None:     # pixels only ever leave this list
                 samples = self._states["samples"].reshape(-1).take(self._unsampled)
                 self._unsampled = self._unsampled[samples == 0]
             if smoother is not None:
@@ -527,9 +528,9 @@ class KalmanFilter(Reconstructor):
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
     def _use(self, frame: WaitingFrame, nodes: NDArray[Any]) -> None:
-        """Update the states by a frame, whose events are chained."""
+        """Update the states with a frame whose events are chained."""
         recent = self._tracks
-        # Sums are formed by bands that do not depend on the number of threads.
+        # Each band has its own sums, so that results do not depend on the threads.
         bands = range(0, self.shape[0], _BAND)
         innovations = np.zeros((len(bands), SUMS))
 
@@ -554,7 +555,7 @@ class KalmanFilter(Reconstructor):
         self._saturated.assign(other._saturated)
 
     def _take(self, other: KalmanFilter) -> None:
-        """Take over everything but what is known of saturated pixels."""
+        """Copy the state of another filter, except that of saturated pixels."""
         self._noise, self._bandwidth = other._noise, other._bandwidth
         self._refractory_us = other._refractory_us
         self._theta_on, self._theta_off = other._theta_on, other._theta_off

@@ -1,37 +1,39 @@
-"""Noise of frames: what is assumed of it, and what innovations say."""
+"""Read and shot noise of frames: the prior, and the estimate from innovations."""
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 __all__ = ["DN_PER_SHOT", "READ_NOISE_DN", "frame_noise"]
 
-# Prior of a frame: read noise in DN, and DN per unit of shot noise variance.
+# Prior of a frame's noise: read noise in DN, and signal in DN per DN^2 of shot noise
+# variance.
 READ_NOISE_DN, DN_PER_SHOT = 2.0, 10.0
 FRAME_NOISE = ((4.0, 0.1), (1.0, 0.005), (400.0, 1.0))
-"""Variances of read noise (DN^2) and of shot noise (DN^2 per DN): sigma of the prior,
-as large as its mean; lower bounds; upper bounds.  Engineering choice: read noise of 1
-to 20 DN, shot noise from half of that of 80 electrons per DN to that of one."""
+"""Variances of read noise (DN^2) and of shot noise (DN^2 per DN): prior sigmas, which
+equal the prior means; lower bounds; upper bounds.  Engineering choice: read noise of 1
+to 20 DN, shot noise from that of 200 electrons per DN to that of one."""
 
-# Turns of a least-squares fit of two numbers, which converges geometrically.
+# Iterations of the alternating least-squares fit, which converges geometrically.
 _TURNS = 20
 
 
 def frame_noise(normal: Sequence[float]) -> tuple[float, float]:
-    """Return the variances of read and shot noise by their normal equations.
+    """Return the variances of read and shot noise that fit the innovations.
 
-    Least squares within the bounds and with the prior of `FRAME_NOISE`, by turns.
+    Solves the normal equations, with the prior and the bounds of `FRAME_NOISE`, by
+    alternating between both.
 
     Parameters
     ----------
     normal : sequence of float
-        Sums over innovations e of variance v, whose derivatives by both variances are
-        r v and s v: of r (e^2 / v - 1) and s (e^2 / v - 1), both with what the present
-        variances make added to them, and of r r, r s and s s.
+        Sums of r z, s z, r r, r s and s s over innovations e, where v is their variance
+        with the present noise, r v and s v its derivatives by the two variances, and
+        z is e^2 / v - 1 plus r and s times the present variances.
 
     Returns
     -------
     (float, float)
-        DN^2, and DN^2 per DN.
+        Variances in DN^2, and in DN^2 per DN.
     """
     (sigma, sigma_shot), (low, low_shot), (high, high_shot) = FRAME_NOISE
     read, shot = READ_NOISE_DN**2, 1 / DN_PER_SHOT

@@ -1,4 +1,4 @@
-"""Pixels that frames measure badly: offsets from the channels' redundancy."""
+"""Pixels that frames measure badly get their offset from the channels' redundancy."""
 from __future__ import annotations
 
 import math
@@ -16,20 +16,21 @@ from pdavis_cv.recording.base import ApsFrame
 __all__ = ["VALID_VARIANCE", "Saturated"]
 
 VALID_VARIANCE = 0.25
-"""An estimate is valid up to this variance of log intensity, lag apart."""
+"""An estimate is valid up to this variance of log intensity (ln^2), without the part
+that the uncertain lag adds.  Engineering choice: a sigma of 0.5 ln."""
 
 EXCESS = 1.2
-"""Factor of the variance that `EventRedundancy` states, that of its comparisons alone.
-Engineering choice: coverage (44 to 57 % within a sigma on `nominal` cameras) asks for
-up to 2.5, but in dim light the filter's own variance is too small as well."""
+"""Inflation of the variance from `EventRedundancy`, which counts its comparisons only.
+Engineering choice: the coverage (44 to 57 % within one sigma on `nominal` cameras) asks
+for up to 2.5, but in dim light the filter's own variance is too small as well."""
 
 DIM_VARIANCE = 0.04
-"""Variance (ln^2) of read and shot noise above which a sample is dim:
-20 %, at 11 DN."""
+"""Variance (ln^2) of read and shot noise above which a sample counts as dim: a relative
+error of 20 %, reached at 11 DN."""
 
 EARLY_US = 500_000
-"""Events before the first frame that are kept: it may arrive so long after its
-mid-exposure.  Longer than any exposure and readout of these cameras."""
+"""How much of the events before the first frame is kept, us, as a frame may arrive this
+long after its mid-exposure.  Longer than any exposure and readout of these cameras."""
 
 PRIOR_SIGMA = 0.3
 """Prior sigma (ln) if a macropixel's four channels are assumed to have equal mean
@@ -37,11 +38,11 @@ squares."""
 
 
 class Saturated:
-    """Estimates from events alone of pixels that frames measure badly or not at all.
+    """Estimates log intensity from events where frames measure it badly or not at all.
 
-    Macropixels with such a pixel in the first frame are put side by side, as the cells
-    of a sensor of their own that `EventRedundancy` sees.  Where there are none this
-    costs nothing.
+    The macropixels that have a saturated or dim pixel in the first frame are put side
+    by side, as the cells of a small virtual sensor, which `EventRedundancy` processes.
+    If there are none, it costs nothing.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class Saturated:
     response : array_like of shape (2, 2, 3) or (H, W, 3), or None
         As for `EventRedundancy`.
     lookahead_us : int
-        How far beyond the time of `fill` data will have been fed, us.
+        How far beyond the time of `fill` the stream will have been fed, us.
     bandwidth : (float, float, float)
         As for `KalmanFilter`.
     """
@@ -65,21 +66,29 @@ class Saturated:
         self.response = None if response is None else np.array(response, np.float64)
         self._shape, self._bandwidth = shape, bandwidth
         self._thresholds, self._lookahead_us = (theta_on, theta_off), lookahead_us
-        # Flat index on the sensor of each pixel of macropixel i, by place in the cell.
+        # [place, i]: flat sensor index of the pixel at that place of macropixel i.
         self._pixels = np.empty((4, 0), np.intp)
-        # By pixel of the sensor: first column of its cell side by side; -1: none.
+        # By sensor pixel: first column of its cell on the virtual sensor; -1: none.
         self._column = np.empty((0, 0), np.int32)
         self._bound = np.zeros(shape, np.float32)
-        self._level: float | None = None    # log intensity that saturates
+        self._level: float | None = None    # log intensity that `_law` is evaluated at
         self._early: tuple[NDArray[Any], ...] = ()  # events before the first frame
         self._method: EventRedundancy | None = None
-        # The pixels that `fill` was last told of, and what it made of them.
+        # Cache of `_cells_of`: its last argument and its result.
         self._filled: tuple[NDArray[np.intp], tuple[
             NDArray[np.intp], NDArray[np.uint8], NDArray[np.intp]]] | None = None
         null_of(self.response, shape)  # refuses an impossible response
 
     def _make(self, pixels: NDArray[np.intp], level: float) -> None:
-        """Begin to watch macropixels, pixels (4, n), under light of so much or more."""
+        """Set up the virtual sensor.
+
+        Parameters
+        ----------
+        pixels : ndarray of intp, shape (4, n)
+            Flat sensor indices of n macropixels.
+        level : float
+            Log intensity that sets the speed of their photoreceptors.
+        """
         self._pixels, self._level = pixels, level
         self._filled = None
         count = pixels.shape[1]
@@ -102,12 +111,12 @@ class Saturated:
             lookahead_us=self._lookahead_us, bandwidth=self._law(level))
 
     def _law(self, level: float) -> tuple[float, float, float]:
-        # The photoreceptors are as fast as the least light that saturates makes them.
+        # The bandwidth is that at one level of light, as no frame measures the light.
         hz, slope, sigma = self._bandwidth
         return hz + slope * math.exp(level), 0.0, sigma
 
     def retune(self, bandwidth: tuple[float, float, float]) -> None:
-        """Go on with another bandwidth."""
+        """Continue with another bandwidth."""
         self._bandwidth = bandwidth
         if self._method is not None and self._level is not None:
             self._method.retune(bandwidth=self._law(self._level))
@@ -115,22 +124,22 @@ class Saturated:
     def add_frame(
         self, frame: ApsFrame, sample: NDArray[np.float32], noise: NDArray[np.float32]
     ) -> None:
-        """Note a frame: its log samples, and their variance, 0 where not usable."""
-        # A pixel that is not usable has full scale here, which is a bound.
+        """Take a frame: its log samples and their variance, 0 where not usable."""
+        # The sample of a saturated pixel is full scale, a lower bound of its light.
         self._bound = np.ascontiguousarray(sample)
         if self._level is None:
             level = math.log(frame.full_scale_dn) - float(log_exposure(frame)[0])
             poor = (noise <= 0) | (noise > DIM_VARIANCE)
             pixels = _cells_with(poor)
             if pixels.size:
-                # The photoreceptors are as fast as the light: that of these pixels.
+                # Photoreceptors are the faster, the brighter these pixels are.
                 self._make(pixels, min(level, float(np.median(sample[poor]))))
             else:
                 self._level = level
             self._begin_with(frame.mid_us)
 
     def _begin_with(self, t_us: int) -> None:
-        """Take the events since the first frame's mid-exposure: it may be late."""
+        """Feed the kept events since the first frame's mid-exposure: it may be late."""
         early, self._early = self._early, ()
         if early:
             since = max(t_us, int(early[-1]["t"][-1]) - EARLY_US)
@@ -138,7 +147,7 @@ class Saturated:
                 self.add_events(events[events["t"] > since])
 
     def add_events(self, events: NDArray[Any]) -> None:
-        """Take events, after those and the frames before."""
+        """Take events that follow everything fed before."""
         if self._level is None and len(events):
             since = int(events["t"][-1]) - EARLY_US
             kept = [each for each in self._early if each["t"][-1] >= since]
@@ -162,22 +171,23 @@ class Saturated:
         self, t_us: int, unknown: NDArray[np.intp], log: NDArray[np.float32],
         variance: NDArray[np.float32], valid: NDArray[np.bool_],
     ) -> None:
-        """Weigh an estimate of frames and what events tell, by their variances.
+        """Combine the filter's estimate and that from events, weighted by variance.
 
-        Where nothing is known it becomes the last frame's sample, which is a bound (a
-        lower one where the pixel saturates), and where the events tell enough, that.
+        A pixel that the filter does not know gets the estimate from events if that is
+        good enough, and else the last frame's sample, which is a bound (a lower one
+        where the pixel saturates).
 
         Parameters
         ----------
         t_us : int
             Time of the estimate.
         unknown : ndarray of intp, shape (N,)
-            Flat indices of the pixels of which nothing is known; the same array as
-            before if they are the same.
+            Flat indices of the pixels that the filter does not know.  The same array
+            object must be passed while they are the same pixels.
         log, variance : ndarray of float32, shape (H, W)
             Log intensity and its variance.
         valid : ndarray of bool, shape (H, W)
-            Set where the variance is then at most `VALID_VARIANCE`.
+            Set where the resulting variance is at most `VALID_VARIANCE`.
         """
         if not len(unknown) and self._method is None:
             return
@@ -198,7 +208,7 @@ class Saturated:
     def _cells_of(
         self, unknown: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.uint8], NDArray[np.intp]]:
-        """Return the macropixels, and what is unknown, as the kernel takes them."""
+        """Return the macropixels and their unknown pixels, as the kernel takes them."""
         if self._filled is None or self._filled[0] is not unknown:
             missing = np.zeros(self._shape, np.uint8)
             missing.ravel()[unknown] = 1
@@ -208,7 +218,7 @@ class Saturated:
         return self._filled[1]
 
     def assign(self, other: Saturated) -> None:
-        """Take over what an equal one holds."""
+        """Copy the state of an equal object."""
         self._bandwidth, self._bound = other._bandwidth, other._bound
         self._early = other._early
         if other._method is None or other._level is None:
@@ -226,7 +236,7 @@ class Saturated:
                 "method": None if self._method is None else self._method.snapshot()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `state` returned."""
+        """Return to what `state` returned, which is copied."""
         self._bound, self._level = state["bound"], state["level"]
         self._early, self._method = state["early"], None
         if state["method"] is not None:

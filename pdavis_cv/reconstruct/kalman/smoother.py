@@ -1,4 +1,4 @@
-"""Smoother of the frame offset: frames after a time count as those before it."""
+"""Fixed-lag smoother: frames after a time correct the estimate as earlier ones do."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -15,14 +15,14 @@ from pdavis_cv.reconstruct.tracks import Reader, Tracks, as_bytes
 __all__ = ["Smoother"]
 
 _LEAST = 8
-"""Frames that there is room for at first; it doubles when it is full."""
+"""Initial capacity in frames; it doubles when it is full."""
 
 
 class Smoother:
-    """Frames between the time that is read and the last one seen, as measurements.
+    """Fixed-lag smoother over the frames between the time read and the last one fed.
 
-    A frame is added as `slot` received it.  Once it lies before every later read, it
-    is folded into one estimate of the past.
+    Each frame's measurements are written to the array that `slot` returns.  Once a
+    frame precedes every later read, it is merged into one estimate of the past.
 
     Parameters
     ----------
@@ -42,20 +42,21 @@ class Smoother:
         self._times = np.zeros((_LEAST, shape[1]), np.int64)
         self._order: tuple[int, ...] = ()
         self._gap = np.zeros(shape, GAP_DTYPE)
-        # The same once one more frame lies before the time, if it is still that.
+        # The same for the next interval between frames, and whether it is up to date.
         self._following, self._followed = np.zeros(shape, GAP_DTYPE), False
+        # Number of frames at or before the time last read, by column.
         self._passed: NDArray[np.int32] | None = None
-        self._past_us = 0       # the last frame that was folded into the past
-        self._epoch_us = 0      # of what the reader keeps
+        self._past_us = 0       # middle of the last frame merged into the past
+        self._epoch_us = 0      # reference time of the reader's variances
         self.unknown = np.empty(0, np.intp)
 
     def slot(self, times: NDArray[np.int64]) -> NDArray[Any]:
-        """Return where the measurements of the next frame go.
+        """Return the array that receives the measurements of the next frame.
 
         Parameters
         ----------
         times : ndarray of int64, shape (W,)
-            Middle of its exposure by column, us.
+            Middle of the frame's exposure by column, us.
 
         Returns
         -------
@@ -75,9 +76,9 @@ class Smoother:
         return nodes
 
     def pass_until(self, t_us: int, states: NDArray[Any]) -> None:
-        """Fold the frames into the past whose middle is at or before t_us.
+        """Merge all frames with a middle at or before t_us into the past.
 
-        The thresholds are those of ``states``.
+        The thresholds of ``states`` convert event counts to log intensity.
         """
         while self._order and int(self._times[self._order[0]].max()) <= t_us:
             at, *rest = self._order
@@ -88,7 +89,7 @@ class Smoother:
             self._forget()
 
     def _forget(self) -> None:
-        """Note that what frames on both sides say is another now."""
+        """Invalidate the cached estimates from the frames on both sides."""
         self._passed, self._followed = None, False
 
     def read(
@@ -99,14 +100,15 @@ class Smoother:
     ) -> None:
         """Write log intensity, variance and validity at t_us (see `Reader.read`).
 
-        ``known_us`` is after t_us, and the events up to then count.
+        Events up to ``known_us``, which is after t_us, are used.
         """
         order = np.array(self._order, np.int32)
         passed = (self._times[order] <= t_us).sum(0, np.int32)
         if self._passed is None or not np.array_equal(passed, self._passed):
             if self._passed is not None and self._followed and np.array_equal(
                     passed, self._passed + 1):
-                # A frame was passed, and none has come: that was found with the last.
+                # One frame was passed and none was added: the estimates were computed
+                # together with the last ones.
                 self._gap, self._following = self._following, self._gap
                 self._followed = False
             else:
@@ -117,7 +119,7 @@ class Smoother:
             self._passed = passed
             self.unknown = np.flatnonzero(
                 (self._gap["before"]["var"] < 0) & (self._gap["after"]["var"] < 0))
-            # Variances are told from a time near: that of a frame on either side.
+            # Variances refer to a time close by, that of a frame on either side.
             at = min(int(passed.max(initial=0)), len(order) - 1)
             self._epoch_us = (
                 int(self._times[order[at]].max()) if len(order) else self._past_us)
@@ -128,7 +130,7 @@ class Smoother:
             self._gap)
 
     def assign(self, other: Smoother) -> None:
-        """Take over what an equal one holds."""
+        """Copy the state of an equal smoother."""
         self._take(other._past, other._past_us,
                    [other._nodes[at] for at in other._order],
                    [other._times[at] for at in other._order])
@@ -141,7 +143,7 @@ class Smoother:
                 "nodes": [as_bytes(self._nodes[at]).copy() for at in order]}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over copies of what `state` returned."""
+        """Return to what `state` returned, which is copied."""
         self._take(state["past"], state["past_us"], state["nodes"], state["times"])
 
     def _take(

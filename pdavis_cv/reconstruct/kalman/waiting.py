@@ -1,4 +1,4 @@
-"""A frame before the events around its exposure are there."""
+"""A frame that waits until the events around its exposure have been fed."""
 from __future__ import annotations
 
 import numpy as np
@@ -12,7 +12,24 @@ __all__ = ["WaitingFrame"]
 
 
 class WaitingFrame:
-    """A frame that waits for the events of its exposure; never changed."""
+    """A frame that waits for the events of its exposure; it is immutable.
+
+    Parameters
+    ----------
+    frame : ApsFrame
+        The frame as read out.
+    lookahead_us : int
+        How long each pixel's next event is waited for, us; 0 in mode "causal".
+
+    Attributes
+    ----------
+    samples : ndarray of SAMPLE_DTYPE, shape (H, W)
+        Log intensity and prior noise of each pixel.
+    exposures : ndarray of EXPOSURE_DTYPE, shape (W,)
+        Exposure of each column.
+    known_us : int
+        Stream time from which on the frame can be used.
+    """
 
     __slots__ = ("exposures", "known_us", "samples")
 
@@ -27,7 +44,7 @@ class WaitingFrame:
         self.exposures["begin"] = frame.exposure_start_us
         self.exposures["end"] = frame.exposure_end_us
         self.exposures["middle"] = frame.column_mid_us
-        # What is known when the frame acts must not depend on the packets.
+        # The frame is used at a fixed stream time, however the packets are cut.
         waited = int(self.exposures["middle"].max()) + lookahead_us
         self.known_us = max(int(self.exposures["end"].max()), waited if lookahead_us
                             else frame.available_us)
