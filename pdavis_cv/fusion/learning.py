@@ -1,7 +1,7 @@
-"""What a method must know of the camera, where the caller does not say it.
+"""Estimation of the camera's parameters that the caller does not state.
 
-A `SelfCalibration` looks at a recording's beginning before the first image, or, with
-``causal``, on while the stream passes.
+A `SelfCalibration` is fed the beginning of a recording before the first image, or, with
+``causal``, the stream as it passes.
 """
 from __future__ import annotations
 
@@ -48,45 +48,50 @@ __all__ = ["FIRST_LOOK_S", "Learning", "OnlineLearning", "Tuning",
            "bandwidth_in_situ", "clock_offset_in_situ", "thresholds_in_situ"]
 
 FIRST_LOOK_S = 0.5
-"""The passing stream is first looked at so long after the first frame, s of stream
-time, and then at twice, four times ... that."""
+"""Time of the first estimate from a passing stream, in s of stream time after the first
+frame; the next ones follow at twice, four times ... that."""
 
 _TIME_TO_TELL = 8
-"""What a look tells is computed beside the stream and gone on with after an eighth of
-the look's time more: at 1 Mev/s it takes .03 s of processor time at .5 s, .2 to .3 s
-from 2 s on, for which images need not wait.  Told at once, left-out frames of
-`davis346.aedat4` would be predicted with .355 for .360; after a quarter, .366."""
+"""An estimate takes effect this fraction (an eighth) of the time of its look later, as
+it is computed while the stream goes on: at 1 Mev/s it takes 0.03 s of processor time at
+0.5 s, and 0.2 to 0.3 s from 2 s on.  Applied at once, it would predict the left-out
+frames of `davis346.aedat4` with an error of 0.355 instead of 0.360; after a quarter of
+the time, 0.366."""
 
 _WORTHWHILE = 0.05
-"""A change of the ln of the corner frequency by less is not worth a change."""
+"""Least change of a parameter that is applied: of the ln of the corner frequency, or
+relative to the refractory period."""
 
 _SIGMAS = 3.0
-"""A refractory period that differs by less is the same."""
+"""Least change of the refractory period that is applied, in standard errors."""
 
 _KNOWN_SIGMA = 0.0005
-"""Prior sigma (ln units) of a calibration's thresholds that come without one."""
+"""Prior sigma (ln units) of thresholds from a calibration that states none."""
 
 _COMMON_ERROR = math.sqrt(2)
-"""ON and OFF thresholds of a pixel err together, in their scale.  The filter takes the
-errors as independent, which understates the scale's sigma by this factor."""
+"""Factor on the thresholds' sigma.  The ON and OFF thresholds of a pixel share the
+error of their scale; the filter takes the errors as independent, which understates the
+sigma of the scale by this factor."""
 
 
 class Learning:
-    """What is to be learned for a method, and how an estimate changes its tuning.
+    """Which parameters of a method are estimated, and how an estimate is applied.
 
     Parameters
     ----------
     source : Source
+        The stream to reconstruct.
     options : FusionOptions
+        Options of the fusion.
     parameters : mapping of str to object
-        Of the method, as the caller gives them.
+        Parameters of the method that the caller states.
     needs : Needs
-        Of the method.
+        Inputs that the method needs.
 
     Raises
     ------
     TypeError, ValueError
-        If thresholds or a bandwidth are asked for that cannot be had.
+        If thresholds or a bandwidth are requested that are not available.
     """
 
     def __init__(
@@ -107,20 +112,21 @@ class Learning:
         known = {**self._of_calibration(options), **given}
         wanted = {name for name in needs.learned if name not in known}
         if wanted == {"refractory_us"}:
-            wanted = set()      # alone it is not worth to look ahead for
+            wanted = set()      # alone it does not justify reading ahead
         if options.thresholds == "in-situ":
-            # A stream that passes is not kept for what each pixel needs.
+            # Thresholds of each pixel need a window of data that a passing stream
+            # does not keep.
             wanted.add("scale" if options.causal else "thresholds")
         elif wanted and options.thresholds is None and (
                 self._calibration is None or self._calibration.theta_on is None):
-            wanted.add("scale")     # of what only biases or data sheet say
+            wanted.add("scale")     # biases or data sheet give it only roughly
         clock = _stated_clock(options)
         if needs.learned and clock is None:
             wanted.add("clock_offset")
         self.wanted = frozenset(wanted) if source.info.frame_count != 0 else frozenset()
         self._stated = _stated_bandwidth(self._calibration)
         if "bandwidth" in wanted:
-            # Nothing is known yet of what follows at once: the usual camera's then.
+            # Images follow before any estimate: start from a typical camera's value.
             known["bandwidth"] = self._stated or (
                 TYPICAL_BANDWIDTH if options.causal else None)
         if "refractory_us" in wanted:
@@ -131,7 +137,10 @@ class Learning:
             0.0, CLOCK_OFFSET_SIGMA_US))
 
     def _of_calibration(self, options: FusionOptions) -> dict[str, Any]:
-        """Return what calibration and sensor say; learned bandwidths are left out."""
+        """Return the parameters known from calibration and sensor.
+
+        A bandwidth that comes with a standard error is left out: it is a prior only.
+        """
         needs, calibration = self._needs, self._calibration
         known: dict[str, Any] = {}
         if "offset_dn" in needs.prior and (
@@ -152,7 +161,7 @@ class Learning:
         return known
 
     def estimator(self) -> SelfCalibration:
-        """Return what is to look on; it has seen nothing yet."""
+        """Return a new estimator, to which nothing has been fed."""
         return SelfCalibration(
             self._info.sensor_size, (self.prior.theta_on, self.prior.theta_off),
             sensor=self._info.sensor, stated_bandwidth=self._stated,
@@ -160,23 +169,24 @@ class Learning:
             every_pixel="thresholds" in self.wanted)
 
     def estimate(self, camera: SelfCalibration) -> CameraEstimate:
-        """Return what an estimator that has looked on tells."""
+        """Return the estimate of an estimator that has been fed."""
         wanted = set(self.wanted)
         if "bandwidth" not in self.prior.parameters:
-            wanted.add("bandwidth")      # the method asks for none, thresholds need it
+            wanted.add("bandwidth")      # the thresholds need it, if not the method
         return camera.estimate(
             wanted=wanted, bandwidth=self.prior.parameters.get("bandwidth"))
 
     def beginning(self, source: Source, packets: Iterator[Packet]) -> Tuning:
-        """Return the tuning by what the beginning of a source tells.
+        """Return the tuning estimated from the beginning of a source.
 
-        The estimate of a recording is kept: asked for again, nothing is read.
+        The estimate is cached by source, so that a second call reads nothing.
 
         Parameters
         ----------
         source : Source
+            The stream to reconstruct.
         packets : iterator of Packet
-            Of the source; read as far as the estimator's window reaches.
+            Packets of the source; read as far as the estimator's window reaches.
         """
         if not self.wanted:
             return self.prior
@@ -186,7 +196,7 @@ class Learning:
             camera = self.estimator()
             _look_on(camera, source, packets, self._calibration,
                      (self.prior.theta_on, self.prior.theta_off))
-            # With the calibration, whose identity is part of the key.
+            # The calibration is kept too, as its identity is part of the key.
             kept[key] = self.estimate(camera), self._calibration
         return self.tuned(self.prior, kept[key][0])
 
@@ -199,7 +209,7 @@ class Learning:
                   for theta in (self.prior.theta_on, self.prior.theta_off)))
 
     def tuned(self, tuning: Tuning, estimate: CameraEstimate) -> Tuning:
-        """Return a tuning with what an estimate tells in place of what it was."""
+        """Return a tuning in which an estimate replaces the parameters it gives."""
         found: dict[str, Any] = {}
         if "bandwidth" in self.wanted and estimate.bandwidth is not None:
             found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
@@ -217,7 +227,8 @@ class Learning:
                     "threshold_sigma", _sigma_of(estimate))
         elif ("scale" in self.wanted and not tuning.has_thresholds_of(self.prior)
               and (estimate.nominal_holds or "refractory_us" in found)):
-            # Less told another scale, or what resets hide made it.
+            # An earlier estimate moved the scale: on less data, or because it did not
+            # yet account for the refractory period.  Return to the prior.
             tuning = dataclasses.replace(
                 tuning, theta_on=self.prior.theta_on, theta_off=self.prior.theta_off)
             if "threshold_sigma" in self._needs.prior:
@@ -228,9 +239,9 @@ class Learning:
         return tuning.changed(**found)
 
     def _noise(self, of_events: float) -> tuple[float, ...]:
-        """Return `noise` of `KalmanFilter`, with that of the events as it was found.
+        """Return `noise` of `KalmanFilter` with the estimated noise of events.
 
-        The lowest value that is ever found stands for all that is less.
+        The lowest grid value means "at or below the default", which is then kept.
         """
         exact = self._calibration is not None and self._calibration.analyser is not None
         sigma, per_s, *rest = CALIBRATED_NOISE if exact else NOISE
@@ -243,11 +254,11 @@ _kept: weakref.WeakKeyDictionary[
 
 
 def _sigma_of(estimate: CameraEstimate) -> NDArray[np.float64]:
-    """Return threshold_sigma of a filter that takes ON and OFF as independent.
+    """Return threshold_sigma for a filter that takes ON and OFF errors as independent.
 
-    The ratio is known far better than the scale: independent errors that give the
-    ratio's sigma keep what is known of it.  Where only the common scale is known, a
-    pixel differs from it by the usual mismatch.  Shape (2, H, W).
+    The ratio ON / OFF is known far better than the scale, so the independent errors are
+    chosen to give the ratio its standard error.  Where only the common scale has been
+    estimated, pixels differ from it by the usual mismatch.  Shape (2, H, W).
     """
     relative = (
         _COMMON_ERROR * math.hypot(USUAL_MISMATCH, estimate.common_scale_sigma)
@@ -256,15 +267,17 @@ def _sigma_of(estimate: CameraEstimate) -> NDArray[np.float64]:
 
 
 class OnlineLearning:
-    """Learns while a stream passes: at stated times of the stream, from what passed.
+    """Re-estimates the parameters at fixed times while a stream passes.
 
-    The estimator is fed what the state of the method is fed.  What it tells at a look
-    is computed in a thread; at a stated time after the look the tuning may change, the
-    state goes on with it, and the past is left as it is.
+    The estimator is fed the same data as the method.  At a look, the estimate from the
+    data so far is started in a thread; at a fixed time after the look it is applied.
+    The method's state then continues with the new tuning: past data are not processed
+    again.
 
     Parameters
     ----------
     learning : Learning
+        Which parameters are estimated.
     """
 
     def __init__(self, learning: Learning) -> None:
@@ -277,7 +290,7 @@ class OnlineLearning:
         self._told: Future[CameraEstimate] | None = None
 
     def saw_frame(self, mid_us: int, now_us: int) -> None:
-        """Note that a frame passed: the first one sets the times of the looks."""
+        """Note that a frame has passed; the first one sets the times of the looks."""
         if self._start_us is None:
             self._start_us = mid_us
             while self._look_us() < now_us:
@@ -289,9 +302,9 @@ class OnlineLearning:
         return self._start_us + round(1e6 * FIRST_LOOK_S * 2.0 ** self._looks)
 
     def look(self) -> dict[str, Any]:
-        """Do what is due at `next_us`; return the parameters that change by it.
+        """Do what is due at `next_us`; return the parameters that change.
 
-        Begin to estimate from what has passed, or go on with what that told.
+        Either starts an estimate from the data so far, or applies one that was started.
         """
         assert self.next_us is not None
         assert self._start_us is not None
@@ -310,7 +323,7 @@ class OnlineLearning:
                 estimate.refractory, before.parameters.get("refractory_us", 0.0)):
             estimate = dataclasses.replace(estimate, refractory=None)
         moved = clock is not None and clock.applied_us != before.clock_us
-        # What was found of the lag with other stamps holds no more.
+        # A bandwidth that was estimated with other time stamps is outdated.
         known = before.parameters.get("bandwidth")
         if (estimate.bandwidth is not None and known is not None and not moved
                 and not _is_news(estimate.bandwidth, checked_bandwidth(known))):
@@ -321,11 +334,11 @@ class OnlineLearning:
         return self.tuning.changes(before)
 
     def _begun(self) -> Future[CameraEstimate]:
-        """Begin to estimate from what has passed, in a thread."""
+        """Start an estimate from the data so far, in a thread."""
         passed = self.camera.state()
 
         def estimated() -> CameraEstimate:
-            """Estimate from a copy, while the camera looks on."""
+            """Estimate from a copy, as the original is fed meanwhile."""
             camera = self._learning.estimator()
             camera.restore(passed)
             return self._learning.estimate(camera)
@@ -336,14 +349,14 @@ class OnlineLearning:
         return told
 
     def state(self) -> Mapping[str, Any]:
-        """Return everything that passing data change; arrays in it never change."""
+        """Return the state; its arrays are never changed in place."""
         return {"tuning": self.tuning, "next_us": self.next_us,
                 "start_us": self._start_us, "looks": self._looks,
                 "told": None if self._told is None else self._told.result(),
                 "camera": self.camera.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state` returned."""
+        """Return to what `state` returned."""
         self.tuning, self.next_us = state["tuning"], state["next_us"]
         self._start_us, self._looks = state["start_us"], state["looks"]
         self._told = None
@@ -354,7 +367,7 @@ class OnlineLearning:
 
 
 def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
-    """Tell whether a bandwidth is better known than before, and another one."""
+    """Tell whether a bandwidth is known better than before and is worth applying."""
     if found.sigma > known[2]:
         return False
     level = found.at_intensity * np.array([1.0, 10.0])
@@ -365,13 +378,13 @@ def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
 
 
 def _is_other(found: Refractory, known_us: float) -> bool:
-    """Tell whether a refractory period is another one than was known."""
+    """Tell whether a refractory period differs significantly from the known one."""
     return abs(found.us - known_us) > max(
         _SIGMAS * found.sigma_us if found.us else 0.0, _WORTHWHILE * known_us)
 
 
 def _stated_clock(options: FusionOptions) -> ClockOffset | None:
-    """Return what is to be added to frames' stamps, None if it is to be learned."""
+    """Return the stated offset of the frames' clock, None if it is to be estimated."""
     stated = options.clock_offset_us
     if stated == "learned":
         known = options.calibration
@@ -384,7 +397,7 @@ def _stated_clock(options: FusionOptions) -> ClockOffset | None:
 def _stated_bandwidth(
     calibration: Calibration | None
 ) -> tuple[float, float, float] | None:
-    """Return (hz, hz_per_intensity, sigma), None where one of them is not stated."""
+    """Return (hz, hz_per_intensity, sigma); None if no bandwidth or sigma is stated."""
     if calibration is None or calibration.bandwidth_sigma is None:
         return None
     hz, per_dn = calibration.bandwidth_hz, calibration.bandwidth_hz_per_dn
@@ -398,7 +411,7 @@ def _look_on(
     calibration: Calibration | None, thresholds: tuple[ArrayLike, ArrayLike],
     start_us: int | None = None, stop_us: int | None = None,
 ) -> None:
-    """Let an estimator see frames, events and lamp until its window is full."""
+    """Feed frames, events and the lamp to an estimator until its window is full."""
     lamp = LampTracker(source.info.sensor_size, *thresholds)
     feed = Feed(packets, by_arrival=False, has_frames=source.info.frame_count != 0,
                 after_us=None if start_us is None else start_us - 1,
@@ -429,9 +442,9 @@ def thresholds_in_situ(
     """Estimate each pixel's thresholds from its events and the de-blurred frames.
 
     The difference between two frames must be theta_on N_on - theta_off N_off; a
-    Kalman filter per pixel adds up what all frames say about it.  Pixels then borrow
-    from each other: the spread over the chip is estimated too, and where the
-    recording says little the estimate stays near `nominal`.
+    Kalman filter per pixel combines all frames.  The distribution of the thresholds
+    over the chip is then estimated from all pixels and serves as their prior (empirical
+    Bayes), so that a pixel with few data stays near the others and near `nominal`.
 
     Parameters
     ----------
@@ -440,17 +453,19 @@ def thresholds_in_situ(
     nominal : (on, off)
         Expected thresholds, scalars or (H, W).
     sigma : float
-        How far a pixel may lie from them at first, natural-log units.
+        Prior standard deviation of a pixel's thresholds, natural-log units.
     bandwidth : Bandwidth, "in-situ" or None
-        Of the photoreceptors; estimated first, or lag is neglected.
+        Bandwidth of the photoreceptors; "in-situ" estimates it first, and None
+        neglects the lag.
     calibration : Calibration, optional
         Its dark, gain and clip level are applied to the frames.
     leak_hz : (float, float)
         Leak events of a pixel per second, mean and standard deviation.  The mean is
-        taken out, the rest counts: a turning polarizer does not tell the leak.
+        subtracted and the standard deviation adds to the uncertainty, as light from a
+        rotating polarizer does not determine the leak.
     start_us, stop_us : int, optional
-        The part to look at, at most 10 s and 5 million events of it; default: from
-        the beginning.
+        The part of the recording to use, of which at most 10 s and 5 million events
+        are read; default: from the beginning.
 
     Returns
     -------
@@ -484,11 +499,11 @@ def bandwidth_in_situ(
     start_us: int | None = None,
     stop_us: int | None = None,
 ) -> Bandwidth | None:
-    """Estimate how fast the photoreceptors are, from frames and events alone.
+    """Estimate the bandwidth of the photoreceptors from frames and events alone.
 
-    Frames have no lag: the bandwidth that makes the events of a sample of busy pixels
-    agree with them best is the one.  It may be constant, in proportion to the
-    intensity, or anything between.
+    Frames have no lag, so the estimate is the bandwidth with which the events of a
+    sample of busy pixels agree best with them.  It may be constant, proportional to
+    the intensity, or anything between.
 
     Parameters
     ----------
@@ -504,7 +519,7 @@ def bandwidth_in_situ(
     Returns
     -------
     Bandwidth or None
-        None where frames or events are too few to tell anything.
+        None if there are too few frames or events for an estimate.
     """
     return _that_looked_on(
         recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
@@ -519,11 +534,11 @@ def clock_offset_in_situ(
     start_us: int | None = None,
     stop_us: int | None = None,
 ) -> ClockOffset | None:
-    """Estimate how far the frames' stamps are off the clock of the events.
+    """Estimate the offset between the frames' time stamps and the clock of the events.
 
-    Events that trail frames at all intensities and speeds alike tell it; the lag of
-    photoreceptors, which does nearly the same, is taken for the usual one unless it is
-    seen to depend on the light.
+    A clock offset shows as events that trail the frames equally at all intensities and
+    speeds.  The lag of the photoreceptors looks nearly the same; it is assumed to be
+    the usual one, unless it can be seen to depend on the light.
 
     Parameters
     ----------
@@ -539,8 +554,8 @@ def clock_offset_in_situ(
     Returns
     -------
     ClockOffset or None
-        None where frames or events are too few to tell anything, or a lamp flickers:
-        the times of its events say nothing of the scene's.
+        None if there are too few frames or events for an estimate, or if a lamp
+        flickers, because its events hide the timing of the scene's.
     """
     return _that_looked_on(
         recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(

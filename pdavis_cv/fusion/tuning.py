@@ -1,4 +1,4 @@
-"""What a method is made with, as far as it is known of the camera."""
+"""The camera's parameters that a method is made with."""
 from __future__ import annotations
 
 import dataclasses
@@ -18,7 +18,7 @@ _UNSET = object()
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """What a method is made with, as far as it is known.
+    """The camera's parameters that a method is made with, as known at one time.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Tuning:
     parameters : mapping of str to object
         Further parameters of the method.
     clock : ClockOffset
-        What is added to the frames' exposure times, if it counts.
+        Offset of the frames' clock, which is corrected if it is significant.
     """
 
     theta_on: Theta
@@ -37,11 +37,11 @@ class Tuning:
 
     @property
     def clock_us(self) -> int:
-        """What is added to the frames' exposure times."""
+        """Correction that is added to the frames' exposure times, us."""
         return self.clock.applied_us
 
     def changes(self, before: Tuning) -> dict[str, Any]:
-        """Return what a method made with another tuning is to be retuned with."""
+        """Return the parameters to `retune` a method with that has another tuning."""
         out = {name: value for name, value in self.parameters.items()
                if not np.array_equal(value, before.parameters.get(name, _UNSET))}
         for name in ("theta_on", "theta_off"):
