@@ -144,3 +144,22 @@ def test_a_folder_that_is_read_only_is_named(tmp_path, capsys):
 def test_errors_of_the_library_stay_what_they_are():
     with pytest.raises(RecordingError):
         pdavis_cv.open_recording("missing.aedat4")
+
+
+@pytest.mark.parametrize("arguments", [
+    ("export", FILE), ("fan", FILE), ("simulate", "polarizer"), ("convert", FILE),
+    ("reproduce", "all"), ("score", FILE), ("calibrate", "thresholds", FILE),
+    ("soak",)], ids=lambda arguments: arguments[0])
+def test_a_folder_that_is_not_there_is_named_before_the_work(
+        arguments, tmp_path, capsys, monkeypatch):
+    def work(*args, **options):
+        raise AssertionError("the work has begun")
+
+    monkeypatch.setattr("pdavis_cv.fusion.engine.Fusion.__init__", work)
+    monkeypatch.setattr("pdavis_cv.simulation.Camera.record", work)
+    out = tmp_path / "missing" / ("x.webm" if arguments[0] == "fan" else "x.aedat4")
+    if arguments[0] == "export":
+        out = out.with_suffix(".npy")
+    given = (str(out),) if arguments[0] == "convert" else ("-o", str(out))
+    assert main([*arguments, *given]) == 2
+    assert f"{out}: there is no folder {out.parent} to write to" in one_line(capsys)

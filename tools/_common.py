@@ -280,10 +280,11 @@ def checked_out(
     path: Path, source: str | os.PathLike[str] | None = None, *,
     recording: bool = False, force: bool = False,
 ) -> None:
-    """Raise UsageError if a command must not write a file.
+    """Raise UsageError if a command cannot write a file, or must not.
 
-    Commands replace the output of an earlier run, but never the recording that they
-    read, and another recording only with ``--force``, as it may be irreplaceable.
+    Commands ask before their work, which may take minutes.  They replace the output of
+    an earlier run, but never the recording that they read, and another recording only
+    with ``--force``, as it may be irreplaceable.
 
     Parameters
     ----------
@@ -301,6 +302,8 @@ def checked_out(
     UsageError
         With the reason.
     """
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"{path}: there is no folder {path.parent} to write to")
     if not path.exists():
         return
     if source is not None and os.path.exists(source) and path.samefile(source):

@@ -29,6 +29,7 @@ from ._common import (
     UsageError,
     add_json_option,
     add_layout_option,
+    checked_out,
     command,
     for_people,
     opened,
@@ -53,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _align(args)
     parts = _ALL if args.part == "all" else (args.part,)
     path = Path(args.out)
+    checked_out(path)
     known = Calibration.load(path) if path.exists() else None
     done = []
     for part in parts:

@@ -22,6 +22,7 @@ from ._common import (
     UsageError,
     add_fuse_options,
     add_json_option,
+    checked_out,
     command,
     fuse_options,
     opened,
@@ -51,6 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     suffixes = (".webm", ".mp4", ".mkv", ".avi", *export.ANIMATIONS)
     if args.out.suffix.lower() not in suffixes:
         raise UsageError(f"-o must end in {', '.join(suffixes)}, got {args.out}")
+    checked_out(args.out, args.file)
     if (args.centre is None) != (args.radius is None):
         raise UsageError("--centre and --radius belong together")
     if not args.slow > 0:

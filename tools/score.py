@@ -34,6 +34,7 @@ from ._common import (
     add_layout_option,
     calibration_of,
     can_draw,
+    checked_out,
     command,
     opened,
     progress,
@@ -93,6 +94,8 @@ class Row:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis score``."""
     args = _parser().parse_args(argv)
+    if args.out is not None:
+        checked_out(args.out)
     calibration = None if args.calibration is None else calibration_of(args.calibration)
     with opened(args) as recording:
         left_out = LeftOutFrames(

@@ -22,7 +22,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._common import Parser, UsageError, add_json_option, command, tell_now
+from ._common import (
+    Parser,
+    UsageError,
+    add_json_option,
+    checked_out,
+    command,
+    tell_now,
+)
 from ._values import positive
 
 if TYPE_CHECKING:
@@ -61,6 +68,8 @@ class Sample:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis soak``."""
     args = _parser().parse_args(argv)
+    if args.out is not None:
+        checked_out(args.out)
     if not Path("/proc/self/statm").exists():
         raise UsageError("memory is read from /proc, which only Linux has")
     from pdavis_cv import METHODS

@@ -12,6 +12,7 @@ from ._common import (
     Parser,
     UsageError,
     add_json_option,
+    checked_out,
     command,
     for_people,
     progress,
@@ -53,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     out = Path(args.out)
     if out.suffix != ".npz":
         raise UsageError(f"--out must end in .npz, got {args.out!r}")
+    checked_out(out)
     for name in ("steps", "every", "batch"):
         if getattr(args, name) < 1:
             raise UsageError(f"--{name} must be at least 1, got {getattr(args, name)}")

@@ -41,12 +41,11 @@ choice: above what it falls by where thresholds are stated right (`nominal`,
 `realistic`, 30 to 1000 RPM: up to 28; studies/selfcal_common_scale.py)."""
 
 _LEAST_GAIN = 0.33
-"""By how much -ln L must fall per sample, relative to the square of the ln of the scale
-(and a quarter of that of the ratio): thresholds so wrong make innovations so large.
-Where a tenth of the events is lost, sums are noise at 1000 RPM, and a scale of half is
-likelier than nominal thresholds, but by 0.09 to 0.23 only (three of twelve `nominal`
-specimens that no score uses); scales that are there make 0.54 to 8 (`drawn` and
-`davis346`, six that no score uses), that of the real DAVIS346 2.1 and more."""
+"""Least `CommonScale.gain`: innovations grow with the square of the error of the
+thresholds.  Where a tenth of the events is lost, sums of events are noise at 1000 RPM,
+and a scale of one half is likelier than the nominal thresholds, but with a gain of .12
+only; true scales have .62 to 6.5 (studies/selfcal_least_gain.py; .23, and .54 to 8, on
+the specimens on which the limit was chosen), that of the real DAVIS346 has 2.1."""
 
 _NO_EVENTS = -3.0
 """ln of a scale at which events count for 5 % of what they are, an engineering choice:
@@ -92,6 +91,9 @@ class CommonScale(NamedTuple):
         Standard deviation of the ln of both.
     evidence : float
         Fall of -ln L against the nominal thresholds.
+    gain : float
+        `evidence` per sample, relative to the squared ln of the scale and a quarter of
+        that of the ratio.
     counts : bool
         Whether that suffices to give up the nominal thresholds.
     """
@@ -100,6 +102,7 @@ class CommonScale(NamedTuple):
     off: float
     sigma: float
     evidence: float
+    gain: float
     counts: bool
 
     @property
@@ -161,12 +164,13 @@ def fit_common_scale(
     without, = cost(np.array([_NO_EVENTS]), np.zeros(1))
     nominal, = _Cost(steady, law, clock_us)(np.zeros(1), np.zeros(1))
     on, off = _factors(scale, ratio)
-    result = CommonScale(
-        on, off, math.hypot(max(bend, _LEAST_BEND)**-0.5, _MODEL_SIGMA),
-        float(nominal - found), False)
+    evidence = float(nominal - found)
     squares = scale * scale + ratio * ratio / 4
-    if not (result.evidence > max(_EVIDENCE, _LEAST_GAIN * steady.samples * squares)
-            and without - found > _EVIDENCE and result.told and result.differs):
+    result = CommonScale(
+        on, off, math.hypot(max(bend, _LEAST_BEND)**-0.5, _MODEL_SIGMA), evidence,
+        evidence / (steady.samples * squares) if squares else 0.0, False)
+    if not (evidence > _EVIDENCE and without - found > _EVIDENCE
+            and result.gain > _LEAST_GAIN and result.told and result.differs):
         return result
     noise = fit_event_noise(clean.with_thresholds_scaled(on, off), cost.law)
     share = noise / sample.events_per_s

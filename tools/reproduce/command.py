@@ -25,6 +25,7 @@ from .._common import (
     add_json_option,
     calibration_of,
     can_draw,
+    checked_out,
     command,
     for_people,
     progress,
@@ -402,6 +403,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     settings = _settings(args)
     if args.out.name in ("", ".."):
         raise UsageError(f"-o must name what files begin with, got '{args.out}'")
+    checked_out(args.out)
     if args.recording is not None and args.figure != "fig2":
         raise UsageError(f"--recording belongs to fig2, not to {args.figure}")
     with journal(), for_people(args):
