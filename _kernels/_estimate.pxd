@@ -1,4 +1,4 @@
-"""Log intensity of a pixel at one time, by its state and its events.  Inline only."""
+"""Log intensity of a pixel at one time from its state and events.  Inline only."""
 from libc.stdint cimport int64_t
 
 from _kernels._hot cimport is_hot
@@ -11,22 +11,22 @@ from _kernels._tracks cimport (
 
 cdef extern from *:
     """
-    #define LEAST_VARIANCE 1e-8     /* ln^2: float32 has no more to tell */
+    #define LEAST_VARIANCE 1e-8     /* ln^2: the resolution of float32 */
     """
     const double LEAST_VARIANCE
 
 cdef struct reading_t:
-    walk_t walk             # up to the last event at or before the time
-    part_t part             # crossed since
-    double n_on             # counts since the last sample, the part included
+    walk_t walk             # position at the last event at or before the time
+    part_t part             # part of a threshold crossed since then
+    double n_on             # counts since the last sample, including the part
     double n_off
-    double level            # log intensity as the pixel shows it
-    double lag              # log intensity less level
+    double level            # log intensity behind the photoreceptor's lag
+    double lag              # true log intensity minus level
     double doubt            # probability that the last event is noise
 
 cdef struct rest_t:
     # A pixel at rest: log intensity, its variance at an epoch (< 0: no sample was
-    # used), what is added to that per second, and the variance of the offset.
+    # used), growth of the variance per second, and variance of the offset.
     float level
     float variance
     float per_s
@@ -35,7 +35,7 @@ cdef struct rest_t:
 
 cdef inline bint holds(const state_t* s, const walk_t* walk,
                        const tuning_t* tuning) noexcept nogil:
-    """Tell whether samples have come since the last event, and the part is kept."""
+    """Tell whether s holds the part of samples that followed the last event."""
     return (s != NULL and tuning.holds_part > 0.0 and s.samples > 0
             and walk.t <= s.sampled_us and not never(walk.t))
 
@@ -44,11 +44,11 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
                            double on, double off, const lamp_t* lamp, double hz,
                            const tuning_t* tuning, const state_t* s,
                            double t) noexcept nogil:
-    """Part crossed at t, between walk and its next event, if that is known.
+    """Part crossed at t after walk's last event, up to its next event if known.
 
-    As far as the pixel moves: what silence says against that counts, see `silence`.
-    At rest it is what samples since the last event were taken with, if a filter, s,
-    keeps it (NULL: none does).
+    It is the mean over motion and rest, weighted by the probability of rest (see
+    `silence`).  At rest the part is the one that the state s holds since the samples
+    after the last event, if it holds one (NULL: it does not).
     """
     cdef part_t part
     cdef double gap, rest, moves
@@ -78,7 +78,7 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
     part.rate *= 1.0 - rest
     if held:
         moves = moving(walk, <double>known - <double>walk.t, tuning.refractory_us)
-        if <double>known > t:       # `ahead` has done so
+        if <double>known > t:       # the table of `ahead` includes this factor
             part.fraction *= moves
             part.rate *= moves
         part.fraction += (1.0 - (1.0 - rest) * moves) * s.part
@@ -87,7 +87,7 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
 
 cdef inline double unheard(const walk_t* walk, int64_t sampled,
                            const tuning_t* tuning) noexcept nogil:
-    """Probability that the last event passed is noise if silence follows."""
+    """Probability that the last event passed is noise, given that silence follows."""
     if tuning.doubt <= 0.0 or walk.t <= sampled:
         return 0.0
     return tuning.doubt * silence(<double>(walk.t - walk.t_prev), tuning.still_us)
@@ -95,9 +95,9 @@ cdef inline double unheard(const walk_t* walk, int64_t sampled,
 
 cdef inline double doubted(const walk_t* walk, const stored_t* store, int64_t known,
                            int64_t sampled, const tuning_t* tuning) noexcept nogil:
-    """Probability that the last event passed is noise; 0 once a sample came after it.
+    """Probability that the last event passed is noise; 0 once a sample followed it.
 
-    Only events that are alone are doubted, with silence before and after.
+    Only isolated events are doubted, with silence before and after.
     """
     cdef double doubt = unheard(walk, sampled, tuning)
     if doubt > 0.0 and walk.next >= 0 and store[walk.next].t <= known:
@@ -107,10 +107,10 @@ cdef inline double doubted(const walk_t* walk, const stored_t* store, int64_t kn
 
 cdef inline double moved(const walk_t* walk, const stored_t* store, int64_t known,
                          int64_t sampled, const tuning_t* tuning) noexcept nogil:
-    """Variance (theta^2) that motion leaves, as the next sample will meet it.
+    """Variance (theta^2) due to motion, as in the update by the next sample.
 
-    That of the sum of events, where some came since a sample, and of interpolation,
-    there and where the next event is known.
+    One motion_variance for the sum of events if there were any since the last sample,
+    and one for interpolation, also if the next event is known.
     """
     if walk.t > sampled:
         return 2.0 * tuning.motion_variance
@@ -121,7 +121,7 @@ cdef inline double moved(const walk_t* walk, const stored_t* store, int64_t know
 
 cdef inline void walk_to(walk_t* walk, int64_t t, const stored_t* store,
                          const track_t* track, double refractory) noexcept nogil:
-    """Pass the events up to t, inclusive; count all since the last sample."""
+    """Advance to the last event up to t, inclusive; count from the last sample on."""
     start(walk, track)
     walk.n_on = track.n_on
     walk.n_off = track.n_off
@@ -132,7 +132,7 @@ cdef inline void walk_to(walk_t* walk, int64_t t, const stored_t* store,
 cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
                             const stored_t* store, const tuning_t* tuning,
                             const lamp_t* lamp, const state_t* s) noexcept nogil:
-    """Log intensity at t; r.walk is there already."""
+    """Set part, counts, level and lag at t; r.walk has been advanced to t."""
     cdef double theta, hz = 0.0
     r.n_on = r.walk.n_on
     r.n_off = r.walk.n_off
@@ -164,22 +164,22 @@ cdef inline double counted(const state_t* s, double n_on,
 
 
 cdef inline double theta_squared(const state_t* s) noexcept nogil:
-    """Square of the mean threshold: the unit of parts' variances."""
+    """Square of the mean threshold, the unit of the variance of a part."""
     return 0.25 * (s.theta_on + s.theta_off) * (s.theta_on + s.theta_off)
 
 
 cdef inline double part_variance(const state_t* s, int64_t sampled,
                                  int64_t last) noexcept nogil:
-    """Variance of the part of a pixel at rest; last is the time of its last event.
+    """Variance (ln^2) of the part of a pixel at rest; last: time of its last event.
 
-    A sample after it has measured the part.
+    It is 0 after a sample that followed the event, which has measured the part.
     """
     return 0.0 if sampled >= last else theta_squared(s) * REST_VARIANCE
 
 
 cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
                            const tuning_t* tuning) noexcept nogil:
-    """Return what a pixel at rest shows; walk has passed its last event."""
+    """Return the estimate of a pixel at rest; walk has passed its last event."""
     cdef rest_t rest
     cdef double theta2 = theta_squared(s), v, n_on = walk.n_on, n_off = walk.n_off
     cdef double doubt = unheard(walk, s.sampled_us, tuning)
@@ -232,9 +232,10 @@ cdef inline void show_rest(const rest_t* rest, float dt, float most, float* out,
 cdef inline void show_hot(int64_t t, const state_t* s, const tuning_t* tuning,
                           float* out, float* variance,
                           unsigned char* valid) noexcept nogil:
-    """Write a pixel whose events have no weight: it holds what frames say.
+    """Write a hot pixel: its events are ignored, and it holds the filtered frames.
 
-    It is valid as far as these are good; how far light has moved since is variance.
+    Its validity depends on the frames' variance alone; the variance also includes the
+    motion of the light since the last frame.
     """
     cdef double v = s.var_base + theta_squared(s) * drift(t - s.sampled_us, 0.0, tuning)
     cdef double u = tuning.offset_dn * s.pull
@@ -248,7 +249,7 @@ cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
                             const lamp_t* lamp, const track_t* track,
                             const state_t* s, float* out, float* variance,
                             unsigned char* valid) noexcept nogil:
-    """Log intensity and its variance at t, events up to known >= t being there."""
+    """Write log intensity and variance at t, using the events up to known >= t."""
     cdef reading_t r
     cdef rest_t rest
     cdef double v, u, theta2

@@ -1,30 +1,32 @@
 """Hot pixels: events of a pixel that its frames contradict.  Inline only.
 
-A hot pixel makes events at a high rate whatever the light does.  Between two samples
-the events claim that log intensity has moved; a frame that shows nearly none of it
-contradicts them.  The odds of a pixel's being hot follow by Bayes' rule with stated
-probabilities; from even odds on its events have no weight.
+A hot pixel produces events at a high rate, whatever the light does.  Between two
+samples its events imply a change of log intensity; a frame that shows almost none of it
+contradicts them.  The odds that a pixel is hot follow from Bayes' rule with stated
+probabilities; above even odds its events are ignored.
 """
 from _kernels._model cimport state_t
 
 cdef extern from *:
     """
-    /* Events make a claim if they sum up to this share of the path that they describe,
-       which the light's own rises and falls between two samples seldom do, and a frame
-       contradicts it if less than this part of it shows: thresholds may be stated three
-       times too large.  By so many sigmas of the two samples. */
+    /* CLAIM_SHARE: the events between two samples are tested if their sum is at least
+       this share of the sum of their magnitudes; light that rises and falls seldom does
+       that.  SHOWN_SHARE: a frame contradicts them if it shows less than this share of
+       the sum (thresholds may be stated three times too large), by CLAIM_SIGMAS
+       standard deviations of the two samples. */
     #define CLAIM_SHARE 0.5
     #define SHOWN_SHARE 0.25
     #define CLAIM_SIGMAS 4.0
-    /* ln of the prior odds against a hot pixel, 1000 to 1, and as far beyond even odds
-       as they may get: what has ended is found out.  What a frame adds to them if it
-       contradicts, ln(.9 / .01), and if not, ln(.99 / .1): probabilities of that for
-       hot pixels and for others.  Engineering choices. */
+    /* HOT_PRIOR: ln of the prior odds against a hot pixel, 1000 to 1; also the limit of
+       the log odds for it, so that a pixel can recover.  HOT_MORE, HOT_LESS: change of
+       the log odds by a frame that contradicts, ln(0.9 / 0.01), and by one that does
+       not, ln(0.99 / 0.1), from the probabilities of that for hot pixels and for
+       others.  Engineering choices. */
     #define HOT_PRIOR 6.91
     #define HOT_MORE 4.5
     #define HOT_LESS 2.29
-    /* By what log intensity moves from one sample to the next (ln^2, a factor of e)
-       until so many samples of a hot pixel have said it. */
+    /* HOT_MOTION: initial mean square change of log intensity from one sample of a hot
+       pixel to the next (ln^2, a factor of e).  HOT_SAMPLES: memory of its estimate. */
     #define HOT_MOTION 1.0
     #define HOT_SAMPLES 8.0
     """
@@ -39,16 +41,16 @@ cdef extern from *:
 
 
 cdef inline bint is_hot(const state_t* s) noexcept nogil:
-    """Tell whether it is likelier than not that a pixel is hot."""
+    """Tell whether a pixel is more likely hot than not."""
     return s.hot > HOT_PRIOR
 
 
 cdef inline bint contradicted(double claim, double path, double shown,
                               double variance) noexcept nogil:
-    """Tell whether frames contradict what events say of log intensity.
+    """Tell whether frames contradict the change of log intensity implied by events.
 
-    claim is the sum of the events between two samples, path that of their magnitudes,
-    shown the change from one sample to the next and variance that of both samples.
+    claim is the sum of the events between two samples, path the sum of their
+    magnitudes, shown the change between the samples, variance the sum of theirs.
     """
     if claim < 0.0:
         claim = -claim
@@ -59,7 +61,7 @@ cdef inline bint contradicted(double claim, double path, double shown,
 
 
 cdef inline void weigh_odds(state_t* s, bint against) noexcept nogil:
-    """Move the odds of a pixel's being hot by one sample."""
+    """Update the odds that a pixel is hot by one sample."""
     cdef bint before = is_hot(s)
     s.hot += HOT_MORE if against else -HOT_LESS
     s.hot = 0.0 if s.hot < 0.0 else min(s.hot, 2.0 * HOT_PRIOR)

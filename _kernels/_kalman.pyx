@@ -1,10 +1,10 @@
 """Kalman filter of log intensity and of both thresholds, one filter per pixel.
 
-Between frames log intensity is base + theta_on n_on - theta_off n_off, n counted since
-the last sample (mid-exposure of the last frame used).  The state is (base, theta_on,
-theta_off) with its covariance; `drift` is the process noise.  A frame is de-blurred by
-the events of its exposure (event-based double integral) and measures the base.  See
-docs/theory/kalman.md.
+Between frames, log intensity is base + theta_on n_on - theta_off n_off, where events
+are counted since the last sample (mid-exposure of the last frame used).  The state is
+(base, theta_on, theta_off) with its covariance; `drift` is the process noise.  A frame
+is de-blurred by the events of its exposure (event-based double integral) and measures
+the base.  docs/theory/kalman.md derives it.
 """
 from libc.stdint cimport int32_t, int64_t
 
@@ -23,9 +23,9 @@ from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, propagate)
 
 cdef struct slot_t:
-    # A pixel whose sample waits for `measure`: its column, what the smoother needs, by
-    # what its variance grew since the sample before, the unit of parts' variances, and
-    # how log intensity changed since then, if the pixel is hot.
+    # A pixel whose sample waits for `measure`: its column; the measurement for the
+    # smoother; process noise since the sample before; the unit theta^2 of variances of
+    # a part; squared change of log intensity since the sample before, of a hot pixel.
     Py_ssize_t x
     node_t node
     double added
@@ -37,7 +37,8 @@ cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
 
 cdef struct sum_t:
-    # Integrals over the exposure of exp(part), and of it times counts.
+    # Integrals over the exposure of exp(y), exp(y) n_on and exp(y) n_off, where y is
+    # log intensity relative to a level.
     double whole
     double on
     double off
@@ -46,7 +47,10 @@ cdef struct sum_t:
 cdef inline double at(const walk_t* walk, const stored_t* store, int64_t known,
                       double t, const state_t* s, double level, const tuning_t* tuning,
                       const lamp_t* lamp, double* n_on, double* n_off) noexcept nogil:
-    """Log intensity less level at t, between walk and its next event; the counts."""
+    """Log intensity at t relative to level, between walk and its next event.
+
+    Sets n_on and n_off to the counts, including the part crossed since the last event.
+    """
     cdef double y, theta, hz = 0.0
     cdef part_t part
     if lamp.blocks > 0:
@@ -85,7 +89,8 @@ cdef inline void add_segment(sum_t* total, const walk_t* walk, const stored_t* s
 cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t begin,
                     int64_t end, int64_t known, const state_t* s, double level,
                     const tuning_t* tuning, const lamp_t* lamp) noexcept nogil:
-    """Integrate from begin to end, event by event, in parts that the lamp allows."""
+    """Integrate from begin to end, event by event; in short steps if a lamp flickers.
+    """
     cdef double now = <double>begin, until
     cdef bint flickers = lit(lamp, now, <double>end)
     while True:
@@ -107,13 +112,13 @@ cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t b
 def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not None,
                  track_t[:, ::1] tracks not None, state_t[:, ::1] states not None,
                  double[::1] innovations not None, node_t[:, ::1] nodes not None):
-    """Use a frame: de-blur it by the stored events up to a time, update states.
+    """De-blur a frame by the stored events and update the states with it.
 
     frame is (samples, exposures by column, time up to which events are known), chain
     (store, tracks that chain its events since the exposure began), model (tuning,
     waves).  Events below index `committed` are counted in tracks.  innovations
-    collects the sums of what _measure.h calls terms.  nodes receives what a smoother
-    needs; it may be empty.
+    collects the sums of the terms listed in _measure.h.  nodes receives the
+    measurements for a smoother; it may be empty.
     """
     cdef const sample_t[:, ::1] samples
     cdef const exposure_t[::1] exposures
@@ -170,7 +175,8 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
 cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
                                const tuning_t* tuning, state_t* s, group_t* group,
                                Py_ssize_t i, slot_t* slot) noexcept nogil:
-    """Predict a sample of a hot pixel: neither moved nor de-blurred by its events."""
+    """Predict a sample of a hot pixel, whose events are ignored: it is not de-blurred.
+    """
     slot.change = sample.log - s.base
     slot.change *= slot.change
     slot.added = s.moves + theta_squared(s) * drift(mid - s.sampled_us, 0.0, tuning)
@@ -202,7 +208,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
                   const tuning_t* tuning, const lamp_t* lamp, track_t* track,
                   state_t* s, group_t* group, Py_ssize_t i,
                   slot_t* slot) noexcept nogil:
-    """Predict a sample: de-blur it, move the state to it, hand both to the group."""
+    """Propagate the state to a sample, de-blur the sample, add both to the group."""
     cdef walk_t walk, at_mid, later
     cdef sum_t total
     cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0, events = 0.0
@@ -212,7 +218,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     cdef double n_on, n_off, h_on, h_off, blur, fraction, level, added = 0.0
     cdef double noise = 0.0
     cdef bint fresh = s.samples == 0, learn = False
-    # Counts from the start of exposure to the middle and to the last committed.
+    # Events from the begin of the exposure to its middle, and to the last committed.
     start(&at_mid, old)
     while at_mid.next >= 0 and store[at_mid.next].t <= mid:
         step(&at_mid, store, tuning.refractory_us)
@@ -255,7 +261,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
                           + doubt * (1.0 - doubt))
         motion = theta2 * tuning.motion_variance
         events = theta2 * (n_on + n_off)
-        if n_on + n_off > 0.5:      # none, up to rounding
+        if n_on + n_off > 0.5:      # less than that is no event, up to rounding
             unit = 2.0 * theta2
             added += motion
             noise += motion
@@ -279,7 +285,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         end = begin + 1
     if at_mid.t <= begin and (at_mid.next < 0 or store[at_mid.next].t >= end) and not (
             lit(lamp, <double>begin, <double>end)):
-        # Less than a threshold over the whole exposure: its middle says it all.
+        # No event in the whole exposure: the light at its middle is the mean light.
         at_mid.n_on = at_mid.n_off = 0.0
         blur = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp, &h_on,
                   &h_off)
@@ -331,10 +337,10 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
 
 cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
                         state_t* s) noexcept nogil:
-    """Take the state over, and what the smoother needs."""
+    """Copy the updated state from the group, and complete the smoother's node."""
     cdef double doubt = group.doubt[i]
     slot.node.noise = <float>group.noise[i]
-    # The smoother counts the event in full: the square of what it may be off by.
+    # The smoother counts a doubted event in full, so its squared bias is added.
     slot.node.drift = <float>(
         slot.added + group.jump[i] + slot.theta2 * doubt * doubt)
     s.base = group.base[i]

@@ -1,10 +1,9 @@
-/* What some moving pixels show now, no event being known after their last one.
+/* Log intensity and variance of groups of moving pixels without a known next event.
 
-   What a pixel's last events and samples say of it does not change until the next: that
-   is a lane, a column of lanes_t, and what is shown is a function of it and of time.  A
-   row per quantity, as in _measure.h, so that a processor takes several pixels in one
-   instruction.  The model is that of read_pixel in _estimate.pxd, where the reasons are,
-   here without a lamp. */
+   Until its next event or sample, a pixel's estimate depends on time and on constants
+   that form its lane, a column of lanes_t.  Each quantity has a row of its own, as in
+   _measure.h, so that a processor handles several pixels in one instruction.  The model
+   is that of read_pixel in _estimate.pxd without a lamp, where the reasons are given. */
 #ifndef PDAVIS_CV_LANES_H
 #define PDAVIS_CV_LANES_H
 
@@ -18,28 +17,27 @@ enum {
 
 typedef struct {
     double still_us, leak_per_s, refractory_us;
-    double hz, hz_per_intensity, sigma;         /* bandwidth, and its relative error */
+    double hz, hz_per_intensity, sigma;         /* bandwidth, relative standard error */
     double least_variance, valid_variance;
-    double t, known;            /* when; up to when events are known, us */
-    double since_epoch;         /* s */
-    int bare;                   /* 1: without variance and validity */
-    int smooth;                 /* 1: later samples count */
+    double t, known;            /* time to read; events are known up to then, us */
+    double since_epoch;         /* time since the variances' reference time, s */
+    int bare;                   /* 1: variance and validity are not written */
+    int smooth;                 /* 1: samples after t are used */
 } reader_t;
 
 typedef struct {
-    double last[LANES];         /* us, of the last event */
-    double before[LANES];       /* us, of the gap before it */
-    double same[LANES];         /* 1 where the last two events are of one sign */
+    double last[LANES];         /* time of the last event, us */
+    double before[LANES];       /* gap between the last two events, us */
+    double same[LANES];         /* 1 if the last two events have the same polarity */
     double level[LANES];        /* log intensity after the last event */
     double theta[LANES];        /* threshold of the last event; negative if it is OFF */
     double theta2[LANES];       /* square of the mean threshold */
-    double held[LANES];         /* part that samples since the last event had */
+    double held[LANES];         /* state_t.part, or 0 if the pixel keeps none */
     double v0[LANES];           /* variance at the epoch: v0 + part (v1 + part v2) */
     double v1[LANES], v2[LANES];
-    double offset[LANES];       /* variance of the offset of all frames */
+    double offset[LANES];       /* variance of the offset common to all frames */
     double measured[LANES];     /* 1, or 0 before the first sample */
-    /* Where later samples count too: what level, v0 and v1 change by per s, and v0 by
-       per squared s, from the epoch on. */
+    /* Smoother only: growth of level, v0 and v1 per s, and of v0 per squared s. */
     double slope[LANES], v0_1[LANES], v0_2[LANES], v1_1[LANES];
 } lanes_t;
 
@@ -47,14 +45,15 @@ typedef struct {
     /* Results. */
     float log[LANES], variance[LANES];
     unsigned char valid[LANES];
-    /* us since the last event; place in the table. */
+    /* Time since the last event and last gap, us; place in the table of _tracks.pxd. */
     double since[LANES], gap[LANES], w[LANES], over[LANES];
     int32_t node[LANES];
-    /* Part of a threshold, its slope; variances of the part, then of log intensity, and
-       of the slope, then of the lag; probability that light still moves. */
+    /* Part of a threshold crossed since the last event, and its slope; v: variance of
+       the part, later of log intensity; rate_var: variance of the slope, later of the
+       lag; probability that the light still moves. */
     double part[LANES], rate[LANES], v[LANES], rate_var[LANES], moves[LANES];
-    /* Slope of log intensity and how fast it last fell, per s; what the pixel shows,
-       the intensity of that, and by how much it lags; 1 where that is not found yet. */
+    /* Slope of log intensity and its last rate of fall, per s; log intensity before the
+       lag is removed, intensity, lag (ln), and 1 while the lag is being solved for. */
     double slope[LANES], fall[LANES];
     double level[LANES], light[LANES], lag[LANES], step[LANES];
     float narrow[LANES];
@@ -92,7 +91,7 @@ PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
         g->w[i] = w - node;
         g->gap[i] = gap;
         node += (1.0 - near) * AHEAD_KNEE;
-        /* At the last node the pixel is at rest, and there is none after it. */
+        /* Beyond the last node the pixel is at rest, so nothing is interpolated. */
         g->over[i] = node < AHEAD_NODES - 1 ? 0.0 : 1.0;
         node -= g->over[i];
         node += AHEAD_NODES * (1.0 - l->same[i]);
@@ -109,7 +108,8 @@ PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
     }
 }
 
-/* What is expected where nothing is known beyond now: see ahead in _tracks.pxd. */
+/* Extrapolation from the last events, nothing being known after t: see ahead in
+   _tracks.pxd. */
 PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
                                 const reader_t *restrict r, ptrdiff_t from,
                                ptrdiff_t n)
@@ -141,8 +141,8 @@ PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
     }
 }
 
-/* What is expected where no event has followed up to `known`, which is later than now:
-   see quiet in _tracks.pxd. */
+/* Interpolation where no event follows up to `known`, which is later than t: see quiet
+   in _tracks.pxd. */
 PDAVIS_INLINE void expect_quiet(const lanes_t *restrict l, shown_t *restrict g,
                                 const reader_t *restrict r, ptrdiff_t from,
                                ptrdiff_t n)
@@ -268,7 +268,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void show_lanes(
 {
     ptrdiff_t i;
     for (i = from; i < n; i++) {
-        /* What was left in a lane that is not in use may lie ahead. */
+        /* An unused lane may hold an old value later than t. */
         double since = r->t - l->last[i];
         g->since[i] = since > 0.0 ? since : 0.0;
     }

@@ -1,10 +1,10 @@
 """Flags of a pixel that a reader of states keeps.  Inline only."""
 
 cdef enum:
-    # It is in the list of those that may move: it has a lane.  Others have a place in
-    # the planes of what pixels at rest show.
+    # The pixel is in the list of those that may be moving, and has a lane.  The others
+    # are at rest and are held in planes.
     LISTED = 1
-    # What the lane, or the planes, say of it may not hold any more.
+    # The lane, or the planes, of the pixel may be out of date.
     CHANGED = 2
-    # It is listed, but has come to rest since: it has a place in the planes as well.
+    # The pixel is listed but has come to rest since: its planes are filled as well.
     RESTS = 4

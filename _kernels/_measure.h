@@ -1,24 +1,24 @@
 /* The measurement update of the Kalman method for some pixels at once: see _kalman.pyx.
 
-   Every quantity has a row of its own, so that a processor takes several pixels in one
-   instruction.  The bits of the states are those of one pixel after the other. */
+   Every quantity has a row of its own, so that a processor handles several pixels in
+   one instruction.  The results have the same bits as updating one pixel at a time. */
 #ifndef PDAVIS_CV_MEASURE_H
 #define PDAVIS_CV_MEASURE_H
 
 #include "_clones.h"
 #include "_math.h"
 
-#define LINEAR_VARIANCE 0.04    /* ln^2: noise of 20 % is as wide below as above */
-#define REST_MOST 3.0           /* ln: 20 times; light has changed, not noise */
+#define LINEAR_VARIANCE 0.04    /* ln^2: up to noise of 20 % the log is near linear */
+#define REST_MOST 3.0           /* ln: beyond a factor of 20 the light has changed */
 
 enum {
     TOGETHER = 64,              /* pixels per call of measure */
-    LANES = 8,                  /* sums are formed in so many parts, on every CPU */
-    /* Rows of `terms`, what a sample adds to the sums over all: e^2 / v; ln v; 1; the
-       part of a doubted event that it denies, and 1 for each; normal equations of e^2
-       by what motion and what each event add to v, relative to v without both; of e^2
-       by read and shot noise, where no event tells of motion; of e by relative changes
-       of both thresholds since the sample before. */
+    LANES = 8,                  /* number of partial sums, the same on every CPU */
+    /* Rows of `terms`, the contributions of a sample to the sums over all samples:
+       e^2 / v; ln v; 1; evidence against a doubted event, and weight of that; normal
+       equations of e^2 for the noise of motion and per event, relative to v without
+       both; of e^2 for read and shot noise, if there is no event; of e for the relative
+       changes of both thresholds since the sample before. */
     RATIO = 0, LOG, COUNT, DENIED, DOUBTED,
     MOTION, EVENTS, MOTION_MOTION, MOTION_EVENTS, EVENTS_EVENTS,
     READ, SHOT, READ_READ, READ_SHOT, SHOT_SHOT,
@@ -28,7 +28,7 @@ enum {
 typedef struct {
     double frame_sigma, shot_share, read_variance, shot_variance;
     double offset_dn, motion_variance, noise_per_event;
-    double jump_sigmas;         /* innovations beyond: the base has jumped */
+    double jump_sigmas;         /* a larger innovation means that the base has jumped */
     double theta_least, theta_most;     /* bounds of the thresholds, by their priors */
 } policy_t;
 
@@ -38,20 +38,20 @@ typedef struct {
     double var_base[TOGETHER], cov_base_on[TOGETHER], cov_base_off[TOGETHER];
     double var_on[TOGETHER], cov_on_off[TOGETHER], var_off[TOGETHER];
     double prior_on[TOGETHER], prior_off[TOGETHER], pull[TOGETHER];
-    /* Part of a threshold that a pixel at rest keeps, and that taken at this sample. */
+    /* state_t.part, and the part crossed at this sample. */
     double held[TOGETHER], part[TOGETHER];
     double n_on[TOGETHER], n_off[TOGETHER];     /* events since the sample before */
     /* measured = base + h_on theta_on + h_off theta_off + noise; innovation; d(log) /
        d(DN), of the sample and where it is linearized.  noise is that of motion first. */
     double h_on[TOGETHER], h_off[TOGETHER], noise[TOGETHER], innovation[TOGETHER];
     double sample_per_dn[TOGETHER], per_dn[TOGETHER];
-    double learn[TOGETHER];     /* 1, or 0: thresholds stay (Schmidt-Kalman update) */
-    double rests[TOGETHER];     /* 1 where no event tells of motion, else 0 */
-    double unit[TOGETHER];      /* what a motion_variance of 1 adds to v */
-    double events[TOGETHER];    /* what a noise_per_event of 1 does */
+    double learn[TOGETHER];     /* 1, or 0: fixed thresholds (Schmidt-Kalman update) */
+    double rests[TOGETHER];     /* 1 if no event indicates motion, else 0 */
+    double unit[TOGETHER];      /* derivative of v by motion_variance */
+    double events[TOGETHER];    /* derivative of v by noise_per_event */
     double doubt[TOGETHER];     /* probability that the last event is noise */
-    double worth[TOGETHER];     /* what it moved the base by */
-    double noted[TOGETHER];     /* 1, or 0: it adds nothing to the sums */
+    double worth[TOGETHER];     /* change of the base by that event */
+    double noted[TOGETHER];     /* 1, or 0: left out of the sums */
     /* Variance of the innovation; that of a jump of the base; see RATIO ... */
     double v[TOGETHER], jump[TOGETHER];
     double terms[TERMS][TOGETHER];
@@ -66,11 +66,12 @@ PDAVIS_INLINE double noise_at(double per_dn, const policy_t *p)
            + p->frame_sigma * p->frame_sigma;
 }
 
-/* Linearize where state and sample together see the light; noise becomes R there.
+/* Linearize at the posterior estimate of the light; noise becomes R there.
 
-   Noise is added to DN, not to their logarithm: by the sample alone, one that noise has
-   made brighter would count for more, and a darker one would be too far off.  So
-   innovation and per_dn become those of an iterated Kalman filter, but at a jump. */
+   Noise adds to DN, not to their logarithm.  Linearized at the sample itself, a sample
+   that noise has made brighter would get too much weight, and a darker one would lie
+   too far off.  So innovation and per_dn are those of an iterated Kalman filter, unless
+   the light has jumped. */
 PDAVIS_INLINE void linearize(group_t *restrict g, const policy_t *restrict p,
                              ptrdiff_t n)
 {
@@ -101,7 +102,7 @@ PDAVIS_INLINE void linearize(group_t *restrict g, const policy_t *restrict p,
     }
 }
 
-/* What the samples add to the sums that noise is learned from. */
+/* Set the samples' contributions to the sums that the noise is estimated from. */
 PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff_t n)
 {
     ptrdiff_t i;
@@ -109,8 +110,8 @@ PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff
         g->narrow[i] = pd_log(g->narrow[i]);
     for (i = 0; i < n; i++) {
         double ratio = g->terms[RATIO][i], v = g->v[i], offset = g->spread[i];
-        /* Weights are those without either: else the first samples, before they are
-           known, outweigh all that follow. */
+        /* The weights exclude both noises: otherwise the first samples, before the
+           noises are known, would outweigh all later ones. */
         double calm = v - g->unit[i] * p->motion_variance
                       - g->events[i] * p->noise_per_event + offset * offset;
         double unit = g->unit[i] / calm, events = g->events[i] / calm;
@@ -131,7 +132,7 @@ PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff
         g->terms[DOUBTED][i] = doubted ? g->doubt[i] : 0.0;
     }
     for (i = 0; i < n; i++) {
-        /* Read and shot noise add these, times their variances, relatively. */
+        /* Relative derivatives of v by the variances of read and shot noise. */
         double shot = p->shot_share * g->per_dn[i] / g->v[i];
         double read = shot * g->per_dn[i];
         double excess = g->terms[RATIO][i] - 1.0 + read * p->read_variance
@@ -174,7 +175,7 @@ PDAVIS_INLINE void add_up(const group_t *restrict g, ptrdiff_t n,
     }
 }
 
-/* Update n <= TOGETHER states by a sample each; add to sums what it says of noise. */
+/* Update n <= TOGETHER states by a sample each; add the innovation terms to sums. */
 PDAVIS_CLONES PDAVIS_UNUSED static void measure(
     group_t *restrict g, const policy_t *restrict p, ptrdiff_t n, double *restrict sums)
 {
@@ -190,7 +191,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         double k0, k1, k2, learn = g->learn[i], told;
         double by_on = g->theta_on[i] * (g->n_on[i] + on);
         double by_off = g->theta_off[i] * (off - g->n_off[i]);
-        /* Lost events or a wrong sample: the base may have jumped, thresholds not. */
+        /* Lost events or a wrong sample make the base jump, but not the thresholds. */
         jump = ratio > most ? e * e : 0.0;
         told = ratio > most ? 0.0 : learn / v;
         g->terms[ON][i] = told * by_on * e;

@@ -13,9 +13,9 @@ cdef packed struct stored_t:
     int32_t next            # index of the pixel's next event, -1: none
 
 cdef packed struct track_t:
-    # 32 bytes: none lies across two cache lines.
+    # 32 bytes, so that no record lies across two cache lines.
     int64_t last            # stamp of the last event
-    double n_off            # counted since the last sample, with what was lost
+    double n_off            # since the last sample, with the change lost in resets
     double n_on
     uint32_t gap            # twice the us since the event before, plus its polarity
     int32_t first           # index of the first event after these, -1: none
@@ -34,13 +34,13 @@ cdef packed struct state_t:
     double prior_off
     double pull             # d(base) / d(offset of all frames), ln per DN
     double frame_log        # ln intensity of the last sample, not de-blurred
-    double hot              # ln of the odds that it is hot, over the prior's
-    double moves            # of a hot one: variance of ln intensity between samples
+    double hot              # ln of the odds that it is hot, relative to the prior odds
+    double moves            # hot pixel: mean square change between samples, ln^2
     int64_t sampled_us      # middle of the exposure of the last sample used
-    int32_t samples         # used so far; 0: base and its variance mean nothing yet
-    double seen_on          # all events up to sampled_us, with what was lost
+    int32_t samples         # number of samples used; 0: base is undefined
+    double seen_on          # all events up to sampled_us, with what resets lost
     double seen_off
-    double part             # at rest, in thresholds: see `part_at`
+    double part             # part of a threshold crossed, at rest: see `part_at`
 
 cdef packed struct tuning_t:
     double leak_per_s
@@ -58,12 +58,12 @@ cdef packed struct tuning_t:
     double doubt
     double still_us
     double refractory_us
-    double threshold_drift  # relative, a variance from frame to frame
-    double holds_part       # 1: at rest a pixel keeps its part; 0: it has none
+    double threshold_drift  # variance of the relative change from frame to frame
+    double holds_part       # 1: a pixel at rest keeps its part; 0: it does not
 
 cdef packed struct sample_t:
     float log               # ln intensity
-    float variance          # of read and shot noise; 0 or less: no usable sample
+    float variance          # of read and shot noise; 0 or less: not usable
     float per_dn            # d(log) / d(DN)
 
 cdef packed struct exposure_t:
@@ -79,14 +79,14 @@ cdef packed struct wave_t:
     double of_light
 
 cdef packed struct node_t:
-    # A frame as it measured one pixel: base + h_on theta_on + h_off theta_off at the
-    # last event before its middle, up to noise (a variance; 0 or less: no sample).
+    # A frame's measurement of one pixel: level = base + h_on theta_on + h_off theta_off
+    # + noise, with the base at the last event before the frame's middle.
     float level
     float h_on
     float h_off
-    float noise
-    float drift             # variance since the sample before
-    double n_on             # all events up to the middle, with what was lost
+    float noise             # variance; 0 or less: no sample
+    float drift             # process noise since the sample before, ln^2
+    double n_on             # all events up to the middle, and the change lost in resets
     double n_off
 
 

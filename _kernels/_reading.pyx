@@ -1,8 +1,8 @@
-"""What all pixels show at one time: those at rest from planes, the others by lanes.
+"""Log intensity of all pixels at one time: from planes at rest, from lanes in motion.
 
-What is known of a pixel changes with its events and with frames.  In between, that of
-a pixel at rest is kept in planes (see rest_of in _estimate.pxd), and that of one which
-may move in a lane (see _lanes.h).
+A pixel's parameters change only with its events and with frames.  In between they are
+cached: of a pixel at rest in planes (see rest_of in _estimate.pxd), of one that may be
+moving in a lane (see _lanes.h).
 """
 from libc.stdint cimport int32_t, int64_t, uint8_t
 from libc.string cimport memchr, memcpy
@@ -31,22 +31,22 @@ cdef extern from "_rest.h" nogil:
                     float*, unsigned char*)
 
 cdef enum:
-    # Planes of a pixel at rest; beginning with these, or more if later samples count.
+    # Number of planes of pixels at rest, without and with later samples.
     PLANES = 4
     SMOOTH_PLANES = 6
 
 cdef struct images_t:
-    # What is written; without variance and validity if there is none.
+    # The images to write; variance and valid may be NULL.
     float* log
     float* variance
     uint8_t* valid
 
 cdef struct known_t:
-    # All that is known of the pixels, and when it is asked for.
+    # Data and parameters of all pixels, and the time to read.
     const stored_t* store
     const track_t* tracks
     const state_t* states
-    const gap_t* gaps       # NULL: later samples do not count
+    const gap_t* gaps       # NULL: later samples are not used
     const tuning_t* tuning
     lamp_t lamp
     int64_t t
@@ -56,7 +56,7 @@ cdef struct known_t:
 
 cdef inline void show_one(const known_t* k, Py_ssize_t at,
                           const images_t* out) noexcept nogil:
-    """Write what one pixel shows."""
+    """Write log intensity, variance and validity of one pixel."""
     cdef float variance
     cdef uint8_t valid
     cdef float* var = &variance
@@ -84,14 +84,14 @@ cdef inline void show_one(const known_t* k, Py_ssize_t at,
 def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
                 model not None, const state_t[:, ::1] states not None, rows not None,
                 shown not None):
-    """Log intensity and its variance at t from the events up to known >= t.
+    """Write log intensity and its variance at t, using the events up to known >= t.
 
     The rows (first, last) are written to shown (log intensity, variance, valid).
     chain is (store, tracks that chain the events not counted there yet), model
-    (tuning, waves); epoch is as in `kalman_rest`.  The variance is 0 where no frame
-    was used yet; the log intensity then counts from 0.  valid is 1 where the variance
-    without that of the lag and of the offset is small enough.  Neither is written where
-    their images are (0, 0).
+    (tuning, waves); epoch is as in `kalman_rest`.  Before the first frame used, the
+    variance is 0 and log intensity is relative to 0.  valid is 1 where the variance,
+    without that of the lag and of the offset, is small enough.  variance and valid are
+    not written if they have shape (0, 0).
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks
@@ -136,7 +136,7 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
 
 cdef inline void show_planes(const known_t* k, Py_ssize_t at, float* planes,
                              Py_ssize_t size) noexcept nogil:
-    """Write to the planes what a pixel at rest shows."""
+    """Write the parameters of a pixel at rest to the planes."""
     cdef walk_t walk
     cdef rest_t rest
     cdef resting_t smoothed
@@ -167,13 +167,13 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
                 float[:, :, ::1] planes not None):
     """List the pixels that are not at rest from `now` on; return how many.
 
-    listing is (pixels, flags by pixel): those whose flag says that they are listed, or
-    every one, are looked at; those that stay are marked as changed and fill the
-    beginning of pixels, in their order.  planes (4, h, w) receives what `kalman_show`
-    shows of the others; epoch is a time, not before any sample, that their variances
-    hold for.  tracks must chain the events that are not counted in it yet.  gaps is
-    what `smooth_gap` found, and planes (6, h, w), or (0, 0) where later samples do not
-    count.
+    listing is (pixels, flags by pixel).  The listed pixels are examined, or all of them
+    if `every` is set; those that are not at rest are marked as changed and written to
+    the beginning of pixels, in order.  planes (4, h, w) receives the parameters of the
+    others, from which `kalman_show` reads them; epoch is the time that their variances
+    refer to, at or after every sample.  tracks must chain the events that are not
+    counted in it yet.  gaps is the result of `smooth_gap`, and planes then has shape
+    (6, h, w); it is (0, 0) if later samples are not used.
     """
     cdef int32_t[::1] pixels
     cdef uint8_t[:, ::1] flags
@@ -204,7 +204,7 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
         for i in range(h * w):
             if not every and not flag[i] & LISTED:
                 continue
-            # What a hot pixel shows is no function that its planes could hold.
+            # The smoothed course of a hot pixel does not fit the planes' polynomial.
             if (k.tracks[i].first >= 0 or not at_rest(k.tracks[i].last >> 1, now)
                     or smooth and is_hot(&k.states[i])):
                 flag[i] = LISTED | CHANGED
@@ -218,7 +218,7 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
 
 cdef inline Py_ssize_t found(const int32_t[::1] pixels, Py_ssize_t n,
                              Py_ssize_t at) noexcept nogil:
-    """Return how many of the first n pixels, which are in order, lie before `at`."""
+    """Return how many of the first n pixels, which are sorted, lie before `at`."""
     cdef Py_ssize_t low = 0, middle
     while low < n:
         middle = (low + n) // 2
@@ -230,7 +230,7 @@ cdef inline Py_ssize_t found(const int32_t[::1] pixels, Py_ssize_t n,
 
 
 cdef inline void ask(const known_t* k, Py_ssize_t at) noexcept nogil:
-    """Ask for what is known of a pixel that is entered soon."""
+    """Prefetch the data of a pixel that is entered soon."""
     prefetch(&k.tracks[at])
     prefetch(&k.states[at].base)
     prefetch(&k.states[at].prior_on)
@@ -238,12 +238,12 @@ cdef inline void ask(const known_t* k, Py_ssize_t at) noexcept nogil:
 
 cdef inline bint renewed(const known_t* k, Py_ssize_t at, lanes_t* lanes, Py_ssize_t i,
                          uint8_t* flag) noexcept nogil:
-    """Enter a pixel in its lane; False if it shows what no lane can say."""
+    """Write a pixel's lane; return False if a lane cannot represent the pixel."""
     cdef walk_t walk
     cdef const state_t* s = &k.states[at]
     cdef int32_t first = k.tracks[at].first
     if first >= 0 and k.t < k.store[first].t <= k.known:
-        return False        # the usual case of those below
+        return False        # a shortcut for the most frequent of the cases below
     walk_to(&walk, k.t, k.store, &k.tracks[at], k.tuning.refractory_us)
     if (is_hot(s) or (walk.next >= 0 and k.store[walk.next].t <= k.known)
             or (k.known > k.t and k.tuning.holds_part > 0.0)):
@@ -262,10 +262,11 @@ cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* p
                       Py_ssize_t first, Py_ssize_t last, uint8_t* flags,
                       lanes_t* lanes, float* planes, Py_ssize_t size,
                       const images_t* out) noexcept nogil:
-    """Write what the listed pixels begin <= i < end show, if they lie in [first, last).
+    """Write the images at the listed pixels begin <= i < end that are in [first, last).
 
-    All are of one group; n is the length of the list, size that of the image.  mixed:
-    some may lie outside, whose lanes another thread may be writing.
+    They share one group of lanes; n is the length of the list, size the number of
+    pixels of the image.  mixed: some pixels may be outside [first, last), and another
+    thread may be writing their lanes.
     """
     cdef shown_t group
     cdef uint8_t[LANES] done
@@ -297,7 +298,8 @@ cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* p
         if done[lane]:
             continue
         if group.since[lane] >= REST_US:
-            # Since the list was made; written already if it is in the planes.
+            # It came to rest after the list was made.  With RESTS set, its planes are
+            # filled and it has been written from them.
             if not flags[at] & RESTS:
                 show_one(k, at, out)
                 if flags[at] == LISTED:
@@ -315,11 +317,11 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
                 const state_t[:, ::1] states not None,
                 const gap_t[:, ::1] gaps not None, listing not None,
                 float[:, :, ::1] planes not None, rows not None, shown not None):
-    """As `kalman_read`, without a lamp, by what is kept of the pixels (`kalman_rest`).
+    """Do as `kalman_read` without a lamp, from the cache of `kalman_rest`.
 
-    listing is (the pixels listed, of which so many are in order, flags by pixel, lanes
-    (n, 16, 64) for all of them): what the flags say has changed is found anew.  With
-    gaps, as `smooth_read` with t < known.
+    listing is (listed pixels, how many of them are sorted, flags by pixel, lanes
+    (n, 16, 64) of the listed pixels); the cache is updated for pixels that are flagged
+    as changed.  With gaps it does as `smooth_read` with t < known.
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks
@@ -362,7 +364,7 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
         raise ValueError("kalman_show: lanes must have room for the pixels")
     if first < 0 or last > h:
         raise ValueError("kalman_show: rows must lie in the image")
-    for i in range(n):      # no way out of it: so it takes many at a time
+    for i in range(n):      # without an early exit, so that it can be vectorized
         outside |= (pixels[i] < 0) | (pixels[i] >= h * w)
     if outside:
         raise ValueError("kalman_show: pixels must lie in the image")

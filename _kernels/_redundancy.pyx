@@ -1,9 +1,9 @@
 """Gains of the four pixels of a macropixel from events alone.
 
-For all light n . I = 0, n the left null vector of the four responses.  With I_i =
-a_i exp(E_i), E_i the sum of events, that is linear in the unknown gains a: the smallest
-eigenvector of the moments of n_i exp(E_i), relative errors being equal: see
-docs/theory/events.md.
+For any light n . I = 0, where n is the left null vector of the four responses.  With
+I_i = a_i exp(E_i), where E_i is the sum of events, this is linear in the unknown gains
+a.  For equal relative errors the solution is the eigenvector of the smallest eigenvalue
+of the moments of n_i exp(E_i).  See docs/theory/events.md.
 """
 from libc.math cimport fabs, sqrt
 from libc.stdint cimport int64_t, uint8_t
@@ -16,17 +16,17 @@ from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
 
 cdef packed struct policy_t:
-    double keep             # of the moments, from one comparison to the next
-    double ratio_sigma      # of ln(theta_on / theta_off) over pixels
-    double forget           # of the balance, per event
-    double loss             # of the level of a macropixel, per comparison
-    double pull             # towards equal mean squares, as relative variance
-    double least            # comparisons before a first solution
+    double keep             # decay factor of the moments, per comparison
+    double ratio_sigma      # prior sigma of ln(theta_on / theta_off)
+    double forget           # decay rate of the balance, per event
+    double loss             # fraction of a macropixel's level lost per comparison
+    double pull             # ridge weight to equal mean squares, relative variance
+    double least            # number of comparisons needed for the first solution
 
 cdef packed struct balance_t:
-    # A pixel's curve of ON events against all events: weight, means relative to now,
-    # their squares and product about the means.  null: its weight in the sum of the
-    # macropixel's intensities that is 0 for all light.
+    # Running regression of a pixel's ON events on all its events: weight, means
+    # relative to the present counts, and central second moments.  null: coefficient of
+    # the pixel in the sum of the macropixel's intensities that is 0 for any light.
     double weight
     double mean_all
     double mean_on
@@ -36,25 +36,26 @@ cdef packed struct balance_t:
     double null
 
 cdef packed struct moments_t:
-    double product[10]      # of weighted intensities, upper triangle by rows
+    double product[10]      # moments of weighted intensities, upper triangle by rows
     double weight
-    double since            # comparisons since the last solution
-    float ratio             # of the two smallest eigenvalues, 1: no solution
-    float smallest          # of them: a relative variance
+    double since            # number of comparisons since the last solution
+    float ratio             # ratio of the two smallest eigenvalues, 1: no solution
+    float smallest          # smallest eigenvalue, a relative variance
 
 cdef extern from *:
     """
-    /* A line through N periods is wrong by up to 3 / (2 N)^2 (see rebalance). */
+    /* A line fitted to N periods has an error of up to 3 / (2 N)^2 (see rebalance). */
     #define LINE_ERROR 3.0
-    /* Beyond so many of these errors a pixel is far from the prior: two sigma.  In its
-       first period light that moves fast and slowly at once makes errors of 1.4 rms. */
+    /* A pixel that is farther from the prior than this many such errors (two sigma) is
+       an outlier.  In the first period, light that contains fast and slow motion causes
+       errors of 1.4 rms. */
     #define FAR_ERRORS 2.0
-    #define PART_LEAST 0.05         /* of a pixel's events are ON, or OFF, at least */
-    #define GAIN_LEAST 0.02         /* of the unit vector of gains: not positive else */
-    #define ROUNDED 1e-14           /* an off-diagonal element that is 0 */
-    #define DEAD 1e-12              /* a pixel's share of all moments: it saw nothing */
-    #define SWEEPS 6                /* of Jacobi rotations: 4x4 converges by then */
-    #define RATIO_LEAST 1e-6        /* the smallest eigenvalue that rounding leaves */
+    #define PART_LEAST 0.05         /* bounds the fraction of ON, and of OFF, events */
+    #define GAIN_LEAST 0.02         /* least gain of a unit vector that counts as > 0 */
+    #define ROUNDED 1e-14           /* an off-diagonal element below this is 0 */
+    #define DEAD 1e-12              /* a pixel below this share of moments is dark */
+    #define SWEEPS 6                /* Jacobi sweeps, after which 4x4 has converged */
+    #define RATIO_LEAST 1e-6        /* lower bound of an eigenvalue, by rounding */
     """
     const double LINE_ERROR
     const double FAR_ERRORS
@@ -68,7 +69,7 @@ cdef extern from *:
 
 cdef inline void remember(balance_t* m, double n_on, double n_off,
                           double per_event) noexcept nogil:
-    """Add a point of the curve of ON events against all events."""
+    """Add a point to the regression of ON events on all events."""
     cdef double n = n_on + n_off, keep = exp_f(<float>(-n * per_event)), w, all_, on
     m.mean_all -= n
     m.mean_on -= n_on
@@ -88,18 +89,18 @@ cdef inline void remember(balance_t* m, double n_on, double n_off,
 
 
 cdef inline void rebalance(const balance_t* m, double sigma, state_t* s) noexcept nogil:
-    """Set thresholds (sum as in the prior) so that the sum of events has no trend.
+    """Set the thresholds so that the sum of events has no trend.
 
-    sigma is that of ln(on / off) before.  A pixel that is far from the prior is taken
-    for what it is as soon as its events show it, by more than the line may be wrong.
+    Their sum is that of the prior, and sigma is the prior's of ln(on / off).  For a
+    pixel farther from the prior than the line's error explains, the prior is widened.
     """
     cdef double total = s.prior_on + s.prior_off, travel = 0.25 * total * m.weight
     cdef double before, part, swing, error, ratio, believed
     if m.var_all <= 0.0:
         return
-    # A line through N periods is wrong by up to 3 / (2 N)^2.  1 / (2 N) is the swing
-    # of the sum of events by their number: of all of it, or of what the line leaves
-    # once light of a range of e^4 must have turned round.
+    # A line fitted to N periods has an error of up to 3 / (2 N)^2.  1 / (2 N) is
+    # estimated as the swing of the sum of events over their number: the total swing,
+    # or that about the line once light with a range of e^4 must have turned round.
     part = m.cov_on / m.var_all
     swing = s.prior_off / total
     swing = 4.0 * (m.var_on / m.var_all - 2.0 * swing * part + swing * swing)
@@ -139,12 +140,12 @@ def redundancy_sample(int64_t t, int64_t known, chain not None,
                       const stored_t[::1] events not None, model not None,
                       const policy_t[::1] policy not None, cells not None,
                       uint8_t[:, ::1] listed not None):
-    """Take the intensities at t; fold the counts in tracks into the states.
+    """Add the intensities at t to the moments; move the counts to the states.
 
     chain is (store, tracks that chain the events after those counted), model (tuning,
-    waves), cells (states, balance, moments).  Of the macropixels of the stored events
-    given, the ones counted since the last time; the others stay what they are.  Flags
-    in listed say whose states change (see _listing.pxd).
+    waves), cells (states, balance, moments).  events are those counted since the last
+    comparison: only their macropixels change.  Pixels whose states change are flagged
+    in listed (see _listing.pxd).
     """
     cdef const stored_t[::1] store
     cdef track_t[:, ::1] tracks
@@ -183,7 +184,7 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
                       state_t[:, ::1] states, balance_t[:, ::1] balance,
                       moments_t[:, ::1] moments,
                       uint8_t[:, ::1] listed) noexcept nogil:
-    """Do it for one macropixel, unless it was done: then its counts are 0."""
+    """Sample one macropixel, unless its counts are 0: then it has been done."""
     cdef reading_t r
     cdef double value[4]
     cdef float log[4]
@@ -226,7 +227,7 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
 
 
 cdef inline void rotate(double* a, double* v, int p, int q) noexcept nogil:
-    """One Jacobi rotation of the symmetric 4x4 matrix a; v collects eigenvectors."""
+    """Apply a Jacobi rotation to the symmetric matrix a (4x4) and to eigenvectors v."""
     cdef double theta, t, c, s, x, y
     cdef int k
     if fabs(a[4 * p + q]) < ROUNDED:
@@ -254,9 +255,9 @@ cdef inline void rotate(double* a, double* v, int p, int q) noexcept nogil:
 
 cdef inline double smallest(const moments_t* m, double pull, double* gain,
                             double* least) noexcept nogil:
-    """Gains from moments; the ratio of the two smallest eigenvalues, 1 if none fits.
+    """Set the gains; return the ratio of the two smallest eigenvalues, 1 if none fits.
 
-    Sets least to the smallest, which is a relative variance; leaves it without gains.
+    least is set to the smallest eigenvalue, a relative variance, if there are gains.
     """
     cdef double a[16]
     cdef double v[16]
@@ -296,17 +297,17 @@ cdef inline double smallest(const moments_t* m, double pull, double* gain,
             return 1.0
         gain[i] *= scale[i]
     least[0] = low if low > RATIO_LEAST else RATIO_LEAST
-    other -= pull              # what the moments themselves say
+    other -= pull              # without the ridge
     return least[0] / other if other > least[0] else 1.0
 
 
 def redundancy_solve(const policy_t[::1] policy not None,
                      moments_t[:, ::1] moments not None,
                      state_t[:, ::1] states not None, uint8_t[:, ::1] listed not None):
-    """Move each base so that the gains of its macropixel become 1; set its ratio.
+    """Shift each base so that the gains of its macropixel become 1; set its ratio.
 
-    Macropixels without a comparison since the last time, or with too few, are left
-    alone.  Flags in listed say whose bases change (see _listing.pxd).
+    Macropixels without a new comparison, or with too few in total, are left unchanged.
+    Pixels whose bases change are flagged in listed (see _listing.pxd).
     """
     cdef Py_ssize_t rows = moments.shape[0], columns = moments.shape[1], r, c
     cdef double gain[4]
@@ -349,7 +350,7 @@ def redundancy_solve(const policy_t[::1] policy not None,
 
 def redundancy_shown(const moments_t[:, ::1] moments not None,
                      float[:, ::1] ratio not None, float[:, ::1] smallest not None):
-    """Write to each pixel what is known of its macropixel; 1 where there is none."""
+    """Write each macropixel's ratio and smallest eigenvalue to its pixels; else 1."""
     cdef Py_ssize_t h = ratio.shape[0], w = ratio.shape[1], y, x
     cdef float one, rest
     if (moments.shape[0] != h // 2 or moments.shape[1] != w // 2

@@ -1,8 +1,8 @@
-"""Log intensity from the frames before and after it, thresholds taken as known.
+"""Smoothed log intensity from the frames before and after a time.
 
-Two filters per pixel, one forward and one backward in time, meet at t: the same as a
-Rauch-Tung-Striebel smoother (Fraser & Potter 1969).  Only the offset of log intensity
-is filtered; base + theta_on n_on - theta_off n_off is known up to it.
+Two filters per pixel, one forward and one backward in time, are combined at t, which
+equals a Rauch-Tung-Striebel smoother (Fraser & Potter 1969).  Thresholds are taken as
+known, so only the offset of log intensity is filtered.
 """
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
@@ -45,7 +45,7 @@ cdef inline double measured(const node_t* node, double on, double off) noexcept 
 
 cdef inline void advance(past_t* past, const node_t* node, int64_t t, double on,
                          double off) noexcept nogil:
-    """Take in the next sample."""
+    """Update the forward filter with the next sample."""
     cdef double z = measured(node, on, off), k
     if past.var < 0:
         past.base = z
@@ -63,7 +63,8 @@ cdef inline void advance(past_t* past, const node_t* node, int64_t t, double on,
 
 def smooth_past(const node_t[:, ::1] nodes not None, const int64_t[::1] times not None,
                 const state_t[:, ::1] states not None, past_t[:, ::1] past not None):
-    """Take a frame into the past: nodes as kalman_frame left them, times by column."""
+    """Merge a frame into the past: nodes as kalman_frame wrote them, times by column.
+    """
     cdef Py_ssize_t h = past.shape[0], w = past.shape[1], y, x
     if (nodes.shape[0] != h or nodes.shape[1] != w or times.shape[0] != w
             or states.shape[0] != h or states.shape[1] != w):
@@ -83,12 +84,12 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
                const state_t[:, ::1] states not None,
                const past_t[:, ::1] past not None, rows not None,
                gap_t[:, ::1] out not None, gap_t[:, ::1] following not None):
-    """What frames before and after a time say of each pixel's base.
+    """Estimate each pixel's base from the frames before, and from those after, a time.
 
-    nodes and times are by slot; order holds the slots in the order of time, passed how
-    many of them lie before the time, by column.  following receives the same of a time
-    that has passed one more in each column, where there is one.  Rows (first, last) are
-    written.
+    nodes and times are indexed by slot; order lists the slots in order of time, and
+    passed says by column how many of them lie before the time.  following receives the
+    same for the next interval, with one more frame passed, if there is one.  Rows
+    (first, last) are written.
     """
     cdef Py_ssize_t h = past.shape[0], w = past.shape[1], n = order.shape[0]
     cdef Py_ssize_t slots = nodes.shape[0], y, x, i, first, last, width
@@ -121,7 +122,7 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
 
 cdef inline void lay_out(const node_t* of, const int64_t* times, Py_ssize_t n,
                          const node_t* following, nodes_t* out) noexcept nogil:
-    """Bring the samples of n pixels side by side; ask for those that come next."""
+    """Gather the samples of n pixels by quantity; prefetch those that come next."""
     cdef Py_ssize_t i
     for i in range(n):
         if following != NULL:
@@ -149,7 +150,7 @@ cdef void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
                const int32_t[::1] order, Py_ssize_t passed, Py_ssize_t y, Py_ssize_t x,
                Py_ssize_t width, const state_t* states, const past_t* past, gap_t* out,
                gap_t* following) noexcept nogil:
-    """Do it for some pixels of a row, from x on, that have passed as many frames."""
+    """Do `smooth_gap` for `width` pixels from x on with equal numbers passed."""
     cdef pair_t theta
     cdef nodes_t samples
     cdef side_t side
@@ -182,7 +183,7 @@ cdef void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
         side.drift[i] = 0.0
     k = n
     while k >= passed:
-        if k <= passed + 1:     # what has been taken in so far
+        if k <= passed + 1:     # frames k and later have been used so far
             for i in range(width):
                 if k == passed:
                     write_side(&side, i, &out[i].after)
@@ -202,11 +203,11 @@ cdef void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
 def smooth_read(int64_t t, int64_t known, chain not None, model not None,
                 const gap_t[:, ::1] gaps not None,
                 const state_t[:, ::1] states not None, shown not None):
-    """Log intensity and its variance at t from the events up to known > t.
+    """Write log intensity and its variance at t, using the events up to known > t.
 
     chain, model and shown are as in kalman_read; the chain's tracks count all events
-    up to some time before t.  The variance is 0 where there is no frame on either
-    side; the log intensity then counts from 0.
+    up to some time before t.  Where there is no frame on either side, the variance is 0
+    and log intensity is relative to 0.
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks

@@ -1,7 +1,7 @@
-"""Log intensity of a pixel by the frames on both sides of a time.  Inline only.
+"""Smoothed log intensity of a pixel from frames on both sides.  Inline only.
 
-Until the next event, or the next frame, what a pixel shows is a polynomial of time, but
-for the part of a threshold that it has crossed: see `course_of`.
+Until the next event or frame, the estimate is a polynomial of time, apart from the part
+of a threshold crossed since the last event: see `course_of`.
 """
 from libc.stdint cimport int64_t
 
@@ -15,24 +15,24 @@ from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport REST_VARIANCE, TINY, at_rest, drift, part_t, walk_t
 
 cdef packed struct past_t:
-    # What the samples before say of the base; var < 0: there was none.
+    # Estimate of the base from the samples on one side; var < 0: there is none.
     double base
     double var
     int64_t t
-    double n_on             # all events up to t, with what was lost
+    double n_on             # all events up to t, and the change lost in resets
     double n_off
 
 cdef packed struct gap_t:
-    # What the samples on both sides of t say; var < 0: there is none.
+    # Estimates from the samples on both sides of a time.
     past_t before
-    past_t after            # relative to the base after it
-    double drift            # variance between them
+    past_t after            # base after the next sample
+    double drift            # process noise between both
 
 cdef struct course_t:
-    # Of a pixel between two events, dt seconds after the epoch: log intensity is level
-    # + slope dt, its variance v0 + dt (v1 + dt v2), and that of a part of the next ON
-    # threshold, up, adds part (up0 + up1 dt); down is that of the next OFF threshold.
-    bint measured           # by any sample
+    # A pixel between two events, dt seconds after the epoch.  Log intensity is level
+    # + slope dt, its variance v0 + dt (v1 + dt v2).  A part crossed of the next ON
+    # threshold adds part (up0 + up1 dt) to the variance, one of OFF uses down0, down1.
+    bint measured           # whether there is any sample
     double level
     double slope
     double v0
@@ -44,7 +44,7 @@ cdef struct course_t:
     double down1
 
 cdef struct resting_t:
-    # The same of a pixel at rest; offset: variance of the offset, < 0: no sample.
+    # A pixel at rest, as in course_t; offset: variance of the offset, < 0: no sample.
     float level
     float slope
     float v0
@@ -55,10 +55,11 @@ cdef struct resting_t:
 
 cdef inline course_t course_of(const gap_t* gap, const walk_t* walk, const state_t* s,
                                int64_t epoch, const tuning_t* tuning) noexcept nogil:
-    """Return what the samples on both sides say, walk having passed its last event.
+    """Return the course of a pixel between two events; walk has passed the first.
 
-    Their weights change with time by the drift since the sample before, whose sum with
-    that until the one after does not: so they are linear in time.
+    The weights of both sides depend on the process noise since the sample before, which
+    is linear in time, and on its sum with that until the sample after, which is
+    constant.  So the weights are linear in time.
     """
     cdef course_t c
     cdef double on = s.theta_on, off = s.theta_off, theta2 = theta_squared(s)
@@ -124,7 +125,7 @@ cdef inline course_t course_of(const gap_t* gap, const walk_t* walk, const state
 cdef inline void enter_smoothed(lanes_t* lanes, Py_ssize_t i, const walk_t* walk,
                                 const gap_t* gap, const state_t* s, int64_t epoch,
                                 const tuning_t* tuning) noexcept nogil:
-    """Write a pixel's lane, its last event being the last that walk has passed."""
+    """Write a pixel's lane; walk has passed its last event."""
     cdef course_t c = course_of(gap, walk, s, epoch, tuning)
     cdef double u = tuning.offset_dn * s.pull
     lanes.last[i] = <double>walk.t
@@ -148,7 +149,7 @@ cdef inline void enter_smoothed(lanes_t* lanes, Py_ssize_t i, const walk_t* walk
 cdef inline resting_t resting_of(const gap_t* gap, const walk_t* walk,
                                  const state_t* s, int64_t epoch,
                                  const tuning_t* tuning) noexcept nogil:
-    """Return what a pixel at rest shows, which is not hot."""
+    """Return the estimate of a pixel at rest that is not hot."""
     cdef resting_t rest
     cdef course_t c = course_of(gap, walk, s, epoch, tuning)
     cdef double u = tuning.offset_dn * s.pull
@@ -181,9 +182,9 @@ cdef inline void show_resting(const resting_t* rest, float dt, float most, float
 cdef inline void read_hot(int64_t t, const tuning_t* tuning, const gap_t* gap,
                           const state_t* s, float* out, float* variance,
                           unsigned char* valid) noexcept nogil:
-    """Log intensity of a pixel whose events have no weight, by the samples alone.
+    """Write log intensity of a hot pixel, from its samples alone.
 
-    What light moves by from one sample to the next is shared by time.
+    The motion of the light between both samples is split in proportion to time.
     """
     cdef double a = gap.before.var, b = gap.after.var, share, u = tuning.offset_dn
     u *= s.pull
@@ -210,7 +211,7 @@ cdef inline void read_smoothed(int64_t t, int64_t known, const stored_t* store,
                                const track_t* track, const gap_t* gap,
                                const state_t* s, float* out, float* variance,
                                unsigned char* valid) noexcept nogil:
-    """Log intensity at t, events up to known > t being there, and its variance."""
+    """Write log intensity and variance at t, using the events up to known > t."""
     cdef walk_t walk
     cdef part_t part
     cdef double on = s.theta_on, off = s.theta_off, theta2 = theta_squared(s)
@@ -254,7 +255,7 @@ cdef inline void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     else:
         level = on * walk.n_on - off * walk.n_off
         v = -1.0
-    # What is crossed of the next threshold, and the lag of the photoreceptor.
+    # The part crossed of the next threshold, and the lag of the photoreceptor.
     if lamp.blocks > 0:
         hz = corner(tuning, level)
     part = part_at(&walk, store, known, on, off, lamp, hz,
@@ -269,7 +270,7 @@ cdef inline void read_smoothed(int64_t t, int64_t known, const stored_t* store,
         spread += theta2 * tuning.motion_variance
     theta = on if part.p else -off
     level += theta * part.fraction + part.ripple
-    # What does not change is shown without a lag.
+    # Constant light has no lag.
     u = 0.0 if resting else lead(
         theta * part.rate + part.ripple_rate, level, tuning)
     out[0] = <float>(level + u)

@@ -1,4 +1,4 @@
-"""What a pixel's last events say of its intensity between them.  Inline only.
+"""Interpolation and extrapolation of log intensity between events.  Inline only.
 
 A stamp is an event's time times two, plus its polarity.
 """
@@ -10,30 +10,30 @@ from _kernels._math cimport exp_f
 from _kernels._model cimport stored_t, track_t, tuning_t
 
 cdef enum:
-    # What the lamp did at an event so long ago is not remembered.
+    # The lamp's waves are not kept for longer than this before the time read.
     STALE_US = 10000000
-    # Without an event for so long the light is taken to be at rest.
+    # A pixel without an event for this long is taken to be at rest.
     REST_US = 1000000
 
 cdef extern from *:
     """
     #define LONG_AGO -4611686018427387904   /* -2^62: stands for no event */
     #define GAP_MOST 4294967294     /* 2^32 - 2: so long ago that it says nothing */
-    #define TINY 1e-30                  /* keeps 0 / 0 from being nothing */
+    #define TINY 1e-30                  /* keeps 0 / 0 from being NaN */
     #define PER_S2 1e12                 /* per us^2, in s^-2 */
     #define REST_VARIANCE (1 / 3.0)     /* thresholds^2: anywhere in the dead band */
-    /* Gaps are at least this long (us): a pixel's events are not closer but in bursts,
-       whose stamps say nothing of how fast the light changes. */
+    /* Lower bounds of a gap (us): events of a pixel are closer together only in bursts,
+       whose stamps do not tell how fast the light changes. */
     #define GAP_LEAST_US 100.0
     #define AHEAD_LEAST_US 200.0
-    /* A parabola from one event to the next of the other sign turns so many thresholds
-       beyond the first: where nothing is known, and at most. */
+    /* Between two events of opposite sign the light follows a parabola.  It turns so
+       many thresholds beyond the first event: by default, and at most. */
     #define TURN_HALF 0.5
     #define TURN_MOST 1.0
-    /* Variances of the part (thresholds^2) and of its slope (thresholds^2 per gap^2):
-       studies/kalman_interpolation.py.  Between two events of one sign; where the light
-       has turned and the event before tells how fast it was; where it does not; where
-       no event has followed yet. */
+    /* Variances of the part (thresholds^2) and of its slope (thresholds^2 per gap^2),
+       from studies/kalman_interpolation.py.  SAME: between two events of one sign;
+       TURNED: between opposite signs, the event before giving the slope; UNSURE: the
+       same without such an event; QUIET: no event has followed yet. */
     #define SAME_VARIANCE 0.0005
     #define SAME_RATE_VARIANCE 0.0008
     #define TURNED_VARIANCE 0.003
@@ -42,9 +42,10 @@ cdef extern from *:
     #define UNSURE_RATE_VARIANCE 1.0
     #define QUIET_VARIANCE 0.08
     #define QUIET_RATE_VARIANCE 0.3
-    /* Under a flickering lamp: the least part of a threshold that the light alone is
-       taken to have crossed in a gap; below half of one the lamp made the event, and
-       the light has not turned; bounds of what is left of a threshold for the light. */
+    /* Under a flickering lamp, in thresholds: lower bound of the change of the light
+       alone in a gap; change below which the lamp caused the event, so that the light
+       need not have turned; bounds of the remaining distance that the light alone has
+       to go to the next event. */
     #define LIGHT_LEAST 0.1
     #define LIGHT_TURNED 0.5
     #define ROOM_LEAST 0.3
@@ -80,26 +81,27 @@ cdef extern from "_extrapolation.h":
     const double AHEAD_COARSE
 
 cdef struct walk_t:
-    # A place in a pixel's events: the last two passed, the next index, counts passed.
+    # A position in a pixel's events: the last two events passed, the index of the next
+    # one, and counts of the events passed.
     int64_t t_prev
     int p_prev
     int64_t t
     int p
     int32_t next
-    double n_on             # with what was lost
+    double n_on             # including the change lost in refractory periods
     double n_off
 
 cdef struct loss_t:
-    # What a refractory period lost between two events, in thresholds of the first, on
-    # in the direction of it, and of the second.
+    # Change of the light lost in the refractory period between two events, split into
+    # thresholds of the first event, in its direction, and of the second.
     double before
     double after
 
 cdef struct part_t:
-    # What has been crossed of a threshold since the last event: fraction * theta[p],
-    # down if p is 0, and its change per second; variances in theta^2, of both.  fall:
-    # thresholds per second that the intensity last fell by, 0 if it rose.  ripple: what
-    # the lamp adds to the part, in log intensity, and its change per second.
+    # Part of a threshold crossed since the last event: fraction * theta[p], downwards
+    # if p is 0; its rate per second; variances of both, theta^2.  fall: last rate of
+    # fall in thresholds per second, 0 if the intensity rose.  ripple: log intensity
+    # that the lamp adds, and its rate per second.
     int p
     double fraction
     double rate
@@ -129,17 +131,17 @@ cdef inline double silence(double gap, double still_us) noexcept nogil:
 
 
 cdef inline double audible(int64_t t0, int64_t t1, double refractory) noexcept nogil:
-    """Return how long after an event a pixel compares until the next one, us."""
+    """Return how long a pixel was sensitive between two events, us."""
     cdef double gap = <double>(t1 - t0) - refractory
     return gap if gap > GAP_LEAST_US else GAP_LEAST_US
 
 
 cdef inline loss_t lost(int64_t before, int64_t t, int64_t next,
                         double refractory) noexcept nogil:
-    """Return what light did while the pixel was held in reset after an event at t.
+    """Return the change of light lost while the pixel was held in reset after t.
 
-    Mean slopes are known of the times before and after that; between their middles
-    the slope is taken as linear (docs/theory/kalman.md).
+    The mean slopes before and after the reset are known; between the middles of these
+    two intervals the slope is taken as linear in time (docs/theory/kalman.md).
     """
     cdef loss_t loss
     cdef double first, second, whole
@@ -188,15 +190,14 @@ cdef inline void step(walk_t* walk, const stored_t* store,
 
 
 cdef inline int64_t before(const track_t* track) noexcept nogil:
-    """Return the time of the last but one event; one over half an hour before is none.
-    """
+    """Return the time of the last event but one, unless over 35 minutes before it."""
     if track.gap >= GAP_MOST:
         return LONG_AGO
     return (track.last >> 1) - (track.gap >> 1)
 
 
 cdef inline uint32_t gap_since(int64_t stamp, int64_t t) noexcept nogil:
-    """Return the gap from an event, by its stamp, to one at t, as a track has it."""
+    """Return the gap from an event, given by its stamp, to t, as a track stores it."""
     cdef int64_t gap = t - (stamp >> 1)
     gap = 2 * gap if gap < (GAP_MOST >> 1) else GAP_MOST
     return <uint32_t>(gap + (stamp & 1))
@@ -214,7 +215,7 @@ cdef inline void start(walk_t* walk, const track_t* track) noexcept nogil:
 
 
 cdef inline part_t nothing(int p) noexcept nogil:
-    """Return the part of a pixel of which too little is known."""
+    """Return the part where nothing is known: 0 with the variance of rest."""
     cdef part_t part
     part.p = p
     part.fraction = 0.0
@@ -228,13 +229,14 @@ cdef inline part_t nothing(int p) noexcept nogil:
 
 
 cdef inline double drift(int64_t dt, double n, const tuning_t* tuning) noexcept nogil:
-    """Process noise: variance in theta^2 that dt microseconds and n events add."""
+    """Process noise (theta^2) of dt microseconds and n events."""
     return tuning.leak_per_s * 1e-6 * <double>dt + tuning.noise_per_event * n
 
 
 cdef inline void turn_at(double room, double whole, double* a,
                          double* b) noexcept nogil:
-    """Return the parabola a s + b s^2 from 0 to `whole` that turns at -room."""
+    """Set a, b so that a s + b s^2 runs from 0 to `whole` (s = 1) and turns at -room.
+    """
     cdef double most = room + whole, x
     room = sqrt(room)
     x = room + (sqrt(most) if most > 0.0 else 0.0)
@@ -247,12 +249,13 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
                            double refractory, double t) noexcept nogil:
     """Part crossed at t, between walk and its next event, of polarity p1 at t1.
 
-    Linear where the signs agree.  Else a parabola through both and the event before,
-    which crossed the same way as the last; on and off are the thresholds.  It
-    cannot turn before the last event nor a threshold beyond it; without an event
-    before, half a threshold.  The variances are those of turning polarizers and plates.
-    What is lost to a refractory period is part of the way.  Under a lamp that flickers
-    this holds for the light less its ripple, as a pixel of hz passes it on.
+    Linear if both events have one sign.  Otherwise a parabola through both events and
+    the one before, if that has the sign of the last; on and off are the thresholds.
+    The parabola turns after the last event and at most a threshold beyond it; without
+    such an event before, it turns half a threshold beyond.  The variances are those of
+    rotating polarizers and plates.  The change lost in a refractory period counts as
+    part of the way.  Under a flickering lamp all this holds for the light minus the
+    ripple, which is filtered by a pixel of corner frequency hz.
     """
     cdef part_t part = nothing(p1)
     cdef double gap = <double>(t1 - walk.t), s, q, a, b, beyond, whole = 1.0
@@ -270,7 +273,7 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     part.rate_var = SAME_RATE_VARIANCE
     whole += loss.after + (loss.before if same else -loss.before * last / next)
     if flickers:
-        # The part is shaped as the light less its ripple is, then scaled.
+        # The part has the shape of the light minus the ripple; it is scaled at the end.
         ripples = whole
         whole = 1.0
         loss.before = 0.0
@@ -297,7 +300,7 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
         part.rate_var = TURNED_RATE_VARIANCE
         q = <double>(walk.t - walk.t_prev)
         q = q if q > GAP_LEAST_US else GAP_LEAST_US
-        # The slope before the last event, on until the one before that.
+        # The slope before the last event, extrapolated over the gap before it.
         last *= q / audible(walk.t_prev, walk.t, refractory) / (next + TINY)
         part.fall = 1e6 / q if p1 else 0.0
         q /= gap
@@ -326,9 +329,9 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
 
 cdef inline void add_deaf(part_t* part, double since, double gap, double first,
                           double refractory) noexcept nogil:
-    """Add what light does while the pixel is held in reset after its last event.
+    """Add the change of light while the pixel is held in reset after its last event.
 
-    It goes on at `first` thresholds per gap (us); since is the time since the event.
+    The light continues at `first` thresholds per gap (us); since: time since the event.
     """
     if since < refractory:
         part.fraction += first * since / gap
@@ -338,7 +341,8 @@ cdef inline void add_deaf(part_t* part, double since, double gap, double first,
 
 
 cdef inline int node_of(double u, double* part) noexcept nogil:
-    """Return the last node of AHEAD at or before u, and how far on to the next."""
+    """Return the last node of AHEAD at or before u; set part to the fraction beyond it.
+    """
     cdef int node
     cdef double w
     if u < AHEAD_KNEE * AHEAD_FINE:
@@ -355,7 +359,8 @@ cdef inline int node_of(double u, double* part) noexcept nogil:
 
 cdef inline double moving(const walk_t* walk, double gap,
                           double refractory) noexcept nogil:
-    """Probability that light still moves if no event follows the last for a gap."""
+    """Probability that light still moves if no event follows the last one for `gap`.
+    """
     cdef double before = <double>(walk.t - walk.t_prev) - refractory, w
     cdef const double* low
     cdef int node
@@ -372,10 +377,10 @@ cdef inline double moving(const walk_t* walk, double gap,
 
 cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
                          double hz, double refractory, double t) noexcept nogil:
-    """Part crossed at t when no event follows up to the time known, which is > t.
+    """Part crossed at t if no event follows up to the time known, which is > t.
 
-    A parabola that goes on by half a threshold and is back at the time known: within
-    0.1 of the mean over turning and slowing pixels.
+    A parabola that rises to half a threshold and returns to 0 at the time known: within
+    0.1 threshold of the mean over pixels whose light turns or slows down.
     """
     cdef part_t part = nothing(walk.p)
     cdef double gap = known - <double>walk.t, s
@@ -395,7 +400,7 @@ cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
 
 cdef inline void add_ripple(part_t* part, const lamp_t* lamp, double hz, int64_t t0,
                             double t) noexcept nogil:
-    """Let what is expected after the last event, at t0, be beside the lamp's ripple."""
+    """Set the ripple of a part: the lamp's wave at t relative to the event at t0."""
     cdef double _
     if lamp.blocks > 0 and t - <double>t0 < STALE_US:
         part.ripple = (ripple(lamp, hz, t, &part.ripple_rate)
@@ -404,7 +409,7 @@ cdef inline void add_ripple(part_t* part, const lamp_t* lamp, double hz, int64_t
 
 cdef inline part_t still(const walk_t* walk, const lamp_t* lamp, double hz,
                          double t) noexcept nogil:
-    """Part of a pixel at rest: none is known, but what the lamp adds."""
+    """Part of a pixel at rest: unknown, apart from the lamp's ripple."""
     cdef part_t part = nothing(walk.p)
     if not never(walk.t):
         add_ripple(&part, lamp, hz, walk.t, t)
@@ -414,13 +419,13 @@ cdef inline part_t still(const walk_t* walk, const lamp_t* lamp, double hz,
 cdef inline part_t ahead(const walk_t* walk, double on, double off,
                          const lamp_t* lamp, double hz, double refractory,
                          double t) noexcept nogil:
-    """Part crossed at t from the last two events alone, nothing known beyond t.
+    """Part crossed at t, extrapolated from the last two events.
 
-    Means and variances of the part and of its slope, given that no event has followed,
-    by the time since the last event over the last gap: the prior, an ensemble of
-    turning lights that may stop, is stated in studies/kalman_extrapolation.py, which
-    tabulates them.  Long silence means rest.  Under a lamp that flickers this holds
-    for the light less its ripple.
+    Returns posterior means and variances of the part and of its slope, given that no
+    event has followed.  They are tabulated by the time since the last event over the
+    last gap.  studies/kalman_extrapolation.py states the prior, an ensemble of lights
+    that turn and may stop, and makes the table.  Long silence means rest.  Under a
+    flickering lamp this holds for the light minus the ripple.
     """
     cdef part_t part = nothing(walk.p)
     cdef double gap = <double>(walk.t - walk.t_prev) - refractory, u, change
@@ -431,17 +436,17 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     if never(walk.t_prev):
         return part
     if lamp.blocks > 0 and t - <double>walk.t_prev < STALE_US:
-        # In how long the light alone crosses a threshold, and which way.
+        # Time in which the light alone crosses a threshold, and its direction.
         change = (ripple(lamp, hz, <double>walk.t, &_)
                   - ripple(lamp, hz, <double>walk.t_prev, &_))
         if change != 0.0:
             change = (on if walk.p else -off) - change
             part.p = change > 0.0
             change = change / on if change > 0.0 else -change / off
-            # Less than half a threshold is no turn.
+            # A change below half a threshold does not count as a turn.
             same = walk.p_prev == part.p or change < LIGHT_TURNED
             gap /= change if change > LIGHT_LEAST else LIGHT_LEAST
-        # How much of it the light may have crossed without an event.
+        # Part of a threshold that the light alone may cross before an event.
         room = ripple(lamp, hz, t, &_) - ripple(lamp, hz, <double>walk.t, &_)
         room = 1.0 - room / on if part.p else 1.0 + room / off
         room = room if room > ROOM_LEAST else ROOM_LEAST

@@ -1,16 +1,16 @@
-"""The transition of a pixel's state; constants of its update.  Inline only.
+"""The transition of a pixel's state, and constants of its update.  Inline only.
 
-The many candidates of self-calibration share the constants.
+The candidate filters of self-calibration use the same constants.
 """
 from _kernels._model cimport state_t
 
 cdef extern from *:
     """
     #define GAUSS 0.5773502691896258    /* nodes of two-point quadrature: 1 / sqrt 3 */
-    #define FIRST_VARIANCE 100.0        /* ln^2, before the first sample: not known */
-    #define JUMP_SIGMAS 4.0             /* innovations beyond: the base has jumped */
-    #define THETA_LEAST 0.3             /* thresholds stay within these multiples */
-    #define THETA_MOST 3.0              /* of what they started from */
+    #define FIRST_VARIANCE 100.0        /* ln^2, of the unknown initial base */
+    #define JUMP_SIGMAS 4.0             /* a larger innovation is a jump of the base */
+    #define THETA_LEAST 0.3             /* bounds of a threshold, as multiples */
+    #define THETA_MOST 3.0              /* of its initial value */
     """
     const double GAUSS
     const double FIRST_VARIANCE
@@ -19,15 +19,15 @@ cdef extern from *:
     const double THETA_MOST
 
 cdef enum:
-    # A part of a lamp's period that two points are enough for.
+    # Longest step (us) of two-point quadrature under a flickering lamp.
     FINE_US = 1500
-    # One or two events since the last sample are as likely noise, which would teach
-    # that thresholds are 0.
+    # Least number of events since the last sample from which thresholds are learned:
+    # one or two are likely noise, which would pull the thresholds to 0.
     LEARN_EVENTS = 3
 
 
 cdef inline void propagate(state_t* s, double n_on, double n_off) noexcept nogil:
-    """Transition past so many events: base += theta_on n_on - theta_off n_off."""
+    """Transition over n events: base += theta_on n_on - theta_off n_off."""
     s.base += s.theta_on * n_on - s.theta_off * n_off
     s.var_base += (n_on * n_on * s.var_on + n_off * n_off * s.var_off
                    + 2.0 * (n_on * s.cov_base_on - n_off * s.cov_base_off
