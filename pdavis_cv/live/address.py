@@ -1,4 +1,4 @@
-"""open_source(): a recording, or the address of something that runs by itself."""
+"""open_source(): opens a recording, or a live source by its address."""
 from __future__ import annotations
 
 import functools
@@ -26,7 +26,7 @@ _OPENERS = {
     "usb": "pdavis_cv.live.usb:open_usb",
 }
 SCHEMES = tuple(_OPENERS)
-"""What an address begins with, before its colon."""
+"""Schemes of addresses: what precedes the first colon."""
 
 
 def is_address(where: object) -> bool:
@@ -81,7 +81,7 @@ def open_source(
     RecordingError
         If a file cannot be opened or is not what it says.
     DeviceError
-        If there is no such device, or an address is not understood.
+        If there is no such device, or the address is invalid.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def number(name: str, text: str, kind: Callable[[str], Any] = float) -> Any:
     Raises
     ------
     ValueError
-        If it is none; the message names it.
+        If it is not a number; the message names it.
     """
     try:
         return kind(text)
@@ -138,12 +138,12 @@ def taken(values: dict[str, str], **defaults: Any) -> dict[str, Any]:
     ----------
     values : dict of str to str
     **defaults
-        What may be given, and what holds where it is not.
+        The names allowed, with their default values.
 
     Raises
     ------
     ValueError
-        If a value has another name or is no number.
+        If a value has another name or is not a number.
     """
     for name in values:
         if name not in defaults:

@@ -1,4 +1,4 @@
-"""What every source that runs by itself is."""
+"""The base class of live sources: sources that send data by themselves."""
 from __future__ import annotations
 
 import dataclasses
@@ -15,18 +15,19 @@ from pdavis_cv.recording.files import ProblemLog
 __all__ = ["HEARTBEAT_S", "LiveSource", "endless"]
 
 HEARTBEAT_S = 0.01
-"""A source says at least this often how far its time is, s: more often than images are
-wanted, so that darkness does not delay them."""
+"""Longest interval at which a source reports its time, s.  It is shorter than the
+interval of images, so that these are not delayed if no events come in the dark."""
 
 
 def endless(info: RecordingInfo) -> RecordingInfo:
-    """Return the facts of a stream of which only those of a recording are known.
+    """Return the information on a stream that sends a recording's kinds of data.
 
-    Whether there are frames or events is known; how many will be sent is not.
+    It states whether there will be frames or events, but not how many.
 
     Parameters
     ----------
     info : RecordingInfo
+        Information on the recording.
     """
     counts: dict[str, Any] = {
         f"{kind}_count": 0 if getattr(info, f"{kind}_count") == 0 else None
@@ -35,24 +36,25 @@ def endless(info: RecordingInfo) -> RecordingInfo:
 
 
 class LiveSource(Source):
-    """A source that is read once, in time as it passes.
+    """A source that can be read once, while its data arrive.
 
-    A device implements `_arrivals`.  Its packets come in time order; where nothing is
-    there to be sent for `HEARTBEAT_S`, an empty packet with ``until_us`` says that time
-    went on.  A device that is gone raises DeviceError.
+    A device implements `_arrivals`.  Its packets come in time order; if there is
+    nothing to send for `HEARTBEAT_S`, an empty packet with ``until_us`` reports the
+    time.  If the device is gone, it raises DeviceError.
 
     Parameters
     ----------
     info : RecordingInfo
+        What is known before the first packet.
     name : str
-        For messages.
+        Name for messages.
 
     Attributes
     ----------
     realtime : bool
-        False: it waits for who reads it, and nothing is lost when that is slow.
+        False: the source waits for its reader, so that nothing is lost.
     speed : float
-        Stream time per real time; 1 of every camera.
+        Stream time per real time; 1 for every camera.
     """
 
     realtime = True
@@ -77,7 +79,7 @@ class LiveSource(Source):
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """What was found wrong so far: clock resets, samples that came late."""
+        """Problems found so far: clock resets and samples that arrived late."""
         return self._log.problems
 
     def packets(self) -> Iterator[Packet]:
@@ -90,7 +92,7 @@ class LiveSource(Source):
         Raises
         ------
         RecordingError
-            If they were asked for before.
+            If the packets were requested before.
         ValueError
             If the source is closed.
         DeviceError
@@ -117,5 +119,5 @@ class LiveSource(Source):
         """Yield packets as they arrive; the arrays belong to the receiver."""
 
     def close(self) -> None:
-        """Stop; who waits for a packet gets none."""
+        """Stop; a reader that waits for a packet gets none."""
         self._closed.set()

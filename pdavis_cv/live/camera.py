@@ -1,8 +1,8 @@
-"""A DAVIS346 through neuromorphic-drivers, which hands out its words as they are.
+"""A DAVIS346 camera through neuromorphic-drivers, which passes on its raw words.
 
-The driver sets registers and moves bytes; what the words mean is decoded here, because
-drivers clamp dark pixels at 0 and hide the two reads of a frame.  Never run on a
-camera: written by the driver's types and sources.
+The driver sets registers and transfers bytes.  The words are decoded in this library,
+because drivers clamp dark pixels at 0 and hide the two reads of a frame.  This module
+has never run on a camera: it follows the driver's types and sources.
 """
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ BIASES = (
     "lcoltimeoutbn", "aepdbn", "aepuxbp", "aepuybp", "ifrefrbn", "ifthrbn",
     "biasbuffer")
 SETTINGS = ("exposure_us", "frame_interval_us", *BIASES)
-"""What can be set: times of frames in us, and biases as the driver numbers their
-currents, 0 to 2040, about a factor of 8 every 255."""
+"""Settings of the camera: times of frames in us, and biases as the driver's codes of
+their currents, 0 to 2040 (a factor of about 8 every 255)."""
 MOST_BIAS = 2040
 LONGEST_US = 1_000_000
 _NAME = "INIVATION_DAVIS346"
@@ -47,14 +47,15 @@ def listed() -> list[dict[str, str | None]]:
     Returns
     -------
     list of dict
-        ``name``, ``serial``, ``connection``, and ``error``: why one cannot be opened.
+        ``name``, ``serial``, ``connection`` and ``error``, the reason why a camera
+        cannot be opened.
 
     Raises
     ------
     ImportError
         If the driver is not installed.
     DeviceError
-        If the system's USB cannot be asked.
+        If the system's USB devices cannot be listed.
     """
     driver = _driver()
     try:
@@ -72,7 +73,7 @@ def address_of(index: int) -> str:
     Raises
     ------
     DeviceError
-        If there are not so many.
+        If there are fewer cameras.
     """
     found = listed()
     if not 0 <= index < len(found):
@@ -82,17 +83,17 @@ def address_of(index: int) -> str:
 
 
 class Davis346:
-    """A camera; a `Device` of `pdavis_cv.live.usb`.
+    """A DAVIS346 camera, as a `Device` of `pdavis_cv.live.usb`.
 
-    The filter of background activity, which the driver would switch on, is off: it
-    judges a pixel by neighbours, which stand behind other polarizers.
+    The background-activity filter, which the driver switches on by default, is off: it
+    compares a pixel with its neighbours, which lie behind other polarizers.
 
     Parameters
     ----------
     serial : str, optional
-        Default: the first that is found.
+        Serial number; default: the first camera found.
     settings : mapping of str to int
-        Of `SETTINGS`; others are the driver's.
+        Values of `SETTINGS`; the driver's defaults hold for the others.
 
     Raises
     ------
@@ -101,7 +102,7 @@ class Davis346:
     DeviceError
         If there is no such camera, or it cannot be opened.
     ValueError
-        If a setting does not fit.
+        If a setting is unknown or out of range.
     """
 
     realtime = True
@@ -150,14 +151,14 @@ class Davis346:
 
     @property
     def settings(self) -> Mapping[str, int]:
-        """What the driver was told to set; the camera cannot be asked."""
+        """Settings passed to the driver, as they cannot be read from the camera."""
         configuration = self._configuration
         return {"exposure_us": configuration.exposure_us,
                 "frame_interval_us": configuration.frame_interval_us,
                 **{name: getattr(configuration.biases, name) for name in BIASES}}
 
     def set(self, **settings: int) -> None:
-        """Change settings; of a running camera, within some frames."""
+        """Change settings; a running camera applies them within some frames."""
         self._apply(settings)
         try:
             self._device.update_configuration(self._configuration)
@@ -174,7 +175,7 @@ class Davis346:
             raise self._gone(error) from error
         if status.ring is None or not data:
             return []
-        # The driver tells Unix time; the host's other clock never jumps.
+        # The driver reports Unix time; the host's monotonic clock never jumps.
         host_s = time.monotonic() - (status.system_time - status.ring.system_time)
         gaps = [at for at in status.ring.overflow_indices or () if at < len(data)]
         edges = [0, *(at for at in gaps if at > 0), len(data)]

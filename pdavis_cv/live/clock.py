@@ -1,4 +1,4 @@
-"""The device's clock: made to run forward, and compared with the host's."""
+"""The device's clock: packets in order of time, and the offset to the host's clock."""
 from __future__ import annotations
 
 from bisect import bisect_left
@@ -15,21 +15,21 @@ from pdavis_cv.recording.timeline import SEGMENT_US, Timeline
 __all__ = ["HostClock", "in_order", "moved"]
 
 WINDOW_S = 10.0
-"""The smallest delay is looked for in this time, and in the one before it; s.  A
-crystal that is 50 ppm off drifts by 0.5 ms in it, less than USB's scheduling."""
+"""Window in which the smallest delay is searched, s; the window before it counts too.
+A crystal that is 50 ppm off drifts by 0.5 ms in it, less than the jitter of USB."""
 
 
 class HostClock:
-    """When the host can have had what the device stamped: by the smallest delay seen.
+    """Relates the device's clock to the host's, by the smallest delay seen.
 
-    A packet arrives after it was sent, and the packet that was least delayed tells the
-    difference between the clocks best: host time less device time, the running minimum.
-    Clocks drift, so that only the last 10 to 20 s count.
+    A packet arrives after it was sent, so the packet with the least delay measures the
+    offset of the clocks best: the running minimum of host time minus device time.
+    Clocks drift, so only the last 10 to 20 s are used.
 
     Parameters
     ----------
     window_s : float
-        Half of the longest time that counts, s.
+        Length of a window, s; the last two windows are used.
     """
 
     def __init__(self, window_s: float = WINDOW_S) -> None:
@@ -41,7 +41,7 @@ class HostClock:
         self._host_s = 0.0
 
     def saw(self, device_us: int, host_s: float) -> None:
-        """Note that a sample of device_us had arrived at host_s.
+        """Note that a sample with stamp device_us had arrived at host_s.
 
         Parameters
         ----------
@@ -59,14 +59,14 @@ class HostClock:
 
     @property
     def difference_s(self) -> float | None:
-        """Host time less device time, s; None before the first sample."""
+        """Host time minus device time, s; None before the first sample."""
         if self._now is None or self._before is None:
             return self._now
         return min(self._now, self._before)
 
     @property
     def drift_ppm(self) -> float | None:
-        """By how much the device's clock is slower than the host's, parts per million.
+        """Rate by which the device's clock is slower than the host's, in ppm.
 
         None before two windows have passed.
         """
@@ -84,16 +84,16 @@ class HostClock:
         return None if difference is None else device_us * 1e-6 + difference
 
     def restart(self) -> None:
-        """Forget everything: the device's clock has begun anew."""
+        """Forget everything, because the device's clock was reset."""
         self.__init__(self._window_s)  # type: ignore[misc]
 
 
 def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
     """Yield packets whose times never run backward.
 
-    A step back by more than a second is a clock that was reset: what follows is moved
-    so that it follows what came before, a segment.  Samples that come late by less are
-    dropped and counted.
+    A step back by more than a second means that the clock was reset: the later packets
+    are shifted in time to follow the earlier ones, as a new segment.  Samples that are
+    late by less are dropped and counted.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
 
 
 def _latest(packet: Packet) -> int:
-    """Return the last time of a packet that has one."""
+    """Return the latest time in a packet, which must have one."""
     return max(t for t in (packet.start_us, packet.stop_us, packet.until_us,
                            *(frame.available_us for frame in packet.frames))
                if t is not None)
@@ -162,7 +162,7 @@ def moved(packet: Packet, offset_us: int) -> Packet:
 
 
 def _after(packet: Packet, last_us: int) -> tuple[Packet, int]:
-    """Return what a packet holds from last_us on, and how many samples are left out."""
+    """Return a packet's part from last_us on, and the number of samples dropped."""
     late = 0
 
     def kept(samples: NDArray[Any]) -> NDArray[Any]:

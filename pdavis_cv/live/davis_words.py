@@ -1,4 +1,4 @@
-"""The words that a DAVIS346 would send for a recording: what a simulated one sends."""
+"""Encoder of a recording as the words that a DAVIS346 sends, for a simulated camera."""
 from __future__ import annotations
 
 from bisect import bisect_left
@@ -17,20 +17,20 @@ __all__ = ["DavisEncoder"]
 _RESET_LEVEL_DN = 1023
 _MOST_WRAPS = 0xFFF
 _LONGEST_READOUT_US = 500_000
-"""From the beginning of an exposure to the end of its readout, us; a DAVIS346 exposes
-for 0.1 s at most in ordinary use and reads for 12 ms."""
+"""Longest time from the begin of an exposure to the end of its readout, us; a DAVIS346
+usually exposes for at most 0.1 s and is read out in 12 ms."""
 
 
 class DavisEncoder:
-    """Makes words of packets, those of a camera that is mounted as pictures are.
+    """Encodes packets as words of a camera whose chip has the images' orientation.
 
-    What frames hold is rounded and clipped to ten bits, unless they have both reads.
-    The camera's time is that of the packets, which must not be negative.
+    Frames are rounded and clipped to ten bits, unless they have both reads.  The
+    camera's time is that of the packets, which must not be negative.
 
     Attributes
     ----------
     time_us : int
-        How far the words say that time is.
+        Time that the words so far have reported.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class DavisEncoder:
         self._row = -1
 
     def until(self, time_us: int) -> NDArray[np.uint16]:
-        """Return the words that say how far time is, if it is farther than it was."""
+        """Return the words that advance the camera's time; none if it is not later."""
         words: list[int] = []
         if time_us > self.time_us:
             wraps = time_us // WRAP_US - self.time_us // WRAP_US
@@ -50,7 +50,7 @@ class DavisEncoder:
         return np.array(words, np.uint16)
 
     def events(self, events: NDArray[Any]) -> Iterator[NDArray[np.uint16]]:
-        """Yield the words of events, which begin no earlier than time is.
+        """Yield the words of events, none of which is earlier than `time_us`.
 
         Parameters
         ----------
@@ -60,7 +60,7 @@ class DavisEncoder:
         ------
         ndarray of uint16, shape (M,)
         """
-        # Where the 15 bits of time begin again, a word of its own says so.
+        # Each wrap of the 15 bits of time is reported by a word of its own.
         turns = np.flatnonzero(np.diff(events["t"] // WRAP_US)) + 1
         for part in np.split(events, turns):
             if len(part):
@@ -83,14 +83,13 @@ class DavisEncoder:
     def chunks(
         self, packets: Iterator[Packet]
     ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
-        """Yield how far time is and the words up to there, packet by packet.
+        """Yield the time reached and the words up to it, packet by packet.
 
         Parameters
         ----------
         packets : iterator of Packet
-            In time order.  What a frame is read from is sent from the beginning of its
-            exposure on, so that packets wait until those that arrive 0.5 s later are
-            known.
+            In time order.  The reads of a frame are sent from the begin of its exposure
+            on, so packets are held until those that arrive 0.5 s later are known.
 
         Yields
         ------
@@ -104,7 +103,7 @@ class DavisEncoder:
             waiting.append(packet)
             for frame in packet.frames:
                 for time, words in frame_words(frame):
-                    # One frame is read after the other.
+                    # Frames are read one after the other.
                     read_until = max(read_until, time)
                     readout.append((read_until, words))
             while _end_us(packet) - _end_us(waiting[0]) > _LONGEST_READOUT_US:

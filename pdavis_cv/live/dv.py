@@ -1,7 +1,7 @@
-"""dv's network protocol, in: what DV and dv-processing send.
+"""Receiver of DV's network protocol, as DV and dv-processing send it.
 
 A connection carries one stream: the header of an AEDAT-4 file without its magic, then
-int32 stream, int32 size and payload, again and again.  Frames come on a second one.
+packets of int32 stream, int32 size and payload.  Frames come on a second connection.
 """
 from __future__ import annotations
 
@@ -48,20 +48,21 @@ __all__ = ["DvSource", "open_tcp", "open_tls", "open_unix"]
 
 CONNECT_S = 5.0
 MARGIN_US = 100_000
-"""By so much a sender may be late when nothing comes: dv sends batches of 10 ms, and a
-network delays them.  Time goes on behind the host's clock by this; us."""
+"""Assumed delay of the sender while nothing arrives, us: DV sends batches of 10 ms, and
+the network delays them.  The stream's time then follows the host's by this much."""
 _CHUNK = 1 << 20
 _PACKET = struct.Struct("<ii")
 
 
 class _Connection:
-    """Bytes of one connection, as packets.
+    """One connection, whose bytes are split into packets.
 
     Parameters
     ----------
     link : socket
+        The connected socket.
     name : str
-        For messages.
+        Name for messages.
     """
 
     def __init__(self, link: socket.socket, name: str) -> None:
@@ -93,11 +94,11 @@ class _Connection:
 
     @property
     def pending(self) -> bool:
-        """Whether TLS holds something that has arrived."""
+        """Whether TLS has buffered bytes that have arrived."""
         return isinstance(self.link, ssl.SSLSocket) and self.link.pending() > 0
 
     def receive(self) -> None:
-        """Take what is there."""
+        """Read the bytes that have arrived, without waiting."""
         left = _CHUNK
         while left > 0:
             try:
@@ -109,7 +110,8 @@ class _Connection:
                     f"{self.name}: the connection broke: {error}") from error
             self._held += part
             self.ended = not part
-            # TLS gives a record of 16 kB at a time, and holds what select cannot see.
+            # TLS returns one record of 16 kB at a time, and select does not see the
+            # bytes that it has buffered.
             if self.ended or not isinstance(self.link, ssl.SSLSocket):
                 return
             left -= len(part)
@@ -132,10 +134,11 @@ class _Connection:
 
 
 class DvSource(LiveSource):
-    """What dv sends: events on one connection, frames on a second.
+    """Source of the streams that DV sends: events, and frames on a second connection.
 
-    The connections have no common order: a frame waits until events reach the end of
-    its readout, and one that comes later than that is taken to arrive when it came.
+    The connections are not synchronized.  A frame waits until events have reached the
+    end of its readout; a frame that arrives later than that is stamped as available
+    when it arrived.
 
     Parameters
     ----------
@@ -144,11 +147,12 @@ class DvSource(LiveSource):
     connections : list of socket
         Closed with the source.
     layout : Layout, optional
+        Layout of the polarizers; default: as the header says.
 
     Raises
     ------
     DeviceError
-        If one does not send what dv sends.
+        If a connection does not send a DV stream.
     """
 
     def __init__(
@@ -247,7 +251,7 @@ class DvSource(LiveSource):
                                   count=int(state[number]))
             if state[0]:
                 yield from self._with_frames(out[:int(state[0])])
-            state[1] = NEVER        # a reset clock: the rest is of a new segment
+            state[1] = NEVER        # the clock was reset: the rest is a new segment
 
     def _frame(self, data: bytes, table: Any) -> ApsFrame:
         raw = samples.raw_frame(data, table)
@@ -260,7 +264,7 @@ class DvSource(LiveSource):
         return frame
 
     def _with_frames(self, events: NDArray[Any]) -> Iterator[Packet]:
-        """Yield events, and between them the frames that had arrived by then."""
+        """Yield events, and among them the frames that are available by then."""
         while self._held and self._held[0].available_us <= events["t"][-1]:
             n = bisect_left(events["t"], self._held[0].available_us)
             yield from pieces(Packet(events[:n]))
@@ -271,20 +275,20 @@ class DvSource(LiveSource):
         yield from pieces(Packet(events))
 
     def _released(self, until_us: int | None) -> Iterator[Packet]:
-        """Yield the frames that need not wait for events: those up to a time."""
+        """Yield the waiting frames that are available up to a time."""
         while self._held and (
                 until_us is None or self._held[0].available_us <= until_us):
             yield Packet(frames=(self._held.popleft(),))
 
     def close(self) -> None:
-        """Stop, and hang up."""
+        """Stop, and close the connections."""
         super().close()
         for one in self._connections:
             one.link.close()
 
 
 def _sorted(found: NDArray[Any]) -> NDArray[Any]:
-    """Return samples in the order of time, without those at impossible ones."""
+    """Return samples in order of time, without those at impossible times."""
     found = found[np.abs(found["t"]) < FAR]
     return found[np.argsort(found["t"], kind="stable")]
 
@@ -389,7 +393,7 @@ def _connected(
 
 
 def _refusal(error: ssl.SSLError) -> str:
-    """Return why one side does not believe the other, in a line."""
+    """Return in one line why one side does not trust the other."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"the sender's certificate: {error.verify_message.rstrip('.')}"
     reason = (error.reason or str(error)).replace("_", " ").lower()

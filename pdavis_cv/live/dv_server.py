@@ -1,4 +1,4 @@
-"""dv's network protocol, out: events and frames for DV and dv-processing."""
+"""Sender of DV's network protocol: events and frames for DV and dv-processing."""
 from __future__ import annotations
 
 import contextlib
@@ -26,16 +26,16 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Addresses of this machine that no other can reach."""
 
 MOST_BYTES = 64 * 2**20
-"""What waits for a slow client; then its oldest packets are dropped."""
+"""Most bytes that wait for a slow client; beyond, its oldest packets are dropped."""
 MOST_CLIENTS = 8
 GREET_S = 5.0
-"""A client must have proved who it is in this time; s."""
+"""Longest time that a client may take for the TLS handshake, s."""
 SEND_S = 10.0
-"""A client that takes nothing for this long is hung up on; s."""
+"""A client that receives nothing for this long is disconnected, s."""
 
 
 class _Client:
-    """One connection: what waits to be sent, and the thread that sends it."""
+    """One connection: a queue of data, and the thread that sends them."""
 
     def __init__(self, link: socket.socket, head: bytes) -> None:
         self.link = link
@@ -52,7 +52,7 @@ class _Client:
     def put(self, data: bytes) -> None:
         with self._change:
             while self._bytes + len(data) > MOST_BYTES and len(self._waiting) > 1:
-                # The first may be half sent, or the header.
+                # The first item is kept: it may be the header, or half sent.
                 self._bytes -= len(self._waiting[1])
                 del self._waiting[1]
                 self.dropped += 1
@@ -81,7 +81,7 @@ class _Client:
             self.link.close()
 
     def end(self) -> None:
-        """Send what waits, then hang up."""
+        """Send the waiting data, then close the connection."""
         with self._change:
             self._ended = True
             self._change.notify()
@@ -89,34 +89,36 @@ class _Client:
 
 
 class DvServer:
-    """Sends packets to all clients that connect: events, and frames at a second place.
+    """Sends packets to all connected clients: events, and frames on a second port.
 
     Parameters
     ----------
     info : RecordingInfo
-        Of what will be sent.
+        Information on the stream to send.
     events, frames : int, str or None
-        Port, 0 = any that is free, or the path of a socket that only this user may
-        open; None = none.
+        Port (0 = any that is free), or path of a socket that only this user may open;
+        None: not sent.
     compression : {"none", "lz4", "zstd"}
+        Compression of packets.
     host : str
-        Address to listen on.  Any other than this machine's own needs `context`.
+        Address to listen on.  Any but this machine's own addresses needs `context`.
     context : ssl.SSLContext, optional
-        Of `server_context`: clients must show a certificate, and all is encrypted.
+        Result of `server_context`: connections are encrypted, and clients must show a
+        certificate.
 
     Attributes
     ----------
     places : dict of str to (int or str)
-        Where ``"events"`` and ``"frames"`` are.
+        Port or path of ``"events"`` and of ``"frames"``.
     dropped : int
-        Packets that slow clients did not get.
+        Packets that were dropped because a client was slow.
 
     Raises
     ------
     OSError
-        If a port or path is taken.
+        If a port or path is in use.
     ValueError
-        If others than this machine could connect without a certificate.
+        If other machines could connect without a certificate.
     """
 
     def __init__(
@@ -163,7 +165,7 @@ class DvServer:
                 if self._context is None or link.family == socket.AF_UNIX:
                     self._take(link, links[listener])
                 elif self._greeting.acquire(blocking=False):
-                    # A client that says nothing must not keep others waiting.
+                    # A silent client must not keep others waiting.
                     threading.Thread(
                         target=self._greet, args=(link, links[listener]),
                         name="pdavis dv greeting", daemon=True).start()
@@ -171,7 +173,7 @@ class DvServer:
                     link.close()
 
     def _greet(self, link: socket.socket, encoder: StreamEncoder) -> None:
-        """Take a client that proves who it is; runs in a thread of its own."""
+        """Do the TLS handshake and add the client; runs in a thread of its own."""
         assert self._context is not None
         try:
             link.settimeout(GREET_S)
@@ -196,23 +198,24 @@ class DvServer:
             self._change.notify_all()
 
     def wait_for_clients(self, timeout: float | None = None) -> bool:
-        """Wait until each stream has a client; False if that took too long.
+        """Wait until each stream has a client; return False after the timeout.
 
         Parameters
         ----------
         timeout : float, optional
-            s.
+            Longest wait, s.
         """
         with self._change:
             return self._change.wait_for(
                 lambda: all(self._clients.values()), timeout)
 
     def add(self, packet: Packet) -> None:
-        """Send a packet to all who listen.
+        """Send a packet to all clients.
 
         Parameters
         ----------
         packet : Packet
+            Packet to send.
         """
         for _, encoder in self._listeners:
             with self._lock:
@@ -224,7 +227,7 @@ class DvServer:
                     client.put(data)
 
     def close(self) -> None:
-        """Send what waits, and stop."""
+        """Send the waiting packets, and stop."""
         self._closed.set()
         self._thread.join()
         for clients in self._clients.values():
@@ -253,7 +256,7 @@ def _listening(place: int | str, host: str) -> socket.socket:
         return socket.create_server((host, place), family=(
             socket.AF_INET6 if ":" in host else socket.AF_INET))
     link = socket.socket(socket.AF_UNIX)
-    before = os.umask(0o177)        # from its first moment only this user's
+    before = os.umask(0o177)        # accessible to this user only, from its creation
     try:
         link.bind(place)
         link.listen()

@@ -1,4 +1,4 @@
-"""Faults between a device and the host, on demand: what a live program must survive."""
+"""Simulated faults between a device and the host, for testing live programs."""
 from __future__ import annotations
 
 import dataclasses
@@ -17,30 +17,30 @@ from pdavis_cv.recording.base import Packet
 __all__ = ["FaultySource", "LinkFaults"]
 
 BURST_HZ = 30e6
-"""Rate of a burst, events per second: more than a DAVIS346 sends (12 Mev/s on USB), as
-much as any event camera of its time is stated to give."""
+"""Rate of a burst, events per second: more than a DAVIS346 sends (12 Mev/s on USB), and
+as much as data sheets of its contemporaries state."""
 BURST_S = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFaults:
-    """What goes wrong between a device and the host; times in s after its first sample.
+    """Faults between a device and the host; times in s after the first sample.
 
     Parameters
     ----------
     drop : float
         Fraction of packets that are lost, 0 to 1.
     unplug : float
-        When the device is gone.
+        Time at which the device is unplugged.
     reset : float
-        When its clock begins at 0 again.
+        Time at which the device's clock restarts at 0.
     burst : float
-        When each pixel fires at random for 0.1 s, at 30 million events per second in
-        all.
+        Time at which pixels begin to fire at random for 0.1 s, at 30 million events
+        per second in total.
     dark : float
-        From when on nothing is sent but the time.
+        Time from which on only the time is sent.
     fault_seed : int
-        Of what is random.
+        Seed of the random faults.
 
     Raises
     ------
@@ -70,13 +70,14 @@ class LinkFaults:
 
 
 class FaultySource(LiveSource):
-    """A device whose packets suffer faults on their way.
+    """A source that passes on another one's packets with faults.
 
     Parameters
     ----------
     source : LiveSource
-        Closed with this one.
+        The device; closed with this one.
     faults : LinkFaults
+        The faults.
     """
 
     def __init__(self, source: LiveSource, faults: LinkFaults) -> None:
@@ -114,7 +115,7 @@ class FaultySource(LiveSource):
 def _burst(
     packet: Packet, size: tuple[int, int], rng: np.random.Generator
 ) -> Packet:
-    """Return a packet with events at `BURST_HZ`, all over the sensor, as its own."""
+    """Return a packet whose events are random, at `BURST_HZ` over the whole sensor."""
     start, stop = packet.start_us, packet.stop_us
     if start is None or stop is None:
         return packet

@@ -1,4 +1,4 @@
-"""Packets between the thread that reads and the one that fuses, bounded."""
+"""Bounded queue of packets from the thread that reads to the one that fuses."""
 from __future__ import annotations
 
 import threading
@@ -17,28 +17,28 @@ from pdavis_cv.recording.files import ProblemLog
 __all__ = ["Inbox", "Waiting", "fitting", "size_of", "together"]
 
 LONGEST_LAG_US = 500_000
-"""Stream time that may wait to be fused; beyond, time jumps to now; us."""
+"""Most stream time that may wait to be fused, us; beyond it, time jumps to now."""
 MOST_BYTES = 128 * 2**20
-"""Packets that wait are at most so large: 0.3 s of 30 million events per second."""
+"""Most bytes of packets that may wait: 0.3 s of 30 million events per second."""
 
 
 class Waiting(Exception):
-    """Nothing is there now; ask again after the next packet."""
+    """The queue is empty now; ask again after the next packet."""
 
 
 class Inbox:
-    """A queue of packets in which nothing becomes old.
+    """A queue of packets of bounded age and size.
 
     Parameters
     ----------
     lossy : bool
-        True: `put` never waits; where the queue would hold more than 0.5 s of stream
-        time, what waits is dropped but for its last frame, and counted.  False: `put`
-        waits for room, and nothing is dropped.
+        True: `put` never waits; if the queue would hold more than 0.5 s of stream
+        time, all waiting packets are dropped except the last frame, and counted.
+        False: `put` waits for room, and nothing is dropped.
     log : ProblemLog
-        Where jumps are noted.
+        Receives the jumps.
     waits : bool
-        False: asked where nothing is there, it raises `Waiting`.
+        False: iterating over an empty queue raises `Waiting` instead of waiting.
     """
 
     def __init__(self, lossy: bool, log: ProblemLog, *, waits: bool = True) -> None:
@@ -80,7 +80,7 @@ class Inbox:
         return 0 if begins is None else newest_us - begins
 
     def _jump(self, newest_us: int) -> None:
-        """Leave out what waits, but for the last frame: it brings the state to now."""
+        """Drop the waiting packets except the last frame, which updates the state."""
         if not self._lossy:
             return
         first = self._packets[0]
@@ -99,13 +99,13 @@ class Inbox:
         self._bytes = size_of(left)
 
     def end(self, error: Exception | None = None) -> None:
-        """Note that no packet follows; what waits is still handed out."""
+        """Note that no packet follows; waiting packets are still handed out."""
         with self._change:
             self._ended, self._error = True, self._error or error
             self._change.notify_all()
 
     def close(self) -> None:
-        """End, and forget what waits."""
+        """End, and drop the waiting packets."""
         with self._change:
             self._packets.clear()
             self._bytes = 0
@@ -114,12 +114,12 @@ class Inbox:
 
     @property
     def error(self) -> Exception | None:
-        """Why no packet follows, None if the source simply ended."""
+        """The error that ended the source, None if it simply ended."""
         return self._error
 
     @property
     def waiting(self) -> tuple[int, int]:
-        """Packets that wait, and the stream time in us from the first to the newest."""
+        """Number of waiting packets, and the stream time in us that they span."""
         with self._change:
             return len(self._packets), self._lag_us(self.newest_us or 0)
 
@@ -135,7 +135,7 @@ class Inbox:
                     raise Waiting
                 self._change.wait()
             parts = [self._packets.popleft()]
-            if self._lossy:     # each packet costs, whatever it holds
+            if self._lossy:     # each packet has an overhead, so small ones are joined
                 n = fitting(parts[0], self._packets)
                 parts += [self._packets.popleft() for _ in range(n)]
             self._bytes -= sum(map(size_of, parts))
@@ -150,13 +150,14 @@ def size_of(packet: Packet) -> int:
 
 
 def fitting(first: Packet, others: Iterable[Packet]) -> int:
-    """Return how many of the next packets fit into one with the first.
+    """Return how many of the next packets can be joined with the first.
 
     Parameters
     ----------
     first : Packet
+        The first packet.
     others : iterable of Packet
-        Those that follow it.
+        The packets that follow it.
     """
     begin = first.until_us if first.start_us is None else first.start_us
     events, frames, n = len(first.events), len(first.frames), 0
@@ -171,11 +172,12 @@ def fitting(first: Packet, others: Iterable[Packet]) -> int:
 
 
 def together(parts: Sequence[Packet]) -> Packet:
-    """Return packets that follow each other, at least one, as one.
+    """Join successive packets into one.
 
     Parameters
     ----------
     parts : sequence of Packet
+        At least one packet.
     """
     if len(parts) == 1:
         return parts[0]

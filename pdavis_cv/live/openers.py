@@ -1,4 +1,4 @@
-"""Devices that are none: a recording, and a simulated camera."""
+"""Live sources without a device: a replayed recording and a simulated camera."""
 from __future__ import annotations
 
 import functools
@@ -47,8 +47,8 @@ def open_simulation(
 ) -> ReplaySource:
     """Open ``simulate:SCENE?camera=nominal&size=48x48&rpm=200&seed=0&...``.
 
-    One turn or cycle of the scene is simulated, and sent again and again.  Its end and
-    beginning fit as far as the light goes; pixels begin anew.
+    One turn or cycle of the scene is simulated and sent repeatedly.  The light is
+    continuous from its end to its beginning, but the pixels are reset.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def open_simulation(
 def simulated(
     scene: str, camera: str, size: str, rpm: float, hz: float, seed: int
 ) -> Recording:
-    """Simulate one period of a scene into memory; kept for the next to ask for it."""
+    """Simulate one period of a scene into memory; the last result is cached."""
     width, cross, height = size.partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise ValueError(f"size must be WIDTHxHEIGHT, got {size!r}")

@@ -1,4 +1,4 @@
-"""Writing what arrives to a file, in a thread of its own."""
+"""Recorder: writes arriving packets to a file, in a thread of its own."""
 from __future__ import annotations
 
 import os
@@ -26,32 +26,33 @@ from pdavis_cv.recording.files import ProblemLog
 __all__ = ["Recorder", "recorded"]
 
 MOST_BYTES = 256 * 2**20
-"""Packets that wait for the disk are at most so large: 2 s of 10 million events/s."""
+"""Most bytes that may wait for the disk: 2 s of 10 million events per second."""
 HURRY_BYTES = MOST_BYTES // 16
-"""From so many bytes that wait on, packets may be written without compression."""
+"""If more bytes than this wait, packets may be written without compression."""
 _MEMORY = 32
-"""Packets over which the time of writing is averaged: a third of a second's."""
+"""Number of packets over which the writing time is averaged: a third of a second."""
 _FORGOTTEN = 1 - 1 / _MEMORY
-"""Factor per packet of a time that is too long to be tried: it may have been the disk's
-bad moment."""
+"""Factor per packet by which the remembered time of uncompressed writing decays while
+it is not used, so that it is tried again: the disk may have been busy only briefly."""
 
 
 class Recorder:
-    """Writes packets as AEDAT-4, whatever becomes of the images made of them.
+    """Writes packets as AEDAT-4, independently of the images made from them.
 
-    What has been written is handed to the system every 10 ms of stream time: when the
-    process is killed, ``.NAME.part<pid>.aedat4`` beside the file can be read up to
-    there.  A disk that is full, or too slow, is a counted problem and not an error.
+    Data are flushed to the system every 10 ms of stream time.  If the process is
+    killed, ``.NAME.part<pid>.aedat4`` beside the file can be read up to there.  A full
+    or slow disk is a problem that is counted, not an error.
 
     Parameters
     ----------
     path : path
-        The file appears under this name when the recorder is closed.
+        Name of the file, which appears when the recorder is closed.
     info : RecordingInfo
+        Information on the stream.
     lossy : bool
         True: `add` never waits; packets that the disk cannot take are counted.
     log : ProblemLog
-        Where problems are noted.
+        Receives problems.
 
     Raises
     ------
@@ -81,7 +82,7 @@ class Recorder:
         self._thread.start()
 
     def add(self, packet: Packet) -> None:
-        """Have a packet written."""
+        """Queue a packet for writing."""
         if packet.start_us is None:
             return
         size = size_of(packet)
@@ -104,7 +105,7 @@ class Recorder:
             self._change.notify_all()
 
     def close(self) -> None:
-        """Write what waits, and finish the file."""
+        """Write the waiting packets, and finish the file."""
         with self._change:
             self._ended = True
             self._change.notify_all()
@@ -133,7 +134,7 @@ class Recorder:
             self._writer.leave()
 
     def _next(self) -> Packet | None:
-        """Return the packets of 10 ms as one; None at the end."""
+        """Return the waiting packets of up to 10 ms as one; None at the end."""
         parts: list[Packet] = []
         with self._change:
             while not self._waiting:
@@ -162,10 +163,10 @@ class Recorder:
 
 
 class _Pace:
-    """Whether packets are compressed: not where that keeps the disk waiting.
+    """Decides whether packets are compressed: not if writing is faster without.
 
-    Without compression twice as much is written, which a slow disk takes longer for
-    than a processor to compress.  Which is which shows when both have been tried.
+    Without compression twice as much is written; on a slow disk that takes longer than
+    compressing.  Both ways are tried and timed.
     """
 
     def __init__(self) -> None:
@@ -173,7 +174,7 @@ class _Pace:
         self._seconds: dict[bool, float] = {}       # per byte of packets, by manner
 
     def hurries(self, waiting_bytes: int) -> bool:
-        """Say whether the next packet is only stored, so many bytes being behind it."""
+        """Tell whether to store the next packet uncompressed, by the bytes waiting."""
         behind = waiting_bytes > HURRY_BYTES
         plain, stored = self._seconds.get(False), self._seconds.get(True)
         self._hurried = behind and plain is not None and (
@@ -183,7 +184,7 @@ class _Pace:
         return self._hurried
 
     def took(self, seconds: float, size: int) -> None:
-        """Note how long a packet of this size took."""
+        """Note the time that a packet of this size took."""
         if not size:
             return
         before = self._seconds.get(self._hurried, seconds / size)
@@ -200,14 +201,15 @@ class _Temporary(Aedat4Recording):
 
 
 def recorded(source: Source) -> Recording:
-    """Read a source to its end into a temporary file, and open that.
+    """Read a source to its end into a temporary file, and open that as a recording.
 
-    A device that is gone, and an interrupt, end it too, if something had arrived.
+    If the device is unplugged, or on an interrupt, the recording ends there, provided
+    that something had arrived.
 
     Parameters
     ----------
     source : Source
-        Closed afterwards.
+        Source to read; closed afterwards.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A recording as a device: in its own time, again and again."""
+"""Replay of a recording as a live source, at its own pace and optionally repeated."""
 from __future__ import annotations
 
 import math
@@ -13,8 +13,8 @@ from pdavis_cv.recording.base import Packet, Recording
 __all__ = ["ReplaySource", "pieces"]
 
 PIECE_US = 2_000
-"""Packets are cut into pieces of at most this time, as a camera's USB transfers are, so
-that nothing arrives later than it would; us."""
+"""Longest stream time of a piece, us.  Packets are cut as a camera's USB transfers are,
+so that nothing arrives later than from a camera."""
 
 
 class ReplaySource(LiveSource):
@@ -25,9 +25,9 @@ class ReplaySource(LiveSource):
     recording : Recording
         Closed with the source.
     name : str
-        For messages.
+        Name for messages.
     speed : float
-        Stream time per real time; 0 = as fast as it is read, where nothing is lost.
+        Stream time per real time; 0 = as fast as it is read, without losses.
     loop : bool
         Begin again at the end.
     seconds : float
@@ -72,7 +72,7 @@ class ReplaySource(LiveSource):
     def _wait(
         self, first_us: int, begun_s: float, start_us: int, stop_us: int
     ) -> Iterator[Packet]:
-        """Wait until the time of a packet's last sample; say how time goes on."""
+        """Wait until a packet's last sample is due; report the time meanwhile."""
         due_s = begun_s + (stop_us - first_us) * 1e-6 / self.speed
         while not self._closed.is_set():
             now_s = time.monotonic()
@@ -85,7 +85,7 @@ class ReplaySource(LiveSource):
                 yield Packet(until_us=min(first_us + passed_us, start_us))
 
     def _stream(self) -> Iterator[Packet]:
-        """Yield the recording in pieces, moved by its length at each repetition."""
+        """Yield the recording in pieces, shifted by its length at each repetition."""
         offset = 0
         while True:
             first: int | None = None
@@ -130,7 +130,7 @@ def pieces(packet: Packet) -> Iterator[Packet]:
     times = [samples["t"] for samples in arrays]
     frames, lows = packet.frames, [0, 0, 0]
     next_us: int | None = start
-    # From one sample to the next: a wrong time may be years away.
+    # Step from sample to sample, as a wrong time stamp may be years away.
     while next_us is not None:
         number = (next_us - start) // PIECE_US
         edge = min(start + (number + 1) * PIECE_US, stop)

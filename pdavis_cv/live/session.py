@@ -1,4 +1,4 @@
-"""Session: images of a source that does not wait."""
+"""Session: images of a live source while its data arrive."""
 from __future__ import annotations
 
 import atexit
@@ -38,14 +38,14 @@ __all__ = ["Session"]
 
 DEFAULT_FPS = 60
 KEPT_IMAGES = 8
-"""Images that wait for a slow reader; then the oldest is skipped."""
+"""Most images that wait for a slow reader; beyond, the oldest is skipped."""
 KEPT_EVENTS_US = 200_000
-"""Events are kept for pictures of them for this stream time; us."""
+"""Stream time for which events are kept, to draw pictures of them, us."""
 LEAST_IMAGES_S = 0.1
-"""However late, an image is made this often: s of the host's time."""
+"""Longest host time between two images, however late fusing is, s."""
 
 class _Arriving(Source):
-    """What fusing sees of a session: the packets of its inbox."""
+    """The source that fusing reads: the packets of a session's inbox."""
 
     def __init__(self, info: RecordingInfo, packets: Iterator[Packet]) -> None:
         self._info, self._packets = info, packets
@@ -66,7 +66,7 @@ class _Arriving(Source):
 
 
 class _Tap:
-    """An iterator that shows what passes to somebody else."""
+    """An iterator that also passes each packet to a function."""
 
     def __init__(
         self, packets: Iterator[Packet], look: Callable[[Packet], None]
@@ -84,35 +84,35 @@ class _Tap:
 
 @names_options
 class Session:
-    """Images of a live source, made as what they show arrives.
+    """Images of a live source, made while its data arrive.
 
-    One thread reads, and never waits for fusing; another fuses, with ``causal=True``.
-    Where fusing is late, images are skipped; where it is more than 0.5 s late, events
-    are dropped, time jumps to now, and `problems` counts what was dropped.  A source
-    that is not ``realtime`` (a file, ``speed=0``) waits instead: then nothing is
-    skipped, and the images are those of `fuse` with ``causal=True``, to the bit.
+    One thread reads the source and never waits for fusing; another one fuses, with
+    ``causal=True``.  If fusing is late, images are skipped; if it is more than 0.5 s
+    late, events are dropped, time jumps to now, and `problems` counts the events
+    dropped.  A source that is not ``realtime`` (a file, ``speed=0``) waits instead:
+    nothing is skipped, and the images equal those of `fuse` with ``causal=True`` bit
+    for bit.
 
-    Iterate, or call `read`; several threads may also look at `latest`.  Use as a
-    context manager, or call `close`, which ends the recording too.
+    Iterate over it, or call `read`; several threads may also call `latest`.  Use it as
+    a context manager, or call `close`, which also ends the recording.
 
     Parameters
     ----------
     where : path, address, Source or RecordingInfo
-        As in `open_source`.  A RecordingInfo says what will be handed to `push`:
-        there are no threads then.
+        As in `open_source`.  A RecordingInfo describes the packets that will be given
+        to `push`; there are no threads then.
     record : path, optional
-        AEDAT-4 file to write what arrives to, at the same time, whatever becomes of the
-        images.
+        AEDAT-4 file to write arriving packets to, independently of the images.
     {options}
     **method_parameters
         As in `fuse`; ``causal`` is always True, and `fps` is 60 by default.  Without
-        `method`, the one that is best for the source, and a cheaper one where that
-        cannot follow for long: `stats` says which.
+        `method`, the session takes the best one for the source, and changes to a
+        cheaper one if that is too slow for long; `stats` names it.
 
     Raises
     ------
     TypeError, ValueError
-        If an option does not fit.
+        If an option is unknown or invalid.
     OSError
         If the source cannot be opened, or the file to record to cannot be made.
 
@@ -185,7 +185,7 @@ class Session:
             if self._source is not None and self._source is not where:
                 self._source.close()
             raise
-        # So that a recording is finished whatever ends the program.
+        # The recording is finished however the program ends.
         atexit.register(self.close)
         for target in (self._read, self._fuse) if self._source is not None else ():
             thread = threading.Thread(
@@ -207,7 +207,7 @@ class Session:
                 if self._closed:
                     break
                 self._arrived(packet)
-        except Exception as found:      # of whatever kind: who reads images is told
+        except Exception as found:      # any kind is passed on to the reader of images
             error = found
         self._inbox.end(None if self._closed else error)
 
@@ -229,12 +229,12 @@ class Session:
                 self._change.notify_all()
 
     def record(self, path: str | os.PathLike[str] | None) -> None:
-        """Begin to write what arrives to a file, or with None end it.
+        """Start to record arriving packets to a file, or with None stop recording.
 
         Parameters
         ----------
         path : path or None
-            AEDAT-4.
+            AEDAT-4 file.
 
         Raises
         ------
@@ -251,18 +251,18 @@ class Session:
     # ---- fusing ------------------------------------------------------------------
 
     def _fuse(self) -> None:
-        """Make images of what has arrived; runs in a thread of its own."""
+        """Make images from the packets that have arrived; runs in its own thread."""
         try:
             while not self._closed and self._step():
                 pass
-        except Exception as error:      # of whatever kind: who reads images is told
+        except Exception as error:      # any kind is passed on to the reader of images
             self._finish("failed", error)
             return
         why = self._inbox.error
         self._finish("ended" if why is None else "failed", why)
 
     def _step(self) -> bool:
-        """Go on to the next image and make it, unless it is late; False at the end."""
+        """Advance to the next image, and make it unless late; False at the end."""
         if self._wanted is not None:
             self._fusion, self._wanted = self._wanted, None
         if self._patience.spent(self._inbox.jumps, time.monotonic()):
@@ -280,7 +280,7 @@ class Session:
         return True
 
     def _is_late(self) -> bool:
-        """Tell whether the image after this one can be made already."""
+        """Tell whether the image after this one could already be made."""
         t, newest, rate = self._fusion.t_us, self._inbox.newest_us, self._fusion.fps
         if not self._lossy or t is None or newest is None or rate is None:
             return False
@@ -288,7 +288,7 @@ class Session:
         return newest - t > 1e6 / float(rate) and waited < LEAST_IMAGES_S
 
     def _be_cheaper(self) -> None:
-        """Take a method that costs less, if it is ours to choose."""
+        """Change to a cheaper method, unless the caller stated the method."""
         method = CHEAPER.get(self._fusion.method)
         if not self._chosen or method is None:
             return
@@ -322,7 +322,7 @@ class Session:
             self._change.notify_all()
 
     def change(self, **options: Any) -> None:
-        """Go on with other options of `fuse`; the state begins anew.
+        """Continue with other options of `fuse`; the method's state is reset.
 
         Parameters
         ----------
@@ -332,10 +332,10 @@ class Session:
         Raises
         ------
         TypeError, ValueError
-            If an option does not fit; nothing is changed.
+            If an option is unknown or invalid; nothing is changed then.
         """
         before = self._fusion.options
-        if "method" in options:             # what belongs to the old one goes with it
+        if "method" in options:             # parameters of the old method are dropped
             before = FusionOptions(**{
                 name: getattr(before, name) for name in FusionOptions.facts()})
             self._chosen = options["method"] is None
@@ -348,14 +348,14 @@ class Session:
     # ---- images ------------------------------------------------------------------
 
     def push(self, packet: Packet) -> list[PolarFrame]:
-        """Hand in a packet and return the images that can be made now.
+        """Feed a packet and return the images that can be made now.
 
-        For a session that was made of a RecordingInfo.
+        This is for a session that was made from a RecordingInfo.
 
         Parameters
         ----------
         packet : Packet
-            Not before any that was handed in; the session keeps its arrays.
+            Not before any packet fed earlier; the session keeps its arrays.
 
         Returns
         -------
@@ -364,7 +364,7 @@ class Session:
         Raises
         ------
         ValueError
-            If the session has a source of its own, or is closed.
+            If the session has its own source, or is closed.
         """
         if self._source is not None:
             raise ValueError("push needs a session made of a RecordingInfo, and this "
@@ -400,9 +400,9 @@ class Session:
         Raises
         ------
         TimeoutError
-            If there is none in this time.
+            If no image came in this time.
         DeviceError, RecordingError
-            If the source failed; after the last image.
+            If the source failed, once all images have been read.
         """
         if self._source is None:
             raise ValueError("read needs a source; images come from push")
@@ -422,18 +422,18 @@ class Session:
 
     @property
     def over(self) -> bool:
-        """Whether no image will be made any more."""
+        """Whether no further image will be made."""
         return self._closed or self._state in ("ended", "failed")
 
     def latest(
         self, after: int = 0, timeout: float | None = 0.0
     ) -> tuple[int, PolarFrame | None]:
-        """Return the newest image, for as many who look as there are.
+        """Return the newest image; any number of threads may call it.
 
         Parameters
         ----------
         after : int
-            Number of the image that the caller has: wait for a newer one.
+            Number of the image that the caller has; waits for a newer one.
         timeout : float, optional
             Longest wait, s.
 
@@ -464,7 +464,7 @@ class Session:
                 self._seen.popleft()
 
     def events(self, after_us: int, until_us: int) -> NDArray[Any]:
-        """Return the events in (after_us, until_us] of the last 0.2 s fused.
+        """Return the events in (after_us, until_us], if within the last 0.2 s fused.
 
         Parameters
         ----------
@@ -485,27 +485,27 @@ class Session:
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """What went wrong so far: each kind once, with how often it was."""
+        """Problems so far: each kind once, with its count."""
         own = () if self._source is None else self._source.problems
         return (*own, *self._log.problems)
 
     @property
     def options(self) -> FusionOptions:
-        """What is asked of `fuse` now."""
+        """The options of `fuse` in use."""
         return self._fusion.options
 
     @property
     def fusion(self) -> Fusion:
-        """What makes the images; to look at, not to move."""
+        """The object that makes the images; it must not be advanced."""
         return self._fusion
 
     @property
     def first_frame(self) -> ApsFrame | None:
-        """The first frame that arrived, None before."""
+        """The first frame that arrived; None if there was none yet."""
         return self._first_frame
 
     def wait(self, timeout: float | None = None) -> None:
-        """Wait until something has arrived.
+        """Wait until the first packet has arrived.
 
         Parameters
         ----------
@@ -535,7 +535,7 @@ class Session:
 
     @property
     def stats(self) -> SessionStats:
-        """How the session fares."""
+        """Statistics of the session."""
         packets, lag_us = self._inbox.waiting
         recorder = self._last_recorder
         with self._clock_lock:
@@ -558,7 +558,7 @@ class Session:
     # ---- the end -------------------------------------------------------------------
 
     def close(self) -> None:
-        """Stop reading, finish the recording; may be called again."""
+        """Stop reading and finish the recording; may be called repeatedly."""
         with self._change:
             self._closed = True
             self._change.notify_all()

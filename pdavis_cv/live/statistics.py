@@ -1,4 +1,4 @@
-"""What a session counts."""
+"""Statistics of a live session."""
 from __future__ import annotations
 
 import threading
@@ -11,19 +11,19 @@ import numpy as np
 __all__ = ["Counter", "Patience", "SessionStats"]
 
 WINDOW_S = 2.0
-"""Rates and latencies are those of this time; s."""
+"""Window of rates and latencies, s."""
 
 MOST_JUMPS = 3
 JUMPS_S = 30.0
-"""After so many jumps of time within so many seconds a method is taken that costs less:
-one may be a burst."""
+"""This many jumps of time within so many seconds (`JUMPS_S`) make a session change to a
+cheaper method; a single jump may be due to a burst of events."""
 SETTLING_S = 4.0
-"""Jumps up to this time after the first image do not count: the camera is learned then,
-at .5, 1, 2 and 4 s, which takes more than what comes later; s of the host's time."""
+"""Jumps up to this host time after the first image do not count, s: the camera's
+parameters are estimated then, at 0.5, 1, 2 and 4 s, which costs more than later."""
 
 
 class Patience:
-    """Whether a method has shown that it cannot follow: time jumps again and again."""
+    """Decides whether a method is too slow, by the jumps of time."""
 
     def __init__(self) -> None:
         self._known = 0
@@ -36,14 +36,14 @@ class Patience:
             self._first_s = now_s
 
     def spent(self, jumps: int, now_s: float) -> bool:
-        """Tell whether a cheaper method is due; then it begins anew.
+        """Tell whether to change to a cheaper method; if so, counting restarts.
 
         Parameters
         ----------
         jumps : int
-            How often time has jumped so far.
+            Number of jumps of time so far.
         now_s : float
-            Host's time.
+            Host's time, s.
         """
         new, self._known = jumps - self._known, jumps
         if self._first_s is None or now_s - self._first_s < SETTLING_S:
@@ -57,38 +57,41 @@ class Patience:
 
 @dataclass(frozen=True, kw_only=True)
 class SessionStats:
-    """How a session fares; rates and latencies are of the last 2 s.
+    """Statistics of a session; rates and latencies are those of the last 2 s.
 
     Parameters
     ----------
     state : str
         ``"waiting"`` for the first packet, ``"running"``, ``"ended"``, or ``"failed"``.
     error : str or None
-        Why it failed.
+        Reason of a failure.
     method : str
         The method in use.
     chosen : bool
-        False if the method was stated; else it is the best that keeps up.
+        True if the session chose the method; False if the caller stated it.
     events_per_s, images_per_s : float
+        Events that arrived, and images that were made, per second.
     latency_ms, latency_p95_ms : float or None
-        From the time that an image shows, on the device's clock as the host knows it by
-        the smallest delay seen, to when it was made: median and 95 % point.
+        Time from the instant that an image shows until it was made: median and 95 %
+        point.  The device's clock is related to the host's by the smallest delay seen.
     queued_packets : int
+        Packets that wait to be fused.
     queued_ms : float
         Stream time that waits to be fused.
     dropped_events : int
-        Left out because fusing was more than 0.5 s behind.
+        Events dropped because fusing was more than 0.5 s late.
     jumps : int
-        How often that was.
+        Number of times that events were dropped.
     skipped_images : int
-        Not made, because the next one was due.
+        Images that were skipped because the next one was due.
     drift_ppm : float or None
-        By how much the device's clock is slower than the host's.
+        Rate by which the device's clock is slower than the host's.
     recorded_events, unrecorded_events : int
+        Events written to the recording, and events that could not be written.
     recording : str or None
-        File that is written.
+        File that is being written.
     recording_error : str or None
-        Why it could not be.
+        Reason why recording failed.
     """
 
     state: str
@@ -112,7 +115,7 @@ class SessionStats:
 
 
 class Counter:
-    """Sums and values of the last 2 s; threads may share it."""
+    """Values of the last 2 s, and their rate and quantiles; threads may share it."""
 
     def __init__(self) -> None:
         self._values: deque[tuple[float, float]] = deque()

@@ -1,4 +1,4 @@
-"""TLS with certificates of both sides, as dv has it."""
+"""TLS with certificates on both sides, as DV uses it."""
 from __future__ import annotations
 
 import os
@@ -12,21 +12,22 @@ def server_context(
     certificate: str | os.PathLike[str], key: str | os.PathLike[str],
     authority: str | os.PathLike[str] | None,
 ) -> ssl.SSLContext:
-    """Return how a server proves who it is, and whom it lets in.
+    """Return a server's TLS context.
 
     Parameters
     ----------
     certificate : path
-        The server's certificate and those that sign it, PEM.
+        The server's certificate chain, PEM.
     key : path
         Its private key, PEM, without a passphrase.
     authority : path or None
-        Certificate of who must have signed a client's, PEM; None: clients show none.
+        Certificate of the authority that signs the clients' certificates, PEM; None:
+        clients need no certificate.
 
     Raises
     ------
     ValueError
-        If a file cannot be read or is not what it should be.
+        If a file cannot be read or has other contents.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     _prove(context, certificate, key)
@@ -40,21 +41,21 @@ def client_context(
     certificate: str | os.PathLike[str], key: str | os.PathLike[str],
     authority: str | os.PathLike[str], check_name: bool,
 ) -> ssl.SSLContext:
-    """Return how a client proves who it is, and whom it believes.
+    """Return a client's TLS context.
 
     Parameters
     ----------
     certificate, key : path
-        The client's, as in `server_context`.
+        The client's certificate and key, as in `server_context`.
     authority : path
-        Certificate of who must have signed the server's, PEM.
+        Certificate of the authority that signs the server's certificate, PEM.
     check_name : bool
         Whether the server's certificate must name the host.
 
     Raises
     ------
     ValueError
-        If a file cannot be read or is not what it should be.
+        If a file cannot be read or has other contents.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = check_name
@@ -67,11 +68,11 @@ def _prove(
     context: ssl.SSLContext, certificate: str | os.PathLike[str],
     key: str | os.PathLike[str],
 ) -> None:
-    context.minimum_version = ssl.TLSVersion.TLSv1_2    # what dv speaks
+    context.minimum_version = ssl.TLSVersion.TLSv1_2    # the version that DV uses
     _check_readable("certificate", certificate)
     _check_readable("key", key)
 
-    def refuse() -> str:        # OpenSSL would ask at the terminal
+    def refuse() -> str:        # otherwise OpenSSL asks for it at the terminal
         raise ValueError(f"key must have no passphrase, {os.fspath(key)} has one")
 
     try:

@@ -1,4 +1,4 @@
-"""``usb:``: a DAVIS346-based camera, or one that is simulated to its last word."""
+"""``usb:`` addresses: a DAVIS346-based camera, or a simulation of its USB words."""
 from __future__ import annotations
 
 import math
@@ -21,22 +21,23 @@ from pdavis_cv.recording.davis_trace import Transfer
 __all__ = ["Device", "SimulatedDavis346", "UsbSource", "open_usb"]
 
 SILENCE_S = 3.0
-"""A camera says how far its time is every 33 ms; after so long it hangs, s."""
+"""A camera that sends nothing for this long is taken to hang, s; it reports its time
+every 33 ms."""
 _COUNTER_US = 1 << 32
-"""A recording that begins later has another clock than a camera: Unix time."""
+"""A recording that begins later than this has Unix time, not a camera's clock, us."""
 
 
 class Device(Protocol):
-    """What sends the words of a DAVIS346: a camera, or something in its place.
+    """A device that sends the words of a DAVIS346: a camera or a simulation.
 
     Attributes
     ----------
     info : RecordingInfo
-        What it is; of the format "DAVIS346 over USB".
+        Information on the stream, of the format "DAVIS346 over USB".
     orientation : Orientation
         How its chips are mounted.
     realtime : bool
-        False: it waits for who reads it.
+        False: the device waits for its reader.
     speed : float
         Stream time per real time.
     """
@@ -47,17 +48,17 @@ class Device(Protocol):
     speed: float
 
     def read(self, timeout_s: float) -> list[Transfer] | None:
-        """Wait for what it sends next; none after `timeout_s`, None at the end.
+        """Wait for the next transfers; [] after `timeout_s`, None at the end.
 
         Raises
         ------
         DeviceError
-            If it is gone.
+            If the device is gone.
         """
 
     @property
     def settings(self) -> Mapping[str, int]:
-        """Exposure, interval of frames and biases that it works with."""
+        """Exposure, interval of frames and biases in use."""
 
     def set(self, **settings: int) -> None:
         """Change settings.
@@ -65,27 +66,27 @@ class Device(Protocol):
         Raises
         ------
         ValueError
-            If there is no such setting, or not this value.
+            If there is no such setting, or its value is out of range.
         """
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the device."""
 
 
 class UsbSource(LiveSource):
-    """What a camera sends, decoded as it arrives.
+    """Decodes the words of a camera as they arrive.
 
     Parameters
     ----------
     device : Device
         Closed with the source.
     name : str
-        For messages.
+        Name for messages.
 
     Attributes
     ----------
     device : Device
-        To change its `settings` while it runs.
+        The device, whose `settings` can be changed while it runs.
     """
 
     def __init__(self, device: Device, name: str) -> None:
@@ -112,7 +113,7 @@ class UsbSource(LiveSource):
                 yield Packet(until_us=decoder.time_us)
 
     def close(self) -> None:
-        """Stop, and let go of the camera."""
+        """Stop, and release the camera."""
         super().close()
         self.device.close()
 
@@ -120,7 +121,7 @@ class UsbSource(LiveSource):
 class SimulatedDavis346:
     """Sends a recording as a DAVIS346 would: the same words, at its own pace.
 
-    Its clock is that of the recording, or begins at 0 where that is Unix time.
+    Its clock is that of the recording, or begins at 0 if the recording has Unix time.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ class SimulatedDavis346:
         self._closed = False
 
     def read(self, timeout_s: float) -> list[Transfer] | None:
-        """Return what is due within this time, s."""
+        """Return the transfer that is due within this time, s; [] if there is none."""
         if self._closed:
             return None
         if self._next is None:
@@ -177,7 +178,7 @@ class SimulatedDavis346:
 
     @property
     def settings(self) -> Mapping[str, int]:
-        """None: a recording is as it was made."""
+        """No settings, as a recording cannot be changed."""
         return {}
 
     def set(self, **settings: int) -> None:
@@ -202,7 +203,7 @@ def open_usb(
     where : str
         The whole address.
     target : str
-        Serial number of a camera, ``""`` for the first, ``"simulated"``.
+        Serial number of a camera; ``""`` for the first one, or ``"simulated"``.
     values : dict of str to str
         What follows the question mark: settings of a camera; of a simulated one
         ``replay``, a file, or ``scene`` and what ``simulate:`` takes.
