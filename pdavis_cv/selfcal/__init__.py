@@ -1,9 +1,8 @@
 """Estimates of a camera's parameters from its own frames and events.
 
-For whoever feeds a stream: `SelfCalibration` looks on and gives a `CameraEstimate`
-(contrast thresholds, bandwidth of the photoreceptors, event noise, refractory period)
-with covariances.
-It knows arrays only: no file, no recording, no calibration file.
+A `SelfCalibration` is fed a stream and returns a `CameraEstimate`: contrast thresholds,
+bandwidth of the photoreceptors, event noise and refractory period, with covariances.
+The package works on arrays only: it reads no files, recordings or calibrations.
 """
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths
 from pdavis_cv.selfcal.clock_offset import ClockOffset

@@ -1,4 +1,4 @@
-"""Bandwidth of the photoreceptors: the law, its combination, its estimation."""
+"""Bandwidth of the photoreceptors: its law, and its estimation from a pixel sample."""
 from __future__ import annotations
 
 import math
@@ -31,12 +31,12 @@ class Bandwidth:
     hz : float
         Part that does not depend on the light.
     hz_per_intensity : float
-        Part in proportion to the intensity I, Hz per DN/ms.
+        Part proportional to the intensity I, Hz per DN/ms.
     at_intensity : float
         Intensity in DN/ms at which the sum is known best: a tenth of a bright pixel's,
         since log intensity changes fastest where the light is dim.
     sigma : float
-        Standard deviation of the ln of the corner frequency there.
+        Standard error of the ln of the corner frequency there.
     """
 
     hz: float
@@ -51,21 +51,23 @@ class Bandwidth:
 
 
 _MAX_SIGMAS_APART = 3.0
-"""Beyond so many standard deviations the bias currents are assumed to have been changed
-since the calibration, whose bandwidth is then ignored."""
+"""Difference, in standard deviations, beyond which the bias currents are assumed to
+have been changed since the calibration, whose bandwidth is then ignored."""
 
 
 def combine_bandwidths(stated: Sequence[float], found: Bandwidth) -> Bandwidth:
-    """Combine what a calibration states with what a recording tells.
+    """Combine the bandwidth of a calibration with that of a recording.
 
-    The inverse-variance mean of the ln of both corner frequencies; the share that is in
-    proportion to the light is taken from the one with the smaller variance.  If they
-    differ by more than 3 standard deviations, the recording alone counts.
+    The ln of both corner frequencies are averaged, weighted by inverse variance; the
+    share proportional to the light is that of the one with the smaller variance.  If
+    they differ by more than 3 standard deviations, the recording's is returned.
 
     Parameters
     ----------
     stated : (hz, hz_per_intensity, sigma)
+        Bandwidth of the calibration.
     found : Bandwidth
+        Bandwidth estimated from the recording.
 
     Returns
     -------
@@ -80,7 +82,7 @@ def combine_bandwidths(stated: Sequence[float], found: Bandwidth) -> Bandwidth:
     both = math.hypot(sigma, found.sigma)
     if abs(difference) > _MAX_SIGMAS_APART * both or both == 0:
         return found
-    weight = (found.sigma / both) ** 2  # of what is stated
+    weight = (found.sigma / both) ** 2  # weight of the stated bandwidth
     best = found
     if sigma < found.sigma:
         best = Bandwidth(hz, slope, at, sigma)
@@ -96,8 +98,8 @@ _LN_HZ, _LN_HZ_SIGMA = math.log(USUAL_BANDWIDTH[0]), USUAL_BANDWIDTH[2]
 _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 """Corner frequencies at which the likelihood is first evaluated, Hz."""
 
-# Standard deviation of the ln: inflation over the curvature of -ln L, and relative
-# error of the model itself.
+# Standard error of the ln: inflation over that by the curvature of -ln L, and relative
+# error of the model.
 _CURVATURE_INFLATION, _MODEL_SIGMA = 1.2, 0.016
 
 # Bias where the light turns: interpolation over the gap between two events looks like
@@ -105,45 +107,44 @@ _CURVATURE_INFLATION, _MODEL_SIGMA = 1.2, 0.016
 _TURN_LAG_S, _TURN_RATE_HZ, _TURN_POWER = 0.3e-3, 72.0, 4
 
 _LAW_EVIDENCE = 8.0
-"""How much likelier, in ln L, a bandwidth in proportion to the light must be than a
-constant one (see `evidence`).  What interpolation and de-blurring get wrong fakes up to
-7 before a fan; where pixels do follow the light it is 41 or more, but for the dimmest
-light (studies/selfcal_law.py)."""
+"""Gain of ln L that a bandwidth that depends on the light must have over a constant one
+(see `evidence`).  Errors of interpolation and de-blurring cause up to 7 before a fan;
+where the bandwidth does follow the light it is 41 or more, except in the dimmest light
+(studies/selfcal_law.py)."""
 
 _GRID_SHARES = np.array([0.0, 0.5, 0.8, 1.0])
-"""Shares in proportion to the light at which -ln L is first evaluated."""
+"""Shares of the bandwidth, proportional to the light, where -ln L is first tried."""
 
 _COARSE_PIXELS = 16
-"""Pixels that the grid is evaluated with; it need only find the neighbourhood of the
-minimum."""
+"""Number of pixels for the grid, which need only find the region of the minimum."""
 
 _COARSE_STEPS, _FINE_STEPS = 0.25 * np.arange(-3, 4), (0.25, 0.1)
-"""Steps in ln hz about a minimum: those that find it, as slow pixels make it .2 wide,
-and of two parabolas with all pixels, the latter of which gives the curvature too."""
+"""Steps in ln hz about a minimum: of the search, as slow pixels make the minimum 0.2
+wide; and of two parabolas with all pixels, of which the second gives the curvature."""
 
 _ROUGH = 2.0
-"""What -ln L must rise by on both sides of a parabola together for its curvature to
-count rather than that of a wider one: one sigma each.  Within less, its roughness, as
-one frame or another passes an event, decides; numerical."""
+"""Least rise of -ln L, summed over both sides of a parabola (one sigma each), at which
+its curvature is used instead of that of a wider one.  On a smaller scale -ln L is
+rough, as it jumps when a frame passes an event; numerical."""
 
 _SHARE_STEP = 0.25
-"""Step of the ln of dim light's corner frequency over bright light's, by which the
-share is refined."""
+"""Step by which the share is refined: of the ln of the ratio of the corner frequencies
+in dim and in bright light."""
 
 _FINE_SHARES = 201
-"""Shares by which the posterior mean is summed up; numerical."""
+"""Number of shares over which the posterior mean is computed; numerical."""
 
 _DIM = 0.1
-"""Log intensity changes fastest where the light is dim: a tenth of a bright pixel's."""
+"""Dim light, as a fraction of a bright pixel's: there log intensity changes fastest."""
 
 
 def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     """Return the bandwidth at which the innovations are likeliest.
 
-    -ln L is evaluated on a grid of (ln corner frequency, share of it in proportion to
-    the light) with a part of the pixels, and refined by parabolas with all of them.
-    Innovations count as normal: with longer tails pixels of 250 Hz before a fan came
-    out as 222.
+    -ln L is evaluated on a grid of (ln corner frequency, share of it proportional to
+    the light) with some of the pixels, and refined by parabolas with all of them.
+    Innovations are taken as normal: with longer tails, pixels of 250 Hz before a fan
+    were estimated as 222.
 
     Parameters
     ----------
@@ -156,8 +157,8 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
     cost = _Cost(sample)
     least = cost.minima()
     constant, best = least[0], min(least, key=_cost)
-    # A law is applied beyond the light that told it, as where frames saturate:
-    # without evidence for one the bandwidth is constant.
+    # The law is extrapolated to other light, as where frames saturate.  So without
+    # evidence for a dependence on the light the bandwidth is taken as constant.
     if best.share > 0:
         best = constant if cost.evidence(best, constant) < _LAW_EVIDENCE else (
             cost.with_mean_share(least))
@@ -172,16 +173,17 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
 def likeliest_by_light(
     sample: PixelSample,
 ) -> tuple[float, tuple[float, float] | None]:
-    """Return the least -ln L of pixels whose bandwidth follows the light, and a law.
+    """Return the least -ln L with a bandwidth that follows the light, and its law.
 
-    Innovations have long tails, as in the fit of the clocks' offset.  -ln L is infinite
-    if a constant is likelier, or if bright pixels' corner frequency would be more than
-    3 standard deviations from what is usual.  The law, (hz, hz_per_intensity), is the
-    likeliest of those that are usual; None if none is.
+    Innovations have long tails, as in the fit of the clock offset.  -ln L is infinite
+    if a constant bandwidth is likelier, or if the corner frequency of bright pixels
+    would be more than 3 standard deviations from the usual one.  The law, (hz,
+    hz_per_intensity), is the likeliest one within these; None if there is none.
 
     Parameters
     ----------
     sample : PixelSample
+        The data.
     """
     found = _Cost(sample, LONG_TAILED).minima()
     likely = [each for each in found if each.share > 0 and _is_usual(each.ln_hz)]
@@ -194,7 +196,7 @@ def likeliest_by_light(
 
 
 class _Minimum(NamedTuple):
-    """Where -ln L is least at a share, and the sigma of ln hz by its curvature."""
+    """Minimum of -ln L at a share, with the standard error of ln hz by curvature."""
 
     share: float
     ln_hz: float
@@ -207,7 +209,7 @@ def _cost(each: _Minimum) -> float:
 
 
 def _by_share(found: Sequence[_Minimum]) -> list[_Minimum]:
-    """Return the likeliest of each share, in order of the share."""
+    """Return the likeliest minimum of each share, in order of the share."""
     best: dict[float, _Minimum] = {}
     for each in sorted(found, key=_cost, reverse=True):
         best[each.share] = each
@@ -215,9 +217,9 @@ def _by_share(found: Sequence[_Minimum]) -> list[_Minimum]:
 
 
 def _between(known: Sequence[_Minimum], share: float) -> float:
-    """Return ln hz of a share, between those known in order of the share.
+    """Interpolate ln hz at a share between known minima, in order of the share.
 
-    Linear in ln of the corner frequency of dim light over that of bright light.
+    It is linear in the ln of the corner frequency in dim over that in bright light.
     """
     return float(np.interp(-_ln_dim(share), [-_ln_dim(each.share) for each in known],
                            [each.ln_hz for each in known]))
@@ -230,7 +232,7 @@ def _is_usual(ln_hz: float) -> bool:
 
 
 class _Cost:
-    """-ln L at (share in proportion to the light, ln hz at bright light)."""
+    """-ln L of a share proportional to the light and ln hz in bright light."""
 
     def __init__(self, sample: PixelSample, power: float = NORMAL) -> None:
         self._sample, self._power = sample.with_leak_in_frames(), power
@@ -238,7 +240,7 @@ class _Cost:
     def __call__(
         self, share: ArrayLike, ln_hz: NDArray[np.float64], every: int = 1,
     ) -> NDArray[np.float64]:
-        """Return -ln L, shape (C,), by one in `every` pixels."""
+        """Return -ln L, shape (C,), from one in `every` pixels."""
         found = self._sample.innovations(candidates_of(np.transpose(
             _law(np.broadcast_to(share, ln_hz.shape), ln_hz, self._sample.bright))),
             every)
@@ -246,7 +248,7 @@ class _Cost:
         return negative_log_likelihood(found, self._power) + prior
 
     def evidence(self, one: _Minimum, other: _Minimum) -> float:
-        """Return by how much one is likelier, with variances as stated or larger."""
+        """Return the gain in ln L over another, with variances at least as stated."""
         found = self._sample.innovations(candidates_of(
             [_law(each.share, each.ln_hz, self._sample.bright)
              for each in (one, other)]))
@@ -255,15 +257,15 @@ class _Cost:
     def coarse(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ln hz of the minimum and its -ln L for each of `_GRID_SHARES`.
 
-        By a part of the pixels; the whole sample's -ln L is scaled up from theirs.
+        It uses some of the pixels and scales their -ln L up to the whole sample.
         """
         every = max(len(self._sample.pixels) // _COARSE_PIXELS, 1)
         grid, ends = np.log(_GRID_HZ), _GRID_SHARES[[0, -1]]
         rows = self(np.repeat(ends, len(grid)), np.tile(grid, 2), every)
         first, last = (vertex(grid, row) + _ln_dim(share)
                        for row, share in zip(rows.reshape(2, -1), ends, strict=True))
-        # At the dim light that tells most, the corner frequency hardly depends on the
-        # share: start on a line between the two ends.
+        # In dim light, which is most informative, the corner frequency hardly depends
+        # on the share: start on a line between the two ends.
         start = first + _GRID_SHARES * (last - first) - _ln_dim(_GRID_SHARES)
         x = start[:, None] + _COARSE_STEPS
         y = self(np.repeat(_GRID_SHARES, len(_COARSE_STEPS)), x.ravel(), every)
@@ -296,11 +298,11 @@ class _Cost:
         return found
 
     def with_mean_share(self, found: list[_Minimum]) -> _Minimum:
-        """Return the minimum at the posterior mean of the share, uniform before.
+        """Return the minimum at the posterior mean of the share, with a uniform prior.
 
-        -ln L is interpolated linearly between the minima found and those at the rest
-        of `_GRID_SHARES`.  Where it is flat, the likeliest share is often one of no
-        bandwidth at all in the dark.
+        -ln L is interpolated linearly between the minima found and those at the other
+        `_GRID_SHARES`.  The mean is used because where -ln L is flat, the likeliest
+        share is often 1, which means no bandwidth at all in the dark.
         """
         known = _by_share(found)
         found = found + [
@@ -315,7 +317,7 @@ class _Cost:
         return self.minimum(mean, _between(known, mean))
 
     def minimum(self, share: float, ln_hz: float) -> _Minimum:
-        """Return the minimum near ln_hz at a share, by all pixels."""
+        """Return the minimum near ln_hz at a share, from all pixels."""
         told = 0.0
         for step in _FINE_STEPS:
             x = ln_hz + step * np.array([-1.0, 0.0, 1.0])
@@ -330,16 +332,16 @@ class _Cost:
 
 
 def _law(share: Any, ln_hz: Any, bright: float) -> tuple[Any, Any]:
-    """Return hz and hz_per_intensity of a corner frequency at bright light."""
+    """Return hz and hz_per_intensity from share and ln hz in bright light."""
     hz = np.exp(ln_hz)
     return hz * (1 - share), hz * share / bright
 
 
 def _share(ln_dim: float) -> float:
-    """Return the share of which `_ln_dim` is that, between 0 and 1."""
+    """Return the share, between 0 and 1, from its `_ln_dim`."""
     return min(max((1 - math.exp(ln_dim)) / (1 - _DIM), 0.0), 1.0)
 
 
 def _ln_dim(share: Any) -> Any:
-    """Return ln of the corner frequency at dim light over that at bright light."""
+    """Return the ln of the ratio of the corner frequencies in dim and bright light."""
     return np.log(1 - share + share * _DIM)

@@ -1,4 +1,4 @@
-"""Offset between the clocks of frames and events: stamps wrong by a constant."""
+"""Offset between the clocks of frames and events, constant over a recording."""
 from __future__ import annotations
 
 import math
@@ -22,75 +22,76 @@ from pdavis_cv.selfcal.priors import CLOCK_OFFSET_SIGMA_US, TYPICAL_BANDWIDTH
 __all__ = ["ClockOffset", "fit_clock_offset"]
 
 _REACH_US, _COARSE_STEP_US = 15_000, 1500
-"""Offsets that are tried at first: twice what was measured on two cameras (4 to 7.4
-ms), and by half the width of the minimum at 1000 RPM."""
+"""Range and step of the offsets that are tried first: twice what was measured on two
+cameras (4 to 7.4 ms), and half the width of the minimum at 1000 RPM."""
 
 _COARSE_PIXELS = 16
-"""Pixels that the grid is evaluated with."""
+"""Number of pixels with which the grid is evaluated."""
 
 _FIT_WIDTH_US, _FIT_POINTS = 1800.0, 9
-"""Half width of the parabola that -ln L is fitted with, and its points.  Wide: within 1
-ms -ln L is rough, as one frame or another passes an event; an engineering choice."""
+"""Half width of the parabola fitted to -ln L, and number of its points.  It is wide
+because within 1 ms -ln L is rough, as it jumps when a frame passes an event.
+Engineering choice."""
 
 _MOST_FITS, _NEAR = 4, 0.4
-"""A parabola is fitted again, at most so often, if its least point lies farther from
-the middle than this part of the half width; numerical."""
+"""Most fits of a parabola; a fit is repeated if its minimum lies farther from the
+middle than this fraction of the half width; numerical."""
 
 _LAW_HZ = (60.0, 120.0, 240.0, 480.0)
-"""Corner frequencies of a bright pixel that a lag in proportion to 1 / light is tried
-with, Hz; a factor of two apart, as -ln L is a parabola in their ln."""
+"""Corner frequencies of a bright pixel, Hz, with which a lag proportional to 1 / light
+is tried; a factor of two apart, as -ln L is a parabola in their ln."""
 
 _LAW_EVIDENCE = 20.0
-"""By how much -ln L must fall for a lag that depends on the light to be preferred: with
-an offset, or, if its bandwidth follows the light in part, in place of one; an
-engineering choice."""
+"""Fall of -ln L required to prefer a lag that depends on the light: together with an
+offset, or, if the bandwidth follows the light in part, instead of one.  Engineering
+choice."""
 
 _LAG_SHARE = 0.2
-"""Error of the lag that such a camera makes of the delay, relative: 1.3 to 1.8 ms of 7
-at 30 RPM where the clocks agree (studies/selfcal_clock_offset.py)."""
+"""Relative error of the lag that such a fit separates from the delay: 1.3 to 1.8 ms of
+7 at 30 RPM where the clocks agree (studies/selfcal_clock_offset.py)."""
 
 _EVIDENCE = 8.0
-"""By how much -ln L must fall against a camera whose clocks agree and whose lag is in
-proportion to 1 / light: in dim light it reaches milliseconds."""
+"""Fall of -ln L required against a camera whose clocks agree and whose lag is
+proportional to 1 / light, which in dim light reaches milliseconds."""
 
 _MUCH_NOISE = 2.0
-"""Event noise beyond so many times what the innovations' variances state is much: half
-a step of the grid that it is found on (`fit_event_noise`)."""
+"""Ratio of event noise to that assumed in the innovations' variances above which the
+noise counts as high: half a step of the grid of `fit_event_noise`."""
 
 _CURVATURE_INFLATION = 2.0
-"""Of the sigma by the curvature of -ln L, an engineering choice: pixels that see the
-same edge err alike.  Before a polarizer .75 is enough
-(studies/selfcal_clock_offset.py), before a texture or a fan, with pixels that have a
+"""Factor on the sigma by the curvature of -ln L, because pixels that see the same edge
+have the same error.  Engineering choice: before a polarizer .75 is enough
+(studies/selfcal_clock_offset.py); before a texture or a fan, with pixels that have a
 refractory period, up to 5 was seen."""
 
 _MODEL_US = 150.0
-"""What models have wrong in the sum of offset and lag, us: an engineering choice.  rms
-error 52 where the model holds (studies/selfcal_clock_offset.py); a refractory period of
-.5 ms, which is not modelled, moves it by 300."""
+"""Model error of the sum of offset and lag, us.  Engineering choice: the rms error is
+52 where the model holds (studies/selfcal_clock_offset.py); a refractory period of
+0.5 ms, which is not modelled, shifts it by 300."""
 
 _MOST_US = 12_000.0
-"""More, 2.4 sigma of the prior, is not believed: in a part of a turn, light that passes
-its extremes at other times than the frames see looks like it."""
+"""Greatest offset that is applied, us: 2.4 sigma of the prior.  In less than a turn,
+light that has its extremes between frames can look like a larger one."""
 
 _SIGMAS, _LEAST_US = 3.0, 1000.0
-"""An offset counts beyond so many sigmas, and so many us: less is taken for lag, which
-nearly does the same.  A delay that the lag of the usual bandwidth makes within so many
-sigmas of its ln, up to 4.5 times 530 us, is that lag: clocks agree."""
+"""An offset is significant beyond so many sigmas and so many us; a smaller one is taken
+as lag, whose effect is nearly the same.  A delay that the usual bandwidth explains
+within so many sigmas of its ln, up to 4.5 times 530 us, is taken as that lag."""
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """By how much frames' stamps must be moved to the clock of the events.
+    """Offset from the frames' clock to the clock of the events.
 
     Parameters
     ----------
     us : float
-        To be added to the stamps, microseconds; positive where events trail frames.
+        Shift to be added to the frames' stamps, us; positive if events trail frames.
     sigma_us : float
-        Standard deviation.  Where nothing is told, that of the prior; 0 where it was
-        stated and not estimated.
+        Standard error: that of the prior if the data give no information, and 0 if the
+        offset was stated, not estimated.
     or_lag : bool
-        Whether a lag of the photoreceptors would explain the delay as well.
+        Whether a lag of the photoreceptors would explain the delay equally well.
     """
 
     us: float
@@ -99,9 +100,10 @@ class ClockOffset:
 
     @property
     def counts(self) -> bool:
-        """Whether it is told from 0: stated, or beyond 3 sigma and 1 ms, within 12 ms.
+        """Whether the offset is significant, and so is applied.
 
-        Where nothing is told but the prior, nothing counts.
+        It is if it was stated, or if it lies beyond 3 sigma and 1 ms but within 12 ms
+        and the data give more information than the prior.
         """
         return self.sigma_us == 0 or (
             self.sigma_us < CLOCK_OFFSET_SIGMA_US
@@ -109,17 +111,17 @@ class ClockOffset:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether a delay of more than 1 ms may be one of the clocks or a lag."""
+        """Whether a delay of more than 1 ms may be either an offset or a lag."""
         return self.or_lag and not self.counts and abs(self.us) > _LEAST_US
 
     @property
     def applied_us(self) -> int:
-        """What to add to the stamps: the offset if it counts, else 0."""
+        """Shift to add to the stamps, us: the offset if it is significant, else 0."""
         return round(self.us) if self.counts else 0
 
 
 class _Fit(NamedTuple):
-    """Least -ln L of a law of the bandwidth, and the offset there."""
+    """Least -ln L for one law of the bandwidth, and the offset at the minimum."""
 
     cost: float
     us: float
@@ -129,19 +131,20 @@ class _Fit(NamedTuple):
 def fit_clock_offset(
     sample: PixelSample, bandwidth: tuple[float, float, float] | None = None
 ) -> ClockOffset:
-    """Return the offset at which innovations are likeliest.
+    """Return the offset at which the innovations are likeliest.
 
-    Offset and lag add up to a delay, which frames tell well; what of it is lag they
-    tell only as far as the lag depends on the light.  So two cameras are tried: one of
-    the usual bandwidth in any light, whose uncertainty counts in the result, and one
-    whose bandwidth is in proportion to the light, of any factor.
+    The data determine the sum of offset and lag well, but separate them only as far as
+    the lag depends on the light.  So two models are compared: one with the usual
+    constant bandwidth, whose uncertainty is propagated to the result, and one with a
+    bandwidth proportional to the light, with a free factor.
 
     Parameters
     ----------
     sample : PixelSample
+        The data.
     bandwidth : (float, float, float), optional
-        Of the photoreceptors, where it is known: Hz, Hz per DN/ms and the standard
-        deviation of the ln; then no other is tried.
+        Bandwidth of the photoreceptors, if known: Hz, Hz per DN/ms and standard error
+        of the ln; then no other one is tried.
     """
     whole = sample.that_may_move(_REACH_US)
     clean = whole.with_leak_in_frames()
@@ -152,7 +155,7 @@ def fit_clock_offset(
     every = max(len(sample.pixels) // _COARSE_PIXELS, 1)
     start = vertex(grid, _costs(clean, grid, law, every)
                    + _prior(grid) / every)
-    for _ in range(2):      # which samples are between like events depends on it
+    for _ in range(2):      # the choice of samples depends on the offset
         steady = clean.between_like_events(start + lag_us)
         found = _minimum(steady, start, law)
         start = found.us
@@ -180,9 +183,9 @@ def _offset(found: _Fit, or_lag: bool = False) -> ClockOffset:
 
 
 def _in_proportion(sample: PixelSample, start: float) -> tuple[_Fit, float]:
-    """Return the fit with a bandwidth in proportion to the light, of any factor.
+    """Return the fit with a bandwidth proportional to the light, with a free factor.
 
-    And the least -ln L of such a camera whose clocks agree.
+    The second value is the least -ln L of such a model with clocks that agree.
     """
     ln_hz = np.log(_LAW_HZ)
     fits = [_minimum(sample, start, (0.0, hz / sample.bright)) for hz in _LAW_HZ]
@@ -197,13 +200,13 @@ def _in_proportion(sample: PixelSample, start: float) -> tuple[_Fit, float]:
 def _light_explains(
     sample: PixelSample, cost: float, us: float, law: tuple[float, float]
 ) -> bool:
-    """Return whether clocks that agree and a lag by the light explain the delay.
+    """Return whether a lag that depends on the light explains the delay without offset.
 
-    They do if -ln L falls by `_LAW_EVIDENCE` from the cost of an offset.  Where event
-    noise is more than the variances state, a few samples that it puts off by a
-    threshold decide: there the offset of us with the usual law must be likelier,
-    priors included, by one standard error (the rule of Breiman et al., Classification
-    and Regression Trees, 1984).
+    It does if -ln L is lower by `_LAW_EVIDENCE` than the cost with an offset.  If event
+    noise is higher than the variances assume, a few samples with errors of a threshold
+    dominate -ln L.  Then the lag is also accepted unless the offset us with the usual
+    law is likelier, including priors, by at least one standard error (the rule of
+    Breiman et al., Classification and Regression Trees, 1984).
     """
     least, other = likeliest_by_light(sample)
     if least < cost - _LAW_EVIDENCE or other is None:
@@ -221,7 +224,7 @@ def _light_explains(
 
 
 def _minimum(sample: PixelSample, us: float, law: tuple[float, float]) -> _Fit:
-    """Return the minimum over the offset, near us, by parabolas."""
+    """Return the minimum over the offset near us, by fitting parabolas."""
     points = np.linspace(-1, 1, _FIT_POINTS)
     for _ in range(_MOST_FITS):
         x = us + _FIT_WIDTH_US * points
@@ -241,7 +244,7 @@ def _costs(
     sample: PixelSample, us: NDArray[np.float64], law: tuple[float, float],
     every: int = 1,
 ) -> NDArray[np.float64]:
-    """Return -ln L of each offset, by one in `every` pixels."""
+    """Return -ln L of each offset, from one in `every` pixels."""
     candidates = candidates_of([law] * len(us))
     candidates["clock_us"] = np.rint(us)
     return negative_log_likelihood(sample.innovations(candidates, every))

@@ -1,4 +1,4 @@
-"""Scale that the thresholds of all pixels share: whether the nominal ones hold."""
+"""Common scale of all pixels' thresholds: tests whether the nominal ones hold."""
 from __future__ import annotations
 
 import math
@@ -20,25 +20,26 @@ _GRID = np.linspace(-math.log(3), math.log(3), 9)
 three, which holds the published thresholds of a DAVIS (.1 to .5) about a nominal .2."""
 
 _COARSE_PIXELS = 16
-"""Pixels that the grid is evaluated with."""
+"""Number of pixels with which the grid is evaluated."""
 
 _LN_RATIOS = (-0.4, 0.0, 0.4)
-"""ln of the ratio of the factors where -ln L is first evaluated: at a wrong one the
+"""ln of the ratio of the factors where -ln L is first evaluated: with a wrong ratio the
 scale's minimum can vanish."""
 
 _IN_EXPOSURE = 3
-"""Events within an exposure over which errors of interpolation average out: as many as
-must be alike about the middle of a shorter one.  At 1000 RPM only the steepest parts of
-the light lie between like events, and thresholds come out up to a third too small."""
+"""Number of events in an exposure from which on errors of interpolation average out; a
+frame with fewer is used only if three successive events about its middle have one sign.
+Without this alternative, at 1000 RPM only the steepest parts of the light would remain,
+and thresholds be estimated up to a third too small."""
 
 _STEPS = (0.4, 0.2, 0.1, 0.05)
-"""Steps in ln of the parabolas that refine the scale and the ratio."""
+"""Steps (ln) of the parabolas that refine the scale and the ratio."""
 
 _EVIDENCE = 40.0
-"""Fall of -ln L at which the nominal thresholds are given up: model
-selection between "nominal" and "anything within a factor of three".  An engineering
-choice: above what it falls by where thresholds are stated right (`nominal`,
-`realistic`, 30 to 1000 RPM: up to 28; studies/selfcal_common_scale.py)."""
+"""Fall of -ln L at which the nominal thresholds are given up: model selection between
+"nominal" and "anything within a factor of three".  Engineering choice: more than the
+fall where thresholds are stated correctly (up to 28 on `nominal` and `realistic`, 30 to
+1000 RPM; studies/selfcal_common_scale.py)."""
 
 _LEAST_GAIN = 0.33
 """Least `CommonScale.gain`: innovations grow with the square of the error of the
@@ -48,37 +49,37 @@ only; true scales have .62 to 6.5 (studies/selfcal_least_gain.py; .23, and .54 t
 the specimens on which the limit was chosen), that of the real DAVIS346 has 2.1."""
 
 _NO_EVENTS = -3.0
-"""ln of a scale at which events count for 5 % of what they are, an engineering choice:
-if frames are as likely with it, the events do not follow the light (leak and noise at
-rest), and tell nothing."""
+"""ln of a scale with which events almost vanish (5 % of their size); an engineering
+choice.  If frames are as likely with it, the events do not follow the light (leak and
+noise at rest) and give no information."""
 
 _MAX_NOISE_SHARE, _NOISE_SIGMAS = 0.05, 3.0
-"""Greatest event noise (thresholds^2 per second) relative to the rate of events: this,
-of the order of the scale's own sigma, or what the scale differs by over so many, if
-that is more.  Noise in the predictor attenuates a regression, here the scale, by about
-this share, which is part of its sigma.  An engineering choice."""
+"""Greatest event noise (thresholds^2 per second) relative to the rate of events: the
+first value, of the order of the scale's own sigma, or the ln of the scale divided by
+the second, if that is more.  Noise in the predictor attenuates a regression, here the
+scale, by about this share, which is added to its sigma.  Engineering choice."""
 
 _MAX_SIGMA = 0.05
-"""Greatest sigma (ln) by the curvature of -ln L at which a scale counts: as
-much as the models have wrong (`_MODEL_SIGMA`)."""
+"""Greatest sigma (ln) by the curvature of -ln L with which a scale is usable; of the
+order of the models' error (`_MODEL_SIGMA`)."""
 
 _MODEL_SIGMA = 0.03
-"""Error of the scale (ln) by the models of frames and interpolation: rms error
-where thresholds are stated right (studies/selfcal_common_scale.py)."""
+"""Error of the scale (ln) by the models of frames and interpolation: rms error where
+thresholds are stated correctly (studies/selfcal_common_scale.py)."""
 
 _LEAST_BEND = 1.0
 """Least second derivative of -ln L by the ln of the scale, so that a flat minimum has a
-sigma too: a factor of e; numerical."""
+finite sigma, a factor of e; numerical."""
 
 _MIN_CHANGE = 0.08
-"""A scale nearer to 1 (in ln) is not told from what de-blurring and offsets of the
-frames make of it (up to .07, studies/selfcal_common_scale.py), and is what
-`THRESHOLD_SIGMA` allows each pixel anyway."""
+"""Least |ln| of a scale that is applied.  A smaller one may be an effect of de-blurring
+and of offsets of the frames (up to .07, studies/selfcal_common_scale.py), and lies
+within `THRESHOLD_SIGMA` of each pixel anyway."""
 
 
 _DIM, _LEAST_HZ = 0.1, 20.0
-"""Part of a bright pixel's light at which lag is taken, as for the bandwidth, and the
-least corner frequency that is reckoned with there, Hz (a lag of 8 ms)."""
+"""Fraction of a bright pixel's light at which the lag is evaluated, as for the
+bandwidth, and least corner frequency that is assumed there, Hz (a lag of 8 ms)."""
 
 
 class CommonScale(NamedTuple):
@@ -87,15 +88,16 @@ class CommonScale(NamedTuple):
     Parameters
     ----------
     on, off : float
+        Factors on the ON and OFF thresholds.
     sigma : float
-        Standard deviation of the ln of both.
+        Standard error of the ln of both.
     evidence : float
         Fall of -ln L against the nominal thresholds.
     gain : float
         `evidence` per sample, relative to the squared ln of the scale and a quarter of
         that of the ratio.
     counts : bool
-        Whether that suffices to give up the nominal thresholds.
+        Whether the evidence suffices to give up the nominal thresholds.
     """
 
     on: float
@@ -112,12 +114,12 @@ class CommonScale(NamedTuple):
 
     @property
     def told(self) -> bool:
-        """Whether -ln L is curved enough to tell the scale."""
+        """Whether -ln L is curved enough to determine the scale."""
         return self.sigma < math.hypot(_MAX_SIGMA, _MODEL_SIGMA)
 
     @property
     def differs(self) -> bool:
-        """Whether the factors are other ones than errors of the models make."""
+        """Whether the factors differ from 1 by more than errors of the models."""
         return max(map(abs, self.ln)) > _MIN_CHANGE
 
 
@@ -134,15 +136,17 @@ def fit_common_scale(
         Bandwidth that fits the nominal thresholds best, or is known: hz,
         hz_per_intensity.
     learn_bandwidth : bool
-        Whether another bandwidth may belong to another scale.  The search then begins
-        at the usual one too: what fits wrong thresholds best may be far off.
+        Whether the bandwidth is fitted again with each scale.  The search then also
+        starts from the usual bandwidth, as the one that fits wrong thresholds best may
+        be far off.
     clock_us : int
         Shift of the frames with which nominal thresholds fit best, us.
     before : CommonScale, optional
-        Result with other stamps; the search begins there too.
+        Result with other time stamps, from which the search starts as well.
     """
     clean = sample.without_dim_samples().with_leak_in_frames()
-    # Elsewhere interpolation errs by as much as a threshold, and attenuates the scale.
+    # Other frames have interpolation errors of up to a threshold, which attenuate the
+    # scale.
     hz = max(law[0] + law[1] * _DIM * sample.bright, _LEAST_HZ)
     steady = clean.between_like_events(1e6 / (2 * math.pi * hz), _IN_EXPOSURE)
     every = max(len(sample.pixels) // _COARSE_PIXELS, 1)
@@ -180,7 +184,7 @@ def fit_common_scale(
 
 
 class _Cost:
-    """-ln L of ln(on off) / 2 and ln(on / off), the factors' scale and ratio."""
+    """-ln L as a function of ln(on off) / 2 and ln(on / off), scale and ratio."""
 
     def __init__(
         self, sample: PixelSample, law: tuple[float, float], clock_us: int = 0
@@ -190,7 +194,7 @@ class _Cost:
     def __call__(
         self, scale: NDArray[np.float64], ratio: NDArray[np.float64], every: int = 1
     ) -> NDArray[np.float64]:
-        """Return -ln L, shape (C,), by one in `every` pixels."""
+        """Return -ln L, shape (C,), from one in `every` pixels."""
         candidates = candidates_of([self.law] * len(scale))
         candidates["clock_us"] = self._clock_us
         candidates["scale_on"] = np.exp(scale + ratio / 2)
@@ -198,7 +202,7 @@ class _Cost:
         return negative_log_likelihood(self._sample.innovations(candidates, every))
 
     def coarse(self, every: int) -> tuple[float, float]:
-        """Return scale and ratio where one in `every` pixels is likeliest."""
+        """Return the likeliest scale and ratio of the grid by one in `every` pixels."""
         rows = [self(_GRID, np.full_like(_GRID, ratio), every) for ratio in _LN_RATIOS]
         row = int(np.argmin([y.min() for y in rows]))
         return vertex(_GRID, rows[row]), _LN_RATIOS[row]
@@ -206,7 +210,7 @@ class _Cost:
     def minimum(
         self, scale: float, ratio: float, steps: tuple[float, ...]
     ) -> tuple[float, float, float]:
-        """Return scale and ratio of the minimum nearby, and the curvature in scale."""
+        """Return scale and ratio at the minimum nearby, and the curvature in scale."""
         bend = 0.0
         for step in steps:
             around = step * np.array([-1.0, 0.0, 1.0])

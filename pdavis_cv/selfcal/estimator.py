@@ -1,4 +1,4 @@
-"""The online self-calibration: looks on while a stream passes, gives an estimate."""
+"""Online self-calibration: estimates the camera's parameters from a passing stream."""
 from __future__ import annotations
 
 from collections import deque
@@ -36,21 +36,22 @@ __all__ = ["QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
 QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise", "refractory_us",
                         "clock_offset"})
-"""What a `SelfCalibration` can estimate: thresholds of every pixel, or only the scale
-that all share (which the former include), bandwidth, event noise, refractory period,
-and how far the frames' stamps are off."""
+"""Quantities that a `SelfCalibration` can estimate: thresholds of every pixel (which
+include the common scale), or only that scale; bandwidth; event noise; refractory
+period; offset of the frames' clock."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
-"""Bounds on the factors on variances, of the ratio and of the scale."""
+"""Bounds on the factors on variances: least ones of the ratio and of the scale, and the
+greatest of both."""
 
 _MOST_ROUNDS, _SAME_US = 4, 300
-"""Scale and offset of the clocks are fitted in turn, at most so often, until the offset
-moves by no more than twice what models have wrong in it; numerical."""
+"""Most rounds in which the scale and the clock offset are fitted in turn, and the
+change of the offset (us) that ends them, twice its model error; numerical."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEstimate:
-    """What passing data have told about their camera.
+    """Parameters of a camera, estimated from its data.
 
     Parameters
     ----------
@@ -58,26 +59,27 @@ class CameraEstimate:
         Contrast thresholds, positive magnitudes, ln units; the nominal ones where they
         were not estimated.
     covariance : ndarray of float64, shape (H, W, 2, 2), or None
-        Of (theta_on, theta_off), systematic errors included (leak events, offsets of
-        the frames, common scale); the ratio is known far better than the sum.  None if
-        thresholds were not estimated.
+        Covariance of (theta_on, theta_off), including systematic errors (leak events,
+        offsets of the frames, common scale); the ratio is known far better than the
+        sum.  None if thresholds were not estimated.
     bandwidth : Bandwidth or None
-        Of the photoreceptors; None where it was not estimated or cannot be told.
+        Bandwidth of the photoreceptors; None if it was not or could not be estimated.
     noise : float or None
         Process noise of the events (leak and noise events): variance of their sum per
-        second, thresholds^2; None where it was not estimated or cannot be told.
+        second, thresholds^2; None if it was not or could not be estimated.
     common_scale_sigma : float
-        Standard deviation of the ln of the scale that all pixels share.  Part of
-        `covariance`, and the same error in every pixel: no mean over pixels reduces it.
+        Standard error of the ln of the scale that all pixels share.  It is part of
+        `covariance`, and the same error in every pixel: averaging does not reduce it.
     refractory : Refractory or None
-        How long pixels are held in reset after an event; None where it was not
-        estimated or events are too few.  The rest is estimated with what it loses.
+        How long pixels are held in reset after an event; None if it was not estimated
+        or there are too few events.  The other quantities account for it.
     clock_offset : ClockOffset or None
-        What the frames' stamps must be moved by to the clock of the events; None where
-        it was not estimated.  The rest is estimated with stamps moved by what counts.
+        Shift of the frames' time stamps to the clock of the events; None if it was not
+        estimated.  The other quantities are estimated with shifted stamps, if the shift
+        is significant.
     nominal_holds : bool
-        Whether a common scale was told, and is that of the nominal thresholds.  If not,
-        and `common_scale_sigma` is 0, nothing is known against them.
+        Whether the common scale could be estimated and agrees with the nominal
+        thresholds.  False with a `common_scale_sigma` of 0: it could not be estimated.
     """
 
     theta_on: NDArray[np.float64]
@@ -110,7 +112,7 @@ class CameraEstimate:
 
 
 class _ConstantThresholds(KalmanFilter):
-    """A filter whose thresholds do not drift: a calibration tells one pair of them."""
+    """A filter without drift of the thresholds, as one pair is estimated per pixel."""
 
     def _adapt(self) -> None:
         super()._adapt()
@@ -120,10 +122,10 @@ class _ConstantThresholds(KalmanFilter):
 class SelfCalibration:
     """Estimates a camera's thresholds, bandwidth and event noise from passing data.
 
-    Fed in order of time like a `Reconstructor`: a frame at its mid-exposure, corrected
-    by what is known of the camera.  It keeps the last 10 s, 100 frames or 1 million
-    events of at most 16384 pixels, 40 MB at most; with `every_pixel` also the first
-    10 s or 5 million events of all, 65 MB and the frames.
+    It is fed in order of time like a `Reconstructor`: a frame at its mid-exposure,
+    corrected by the camera's calibration.  It keeps the last 10 s, 100 frames or 1
+    million events of at most 16384 pixels, 40 MB at most; with `every_pixel` also the
+    first 10 s or 5 million events of all pixels, 65 MB and the frames.
 
     Parameters
     ----------
@@ -136,15 +138,15 @@ class SelfCalibration:
     dark : bool
         Whether a dark frame was subtracted from the frames.
     stated_bandwidth : (float, float, float), optional
-        (hz, hz_per_intensity, sigma) of a calibration, combined with what is found.
+        (hz, hz_per_intensity, sigma) of a calibration, combined with the estimate.
     leak_hz : (float, float)
-        Leak events of a pixel per second, mean and standard deviation.  The mean is
-        taken out of thresholds and bandwidth, the rest counts in the covariance.
+        Leak events of a pixel per second, mean and standard deviation.  Thresholds and
+        bandwidth are corrected for the mean; the covariance includes the deviation.
     threshold_sigma : float
         Prior standard deviation of a pixel's thresholds about `nominal`, ln units.
     every_pixel : bool
-        Keep what an estimate of every pixel's thresholds needs; without it, memory
-        is small and the window moves on with the stream.
+        Keep the data that an estimate of every pixel's thresholds needs; without it,
+        memory is small and the window moves with the stream.
 
     Raises
     ------
@@ -196,7 +198,7 @@ class SelfCalibration:
             self._whole.add(frame)
 
     def add_wave(self, wave: Wave) -> None:
-        """Take what the lamp does in a block of time (see `LampTracker`)."""
+        """Take the lamp's wave in a block of time (see `LampTracker`)."""
         self._window.add_wave(wave)
         if self._whole is not None:
             self._whole.add(wave)
@@ -205,12 +207,12 @@ class SelfCalibration:
         self, *, wanted: Collection[str] = QUANTITIES,
         bandwidth: Sequence[float] | None = None,
     ) -> CameraEstimate:
-        """Return what the window tells; the window stays as it is.
+        """Return the estimate from the data kept, which do not change.
 
         Parameters
         ----------
         wanted : collection of str
-            Of `QUANTITIES`.
+            Quantities to estimate, of `QUANTITIES`.
         bandwidth : (hz, hz_per_intensity, ...), optional
             Used if "bandwidth" is not wanted; default: no lag.
 
@@ -242,7 +244,7 @@ class SelfCalibration:
                 if refractory is not None:
                     sample = sample.with_refractory(refractory.us)
             stamped = sample
-            # A lamp's ripple makes events whose times say nothing of the scene's.
+            # A lamp's ripple triggers events that hide the timing of the scene's.
             if "clock_offset" in wanted and not len(self._window.waves):
                 clock = fit_clock_offset(stamped, known)
                 sample = stamped.with_frames_moved(clock.applied_us)
@@ -316,17 +318,17 @@ class SelfCalibration:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of what is kept."""
+        """Bytes of the data kept."""
         return self._window.nbytes + (
             0 if self._whole is None else self._whole.nbytes)
 
     def state(self) -> Mapping[str, Any]:
-        """Return what is kept, never changed later."""
+        """Return the data kept; they are never changed in place."""
         return {"window": self._window.state(),
                 "whole": None if self._whole is None else self._whole.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state` returned."""
+        """Return to what `state` returned."""
         self._window.restore(state["window"])
         if self._whole is not None:
             self._whole.restore(state["whole"])
@@ -336,11 +338,12 @@ def _scale_and_clock(
     stamped: PixelSample, law: tuple[float, float], clock: ClockOffset | None,
     known: tuple[float, float, float] | None, learn_bandwidth: bool,
 ) -> tuple[CommonScale, ClockOffset | None]:
-    """Return the scale and the offset that belongs to it, or to nominal thresholds.
+    """Return the common scale, and the clock offset that belongs to it.
 
-    Wrong thresholds and wrong stamps each make the other hard to tell: a scale that is
-    likelier, even if not by enough, is looked for again with the stamps that suit it.
-    Nominal thresholds that were given up once stay so; what is not told is not taken.
+    Wrong thresholds and wrong time stamps hide each other.  So a likelier scale, even
+    if not significant, is fitted again with the clock offset that belongs to it.  Once
+    a scale has been significant, it stays accepted; a scale that cannot be estimated is
+    not used.  Without a significant scale the offset is that of nominal thresholds.
     """
     first_us = applied_us = 0 if clock is None else clock.applied_us
     scale, there, counts = None, clock, False
@@ -364,7 +367,7 @@ def _scale_and_clock(
 
 
 def _in_order(items: Sequence[Item], clock_us: int) -> Iterator[Item]:
-    """Yield a window's items with the frames' stamps moved, in order of time."""
+    """Yield a window's items in order of time, with the frames' stamps shifted."""
     frames = deque(item.moved(clock_us) for item in items if isinstance(item, ApsFrame))
     for item in items:
         if isinstance(item, Wave):
@@ -382,9 +385,9 @@ def _in_order(items: Sequence[Item], clock_us: int) -> Iterator[Item]:
 
 
 def _feed(method: KalmanFilter, items: Iterator[Item], frames: int) -> None:
-    """Give a filter what comes next: until so many frames were given, all if negative.
+    """Feed the next items to a filter, up to a number of frames; all if negative.
 
-    Without the frames' samples below `MIN_DN`.
+    The frames' samples below `MIN_DN` are left out.
     """
     while frames:
         item = next(items, None)

@@ -1,4 +1,4 @@
-"""-ln L of candidate cameras, and where a parabola through it is least."""
+"""Negative log-likelihood of candidate cameras, and its minimum by a parabola."""
 from __future__ import annotations
 
 import math
@@ -12,19 +12,19 @@ __all__ = ["BLOCKS", "LONG_TAILED", "NORMAL", "evidence", "negative_log_likeliho
 NORMAL, LONG_TAILED = 2.0, 1.5
 """Powers p of the innovations' density, exp(-|r / s|^p) with r = e / sqrt(v): a normal
 distribution, and one with tails between its and those of a double exponential.  Noise
-events and turns between frames make a few large innovations that no candidate explains;
-with p = 2 they decide, and thresholds come out up to a fifth too small
+events and turns between frames cause a few large innovations that no candidate
+explains; with p = 2 they dominate, and thresholds are estimated up to a fifth too small
 (studies/selfcal_tails.py)."""
 
 BLOCKS = 20
-"""Blocks of time by whose scatter the sigma of evidence is known, to 16 %; an
-engineering choice: in as many, 2 s of frames are two each."""
+"""Number of time blocks whose scatter gives the standard error of evidence, to 16 %.
+Engineering choice: with 2 s of frames each block has two."""
 
 _SUMS = {LONG_TAILED: "deviation", NORMAL: "chi2"}
-"""Field of `INNOVATIONS_DTYPE` that has the sum of |r|^p."""
+"""Field of `INNOVATIONS_DTYPE` that holds the sum of |r|^p, by power."""
 
 _LEAST_SCALE = 1e-9
-"""Of the mean of |r|^p, so that its log exists; numerical."""
+"""Lower bound of the mean of |r|^p, so that its log exists; numerical."""
 
 
 def negative_log_likelihood(
@@ -32,9 +32,9 @@ def negative_log_likelihood(
 ) -> NDArray[np.float64]:
     """Return -ln L of innovations, shape (C,), up to a constant.
 
-    Only those of one power may be compared.  L is maximised over a common factor of all
-    deviations: at high speed they are stated several times too large, and sum ln v
-    would decide instead of the fit.
+    Only values of the same power can be compared.  L is maximised over a common factor
+    on all standard deviations: at high speed the stated ones are several times too
+    large, and the term sum ln v would dominate instead of the fit.
     """
     n = found["count"]
     mean = np.maximum(found[_SUMS[power]] / np.maximum(n, 1), _LEAST_SCALE)
@@ -45,21 +45,22 @@ def evidence(
     one: NDArray[np.void], other: NDArray[np.void], power: float = LONG_TAILED,
     least: float = 0.0,
 ) -> tuple[float, float]:
-    """Return by how much one camera is likelier than another, and the standard error.
+    """Return the gain of ln L of one camera over another, and its standard error.
 
-    The difference of ln L, each maximised over a common factor of all deviations.  The
-    standard error is that of the sum over independent blocks, by their scatter (Vuong,
-    Econometrica 57, 307, 1989).
+    Each ln L is maximised over a common factor on all standard deviations.  The
+    standard error of the difference is that of a sum over independent blocks, from
+    their scatter (Vuong, Econometrica 57, 307, 1989).
 
     Parameters
     ----------
     one, other : ndarray of INNOVATIONS_DTYPE, shape (B,)
         Innovations of the same samples, by blocks of time.
     power : float
+        Power p of the innovations' density.
     least : float
-        Of the factor's power p.  With 1, innovations smaller than stated are no
-        evidence: what the variances state of de-blurring and interpolation repeats in
-        every frame, and a smaller factor would count these errors again in each.
+        Lower bound of the factor to the power p.  With 1, innovations smaller than
+        stated are no evidence: errors of de-blurring and interpolation repeat in every
+        frame, and a smaller factor would count them as independent.
     """
     rows = []
     for found in (one, other):
@@ -73,15 +74,15 @@ def evidence(
 
 
 def _unit(power: float) -> float:
-    """Return the mean of |r|^p where the variance of r is 1."""
+    """Return the mean of |r|^p if r has the density of that power and variance 1."""
     ratio = math.gamma(1 / power) / math.gamma(3 / power)
     return math.pow(ratio, power / 2) / power
 
 
 def vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Return where the parabola through the least y and its neighbours is least.
+    """Return the minimum of the parabola through the least y and its neighbours.
 
-    No farther out than those neighbours.
+    It is limited to the interval of those neighbours.
     """
     at = min(max(int(np.argmin(y)), 1), len(y) - 2)
     left, right = x[at - 1] - x[at], x[at + 1] - x[at]

@@ -1,4 +1,4 @@
-"""Event noise: leak and noise events that move the sum of a pixel's events."""
+"""Event noise: process noise of the sum of events due to leak and noise events."""
 from __future__ import annotations
 
 import numpy as np
@@ -10,31 +10,32 @@ from pdavis_cv.selfcal.pixel_sample import PixelSample, candidates_of
 __all__ = ["fit_event_noise"]
 
 LEAST_NOISE = 0.1
-"""Least process noise that is told from less, thresholds^2 per second."""
+"""Least value of the grid, thresholds^2 per second; it also stands for less noise."""
 
 _GRID = (LEAST_NOISE, 0.4, 1.5, 5.0, 15.0)
 """Process noise: variance per second of the sum of a pixel's events, thresholds^2.
 
-From what leak alone makes to pixels with 15 noise events per second; a factor of
-3.5 between two, since the filter's result changes little within it.
+It reaches from leak alone to pixels with 15 noise events per second, in factors of 3.5,
+within which the filter's result changes little.
 """
 
 
 _NOISE = (0.02, LEAST_NOISE, 0.0003)
-"""Of frames, ln units, and of events per second and each, thresholds^2: between those
-of `KalmanFilter` and the larger ones of `FILTER_NOISE`."""
+"""Noise of the candidates, as `FILTER_NOISE`: of frames (ln units), and of events per
+second and per event (thresholds^2).  The values lie between those of `KalmanFilter` and
+the larger ones of `FILTER_NOISE`."""
 
 
 _EVIDENCE = 40.0
-"""By how much -ln L must fall for thresholds to drift, as for their common scale."""
+"""Fall of -ln L required to assume that thresholds drift, as for their common scale."""
 
 
 def fit_event_noise(sample: PixelSample, law: tuple[float, float]) -> float:
     """Return the process noise at which the innovations are likeliest.
 
-    Thresholds that drift move sums as noise does, but from frame to frame alike.  So
-    where noise is found, thresholds may also change as much as `KalmanFilter`'s prior
-    of their drift is wide, if that is likelier.
+    A drift of the thresholds changes sums of events as noise does, but consistently
+    from frame to frame.  So if noise is found, a drift as large as `KalmanFilter`'s
+    prior is tried too, and used if it is significantly likelier.
 
     Parameters
     ----------
@@ -45,8 +46,8 @@ def fit_event_noise(sample: PixelSample, law: tuple[float, float]) -> float:
     Returns
     -------
     float
-        Variance per second, thresholds^2, from a grid whose least value stands for all
-        that is less.
+        Variance per second, thresholds^2, from a grid whose least value also stands
+        for less noise.
     """
     costs = _costs(sample, law, 0.0)
     if np.argmin(costs):
@@ -59,7 +60,7 @@ def fit_event_noise(sample: PixelSample, law: tuple[float, float]) -> float:
 def _costs(
     sample: PixelSample, law: tuple[float, float], drift: float
 ) -> NDArray[np.float64]:
-    """Return -2 ln L of each noise of the grid, up to a constant."""
+    """Return -2 ln L of each value of the grid, up to a constant."""
     candidates = candidates_of([law] * len(_GRID), _NOISE)
     candidates["noise_per_s"], candidates["drift"] = _GRID, drift
     found = sample.innovations(candidates)

@@ -1,4 +1,4 @@
-"""A sample of busy pixels, and the innovations of candidate cameras over its data."""
+"""Sample of busy pixels, and the innovations of candidate cameras on their data."""
 from __future__ import annotations
 
 import math
@@ -24,54 +24,56 @@ __all__ = ["CANDIDATE_DTYPE", "FILTER_NOISE", "INNOVATIONS_DTYPE", "MIN_DN",
            "PixelSample", "candidates_of", "select_busy_pixels"]
 
 FILTER_NOISE = (0.05, 1.3, 0.005)
-"""As `KalmanFilter`'s ``noise``, but larger: what de-blurring leaves is correlated from
-frame to frame, and accumulates where many frames are added up.  An engineering choice:
-with one of the three four times smaller or larger the rms error of the thresholds falls
-by at most 4 % (studies/selfcal_thresholds.py)."""
+"""Noise of the candidate filters, as `KalmanFilter`'s ``noise`` but larger: errors of
+de-blurring are correlated from frame to frame and accumulate over many frames.
+Engineering choice: with one of the three four times smaller or larger, the rms error of
+the thresholds falls by at most 4 % (studies/selfcal_thresholds.py)."""
 
 MIN_DN = 16.0
-"""Below, an offset of the frames says more about contrast than pixels differ in.
+"""Least DN of a sample.  Below it, an offset of the frames changes the contrast by more
+than thresholds differ from pixel to pixel.
 
 An offset of o DN changes the greatest contrast, ln(extinction ratio), by o / DN: by the
 share `USUAL_MISMATCH` at 2 / (.035 ln 40) = 15.5 DN (studies/selfcal_thresholds.py)."""
 
 _USABLE_SHARE = 0.8
-"""A pixel of the sample is usable in at least 80 % of the frames."""
+"""Least fraction of frames in which a pixel of the sample is usable."""
 
 _MIN_CONTRAST = 0.01
-"""Least contrast that frames are taken to have shown: the sensitivity to an offset is
-taken at a finite difference."""
+"""Lower bound of the contrast of frames, so that the sensitivity to an offset is
+finite."""
 
 _MIN_FRAMES = 4
-"""Fewer frames tell nothing."""
+"""Least number of frames for an estimate."""
 
-# Systematic error of the model of the photoreceptors, as a share of what the model
-# changes: an engineering choice, studies/selfcal_thresholds.py finds .57 by two chips,
-# .94 by six.  And that of interpolation, which all pixels share (assumed).
+# Systematic error of the photoreceptor's model, as a share of the model's effect
+# (engineering choice: studies/selfcal_thresholds.py finds .57 with two chips, .94 with
+# six), and that of interpolation, which all pixels share (assumed).
 _MODEL_SHARE, _MODEL_MIN_SIGMA = 0.6, 0.002
 
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _MIN_SAMPLE_PIXELS = 30_000, 256, 16
-"""Bounds of the sample: events, and pixels by how many of them make those events."""
+"""Size of the sample: desired number of events, and bounds of the number of pixels that
+have them."""
 
 _BUSY_QUANTILE, _BUSY_FACTOR = 0.95, 2.0
-"""Busy: within a factor of two of the 95 % quantile of the counts.  Hot pixels have
-more."""
+"""A pixel is busy if its count is within a factor of two of the 95 % quantile.  Hot
+pixels have more events."""
 
 _CLAIM_SHARE, _SHOWN_SHARE, _CLAIM_SIGMAS, _CLAIM_EVENTS = 0.5, 0.25, 4.0, 3
-"""A hot pixel's frames contradict its events: as `KalmanFilter` has it (kalman.md,
+"""Test whether frames contradict a pixel's events, as in `KalmanFilter` (kalman.md,
 "Hot pixels")."""
 
 _HOT_SHARE = 0.5
-"""A pixel is hot whose frames contradict its events in this part of the intervals that
-have any.  Thresholds whose ratio is not the stated one make a claim now and then: of
-the intervals with a claim, these pixels would be contradicted in all."""
+"""A pixel is hot if frames contradict its events in this fraction of the intervals with
+events.  It is not a fraction of the intervals that pass the test of a claim: a
+pixel with an unusual ratio of thresholds has few, but is contradicted in all."""
 
 _MAX_BALANCE = 0.5
-"""Greatest distance of ln(OFF / ON events) from the median.  A pixel whose thresholds
-are far from the others' fits no bandwidth, and would decide on it."""
+"""Greatest distance of ln(OFF / ON events) from the median.  A pixel with thresholds
+far from the others' fits no bandwidth, and would dominate the fit."""
 
 _BRIGHT_QUANTILE = 0.9
-"""A bright pixel: this quantile of the frames' intensity."""
+"""Quantile of the frames' intensity that is taken as a bright pixel's."""
 
 PIXEL_DTYPE = np.dtype([
     ("start", "<i4"), ("stop", "<i4"), ("first", "<i4"), ("last", "<i4"),
@@ -83,16 +85,16 @@ READING_DTYPE = np.dtype([
     ("log", "<f4"), ("variance", "<f4"), ("begin", "<i8"), ("middle", "<i8"),
     ("end", "<i8"), ("known", "<i8")])
 """A frame's ln intensity (ln DN/ms), the variance of its read and shot noise (0: not
-usable), its exposure, and up to when events are looked at (us)."""
+usable), its exposure, and the time up to which events are used (us)."""
 
 CANDIDATE_DTYPE = np.dtype([
     ("noise_per_s", "<f8"), ("noise_per_event", "<f8"), ("drift", "<f8"),
     ("hz", "<f8"), ("hz_per_intensity", "<f8"), ("frame_sigma", "<f8"),
     ("scale_on", "<f8"), ("scale_off", "<f8"), ("clock_us", "<i8")])
-"""A camera to try: process noise in thresholds^2 per second and per event, variance of
-the thresholds' relative change from frame to frame, bandwidth in Hz and Hz per DN/ms,
-what de-blurring leaves (ln units), factors on the nominal thresholds, and what is added
-to the frames' times (us)."""
+"""A candidate camera: process noise in thresholds^2 per second and per event, variance
+of the thresholds' relative change from frame to frame, bandwidth in Hz and Hz per
+DN/ms, residual error of de-blurring (ln units), factors on the nominal thresholds, and
+shift of the frames' times (us)."""
 
 INNOVATIONS_DTYPE = np.dtype([
     ("chi2", "<f8"), ("deviation", "<f8"), ("log_variance", "<f8"), ("count", "<f8"),
@@ -105,7 +107,7 @@ def candidates_of(
     laws: Sequence[tuple[float, float]] | NDArray[np.float64],
     noise: tuple[float, float, float] = FILTER_NOISE,
 ) -> NDArray[np.void]:
-    """Return candidates (hz, hz_per_intensity) with one noise, as `KalmanFilter`'s."""
+    """Return candidates with these bandwidths and one noise, as `KalmanFilter`'s."""
     out = np.zeros(len(laws), CANDIDATE_DTYPE)
     out["scale_on"] = out["scale_off"] = 1
     out["hz"], out["hz_per_intensity"] = np.reshape(laws, (-1, 2)).T
@@ -114,13 +116,14 @@ def candidates_of(
 
 
 class PixelSample:
-    """Data of some busy pixels, and how well a camera that is assumed predicts them.
+    """Data of some busy pixels, and the innovations of candidate cameras on them.
 
     Parameters
     ----------
     window : PixelWindow
+        The window that holds the data.
     chosen : ndarray of intp, shape (N,)
-        Places among the window's pixels.
+        Indices among the window's pixels.
     nominal : (on, off)
         Thresholds of the sensor, scalars or (H, W).
     events_per_s : float
@@ -151,7 +154,7 @@ class PixelSample:
         for name, value in zip(("theta_on", "theta_off"), nominal, strict=True):
             self._traits[name] = np.broadcast_to(
                 np.asarray(value, np.float64), window.shape).ravel()[self.pixels]
-        # A frame acts when the events around its exposure are there.
+        # A frame is used once the events around its exposure have been fed.
         frames = [each for each in window.intervals if max(
             each.known_us, int(each.exposure_us[1].max()) + LOOKAHEAD_US
         ) <= window.seen_us]
@@ -174,14 +177,14 @@ class PixelSample:
         self.bright = max(float(bright), 1e-3)
 
     def _read(self, dn: NDArray[np.float32], usable: NDArray[np.bool_]) -> None:
-        """Make readings of the DN of frames, shape (F, N)."""
+        """Set log intensity and variance from the DN of frames, shape (F, N)."""
         light = np.fmax(dn, 1)
         self._frames["log"] = np.log(light) - np.log(self._exposure_ms)
         self._frames["variance"] = np.where(
             usable, (READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2, 0)
 
     def _copy(self) -> PixelSample:
-        """Return the sample as it is, to be changed."""
+        """Return a copy of the sample that may be changed."""
         other = copy(self)
         other._packed = {}
         return other
@@ -209,19 +212,19 @@ class PixelSample:
         return np.diff(self._events["t"])[inside], (p[1:] != p[:-1])[inside]
 
     def with_refractory(self, us: float) -> PixelSample:
-        """Return the sample of pixels that are held in reset so long after an event."""
+        """Return the sample with a refractory period after each event."""
         other = self._copy()
         other.refractory_us = us
         return other
 
     def without_dim_samples(self) -> PixelSample:
-        """Return the sample without what is below `MIN_DN`."""
+        """Return the sample without values below `MIN_DN`."""
         return self._with_offset(0.0)
 
     def with_leak_in_frames(self) -> PixelSample:
-        """Return the sample with frames that grow as the mean leak moves events' sums.
+        """Return the sample with frames that grow as the mean leak adds to event sums.
 
-        The leak, left in, looks like a photoreceptor up to 7 % too slow.
+        An uncorrected leak makes the photoreceptors appear up to 7 % too slow.
         """
         other = self._copy()
         other._frames = self._frames.copy()
@@ -232,7 +235,7 @@ class PixelSample:
         return other
 
     def with_frames_moved(self, us: int) -> PixelSample:
-        """Return the sample with frames that were exposed so much later."""
+        """Return the sample with the frames' times shifted by us."""
         other = self._copy()
         other._frames = self._frames.copy()
         for name in ("begin", "middle", "end", "known"):
@@ -240,23 +243,23 @@ class PixelSample:
         return other
 
     def that_may_move(self, us: int) -> PixelSample:
-        """Return the sample without frames that lack events if moved by up to us."""
+        """Return the sample without frames that lack events if shifted by up to us."""
         return self._with_usable(self._frames["known"] + us <= self._seen_us)
 
     def between_like_events(
         self, delay_us: float, or_in_exposure: int | None = None
     ) -> PixelSample:
-        """Return the sample's frames between events of one sign, three in a row.
+        """Return the sample of frames between events of one sign, three in a row.
 
-        There interpolation is best: where the light turns, or rests, it may err by a
-        threshold, which looks like a delay.
+        There interpolation is best: where the light turns or rests, it may have an
+        error of a threshold, which looks like a delay.
 
         Parameters
         ----------
         delay_us : float
-            By how much events come later than what frames say.
+            Delay of events behind frames.
         or_in_exposure : int, optional
-            Also those with at least so many events within the exposure.
+            Also use frames with at least so many events within the exposure.
         """
         p, start, stop = (self._events["p"], self._traits["start"],
                           self._traits["stop"])
@@ -273,9 +276,9 @@ class PixelSample:
     def _places(
         self, delay_us: float
     ) -> Callable[[str, Literal["left", "right"]], NDArray[np.intp]]:
-        """Return what finds times of exposures, so much later, among the events.
+        """Return a function that finds delayed times of exposures among the events.
 
-        Events lie one pixel after the other: one search finds the times of all, (F, N).
+        Events are stored pixel by pixel, so one search finds all times, shape (F, N).
         """
         if not self._frames.size:
             return lambda name, side: np.zeros(self._frames.shape, np.intp)
@@ -286,7 +289,7 @@ class PixelSample:
         times += self._events["t"].clip(before, after) - before
 
         def find(name: str, side: Literal["left", "right"]) -> NDArray[np.intp]:
-            """Return the first event after a time, or that is not before it."""
+            """Return the first event after a time (right), or not before it (left)."""
             wanted = self._frames[name] + (round(delay_us) - before)
             return np.searchsorted(times, wanted + pixel, side)
 
@@ -306,8 +309,9 @@ class PixelSample:
         Parameters
         ----------
         candidates : ndarray of CANDIDATE_DTYPE, shape (C,)
+            The cameras to try.
         every : int
-            Of so many pixels one is looked at.
+            One in so many pixels is used.
 
         Returns
         -------
@@ -325,13 +329,15 @@ class PixelSample:
     ) -> NDArray[np.void]:
         """Return the innovations of each of B blocks of frames, shape (C, B).
 
-        Blocks are equal parts of the frames in order of time: each is what the filter
-        adds to the sums up to the block before.
+        Blocks are equal parts of the frames in order of time.  The filter runs through
+        all of them; a block's sums are the differences of the cumulative sums.
 
         Parameters
         ----------
         candidates : ndarray of CANDIDATE_DTYPE, shape (C,)
+            The cameras to try.
         blocks : int
+            Number of blocks.
         """
         number = np.arange(len(self._frames))[:, None]
         sums = np.stack([
@@ -358,14 +364,14 @@ class PixelSample:
         self, law: tuple[float, float], activity: PixelActivity,
         frames: FrameSystematics,
     ) -> SystematicErrors:
-        """Return the errors that innovations do not show, for the whole sensor."""
+        """Return the systematic errors of the thresholds, for the whole sensor."""
         as_is, without_lag = self._log_scales([law, (0.0, 0.0)], 0.0)
         brightened, = self._log_scales([law], 1.0)
         model_sigma = math.hypot(_MODEL_MIN_SIGMA, _MODEL_SHARE * (without_lag - as_is))
         low = np.maximum(activity.min_dn, MIN_DN)
         high = np.maximum(activity.max_dn, MIN_DN)
         low = np.minimum(low, (1 - _MIN_CONTRAST) * high)
-        # An offset changes the contrast ln(high / low) by this, relatively, per DN.
+        # Relative change of the contrast ln(high / low) per DN of offset.
         contrast = (1 / low - 1 / high) / np.log(high / low)
         here = np.mean(contrast.ravel()[self.pixels])
         per_dn = (brightened - as_is) / here * contrast
@@ -375,13 +381,13 @@ class PixelSample:
     def _log_scales(
         self, laws: list[tuple[float, float]], offset_dn: float
     ) -> NDArray[np.float64]:
-        """Return the mean ln of the thresholds found, for frames with an offset."""
+        """Return the mean ln of the estimated thresholds, for frames with an offset."""
         sums: NDArray[np.float64] = self._with_offset(offset_dn).innovations(
             candidates_of(laws))["log_theta"]
         return sums / (2 * len(self.pixels))
 
     def _with_offset(self, offset_dn: float) -> PixelSample:
-        """Return the sample with an offset added to the frames, `MIN_DN` or more."""
+        """Return the sample with an offset added to frames, without dim values."""
         other = self._copy()
         other._frames = self._frames.copy()
         dn = self._dn + np.float32(offset_dn)
@@ -393,26 +399,26 @@ def contradicted_share(
     intervals: Sequence[Interval], counts: NDArray[np.int32],
     theta_on: NDArray[np.float64], theta_off: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return how often frames contradict what events say of log intensity.
+    """Return how often frames contradict the change that a pixel's events imply.
 
-    Events between two frames make a claim if they sum up to a good part of the path
-    that they describe; frames contradict it if they show nearly none of it.
+    Events between two frames are tested if their sum is a large part of the sum of
+    their magnitudes; frames contradict them if they show almost none of that change.
 
     Parameters
     ----------
     intervals : sequence of Interval
-        F frames.
+        Intervals, each with a frame (F of them).
     counts : ndarray of int32, shape (F, 2, K)
-        OFF and ON events before each.
+        OFF and ON events before each frame.
     theta_on, theta_off : ndarray of float64, shape (K,)
         Thresholds, ln units.
 
     Returns
     -------
     ndarray of float64, shape (K,)
-        Part of the intervals with events; 0 where there is none.
+        Fraction of the intervals with events that are contradicted; 0 without any.
     """
-    # Of all pixels and intervals only those with events are looked at.
+    # Only pixels and intervals with events are computed.
     good = np.array([each.usable for each in intervals])
     eventful = good[1:] & good[:-1] & (counts[1:].sum(1) >= _CLAIM_EVENTS)
     k, pixel = np.nonzero(eventful)
@@ -436,7 +442,7 @@ def select_busy_pixels(
     window: PixelWindow, nominal: tuple[ArrayLike, ArrayLike],
     leak_hz: tuple[float, float],
 ) -> PixelSample | None:
-    """Return some busy pixels, None if frames or events are too few."""
+    """Return a sample of busy pixels, None if there are too few frames or events."""
     intervals = window.intervals
     if len(intervals) < _MIN_FRAMES:
         return None
@@ -450,7 +456,7 @@ def select_busy_pixels(
     busy = np.where((usable >= _USABLE_SHARE * len(intervals)) & ~hot, both, 0)
     if not busy.any():
         return None
-    # A count that some pixel has, so that at least this one is busy.
+    # The count of an existing pixel, so that at least this pixel is busy.
     level = np.quantile(busy[busy > 0], _BUSY_QUANTILE, method="nearest")
     chosen = np.flatnonzero(
         (busy >= level / _BUSY_FACTOR) & (busy <= level * _BUSY_FACTOR))
@@ -462,7 +468,7 @@ def select_busy_pixels(
     chosen = np.sort(np.random.default_rng(0).permutation(chosen)[:n])
     mids = [int(each.exposure_us[1].max()) for each in intervals]
     seconds = max(mids[-1] - mids[0], 1) / 1e6 / (len(mids) - 1)
-    # Weighted by themselves: intervals with more events count more.
+    # Rates are weighted by themselves, so that intervals with more events count more.
     rates = np.sum(counts[..., chosen].sum(1, dtype=np.int64)**2, 0) / np.maximum(
         both[chosen] * seconds, np.finfo(float).tiny)
     return PixelSample(window, chosen, nominal, float(rates.mean()), leak_hz)

@@ -14,32 +14,33 @@ from pdavis_cv.selfcal.priors import TYPICAL_BANDWIDTH
 __all__ = ["Refractory", "fit_refractory"]
 
 _GAPS = 8
-"""Shortest gaps that the edge is told by; an engineering choice: 1 noise event per
-second and 10,000 events leave one per 100 us."""
+"""Number of shortest gaps from which the edge is estimated.  Engineering choice: with 1
+noise event per second and 10,000 events there is one such gap per 100 us."""
 
 _AGREE, _SIGMAS = 0.1, 3.0
-"""Edges of all gaps and of those to an event of the other sign agree within this part
-and so many sigmas: 12 % is the most on `nominal` cameras.  Light that turns makes no
-short gap, so without noise the second lies far beyond: 2.7 times on the real
-DAVIS346."""
+"""The edge of all gaps and that of gaps to an event of the other sign must agree within
+this fraction plus so many sigmas: they differ by 12 % at most on `nominal` cameras.
+Light that turns causes no short gaps, so without noise the second edge is far larger:
+2.7 times on the real DAVIS346."""
 
 _LEAST_US = 50.0
-"""A shorter period cannot be told from resolution of stamps and waits for the bus."""
+"""Shortest period, us, that differs from the resolution of stamps and bus delays."""
 
 _LEAST_SHARE = 0.02
-"""A period that pixels spend less of their time in loses less than the scale of the
-thresholds is known to."""
+"""Least fraction of time that pixels spend in reset; below it, the loss is smaller than
+the uncertainty of the thresholds' scale."""
 
 _EVIDENCE, _FALL = 40.0, 0.1
-"""Fall of -ln L of the frames that is required, as for the common scale, and relative
-fall of the innovations' mean square: interpolation errs alike in every frame, so the
-evidence that it fakes grows with their number.  Engineering choice: on `nominal`
-cameras a period of 1 to 3 ms makes 16 % and more of it where it matters."""
+"""Required fall of -ln L of the frames, as for the common scale, and required relative
+fall of the innovations' mean square.  The latter is needed because interpolation errs
+alike in every frame, so that false evidence grows with their number.  Engineering
+choice: on `nominal` cameras a period of 1 to 3 ms causes a fall of 16 % and more where
+it matters."""
 
 _CLOCK_STEP_US, _SCALE_STEP = 1500.0, 0.2
-"""Steps of the offset of the clocks, half the width of its minimum, and of the ln of
-the scale of the thresholds, each tried on both sides of what is stated: no period is
-preferred for what either of these does."""
+"""Steps of the clock offset (half the width of its minimum) and of the ln of the
+thresholds' scale.  Both are tried on both sides of the stated value, so that a period
+is not accepted for an effect of either."""
 
 # Up to 9 ms either way.
 _CLOCKS_US = _CLOCK_STEP_US * np.arange(-6, 7)
@@ -47,7 +48,7 @@ _CLOCKS_US = _CLOCK_STEP_US * np.arange(-6, 7)
 _LN_SCALES = _SCALE_STEP * np.arange(-4, 5)
 
 _COARSE_PIXELS, _PIXELS = 16, 64
-"""Pixels that offsets and scales are tried with."""
+"""Number of pixels with which offsets, and scales, are tried."""
 
 
 class Refractory(NamedTuple):
@@ -56,9 +57,9 @@ class Refractory(NamedTuple):
     Parameters
     ----------
     us : float
-        0 where frames do not confirm any.
+        Refractory period; 0 if frames do not confirm any.
     sigma_us : float
-        Standard deviation; where there is none, the shortest gap between two events.
+        Standard error; if there is no period, the shortest gap between two events.
     """
 
     us: float
@@ -66,15 +67,15 @@ class Refractory(NamedTuple):
 
 
 def edge_of(gaps_us: NDArray[np.int64]) -> tuple[float, float]:
-    """Return the least gap that pixels can make, and its standard deviation.
+    """Return the least possible gap between events of a pixel, and its standard error.
 
-    Noise comes at any time, so gaps are as dense as noise is from the edge on: of the
-    shortest n, the first lies by the mean distance of two beyond it.
+    Noise events come at any time, so the density of gaps is constant from the edge on.
+    The shortest of n gaps then lies beyond the edge by their mean spacing.
 
     Parameters
     ----------
     gaps_us : ndarray of int64
-        Between consecutive events of one pixel, of some pixels; 2 or more.
+        Gaps between consecutive events of one pixel, from some pixels; 2 or more.
     """
     n = min(_GAPS, len(gaps_us))
     shortest = np.sort(np.partition(gaps_us, n - 1)[:n])
@@ -83,12 +84,12 @@ def edge_of(gaps_us: NDArray[np.int64]) -> tuple[float, float]:
 
 
 def fit_refractory(sample: PixelSample) -> Refractory | None:
-    """Return the refractory period, None if events are too few to tell.
+    """Return the refractory period, None if there are too few events.
 
-    No gap is shorter than it.  But where there is little noise none is shorter either
-    than light takes from one threshold to the next: then gaps to an event of the other
-    sign have no such edge.  Frames confirm it: they contradict the sum of the events
-    without what is lost, or with what is not.
+    No gap between events is shorter than the period.  With little noise, however, the
+    shortest gap may be the time that the light takes from one threshold to the next;
+    then gaps to an event of the other sign do not have the same edge.  The frames must
+    confirm the period: sums of events agree with them only if the loss is restored.
     """
     gaps, turned = sample.gaps_us
     if np.count_nonzero(turned) < _GAPS:
@@ -107,9 +108,9 @@ def fit_refractory(sample: PixelSample) -> Refractory | None:
 
 
 def _least(sample: PixelSample, refractory_us: float) -> tuple[float, float]:
-    """Return the least -ln L over offsets of the clocks, then scales.
+    """Return the least -ln L over clock offsets, then over scales.
 
-    And the number of innovations that tell it.
+    The second value is the number of innovations.
     """
     sample = sample.with_refractory(refractory_us)
     count = len(sample.pixels)

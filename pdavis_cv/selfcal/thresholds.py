@@ -1,8 +1,9 @@
 """Contrast thresholds of all pixels: empirical-Bayes shrinkage of their estimates.
 
-The filter gives each pixel's thresholds under a wide prior.  The pixels' scatter tells
-how wide the prior should have been; each estimate is then shrunk towards the nominal
-value accordingly, and the systematic errors are added to its covariance.
+The filter estimates each pixel's thresholds with a wide prior.  The scatter over the
+pixels gives the width that the prior should have had; each estimate is then shrunk
+towards the nominal value accordingly, and systematic errors are added to its
+covariance.
 """
 from __future__ import annotations
 
@@ -31,9 +32,9 @@ _MIN_PIXELS = 12
 """Minimum number of pixels for a variance estimate."""
 
 _EM_STEPS = 30
-"""Steps of the expectation-maximisation; it converges in fewer than 20."""
+"""Number of steps of expectation-maximisation, which converges in fewer than 20."""
 
-# Pixels that a variance is estimated from, at most.
+# Most pixels from which a variance is estimated.
 _SPREAD_PIXELS, _INFLATION_PIXELS = 4000, 20_000
 
 _MIN_INFORMED = 0.7
@@ -41,8 +42,8 @@ _MIN_INFORMED = 0.7
 variance by at least this factor."""
 
 _LEAST_OF_NOMINAL, _MOST_OF_NOMINAL = 0.3, 3.0
-"""Bounds of an estimated threshold over the prior mean: what lies beyond a factor of 3
-is not a threshold (those of DAVIS cameras are between 0.14 and some 0.4)."""
+"""Bounds of an estimated threshold relative to the prior mean: a factor of 3 covers the
+thresholds of DAVIS cameras, between 0.14 and about 0.4."""
 
 _MAD_PER_SIGMA = 0.6745
 """Median of the absolute value of a standard normal number."""
@@ -50,8 +51,8 @@ _MAD_PER_SIGMA = 0.6745
 _LEAST_SPREAD = 0.01
 """Numerical floor of the pixel-to-pixel sigma, as a share of the prior sigma."""
 
-# Ridge of a pixel's information matrix, over its trace and in itself (1 / ln^2): makes
-# the inverse exist for pixels that no frame told anything of; numerical.
+# Ridge of a pixel's information matrix, relative to its trace and absolute (1 / ln^2),
+# so that the inverse exists for pixels without any information; numerical.
 _RIDGE, _LEAST_INFORMATION = 1e-9, 1e-30
 
 
@@ -60,27 +61,28 @@ def shrink_to_population(
     nominal: tuple[ArrayLike, ArrayLike], sigma: float, inflation: tuple[float, float],
     systematics: SystematicErrors | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Replace the prior variance `sigma`^2 by the pixel-to-pixel variance found.
+    """Replace the prior variance `sigma`^2 by the estimated pixel-to-pixel variance.
 
     Empirical Bayes by expectation-maximisation.  A pixel's own information is the
-    filter's posterior less its prior.  Behind a plate that turns slowly, or in dim
+    filter's posterior minus its prior.  Behind a plate that turns slowly, or in dim
     light, the errors of frames are correlated over the recording and would look like a
-    spread of the thresholds; the pixel-to-pixel variance is therefore bounded by what
-    remains if samples err by twice the assumed variance.
+    spread of the thresholds; the pixel-to-pixel variance is therefore bounded by the
+    estimate with twice the assumed variance of samples.
 
     Parameters
     ----------
     theta, covariance : ndarray of float64, shapes (2, H, W) and (H, W, 2, 2)
         Posterior of a filter with the prior `nominal`, standard deviation `sigma`.
     nominal : (on, off)
-        Scalars or (H, W).
+        Prior mean, scalars or (H, W).
     sigma : float
+        Prior standard deviation.
     inflation : (float, float)
         Factors on the variance of ln(on / off) (see `variance_inflation`) and on that
-        of the scale, the mean of e^2 / v of the innovations.  The latter does not show
-        what frames have in common, so it is bounded below by `FrameSystematics`.
+        of the scale, the mean of e^2 / v of the innovations.  The latter does not
+        include errors that frames share, so `FrameSystematics` bounds it below.
     systematics : SystematicErrors or None
-        Added to the covariance; the mean leak is taken out of the ratio.
+        Added to the covariance; the ratio is corrected for the mean leak.
 
     Returns
     -------
@@ -142,19 +144,19 @@ def variance_inflation(
 ) -> float | None:
     """Return the factor on the variance of ln(on / off), from half and all of the data.
 
-    If variances are right, Var(half - whole) = V_half - V_whole over the pixels.  The
-    innovations tell less: they include what does not accumulate over frames.
+    If variances are correct, Var(half - whole) = V_half - V_whole over the pixels.  The
+    innovations are less suited, as they include errors that do not accumulate.
 
     Parameters
     ----------
     half, whole : (theta, covariance)
-        One filter's, after half of the data and after all of them, shapes (2, H, W)
-        and (H, W, 2, 2).
+        Estimates of one filter after half of the data, and after all of them; shapes
+        (2, H, W) and (H, W, 2, 2).
 
     Returns
     -------
     float or None
-        None where fewer than 12 pixels tell.
+        None if fewer than 12 pixels have enough information.
     """
     some = slice(None, None, max(whole[0][0].size // _INFLATION_PIXELS, 1))
     (early, v_early), (late, v_late) = (
@@ -168,7 +170,7 @@ def variance_inflation(
         return None
     z = (early[informed] - late[informed]) / np.sqrt(
         v_early[informed] - v_late[informed])
-    # What all pixels have in common is leak, which `SystematicErrors` counts.
+    # The part common to all pixels is the leak, which `SystematicErrors` includes.
     z = np.abs(z - np.median(z))
     return float(np.mean(np.minimum(z, 3 * np.median(z) / _MAD_PER_SIGMA) ** 2))
 
@@ -193,10 +195,10 @@ def _inflate(
     own: _Symmetric, pull: tuple[NDArray[np.float64], NDArray[np.float64]],
     theta: NDArray[np.float64], inflation: tuple[float, float], correlated: float,
 ) -> tuple[_Symmetric, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the samples' information with their variances multiplied.
+    """Return the samples' information with inflated variances.
 
-    In relative terms the variances of on - off and of on + off are multiplied, that of
-    the latter by no less than `correlated`; pixels without information keep none.
+    The factors multiply the relative variances of on - off and of on + off, the latter
+    by at least `correlated`.  Pixels without information stay without.
     """
     for_ratio, for_scale = inflation[0]**-0.5, max(inflation[1], correlated)**-0.5
     same, other = (for_scale + for_ratio) / 2, (for_scale - for_ratio) / 2

@@ -1,9 +1,9 @@
 """Systematic errors of the thresholds: common to all samples, not in the innovations.
 
-A recording tells the ratio of a pixel's thresholds by the drift of its events against
-its frames, and their scale by the contrast of its frames.  An error that frames and
-events repeat in every sample leaves the innovations unchanged; its variance is added
-to the covariance of the thresholds here.
+The ratio of a pixel's thresholds is estimated from the drift of its events against its
+frames, and their scale from the contrast of its frames.  An error that is the same in
+every sample does not change the innovations, so the filter's covariance lacks it; this
+module computes its variance, which is added.
 """
 from __future__ import annotations
 
@@ -89,6 +89,7 @@ class SystematicErrors:
     per_dn : ndarray of float64, shape (H, W)
         Relative change of both thresholds per DN of offset of all frames.
     frames : FrameSystematics
+        Errors that all frames have in common.
     model_sigma : float
         Relative error of the scale by the models of photoreceptor and interpolation.
     leak_hz : (float, float)

@@ -1,4 +1,4 @@
-"""What is kept of a stream for self-calibration: bounded windows of recent data."""
+"""Bounded windows of a stream's data, kept for self-calibration."""
 from __future__ import annotations
 
 from collections import deque
@@ -17,7 +17,7 @@ from pdavis_cv.selfcal.uncertainty import PixelActivity
 __all__ = ["USABLE_DN", "Interval", "Item", "PixelWindow", "SensorWindow"]
 
 MAX_PIXELS = 16_384
-"""Pixels that are looked at; the busy ones among them are enough to fit a camera."""
+"""Most pixels that are kept; the busy ones among them are enough to fit a camera."""
 
 MAX_FRAMES, MAX_US, MAX_EVENTS = 100, 10_000_000, 1_000_000
 """Upper bounds of a `PixelWindow`: frames, time, events (13 MB)."""
@@ -29,28 +29,30 @@ USABLE_DN = 8
 """Least DN of a usable sample of a busy pixel."""
 
 _EVER = -(2**62), 2**62
-"""Times in us before and after all stamps; their sums fit 64 bits."""
+"""Times in us before and after all stamps; their sums fit into 64 bits."""
 
 _LEAST_SECONDS = 1e-9
-"""Of an interval, so that a rate is finite where there is none; numerical."""
+"""Lower bound of a divisor, so that a rate without events is finite; numerical."""
 
 Item = ApsFrame | Wave | NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """A frame of the pixels looked at, and their events since the frame before.
+    """A frame of the kept pixels, and their events since the frame before.
 
     Parameters
     ----------
     events : ndarray of EVENT_DTYPE, shape (N,)
-        ``x`` is the place among the pixels.
+        The events; ``x`` is the index among the kept pixels.
     counts : ndarray of int32, shape (2, 1, K)
-        OFF and ON events of each pixel.
+        Number of OFF and ON events of each pixel.
     dn : ndarray of float32, shape (K,)
+        The frame's values.
     usable : ndarray of bool, shape (K,)
+        Whether each value is usable.
     exposure_us : ndarray of int64, shape (3, W)
-        Begin, middle and end, by column of the sensor.
+        Begin, middle and end of the exposure, by column of the sensor.
     known_us : int
         End of the frame's exposure in all columns.
     """
@@ -80,10 +82,11 @@ class PixelWindow:
     Attributes
     ----------
     shape : (int, int)
+        (height, width) of the sensor.
     pixels : ndarray of intp, shape (K,)
-        Places in the flattened sensor.
+        Flat indices of the kept pixels on the sensor.
     seen_us : int
-        Time of the last item of the sensor.
+        Time of the last item fed.
     full : bool
         Whether anything was dropped.
     """
@@ -108,8 +111,8 @@ class PixelWindow:
         self.seen_us = int(events["t"][-1])
         at = self._place.take(events["y"].astype(np.int32) * self.shape[1]
                               + events["x"])
-        # Where no frame comes, the first events since the last one are kept: a rule
-        # that does not depend on how the stream was cut.
+        # If no frame comes, the first events since the last one are kept, a rule that
+        # does not depend on how the stream is cut into packets.
         room = MAX_EVENTS - self._pending_events
         chosen = np.flatnonzero(at >= 0)[:room]
         mine = events.take(chosen)
@@ -138,7 +141,7 @@ class PixelWindow:
         self._drop_oldest()
 
     def add_wave(self, wave: Wave) -> None:
-        """Take what the lamp does in a block of time."""
+        """Take the lamp's wave in a block of time."""
         self._lamp.add(wave)
 
     def _take_pending(self) -> NDArray[Any]:
@@ -157,12 +160,12 @@ class PixelWindow:
 
     @property
     def intervals(self) -> list[Interval]:
-        """What is kept, in order of time."""
+        """The intervals kept, in order of time."""
         return list(self._intervals)
 
     @property
     def events(self) -> NDArray[Any]:
-        """All events that are kept, those after the last frame too."""
+        """All events kept, including those after the last frame."""
         self._pending = [self._take_pending()]
         return joined([*(each.events for each in self._intervals), *self._pending])
 
@@ -194,7 +197,7 @@ class PixelWindow:
 
 
 class SensorWindow:
-    """Everything from the first item on, up to a bound: what thresholds need.
+    """All data from the first item on, up to a bound, to estimate all thresholds.
 
     Attributes
     ----------
@@ -227,7 +230,7 @@ class SensorWindow:
             self._events += len(item)
 
     def activity(self) -> PixelActivity:
-        """Return what each pixel has shown."""
+        """Return the activity of each pixel."""
         interval, total = np.zeros((2, 2, *self._shape), np.int32)
         squares = np.zeros(self._shape, np.int64)
         min_dn = np.full(self._shape, np.inf, np.float32)
@@ -235,7 +238,7 @@ class SensorWindow:
         mids: list[int] = []
 
         def end_interval() -> None:
-            """Add the counts since the last frame."""
+            """Add the counts since the last frame to the sums."""
             both = np.add(interval[0], interval[1], dtype=np.int64)
             np.add(squares, both * both, out=squares)
             np.add(total, interval, out=total)
