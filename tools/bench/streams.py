@@ -153,21 +153,18 @@ def _every_core() -> Iterator[None]:
 @case("threads", "images of kalman with two threads, wall time, against one", 1.7)
 def _threads() -> Iterator[Comparison]:
     def images(fusion: Fusion, n: int) -> float:
-        with _every_core():
-            start = perf_counter()
-            for _ in range(n):
-                shown(next(fusion))
-            return (perf_counter() - start) / n
+        start = perf_counter()
+        for _ in range(n):
+            shown(next(fusion))
+        return (perf_counter() - start) / n
 
-    with _every_core():
+    with _every_core():     # also while these are measured
         cores = usable_cores()
-    for method, rate in (("kalman", 33e3), ("kalman", 1e6), ("offline", 33e3)):
-        make = partial(_fusion, method, rate, 1e3)
-        with _every_core():
+        for method, rate in (("kalman", 33e3), ("kalman", 1e6), ("offline", 33e3)):
+            make = partial(_fusion, method, rate, 1e3)
             one, two = make(), make(threads=2)
-
-        yield Comparison(
-            f"{method}, {rate / 1e6:g} Mev/s", partial(
-                _same, make, partial(make, threads=2)),
-            partial(images, two, 40), partial(images, one, 40), _milliseconds, "ms",
-            judged=cores > 1 and (method, rate) == ("kalman", 33e3))
+            yield Comparison(
+                f"{method}, {rate / 1e6:g} Mev/s", partial(
+                    _same, make, partial(make, threads=2)),
+                partial(images, two, 40), partial(images, one, 40), _milliseconds, "ms",
+                judged=cores > 1 and (method, rate) == ("kalman", 33e3))
