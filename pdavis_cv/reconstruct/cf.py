@@ -29,9 +29,10 @@ CUTOFF_HZ = 1.6
 """Crossover frequency f3dB in Hz (Haessig et al., supplement)."""
 
 _ADAPTIVE_BITS = 8
+"""Bits of the scale on which the paper states the adaptive gain's limits."""
+
 _READ_NS = 0.8
 """Time that reading a pixel takes, ns (measured)."""
-"""Bits of the scale on which the paper states the adaptive gain's limits."""
 
 
 class ComplementaryFilter(Reconstructor):
