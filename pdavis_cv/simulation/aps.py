@@ -92,9 +92,9 @@ class ApsPixel:
     def maps(
         self, seed: int, size: tuple[int, int], origin: tuple[int, int]
     ) -> dict[str, FloatArray]:
-        """Return what one specimen has: ``reset_dn``, ``dark_dn`` of shape (H, W).
+        """Return a specimen's maps: ``reset_dn`` and ``dark_dn``, shape (H, W).
 
-        ``dark_dn`` is what a frame without light shows after double sampling.
+        ``dark_dn`` is the value of a frame without light after double sampling.
         """
         index = noise.pixel_index(size, origin)
         reset = (self.reset_dn or 0.0) + self.reset_fpn_dn * noise.normal(
@@ -107,14 +107,14 @@ class ApsPixel:
         self, signal_dn: FloatArray, maps: dict[str, FloatArray], seed: int,
         frame: int, origin: tuple[int, int], current: float = 1.0,
     ) -> dict[str, NDArray[np.generic] | None]:
-        """Turn an exposure integral into what the converter delivers.
+        """Convert an exposure integral to the converter's output.
 
         Parameters
         ----------
         signal_dn : ndarray of float64, shape (H, W)
             Light times time in DN.
         maps : mapping of str to ndarray
-            What `maps` returned.
+            Result of `maps`.
         seed : int
             Seed of the noise.
         frame : int
@@ -159,7 +159,7 @@ class ApsPixel:
         signal = np.clip(np.rint(level - collected + draw(
             "signal read", self.read_noise_dn)), 0, top)
         dn = reset - signal
-        # A pixel's clip level is known to within its noise only.
+        # A pixel's clip level is known only up to its noise.
         clip = self.full_well_dn - 4 * self.read_noise_dn
         valid = (signal > 2) & (reset >= 384) & (dn < clip)
         return {"dn": dn, "valid": valid, "reset": reset.astype(np.uint16),
@@ -185,7 +185,7 @@ class FrameClock:
         return round(frame * 1e6 / self.pixel.fps)
 
     def available_us(self, frame: int) -> int:
-        """When a frame has been read out."""
+        """Time at which a frame has been read out, us."""
         pixel = self.pixel
         return self.start_us(frame) + pixel.exposure_us + pixel.readout_us
 
@@ -222,7 +222,7 @@ class FrameClock:
             self.pixel.readout_us / self.width)
 
     def exposure(self, frame: int) -> tuple[FloatArray, FloatArray]:
-        """Start and end of each column's exposure in us; (1,) if all are alike."""
+        """Start and end of each column's exposure, us; shape (1,) if all are equal."""
         start = np.array([float(self.start_us(frame))])
         if self.pixel.shutter == "rolling":
             start = np.rint(start + self.column_delays())
@@ -302,7 +302,7 @@ def make_frame(
     clock: FrameClock, frame: int, digitised: dict[str, NDArray[np.generic] | None],
     offset_us: int = 0,
 ) -> ApsFrame:
-    """Build the `ApsFrame` of one exposure, whose stated times are off by offset_us."""
+    """Build the `ApsFrame` of one exposure, with stamps that are wrong by offset_us."""
     start, end = (t + offset_us for t in clock.exposure(frame))
     rolling = clock.pixel.shutter == "rolling"
     end_us = int(end[-1])

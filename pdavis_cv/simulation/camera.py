@@ -1,4 +1,4 @@
-"""A simulated camera: one specimen with its own faults, and what it records."""
+"""A simulated camera: one specimen with its own parameters, and its recordings."""
 from __future__ import annotations
 
 import dataclasses
@@ -68,8 +68,8 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
 })
 """Parts of each named camera; `Camera.preset` says what they are.
 
-Of ``drawn`` and ``davis346`` they are what the maker would state; a specimen's own are
-drawn from `pdavis_cv.simulation.specimens.POPULATIONS`.
+For ``drawn`` and ``davis346`` these are the values that the maker would state; those of
+a specimen are drawn from `pdavis_cv.simulation.specimens.POPULATIONS`.
 """
 
 
@@ -217,7 +217,7 @@ class Camera:
         return (self.seed * 1_000_003 + run * 7_919 + 1) % 2**64
 
     def info(self, stop_us: int) -> RecordingInfo:
-        """Header facts of a recording of this camera."""
+        """Information on a recording of this camera."""
         aps = self.aps
         return RecordingInfo(
             format="simulation", sensor_size=self.size, writer="pdavis_cv",
@@ -226,7 +226,7 @@ class Camera:
             exposure_us=None if aps is None else aps.exposure_us)
 
     def exact_calibration(self) -> dict[str, Any]:
-        """Return what this specimen has, as the arguments of `pdavis_cv.Calibration`.
+        """Return the specimen's true parameters, as arguments of `Calibration`.
 
         Returns
         -------

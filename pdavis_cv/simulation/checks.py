@@ -1,4 +1,4 @@
-"""Refusing impossible parameters: argument, rule, what was seen."""
+"""Checks of parameters; errors name the argument, the rule and the value."""
 from __future__ import annotations
 
 import math
@@ -6,7 +6,8 @@ import math
 __all__ = ["affordable", "at_least_zero", "fraction", "positive", "require"]
 
 MOST_BYTES = 4 << 30
-"""What a simulation may hold in memory; a choice: a laptop has more."""
+"""Most bytes that a simulation may hold in memory.  Engineering choice: a laptop has
+more."""
 
 
 def require(name: str, value: object, holds: bool, rule: str) -> None:
@@ -38,16 +39,16 @@ def fraction(**values: float | None) -> None:
 
 
 def affordable(what: str, size: float, /, **because: object) -> None:
-    """Refuse what would take more memory than a simulation may, before it is taken.
+    """Refuse arguments with which a simulation would need too much memory.
 
     Parameters
     ----------
     what : str
-        What would be held.
+        Name of the data that need the memory.
     size : float
-        Bytes, estimated.
+        Estimated bytes.
     **because : object
-        Arguments that it follows from, for the message.
+        Arguments that determine the size, for the message.
 
     Raises
     ------

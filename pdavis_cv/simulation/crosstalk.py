@@ -1,4 +1,4 @@
-"""Crosstalk: light that one pixel's polarizer passed and its neighbour collects."""
+"""Crosstalk: light that passes one pixel's polarizer and reaches its neighbour."""
 from __future__ import annotations
 
 from typing import Any
@@ -15,7 +15,7 @@ Kernel = tuple[tuple[float, float, float], ...]
 
 
 def kernel(side: float, corner: float = 0.0) -> Kernel:
-    """Return the crosstalk of a pixel that is alike in all directions.
+    """Return the crosstalk kernel of a pixel, equal in all directions.
 
     Parameters
     ----------
@@ -36,20 +36,20 @@ def check_kernel(name: str, value: Any) -> None:
 
 
 class Neighbours:
-    """Pixels of a region and those around it, whose light they share.
+    """The pixels of a region and their surrounding neighbours, which exchange light.
 
     Parameters
     ----------
     shares : sequence of 3 sequences of 3 floats
         Share of a pixel's light that comes from above left, above, ... below right.
     responses : ndarray of float64, shape (H + 2, W + 2, C)
-        Those of each pixel by itself; the first and last rows and columns are
-        neighbours of the region, 0 where the sensor ends.
+        Responses of each pixel without crosstalk; the first and last rows and columns
+        are neighbours of the region, 0 where the sensor ends.
     """
 
     def __init__(self, shares: Kernel, responses: FloatArray) -> None:
         self.shares, self.responses = shares, responses
-        # Where the sensor ends, what a pixel would exchange stays.
+        # At the sensor's edge, a pixel keeps the light that it would exchange.
         self._scale = 1 / self._mixed((responses[..., 0] > 0).astype(np.float64))
 
     def _mixed(self, light: FloatArray) -> FloatArray:

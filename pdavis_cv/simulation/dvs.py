@@ -136,7 +136,7 @@ class DvsPixel:
     def maps(
         self, seed: int, size: tuple[int, int], origin: tuple[int, int]
     ) -> dict[str, FloatArray]:
-        """Return what one specimen has, each of shape (H, W).
+        """Return a specimen's maps, each of shape (H, W).
 
         Returns
         -------
@@ -276,10 +276,10 @@ class PixelArray:
         self, step_us: float, light: FloatArray, slope: FloatArray,
         analyser: FloatArray | None, part: slice,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return light and slopes of each pixel as they are behind the second pole.
+        """Return light and slopes of each pixel after the second pole's low-pass.
 
-        It comes before the photoreceptor's own here, where it is behind it in a pixel:
-        linear filters of log light may change places while the cutoff is constant.
+        In a pixel the second pole follows the photoreceptor's; here it comes first,
+        which is the same for linear filters of log light with constant cutoffs.
         Log light is the cubic through its values and slopes at an interval's ends.
         """
         if analyser is not None:
@@ -315,12 +315,12 @@ class PixelArray:
         seen : ndarray of float32, shape (H * W,)
             Light on each pixel, DN per ms, dark current included.
         """
-        # By way of float64: NumPy's float32 log depends on the CPU.
+        # In float64, because NumPy's float32 log depends on the CPU.
         level = np.log(np.maximum(seen, 1e-9), dtype=np.float64).astype(np.float32)
         self._watch = np.zeros((5, len(seen)), np.float32)
         self._watch[:2] = level
-        self._watch[4] = -1  # every pixel is looked at first
-        # Each cell in one cache line.
+        self._watch[4] = -1  # every pixel is examined first
+        # Aligned, so that each cell lies in one cache line.
         room = np.zeros(len(seen) + 1, _CELL_DTYPE).view(np.uint8)
         line = _CELL_DTYPE.itemsize
         first = -room.ctypes.data % line
@@ -391,7 +391,7 @@ class PixelArray:
         self, run: Callable[[int, NDArray[Any]], tuple[int, int]], done: int, stop: int,
         place: tuple[int, int] | None = None,
     ) -> list[NDArray[Any]]:
-        """Run a kernel until it has done everything; make room where it needs some.
+        """Run a kernel until it has finished, enlarging the buffer as needed.
 
         With a place, the events are views of a buffer that the next call for the same
         place overwrites.
@@ -416,10 +416,10 @@ class PixelArray:
 
 
 def lag_weights(phi: float) -> FloatArray:
-    """Return what 1, x, x^2, x^3 over 0..1 add to the end of a first-order low-pass.
+    """Return the response of a first-order low-pass to 1, x, x^2, x^3 at x = 1.
 
-    ``w_n = phi int_0^1 exp(-phi (1 - x)) x^n dx``, for phi = interval over time
-    constant; a series, since the closed form loses digits where phi is small.
+    ``w_n = phi int_0^1 exp(-phi (1 - x)) x^n dx``, where phi is the interval over the
+    time constant.  A series is used, as the closed form loses digits for small phi.
     """
     n = np.arange(4)[:, None]
     # Terms phi^(k+1) n! (-1)^k / (n+k+1)!, the ratio of one to the one before:

@@ -46,11 +46,11 @@ EXAMPLES: Mapping[str, Example] = MappingProxyType({
     "fan": Example(scene=Fan(rpm=60.0, radius=27.0, hub=5.0), size=(56, 56)),
     "tendon": Example(scene=Tendon(hz=4.3), size=(64, 96)),
 })
-"""By the names that `pdavis_cv.data.example_recording` knows them by."""
+"""The examples, by their names in `pdavis_cv.data.example_recording`."""
 
 
 def example_truth(name: str) -> Truth:
-    """Return what a perfect instrument would have measured in a shipped recording.
+    """Return the exact truth of a shipped recording.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from pdavis_cv.simulation.checks import at_least_zero, require
 __all__ = ["EventFaults", "Faults"]
 
 _LARGEST_DRIFT = 0.5
-"""Of thresholds over a recording, relative: beyond, "drift" is not the word."""
+"""Largest relative drift of the thresholds over a recording; more is not a drift."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -118,7 +118,7 @@ def rotating_polarizer(
 
 
 _EVENT_BYTES = 3 * EVENT_DTYPE.itemsize
-"""Of one event while all are put in order of time: parts, whole and sorted."""
+"""Bytes per event while events are sorted: parts, joined and sorted arrays."""
 
 
 def _size(rpm: float, seconds: float, size: tuple[int, int], theta: float, k: float,

@@ -77,7 +77,7 @@ class Lens:
     def seen(
         self, angle: FloatArray, ratio: FloatArray, x: FloatArray, y: FloatArray
     ) -> FloatArray:
-        """Return what polarizers of the sensor respond to S0..S3 before the lens.
+        """Return the responses of the sensor's polarizers to S0..S3 before the lens.
 
         Parameters
         ----------

@@ -76,7 +76,7 @@ class Optics:
         self, seed: int, size: tuple[int, int], origin: tuple[int, int],
         full_size: tuple[int, int],
     ) -> dict[str, FloatArray]:
-        """Return what one specimen has: angle (radians), extinction_ratio, gain.
+        """Return a specimen's maps: angle (radians), extinction_ratio, gain.
 
         Parameters
         ----------

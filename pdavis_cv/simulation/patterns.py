@@ -144,7 +144,7 @@ def _still(
     wheel: tuple[float, ...], x: tuple[tuple[int, ...], bytes],
     y: tuple[tuple[int, ...], bytes],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what stands still: place in sectors, steepness of edges, S0, light behind.
+    """Return the constant maps: place in sectors, slope of edges, S0, light behind.
 
     x and y are shapes of places and their bytes.
     """

@@ -110,11 +110,11 @@ _DAVIS346: Mapping[str, Mapping[str, Range]] = {
 
 POPULATIONS: Mapping[str, Mapping[str, Mapping[str, Range]]] = MappingProxyType({
     "drawn": _DRAWN, "davis346": _DAVIS346})
-"""Ranges by preset, part and parameter; a preset that is not here is one camera."""
+"""Ranges by preset, part and parameter; the other presets are single cameras."""
 
 
 def drawn(name: str, parts: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return a preset's parts with what the specimen of this seed has.
+    """Return a preset's parts with the parameters drawn for one specimen.
 
     Parameters
     ----------

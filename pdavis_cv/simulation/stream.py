@@ -45,7 +45,7 @@ _WEIGHTS = 4    # arrays of float64
 
 @dataclass(slots=True)
 class Piece:
-    """What the camera delivers in 10 ms.
+    """Output of the camera in 10 ms.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Piece:
     events : ndarray of EVENT_DTYPE
         Time-ordered.
     frames : list of ApsFrame
-        Those that became available in it.
+        Frames that became available in the piece.
     bus_load : float
         Fraction of the time in which the read-out bus was busy.
     bus_lost : int
@@ -69,10 +69,10 @@ class Piece:
 
 
 class SimulatedRecording(Recording):
-    """What a camera records of a scene; `Camera.stream` makes them.
+    """A recording of a scene that is simulated while it is read (`Camera.stream`).
 
-    Reading it simulates it, from its start, each time: memory stays flat however
-    long it is.  The same camera, scene and run give the same bits.
+    Each reading simulates it from its start, so memory does not grow with its length.
+    The same camera, scene and run give the same bits.
     """
 
     def __init__(
@@ -91,11 +91,11 @@ class SimulatedRecording(Recording):
                       1e6 / camera.aps.fps - camera.aps.exposure_us)
             step = min(step, max(gap - dvs.burst_us, 100.0))
         intervals = max(1, PIECE_US / step)
-        # Weights of the frames' integrals: of each interval and column, some at once.
+        # Weights of the frames' integrals, by interval and column; some arrays at once.
         affordable("10 ms of the light's course",
                    8 * _WEIGHTS * intervals * camera.size[1], step_us=step)
         self._intervals = math.ceil(intervals - 1e-9)
-        # Uniform light is solved once for all pixels, but for S3.
+        # Uniform light is solved once for all pixels, unless pixels respond to S3.
         self._circular = scene.circular and "circular" in camera.maps
         self._uniform = scene.uniform and not self._circular
         self._info = camera.info(stop_us)

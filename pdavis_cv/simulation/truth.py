@@ -14,7 +14,7 @@ __all__ = ["Truth"]
 
 
 class Truth:
-    """What a perfect instrument would measure; exact, evaluated when asked.
+    """Exact truth of a simulated recording, evaluated on request.
 
     Times are microseconds on the recording's clock, places are pixels of the
     recording.  Without ``x`` and ``y`` the answer is for the middle of the

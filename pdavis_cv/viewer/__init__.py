@@ -1,7 +1,7 @@
-"""A browser's view of images, and a stream of pictures for any program.
+"""Viewer for browsers, and a stream of pictures for any program.
 
-`serve` answers on an address of this machine: one page that asks for nothing from
-elsewhere, and ``/stream.mjpg`` for ``cv2.VideoCapture`` and other players.
+`serve` runs an HTTP server on this machine: a page that loads nothing from other hosts,
+and ``/stream.mjpg`` for ``cv2.VideoCapture`` and other players.
 """
 from pdavis_cv.viewer.server import Server, serve, view
 

@@ -1,4 +1,4 @@
-"""One connection: who may ask, what they may ask for, and how long they may take."""
+"""Handler of one connection: access checks, requests and time limits."""
 from __future__ import annotations
 
 import hmac
@@ -28,12 +28,12 @@ __all__ = ["Handler"]
 _LOG = logging.getLogger(__name__)
 
 PATIENCE_S = 10.0
-"""A request must have arrived, and an answer been taken, in this time; s."""
+"""Longest time for a request to arrive, and for an answer to be received, s."""
 POLL_S = 1.0
-"""Where no image comes, a page is answered, and a stream repeats its last, after this
-time; s."""
+"""Longest wait for an image, s; after it a page gets an answer without one, and a
+stream repeats its last picture."""
 LOOK_S = 0.05
-"""A page that waits for an image is heard this often: it may want another; s."""
+"""Interval at which a waiting page is checked for a new request, s."""
 MOST_BODY = 65_536
 MOST_WHOLE = 10**15
 BOUNDARY = "pdavis"
@@ -53,11 +53,11 @@ _FILES = {"/": ("page.html", "text/html; charset=utf-8"),
           "/page.js": ("page.js", "text/javascript; charset=utf-8"),
           "/page.css": ("page.css", "text/css; charset=utf-8")}
 _PUBLIC = ("/page.js", "/page.css")
-"""What the page loads without a token: the same in every copy of the library."""
+"""Files that are served without a token, as every copy of the library has them."""
 
 
 class _Refused(Exception):
-    """A request that is not answered; status and reason."""
+    """A request that is refused, with HTTP status and reason."""
 
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
@@ -65,10 +65,10 @@ class _Refused(Exception):
 
 
 class _Deadline(io.RawIOBase):
-    """Bytes of a connection, all of which must arrive before a deadline.
+    """Byte stream of a connection with a deadline for all of it.
 
-    A socket's own timeout begins anew with each byte: then a byte at a time could
-    hold a connection for ever.
+    A socket's own timeout restarts with each byte, so that a client sending single
+    bytes could hold a connection for ever.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -107,13 +107,13 @@ class Handler(BaseHTTPRequestHandler):
         return owner
 
     def setup(self) -> None:
-        """Put a deadline on what is read."""
+        """Set up reading with a deadline."""
         super().setup()
         self._deadline = _Deadline(self.connection)
         self.rfile = self._buffered = io.BufferedReader(self._deadline)
 
     def handle_one_request(self) -> None:
-        """Answer a request that arrives in time."""
+        """Answer the next request; close the connection if it is late."""
         self._deadline.until_s = time.monotonic() + PATIENCE_S
         try:
             super().handle_one_request()
@@ -121,7 +121,7 @@ class Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        """Log for who debugs; a token is no part of it."""
+        """Log a request at debug level, without the token."""
         _LOG.debug("%s %s", self.client_address[0], format.split("?")[0])
 
     # ---- who may ask ---------------------------------------------------------------
@@ -157,12 +157,12 @@ class Handler(BaseHTTPRequestHandler):
             self._refuse(500, str(error))
 
     def _check(self) -> None:
-        """Refuse what a page from elsewhere, or a stranger, asks for."""
+        """Refuse requests of other sites' pages and of clients without the token."""
         host = self.headers.get("Host", "")
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         owner = self._owner
         if owner.token is None:
-            # A name that a foreign page had resolved to this machine is not ours.
+            # Another site's name that resolves to this machine (DNS rebinding).
             if name not in _LOOPBACK_NAMES:
                 raise _Refused(403, f"Host must be this machine, got {host[:80]!r}")
         elif self.where not in _PUBLIC:
@@ -174,7 +174,7 @@ class Handler(BaseHTTPRequestHandler):
         if origin is not None and origin != f"{owner.scheme}://{host}":
             raise _Refused(403, f"Origin must be {owner.scheme}://{host[:80]}, got "
                                 f"{origin[:80]!r}")
-        # Pictures that a foreign page embeds come without Origin.
+        # Requests for pictures that another site's page embeds have no Origin.
         foreign = self.headers.get("Sec-Fetch-Site") == "cross-site"
         if foreign and not (self.where == "/" and self.command == "GET"):
             raise _Refused(403, "requests of other sites are not answered")
@@ -225,7 +225,7 @@ class Handler(BaseHTTPRequestHandler):
                        "application/octet-stream")
 
     def _images_asked(self) -> None:
-        """Send an image for each message that asks for one, until the page is gone."""
+        """Send an image for each request over a WebSocket, until the page is gone."""
         key = accepted_key(dict(self.headers.items()))
         with self._place():
             self.close_connection = True
@@ -255,7 +255,7 @@ class Handler(BaseHTTPRequestHandler):
         return received(self._buffered)
 
     def _image(self, asked: _Asked) -> tuple[int, PolarFrame | None] | None:
-        """Wait for an image; None where the page asks for another first."""
+        """Wait for an image; return None if the page sends a new request first."""
         due_s = time.monotonic() + POLL_S
         while True:
             found = self._owner.show.latest(asked.after, LOOK_S)
@@ -266,11 +266,11 @@ class Handler(BaseHTTPRequestHandler):
             left = due_s - time.monotonic()
             if left <= 0 or self._owner.closing.is_set():
                 return found
-            if self._owner.show.over:       # nothing is waited for
+            if self._owner.show.over:       # `latest` returns at once
                 self._owner.closing.wait(min(left, LOOK_S))
 
     def _heard(self) -> bool:
-        """Tell whether something of the client's is there to be read."""
+        """Tell whether the client has sent something."""
         self._deadline.waits = False
         try:
             return bool(self._buffered.peek(1))
@@ -280,9 +280,10 @@ class Handler(BaseHTTPRequestHandler):
     def _parts(
         self, asked: _Asked, number: int, image: PolarFrame | None
     ) -> list[bytes | memoryview]:
-        """Return an image as a page takes it.
+        """Return an image in the page's format.
 
-        Length of a JSON text, the text, and the planes that it names, a byte a pixel.
+        This is the length of a JSON text, the text, and the planes that it names, with
+        one byte per pixel.
         """
         show = self._owner.show
         told: dict[str, Any] = {"number": number, "id": asked.id, "planes": [],
@@ -302,7 +303,7 @@ class Handler(BaseHTTPRequestHandler):
         return [struct.pack("<I", len(text)), text, *parts]
 
     def _stream(self) -> None:
-        """Send pictures one after the other; the last one again where none comes."""
+        """Send pictures one after the other; repeat the last one if none comes."""
         output = self.query.get("output", "bgr")
         output = "s0" if output == "bgr" else output
         with self._place():
@@ -329,7 +330,7 @@ class Handler(BaseHTTPRequestHandler):
         while not self._owner.closing.is_set():
             due_s = time.monotonic() + POLL_S
             number, image = self._owner.show.latest(number, POLL_S)
-            if image is None:       # at once where the source has ended
+            if image is None:       # returned at once if the source has ended
                 self._owner.closing.wait(max(due_s - time.monotonic(), 0))
             last = last if image is None else image
             if last is not None:
@@ -358,7 +359,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 class _Place:
-    """A place among the clients that are sent pictures."""
+    """Context manager that takes one of the places for clients that get pictures."""
 
     def __init__(self, owner: Server) -> None:
         self._owner = owner
@@ -373,7 +374,7 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What a page asks for: an image after this one, these pictures of it, a region."""
+    """A page's request: the number of its last image, panes to draw, and a region."""
 
     after: int
     panes: tuple[str, ...]
@@ -382,7 +383,7 @@ class _Asked:
 
     @classmethod
     def of(cls, given: Any) -> _Asked:
-        """Return what a JSON value asks for; anything else is an error."""
+        """Parse a request from a JSON value; raise ValueError if it is invalid."""
         if not isinstance(given, dict):
             raise ValueError('what is asked for must be {"after": number, ...}')
         panes, region = given.get("panes", []), given.get("region")

@@ -1,4 +1,4 @@
-"""The files of the page, as they lie in the package."""
+"""Access to the page's files in the package."""
 from __future__ import annotations
 
 import functools

@@ -1,4 +1,4 @@
-"""Pictures and numbers of one image, as a page or a stream wants them."""
+"""Pictures and values of one image, for the page and the stream."""
 from __future__ import annotations
 
 import io
@@ -30,8 +30,8 @@ __all__ = [
     "PANES", "PLANES", "archive", "jpeg", "palettes", "pane", "planes", "values"]
 
 LARGEST_SIGMA_RAD = math.pi / 4
-"""Uncertainty of AoP that has the last colour: an angle of which nothing is known has a
-standard deviation of pi / sqrt(12), 52 degrees."""
+"""Standard deviation of AoP at the end of the colour scale; that of an unknown angle is
+pi / sqrt(12), 52 degrees."""
 JPEG_QUALITY = 95
 
 
@@ -68,12 +68,12 @@ PANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
 since the image before, the standard deviation of AoP, and AoP in full colour."""
 
 NONE = 255
-"""In a plane: of this pixel nothing is known."""
+"""Value of a pixel without an estimate in a plane."""
 _PARTS = 255    # values 0 .. 254 of a plane
 
 
 def _numbers(count: int) -> NDArray[np.uint8]:
-    """Return a table that gives count colours the number of their part."""
+    """Return a colour table whose entries are plane values, for `count` colours."""
     number = (np.arange(count) * _PARTS // count).astype(np.uint8)
     return table_of(np.repeat(number[:, None], 3, axis=1), (NONE,) * 3, (NONE,) * 3)
 
@@ -107,21 +107,23 @@ PLANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
     "events": lambda show, image: _grey(_events(show, image)),
     "uncertainty": _uncertainty_plane,
 }
-"""What a page colours, by name; uint8 (H, W): grey of S0 and of events, else 0 .. 254
-from 0 to 180 degrees, 1 or `LARGEST_SIGMA_RAD`, or `NONE`.  Colours would be
-three times as many bytes, which a browser takes three times as long to receive."""
+"""Planes that the page colours itself, by name; uint8 (H, W).  S0 and events are grey
+values; the others map 0 to 180 degrees, 0 to 1 or 0 to `LARGEST_SIGMA_RAD` to 0 .. 254,
+or are `NONE`.  Coloured pictures would take three times as long to receive."""
 
 
 def planes(names: Iterable[str], show: Show, image: PolarFrame
            ) -> dict[str, NDArray[np.uint8]]:
-    """Return the planes that a page needs to draw pictures: AoP is faded by DoLP.
+    """Return the planes that a page needs; AoP also needs DoLP, which fades it.
 
     Parameters
     ----------
     names : iterable of str
-        Of `PLANES`.
+        Names of `PLANES`.
     show : Show
+        The source of events and settings.
     image : PolarFrame
+        The image.
 
     Raises
     ------
@@ -138,7 +140,7 @@ def planes(names: Iterable[str], show: Show, image: PolarFrame
 
 
 def palettes() -> dict[str, Any]:
-    """Return the colours of planes that are not grey, as RGB, and what fades AoP."""
+    """Return the RGB colours of the planes' values, and the DoLP of full colour."""
     middle = (np.arange(_PARTS, dtype=np.float32) + 0.5) * np.float32(math.pi / _PARTS)
     steps = np.arange(_PARTS, dtype=np.float32) / np.float32(_PARTS - 1)
 
@@ -151,7 +153,7 @@ def palettes() -> dict[str, Any]:
 
 
 def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
-    """Return a picture of an image; ``_bgr`` after a name means the same.
+    """Return a picture of an image by name, with or without the suffix ``_bgr``.
 
     Raises
     ------
@@ -165,7 +167,7 @@ def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
 
 
 def jpeg(picture: NDArray[np.uint8]) -> bytes:
-    """Return a picture as JPEG 4:4:4: colour at half the size ruins AoP.
+    """Return a picture as JPEG 4:4:4, because subsampled colour distorts AoP.
 
     Raises
     ------
@@ -182,11 +184,12 @@ def jpeg(picture: NDArray[np.uint8]) -> bytes:
 
 
 def values(image: PolarFrame, region: tuple[int, int, int, int]) -> dict[str, Any]:
-    """Return what a region of an image says, for a trace or a pointer.
+    """Return the mean values of a region of an image, for a trace or a pointer.
 
     Parameters
     ----------
     image : PolarFrame
+        The image.
     region : (int, int, int, int)
         (x, y, width, height) in the image's pixels; clamped to it.
 
@@ -194,7 +197,7 @@ def values(image: PolarFrame, region: tuple[int, int, int, int]) -> dict[str, An
     -------
     dict of str to number or None
         Angle and degree of the mean Stokes vector over valid pixels, and the root mean
-        square of the pixels' own sigmas: that of one pixel, no less for many.
+        square of the pixels' sigmas, which is that of a single pixel, not of the mean.
     """
     height, width = image.s0.shape
     x = min(max(region[0], 0), width - 1)
@@ -221,7 +224,7 @@ def values(image: PolarFrame, region: tuple[int, int, int, int]) -> dict[str, An
 
 
 def archive(image: PolarFrame) -> bytes:
-    """Return an image as the bytes of an .npz file: all that is known of it."""
+    """Return all data of an image as the bytes of an .npz file."""
     arrays: dict[str, Any] = {
         "quad": image.quad, "s0": image.s0, "aop_rad": image.aop,
         "dolp": image.dolp, "valid": image.valid, "t_us": np.array(image.t_us)}

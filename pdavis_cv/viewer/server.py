@@ -19,9 +19,9 @@ __all__ = ["PORT", "Server", "serve", "view"]
 
 PORT = 8346
 MOST_CLIENTS = 8
-"""Pages and players that are sent pictures at the same time."""
+"""Most pages and players that get pictures at the same time."""
 MOST_CONNECTIONS = 64
-"""Connections of any kind; one more is closed at once."""
+"""Most connections of any kind; further ones are closed at once."""
 
 
 class _Listener(ThreadingHTTPServer):
@@ -37,7 +37,7 @@ class _Listener(ThreadingHTTPServer):
         super().__init__(address, Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Take a connection, if there is room."""
+        """Accept a connection, unless there are too many."""
         if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
             return
@@ -58,7 +58,7 @@ class _Listener(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing: a client that goes away is no error."""
+        """Ignore errors of a connection: a client may leave at any time."""
 
 
 class Server:
@@ -74,14 +74,14 @@ class Server:
     port : int
         0 = any that is free.
     token : str or None
-        What requests must name; needed where `host` is not of this machine alone.
+        Token that requests must contain; needed unless `host` is a loopback address.
     context : ssl.SSLContext or None
-        Encrypts.
+        TLS context for encrypted connections.
 
     Attributes
     ----------
     url : str
-        Of the page.
+        Address of the page.
     """
 
     def __init__(
@@ -103,18 +103,18 @@ class Server:
 
     @property
     def scheme(self) -> str:
-        """How the page's address begins."""
+        """Scheme of the page's address, http or https."""
         return "http" if self.context is None else "https"
 
     @property
     def url(self) -> str:
-        """Where the page is, with its token."""
+        """Address of the page, with its token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}/" + (
             "" if self.token is None else f"?token={self.token}")
 
     def picture(self, output: str, number: int, image: PolarFrame) -> bytes:
-        """Return a picture as JPEG; encoded once for all who look."""
+        """Return a picture as JPEG, encoded once for all clients."""
         with self._encoding:
             known = self._jpegs.get(output)
             if known is None or known[0] != number:

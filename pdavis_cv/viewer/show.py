@@ -1,4 +1,4 @@
-"""What is shown: a recording that plays, or a live session; one manner for both."""
+"""Source of the viewer's images: a playing recording or a live session."""
 from __future__ import annotations
 
 import dataclasses
@@ -30,12 +30,12 @@ _FAILURES = (OSError, PdavisError, ValueError, ImportError)
 
 
 class Show(ABC):
-    """Images for several who look, and what they may command.
+    """Provides images to several clients, and takes their commands.
 
     Attributes
     ----------
     white : float
-        S0 / 2 that is white.
+        Value of S0 / 2 that is shown white.
     """
 
     live: bool
@@ -53,7 +53,7 @@ class Show(ABC):
     @property
     @abstractmethod
     def over(self) -> bool:
-        """Whether `latest` waits for nothing any more."""
+        """Whether no new image will come, so that `latest` does not wait."""
 
     @abstractmethod
     def events(self, until_us: int) -> Iterable[NDArray[Any]]:
@@ -61,7 +61,7 @@ class Show(ABC):
 
     @abstractmethod
     def change(self, **options: Any) -> None:
-        """Go on with other options of `fuse`."""
+        """Continue with other options of `fuse`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -69,10 +69,10 @@ class Show(ABC):
 
     @abstractmethod
     def _own_status(self) -> dict[str, Any]:
-        """Return what only this kind of show tells."""
+        """Return the status that is specific to this kind of source."""
 
     def status(self) -> dict[str, Any]:
-        """Return what the page shows besides pictures, as JSON can hold it."""
+        """Return the status that the page shows besides pictures, as JSON values."""
         fusion = self.fusion
         height, width = fusion.shape
         rate = fusion.options.rate
@@ -81,19 +81,19 @@ class Show(ABC):
                 "fps": None if rate is None else float(rate), **self._own_status()}
 
     def command(self, name: str, value: Any) -> None:
-        """Do what a page asks for.
+        """Execute a page's command.
 
         Parameters
         ----------
         name : str
             One of `commands`.
         value : object
-            As JSON gave it.
+            Its value, from JSON.
 
         Raises
         ------
         ValueError, TypeError
-            If there is no such command, or the value does not fit.
+            If the command is unknown, or its value is invalid.
         """
         known = self.commands()
         if name not in known:
@@ -110,7 +110,7 @@ class Show(ABC):
 def show_of(
     where: Any, record_to: str | os.PathLike[str], options: dict[str, Any]
 ) -> Show:
-    """Open what is to be shown.
+    """Open a source for the viewer.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class LiveShow(Show):
         return {**super().commands(), "record": self._record}
 
     def _record(self, value: Any) -> None:
-        """Begin or end a recording; its name is made here, never sent by a page."""
+        """Start or stop a recording; its name is chosen here, never by a page."""
         if not isinstance(value, bool):
             raise TypeError(f"value must be true or false, got {value!r}")
         if not value:
@@ -197,7 +197,7 @@ class LiveShow(Show):
         return {"stats": stats, "problems": _told(self._session.problems)}
 
     def close(self) -> None:
-        """Stop, if the session is ours."""
+        """Stop, and close the session if it is owned."""
         if self._owned:
             self._session.close()
 
@@ -258,7 +258,7 @@ class FileShow(Show):
         return [self._recording.events(until_us - period + 1, until_us + 1)]
 
     def change(self, **options: Any) -> None:
-        """Go on with other options, at the same time of the recording."""
+        """Continue with other options, at the same time of the recording."""
         before = self._options
         if "method" in options:             # what belongs to the old one goes with it
             before = FusionOptions(**{
@@ -351,7 +351,7 @@ class FileShow(Show):
                 "problems": _told(self._recording.problems)}
 
     def close(self) -> None:
-        """Stop, and close the recording if it is ours."""
+        """Stop, and close the recording if it is owned."""
         with self._change:
             self._closed = True
             self._change.notify_all()
@@ -361,7 +361,7 @@ class FileShow(Show):
 
 
 def _told(problems: Iterable[Problem]) -> list[str]:
-    """Return problems in words; one of its kind needs no number."""
+    """Return problems as text, with the count of those that occurred repeatedly."""
     return [f"{problem.count} {problem.message}" if problem.count > 1
             else problem.message for problem in problems]
 

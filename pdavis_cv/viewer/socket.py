@@ -1,6 +1,6 @@
-"""WebSocket of a page that asks for images: what of RFC 6455 that takes.
+"""WebSocket for the page's requests for images: the necessary part of RFC 6455.
 
-A request of its own for each image costs a browser several times what drawing it does.
+An HTTP request per image would cost a browser several times as much as drawing it.
 """
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FINAL, _MASKED, _RESERVED = 0x80, 0x80, 0x70
 _SHORT, _MIDDLE, _LONG = 125, 126, 127
 _POLICY = 1008      # RFC 6455, 7.4.1: a message that is not taken
 MOST_REQUEST = 4_096
-"""A message that is asked for images with is at most so long, bytes."""
+"""Largest message that requests an image, bytes."""
 
 
 class Readable(Protocol):
@@ -31,17 +31,17 @@ class Readable(Protocol):
 
 
 def accepted_key(headers: Mapping[str, str]) -> str:
-    """Return the answer to the key of who asks for a WebSocket.
+    """Return the handshake's answer to a client's WebSocket key.
 
     Parameters
     ----------
     headers : mapping of str to str
-        Of the request.
+        Headers of the request.
 
     Raises
     ------
     ValueError
-        If a WebSocket of version 13 is not what is asked for.
+        If the request is not for a WebSocket of version 13.
     """
     headers = {name.lower(): value for name, value in headers.items()}
     if headers.get("upgrade", "").lower() != "websocket":
