@@ -45,10 +45,10 @@ cdef struct config_t:
 
 cdef struct pixel_t_:
     double level            # filtered log light at the node
-    double ref              # log light that the comparator remembers
+    double ref              # log light at the comparator's last reset
     double release          # us, end of the refractory period
     double noise_t          # us, next candidate of shot noise
-    uint64_t counter        # of candidates drawn
+    uint64_t counter        # number of candidates drawn
     uint64_t key
     double on, off          # thresholds
     double leak             # ln units per us
@@ -117,7 +117,7 @@ cdef inline double filtered(cell_t *c, double x) noexcept nogil:
 
 cdef inline double value(cell_t *c, double s, double *slope,
                          double *bend) noexcept nogil:
-    """What the comparator sees at s, and its first and second derivative."""
+    """The comparator's input at s, and its first and second derivative."""
     cdef double i, x, y, v, rise, rate
     if not c.ready:
         prepare(c)

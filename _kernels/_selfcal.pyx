@@ -2,9 +2,9 @@
 
 For each candidate (bandwidth and noise) and each pixel a Kalman filter of (base,
 theta_on, theta_off) runs over the pixel's frames: the model and the equations are
-those of kalman_frame (without its learning of motion, lone events and rest), whose
-sums of e^2 / v, |e / sqrt(v)|^1.5 and ln v this returns per candidate.
-A pixel's events lie together in memory, so that no store of recent events is needed.
+those of kalman_frame, without its noise of motion, doubted events and rest.  The sums
+of e^2 / v, |e / sqrt(v)|^1.5 and ln v are returned per candidate.
+A pixel's events are contiguous in memory, so that no store of recent events is needed.
 """
 from libc.math cimport sqrt
 from libc.stdint cimport int32_t, int64_t
@@ -20,7 +20,7 @@ from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, JUMP_SIGMAS, LEARN_EVENTS, THETA_LEAST, THETA_MOST)
 
 cdef enum:
-    # Candidates that are evaluated together, at most.
+    # Most candidates that are evaluated together.
     TOGETHER = 32
 
 cdef packed struct pixel_t:
@@ -37,15 +37,15 @@ cdef packed struct reading_t:
     int64_t begin           # exposure
     int64_t middle
     int64_t end
-    int64_t known           # events up to here are looked at
+    int64_t known           # events up to this time are used
 
 cdef packed struct candidate_t:
     double noise_per_s      # process noise, thresholds^2 per second and per event
     double noise_per_event
-    double drift            # thresholds' relative change between samples, a variance
+    double drift            # variance of thresholds' relative change between samples
     double hz               # bandwidth: hz + hz_per_intensity * I
     double hz_per_intensity
-    double frame_sigma      # what de-blurring leaves, ln
+    double frame_sigma      # residual error of de-blurring, ln
     double scale_on         # factors on the prior thresholds
     double scale_off
     int64_t clock_us        # added to the frames' times
@@ -69,7 +69,8 @@ cdef struct state_t:
     double p22
 
 cdef struct blur_t:
-    # Integrals over the exposure of exp(part), and of it times counts.
+    # Integrals over the exposure of exp(y), exp(y) n_on and exp(y) n_off, where y is
+    # log intensity relative to a level.
     double whole
     double on
     double off
@@ -87,7 +88,10 @@ cdef inline double log_at(const walk_t* walk, const event_t* events, int64_t kno
                           double t, const state_t* s, double level,
                           const tuning_t* camera, const lamp_t* lamp,
                           double* n_on, double* n_off) noexcept nogil:
-    """Log intensity less level at t, between walk and its next event; the counts."""
+    """Log intensity at t relative to level, between walk and its next event.
+
+    Sets n_on and n_off to the counts, including the part crossed since the last event.
+    """
     cdef double y, theta, hz = 0.0
     cdef part_t part
     if lamp.blocks > 0:
@@ -131,7 +135,8 @@ cdef inline void add_segment(blur_t* total, const walk_t* walk, const event_t* e
 cdef blur_t integral(walk_t* walk, const event_t* events, int32_t stop,
                      const reading_t* frame, const state_t* s, double level,
                      const tuning_t* camera, const lamp_t* lamp) noexcept nogil:
-    """Integrate over the exposure, event by event, in parts that the lamp allows."""
+    """Integrate over the exposure, event by event; in short steps if a lamp flickers.
+    """
     cdef blur_t total
     cdef double now = <double>frame.begin, end = <double>frame.end, until
     cdef bint flickers = lit(lamp, now, end)
@@ -157,7 +162,7 @@ cdef blur_t integral(walk_t* walk, const event_t* events, int32_t stop,
 
 cdef inline void propagate(state_t* s, double n_on, double n_off,
                            double process_noise) noexcept nogil:
-    """Move the reference past so many events: base += on n_on - off n_off."""
+    """Transition over n events: base += on n_on - off n_off."""
     s.base += s.on * n_on - s.off * n_off
     s.p00 += (n_on * n_on * s.p11 + n_off * n_off * s.p22 + process_noise
               + 2.0 * (n_on * s.p01 - n_off * s.p02 - n_on * n_off * s.p12))
@@ -167,9 +172,9 @@ cdef inline void propagate(state_t* s, double n_on, double n_off,
 
 cdef inline void update(state_t* s, double h_on, double h_off, double noise,
                         double error, bint learn, innovations_t* out) noexcept nogil:
-    """Kalman update with measured = base + h_on on + h_off off, innovation error.
+    """Kalman update by measured = base + h_on on + h_off off; error: the innovation.
 
-    Without learn, thresholds stay what they are (Schmidt-Kalman update).
+    Without learn, the thresholds stay fixed (Schmidt-Kalman update).
     """
     cdef double g0 = s.p00 + h_on * s.p01 + h_off * s.p02
     cdef double g1 = s.p01 + h_on * s.p11 + h_off * s.p12
@@ -178,7 +183,7 @@ cdef inline void update(state_t* s, double h_on, double h_off, double noise,
     out.log_variance += log_f(<float>v)
     out.count += 1.0
     if error * error > JUMP_SIGMAS * JUMP_SIGMAS * v:
-        # Lost events or a wrong sample: the base may have jumped, thresholds not.
+        # Lost events or a wrong sample make the base jump, but not the thresholds.
         square = JUMP_SIGMAS * JUMP_SIGMAS
         jump = error * error
         s.p00 += jump
@@ -212,7 +217,7 @@ cdef inline double limited(double theta, double prior) noexcept nogil:
 
 cdef inline void place(walk_t* walk, const event_t* events, const pixel_t* pixel,
                        int32_t i) noexcept nogil:
-    """Begin before a pixel's event i, nothing counted."""
+    """Start before a pixel's event i, with counts of 0."""
     walk.t_prev = events[i - 2].t if i >= pixel.start + 2 else LONG_AGO
     walk.p_prev = events[i - 2].p if i >= pixel.start + 2 else 0
     walk.t = events[i - 1].t if i > pixel.start else LONG_AGO
@@ -226,7 +231,7 @@ cdef inline void advance(walk_t* since, walk_t* walk, const event_t* events,
                          const pixel_t* pixel, const reading_t* frame,
                          double refractory_us, double* n_on,
                          double* n_off) noexcept nogil:
-    """Count events up to the middle of an exposure, and begin before those of it."""
+    """Count events up to the middle of an exposure, and place walk at its begin."""
     cdef int32_t i
     cdef double on, off
     since.n_on = 0.0
@@ -266,7 +271,7 @@ cdef void take_frame(state_t* s, const walk_t* begin, const event_t* events,
                      double n_off, int64_t reference, bint fresh, double on, double off,
                      const lamp_t* lamp, const tuning_t* camera,
                      innovations_t* out) noexcept nogil:
-    """Update a candidate's state by a frame, n_on and n_off events after the last."""
+    """Update a candidate's state by a frame, given the events since the last one."""
     cdef walk_t walk = begin[0]
     cdef blur_t total
     cdef double h_on, h_off, theta2, blur, level
@@ -282,7 +287,7 @@ cdef void take_frame(state_t* s, const walk_t* begin, const event_t* events,
         level = s.base
     if (walk.next < 0 or events[walk.next].t >= frame.end) and not lit(
             lamp, <double>frame.begin, <double>frame.end):
-        # Less than a threshold over the whole exposure: its middle says it all.
+        # No event in the whole exposure: the light at its middle is the mean light.
         blur = log_at(&walk, events, frame.known, 0.5 * (
             <double>frame.begin + <double>frame.end), s, level, camera, lamp,
             &h_on, &h_off)
@@ -306,7 +311,7 @@ cdef void run_pixel(const event_t* events, const pixel_t* pixel,
                     const reading_t* reading, double theta_sigma,
                     const candidate_t* candidates, const tuning_t* cameras, int many,
                     const lamp_t* lamp, innovations_t* out) noexcept nogil:
-    """Run over a pixel's frames, for candidates whose clock is that of the first."""
+    """Run over a pixel's frames, for candidates with the clock offset of the first."""
     cdef reading_t frame
     cdef state_t states[TOGETHER]
     cdef walk_t walk, since
@@ -347,13 +352,11 @@ def sample_innovations(const event_t[::1] events not None,
                        double refractory_us,
                        const candidate_t[::1] candidates not None,
                        innovations_t[::1] out not None):
-    """Add up the innovations of all pixels for each candidate.
+    """Sum the innovations of all pixels for each candidate.
 
-    events are those of the pixels, one pixel after the other, each in order of time;
-    frames too, end > begin.  waves are the lamp's,
-    as in kalman_frame.  theta_sigma is the prior standard deviation of a threshold,
-    refractory_us how long a pixel is held in reset after an event.
-    out is overwritten.
+    events and frames are ordered by pixel, then by time; frames have end > begin.
+    waves are the lamp's, as in kalman_frame.  theta_sigma is the prior standard
+    deviation of a threshold, refractory_us the refractory period.  out is overwritten.
     """
     cdef Py_ssize_t n = pixels.shape[0], c, i, m = candidates.shape[0]
     cdef int many, k
