@@ -169,10 +169,10 @@ def fit_common_scale(
     nominal, = _Cost(steady, law, clock_us)(np.zeros(1), np.zeros(1))
     on, off = _factors(scale, ratio)
     evidence = float(nominal - found)
-    squares = scale * scale + ratio * ratio / 4
+    weight = steady.samples * (scale * scale + ratio * ratio / 4)
     result = CommonScale(
         on, off, math.hypot(max(bend, _LEAST_BEND)**-0.5, _MODEL_SIGMA), evidence,
-        evidence / (steady.samples * squares) if squares else 0.0, False)
+        evidence / weight if weight else 0.0, False)
     if not (evidence > _EVIDENCE and without - found > _EVIDENCE
             and result.gain > _LEAST_GAIN and result.told and result.differs):
         return result
