@@ -1,9 +1,11 @@
 """Power of the innovations' density: by errors of the scale where thresholds are wrong.
 
 Supports `LONG_TAILED` of ``pdavis_cv.selfcal.likelihood``: `drawn` and `davis346`
-cameras before a turning polarizer of DoLP .8, stated .2; rms error of the ln of the
+cameras before a turning polarizer of DoLP .8, stated .2; median error of the ln of the
 scale with that power, and with a normal density.  No score uses these specimens.  They
 have no refractory period: what it loses looks like larger thresholds with any density.
+The rms error is printed only: it is that of one or two specimens whose clock offset is
+not found.
 
     python studies/selfcal_tails.py [--quick]
 """
@@ -40,9 +42,9 @@ def error_of(preset, rpm, seed):
     return 0.5 * np.log(found.theta_on[0, 0] * found.theta_off[0, 0] / true)
 
 
-def rms_errors(chips):
-    """Return the rms error with the density as it is, and with a normal one."""
-    rms = []
+def median_errors(chips):
+    """Return the median error with the density as it is, and with a normal one."""
+    medians = []
     for power in (LONG_TAILED, NORMAL):
         # What the scale is fitted by; offsets and bandwidths stay as they are.
         common_scale.negative_log_likelihood = (
@@ -55,14 +57,14 @@ def rms_errors(chips):
             common_scale.negative_log_likelihood = negative_log_likelihood
         print(f"p = {power}: rms {np.sqrt(np.mean(errors**2)):.3f}, median "
               f"{np.median(np.abs(errors)):.3f}, mean {errors.mean():+.3f}")
-        rms.append(float(np.sqrt(np.mean(errors**2))))
-    return rms
+        medians.append(float(np.median(np.abs(errors))))
+    return medians
 
 
 def study(quick=False):
-    """Return the rms error with the code's power, beside that of a normal density."""
-    tailed, normal = rms_errors(2 if quick else 8)
-    return [Found("likelihood.LONG_TAILED, rms of ln scale (code: normal)", tailed,
+    """Return the median error with the code's power, beside that of a normal one."""
+    tailed, normal = median_errors(4 if quick else 8)
+    return [Found("likelihood.LONG_TAILED, median of ln scale (code: normal)", tailed,
                   normal, at_least=True)]
 
 

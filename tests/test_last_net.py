@@ -147,6 +147,13 @@ def test_errors_of_the_library_stay_what_they_are():
 
 
 @pytest.mark.parametrize("arguments", [
+    ("export", FILE), ("score", FILE), ("reproduce", "all"), ("simulate", "fan")])
+def test_two_dashes_are_no_name_of_a_file(arguments, capsys):
+    assert main([*arguments, "-o=--"]) == 2
+    assert "-o/--out: expected one argument, got '--'" in one_line(capsys)
+
+
+@pytest.mark.parametrize("arguments", [
     ("export", FILE), ("fan", FILE), ("simulate", "polarizer"), ("convert", FILE),
     ("reproduce", "all"), ("score", FILE), ("calibrate", "thresholds", FILE),
     ("soak",)], ids=lambda arguments: arguments[0])

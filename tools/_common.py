@@ -83,6 +83,12 @@ class UsageError(Exception):
 class OneLineParser(argparse.ArgumentParser):
     """An ArgumentParser whose error messages are one line."""
 
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        value = super()._get_values(action, arg_strings)
+        if value == [] and action.nargs is None:    # of --option=--, in Python 3.11
+            raise argparse.ArgumentError(action, "expected one argument, got '--'")
+        return value
+
     def error(self, message: str) -> NoReturn:
         """Raise UsageError instead of printing the whole usage."""
         asked = re.match(r"unrecognized arguments: (--[^\s=]+)", message)
