@@ -32,7 +32,7 @@ class Panel:
 
 
 class PanelSheet:
-    """Draw the same sheets as `tile` of `panel`s, reusing memory.
+    """Draw the sheets that `tile` makes of panels, but reuse memory.
 
     Allocating memory for each picture of a video would take several times as long as
     drawing it.
