@@ -111,7 +111,7 @@ class ArrayWriter:
 
 
 class ArrayReader:
-    """Read arrays that `ArrayWriter`s of other processes wrote.
+    """Read arrays that an `ArrayWriter` of another process wrote.
 
     Files stay open until the context is left.
     """
