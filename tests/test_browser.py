@@ -178,7 +178,8 @@ def test_the_page_works_over_tls(browser, recording, tmp_path):
     with serve(recording, host="0.0.0.0", port=0, context=context, **OPTIONS
                ) as running, browser.new_page(ignore_https_errors=True) as page:
         page.set_default_timeout(PATIENCE_MS)
-        page.goto(f"https://127.0.0.1:{running.port}/?token={running.token}")
+        assert page.goto(
+            f"https://127.0.0.1:{running.port}/?token={running.token}").ok
         drawn(page, 1)
         page.keyboard.press("ArrowRight")
         drawn(page, 2)
