@@ -171,6 +171,20 @@ def test_a_file_plays_seeks_and_steps(served, recording):
     assert status["index"] == status["count"] - 1
 
 
+def test_a_seek_that_follows_the_last_image_is_not_played_on_from(served):
+    show = served.show
+    number, _ = show.latest(0, PATIENCE_S)
+    last = number + show.status()["count"] - 1
+    show.command("speed", 0.5)              # 33 ms after the last image: none is due
+    show.command("play", None)
+    while number < last:
+        number, image = show.latest(number, PATIENCE_S)
+        assert image is not None
+    show.command("seek", 3)
+    assert not show.status()["playing"]
+    assert show.status()["index"] == 3
+
+
 def test_method_rate_and_region_can_be_changed(served):
     assert command(served, "method", "frames")[1]["method"] == "frames"
     assert command(served, "fps", 30)[1]["fps"] == 30

@@ -326,13 +326,7 @@ class FileShow(Show):
                     due = time.monotonic()
                 if self._closed:
                     return
-            try:
-                more = self._next()
-            except _FAILURES as error:
-                more, self._error = False, str(error)
-            if not more:
-                self._set_paused()
-                continue
+            self._play_next()
             due = max(due + 1 / ((self._cursor.fps or DEFAULT_FPS) * self._speed),
                       time.monotonic() - 0.1)
             with self._change:
@@ -340,9 +334,22 @@ class FileShow(Show):
                     lambda: self._closed or not self._playing,
                     max(due - time.monotonic(), 0))
 
-    def _set_paused(self) -> None:
-        with self._change:
-            self._playing = False
+    def _play_next(self) -> None:
+        """Show the next image if still playing; pause with the last one.
+
+        The cursor is held meanwhile, so that a seek that follows the last image finds
+        the player paused, and one that follows a pause is not played on from.
+        """
+        with self._moving:
+            if not self._playing:
+                return
+            try:
+                more = self._next() and self._cursor.index < self._count
+            except _FAILURES as error:
+                more, self._error = False, str(error)
+            if not more:
+                with self._change:
+                    self._playing = False
 
     def _own_status(self) -> dict[str, Any]:
         return {"playing": self._playing, "speed": self._speed,
