@@ -20,7 +20,7 @@ def apart(a, b):
     return np.abs((a - b + np.pi / 2) % np.pi - np.pi / 2)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 150), st.integers(0, 99), st.integers(0, 3), st.booleans(),
        st.sampled_from([SHAPE, (2, 2), (1, 1), (3, 9)]),
        st.sampled_from([0, 1_600_000_000_000_000]), st.sampled_from([0.5, 8.0]))

@@ -36,7 +36,7 @@ def recordings(draw):
     return events, frames_of(mids), read
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(recordings(), st.sampled_from(OPTIONS), st.booleans(),
        st.sampled_from([0.5, 1.6, 30.0]))
 def test_it_equals_float64_evaluation_of_the_equations(stream, options, maps, cutoff):
@@ -68,7 +68,7 @@ def test_busy_pixels_stay_within_the_tolerance(options):
                                exact.read(3_000_000), atol=1e-4, rtol=0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(recordings(), st.sampled_from(OPTIONS), st.lists(st.integers(0, 400)))
 def test_how_the_stream_is_cut_changes_no_bit(stream, options, cuts):
     events, frames, read_us = stream

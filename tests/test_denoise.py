@@ -19,7 +19,7 @@ def recorded(scene, seconds=2.0, **pixel):
     return np.concatenate([packet.events for packet in recording.packets()])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 400), st.integers(0, 99), st.integers(1, 4),
        st.sampled_from([10_000, 60_000]), st.integers(0, 60),
        st.sampled_from([(7, 9), (6, 6), (1, 1), (2, 5)]),

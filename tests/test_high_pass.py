@@ -19,7 +19,7 @@ def make(shape=SHAPE, on=0.2, off=0.25, **options):
     return EventHighPass(shape, theta_on=on, theta_off=off, **options)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 200), st.integers(0, 99), st.integers(0, 5), st.booleans(),
        st.sampled_from([SHAPE, (2, 2), (1, 1), (3, 9)]),
        st.sampled_from([0, 1_600_000_000_000_000]), st.booleans())

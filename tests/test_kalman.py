@@ -66,7 +66,7 @@ def recordings(draw):
     return events, frames, waves, stop
 
 
-@settings(max_examples=90, deadline=None)
+@settings(max_examples=90)
 @given(recordings(), st.sampled_from(["buffered", "causal", "offline"]), st.booleans(),
        st.sampled_from(BANDWIDTHS), st.sampled_from([0.0, 0.035]),
        st.sampled_from([0, 7, 30_000, 49_000, 400_000]),

@@ -40,7 +40,7 @@ def waves_of(recording):
     return list(tracker.push(events_of(recording)))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 99), st.sampled_from([0, 1]), st.integers(1, 4),
        st.sampled_from([0, -(10**9), 1_600_000_000_000_000]), st.integers(0, 1),
        st.sampled_from([0.0, 80.0]))

@@ -52,7 +52,7 @@ def make(shape=(6, 8), on=0.16, off=0.18, **options):
     return EventRedundancy(shape, theta_on=on, theta_off=off, **options)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10**6), st.sampled_from([(2, 2), (5, 4), (4, 7)]),
        st.integers(0, 60), st.sampled_from([0.0, 0.02, 0.5]))
 def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):

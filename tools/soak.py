@@ -246,7 +246,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--hours", type=positive, default=24.0,
                         help="hours of stream time, default 24")
     parser.add_argument("--minutes", type=positive,
-                        help="seconds of stream time, instead of --hours")
+                        help="minutes of stream time, instead of --hours")
     parser.add_argument("--paced", action="store_true",
                         help="in real time instead of as fast as possible")
     parser.add_argument("--methods", metavar="M,M", help="default all")
