@@ -8,6 +8,7 @@ import pytest
 import pdavis_cv
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
 from pdavis_cv.tools import reproduce
+from pdavis_cv.tools.reproduce import command, robustness
 from pdavis_cv.tools.reproduce.page import pivot
 from pdavis_cv.tools.reproduce.run import SHOWN, Row, Take, score
 
@@ -177,6 +178,32 @@ def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
         tmp_path / "all-fan.png").stat().st_mtime_ns
     again = [row for row in rows_of(stem) if row["method"] == "frames"]
     assert again == mine
+
+
+@pytest.mark.parametrize(("quick", "of_figures", "of_table"), [
+    ([], tuple(range(1, 11)), robustness.SEEDS),
+    (["--quick"], (1,), robustness.QUICK_SEEDS),
+    (["--seeds", "4", "7"], (4, 7), (4, 7))])
+def test_each_figure_of_all_has_its_own_specimens(
+        tmp_path, monkeypatch, quick, of_figures, of_table):
+    asked = {}
+
+    def made(stems, settings, make):
+        for name in ("fig2", "fig3", "fig4a", "robustness"):
+            monkeypatch.setitem(command.EXPERIMENTS, name, (
+                "", lambda name, stem, settings: asked.setdefault(name, settings)))
+            make(name, stems[name], settings)
+        raise InterruptedError
+
+    monkeypatch.setattr(command.together, "made", made)
+    settings = command.settings_of(["all", "-o", str(tmp_path / "x"), *quick])
+    with pytest.raises(InterruptedError):
+        command.EXPERIMENTS["all"][1]("all", tmp_path / "x", settings)
+    assert asked["fig2"].seeds == asked["fig3"].seeds == of_figures
+    assert len({start for _, start in asked["fig3"].specimens}) == len(of_figures)
+    assert asked["robustness"].seeds == of_table
+    assert asked["robustness"].step_us == robustness.STEPS_US["--quick" in quick]
+    assert asked["fig4a"].starts_deg == (17.0,)
 
 
 @pytest.mark.gate

@@ -333,7 +333,12 @@ _STEPS_US = 1013, 5077  # no frame clock divides them
 
 
 def _own(name: str, settings: Settings) -> Settings:
-    """Fill in what was left to a figure: specimens, start angles, interval."""
+    """Fill in what was left to a figure: specimens, start angles, interval.
+
+    Settings of all figures are left as they are: each fills in its own.
+    """
+    if name == "all":
+        return settings
     seeds: tuple[int, ...] = (1,)
     steps, starts = _STEPS_US, Settings.starts_deg
     if name in rotation.SCENES:
