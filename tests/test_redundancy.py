@@ -423,12 +423,9 @@ def test_parameters_of_the_other_kind_are_refused():
 
 def test_at_the_end_of_a_recording_comparisons_go_on_up_to_the_time_read():
     """Reading changes nothing, and gives what a later event elsewhere would bring."""
-    rng = np.random.default_rng(3)
-    t = np.sort(rng.integers(0, 400_000, 4000))
-    events = np.zeros(len(t), EVENT_DTYPE)
-    events["t"], events["x"], events["y"] = t, rng.integers(0, 4, len(t)), 1
-    events["y"] -= rng.integers(0, 2, len(t)).astype(np.uint16)
-    events["p"] = rng.integers(0, 2, len(t))
+    recording, _ = Camera.preset("ideal", size=(2, 4), aps=None).record(
+        RotatingPlate(rpm=600), 0.4)
+    events = recording.events()
     at, ahead = 390_000, 100_000
     late = np.zeros(1, EVENT_DTYPE)
     late["t"], late["x"], late["y"] = at + ahead + 1, 6, 4
