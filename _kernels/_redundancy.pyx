@@ -49,7 +49,7 @@ cdef extern from *:
     /* A pixel that is farther from the prior than this many such errors (two sigma) is
        an outlier.  In the first period, light that contains fast and slow motion causes
        errors of 1.4 rms. */
-    #define FAR_ERRORS 2.0
+    #define FAR_ERRORS 1.7
     #define PART_LEAST 0.05         /* bounds the fraction of ON, and of OFF, events */
     #define GAIN_LEAST 0.02         /* least gain of a unit vector that counts as > 0 */
     #define ROUNDED 1e-14           /* an off-diagonal element below this is 0 */

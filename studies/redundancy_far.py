@@ -53,7 +53,7 @@ def study(quick: bool) -> list[Found]:
     """Print the distribution of the errors."""
     rng = np.random.default_rng(0)
     off = []
-    for _ in range(150 if quick else 2000):
+    for _ in range(600 if quick else 2000):
         on = signs(rng)
         one = errors_off(on) if len(on) > 8 else None
         off += [] if one is None else [one]
@@ -63,7 +63,7 @@ def study(quick: bool) -> list[Found]:
     code = re.search(r"#define FAR_ERRORS ([\d.]+)", text)
     if code is None:
         raise LookupError("_redundancy.pyx must define FAR_ERRORS, found none")
-    return [Found("FAR_ERRORS", float(most), float(code.group(1)), 0.15)]
+    return [Found("FAR_ERRORS", float(most), float(code.group(1)), 0.1)]
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ class Macropixel:
         part = np.clip(slope, 0.05, 0.95)
         before = np.log(self.prior[i, 0] / self.prior[i, 1])
         shift = np.log((1 - part) / part) - before
-        believed = max(shift**2 - (2 * error)**2, self.sigma**2)
+        believed = max(shift**2 - (1.7 * error)**2, self.sigma**2)
         ratio = np.exp(before + shift * believed / (believed + error**2))
         self.theta[i] = total * ratio / (1 + ratio), total / (1 + ratio)
 

@@ -28,7 +28,6 @@ from pdavis_cv.reconstruct.tracks import (
     as_bytes,
 )
 from pdavis_cv.recording.base import ApsFrame
-from pdavis_cv.sensor import NOMINAL_THRESHOLDS, THRESHOLD_SIGMA
 
 __all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "EventRedundancy"]
 
@@ -44,9 +43,10 @@ WINDOW = 75.0
 which it had an event."""
 MEMORY = 3000.0
 """Memory of a pixel's balance of ON and OFF events, in events (decay by 1/e)."""
-RATIO_SIGMA = math.sqrt(2) * THRESHOLD_SIGMA / NOMINAL_THRESHOLDS[0]
-"""Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel, 0.25: that
-of two independent thresholds with the prior spread of `kalman` at the usual biases."""
+RATIO_SIGMA = 0.1
+"""Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel: the
+geometric mean of 0.05 (3.5 % of each threshold, Brandli et al. 2014) and 0.21 (15 %,
+the default of v2e, Hu et al. 2021)."""
 PULL = 1e-3
 """Ridge weight pulling the gains towards equal mean square, as relative variance."""
 VALID_QUALITY = 0.3
