@@ -158,6 +158,19 @@ def test_what_no_clock_reaches_is_dropped_and_counted():
     assert [p.kind for p in log.problems] == ["segment", "backward time"]
 
 
+def test_a_time_before_all_clocks_is_dropped_and_counted():
+    """To move it behind what came before it would need more than 64 bits."""
+    events = random_events(10, (8, 8), read_only=False)
+    early = events.copy()
+    early["t"] = -2**63
+    log = ProblemLog("test")
+    given = list(in_order(iter([
+        Packet(events), Packet(early),
+        Packet(moved_events(events, int(events["t"][-1])))]), log))
+    assert [len(packet.events) for packet in given] == [10, 10]
+    assert [p.kind for p in log.problems] == ["backward time"]
+
+
 def test_a_stream_s_problems_are_counted_and_not_kept():
     late = [Packet(random_events(20, (8, 8), seed=seed)) for seed in range(50)]
     log = ProblemLog("test")

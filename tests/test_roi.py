@@ -84,7 +84,8 @@ def test_empty_regions_are_refused():
         Roi.from_polygon([(3, 3), (3.2, 3), (3.2, 3.2)]).mask(SENSOR)
 
 
-@pytest.mark.parametrize("text", ["1,2,3", "a=1,2", "1;2;3", "x=1.5,2,3,4", "nothing"])
+@pytest.mark.parametrize("text", ["1,2,3", "a=1,2", "1;2;3", "x=1.5,2,3,4",
+                                  "inf,0,2,2", "nan,0,2,2", "nothing"])
 def test_texts_that_name_no_region_are_refused(text):
     with pytest.raises(ValueError, match=r"^roi must"):
         parse_roi(text)

@@ -200,7 +200,7 @@ def parse_roi(text: str) -> list[Roi]:
     except ValueError:
         corners = []
     if len(corners) == 1 and len(corners[0]) == 4:
-        if any(v != int(v) for v in corners[0]):
+        if not all(v.is_integer() for v in corners[0]):
             raise ValueError(
                 f"roi must have whole numbers x,y,width,height, got {text!r}")
         x, y, width, height = (int(v) for v in corners[0])

@@ -18,6 +18,8 @@ WINDOW_S = 10.0
 """Window in which the smallest delay is searched, s; the window before it counts too.
 A crystal that is 50 ppm off drifts by 0.5 ms in it, less than the jitter of USB."""
 
+_OUT_OF_REACH = "packets were dropped because no clock reaches their time"
+
 
 class HostClock:
     """Relates the device's clock to the host's, by the smallest delay seen.
@@ -112,14 +114,16 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
         first = packet.until_us if packet.start_us is None else packet.start_us
         if first is None:
             continue
+        if first <= -FAR:       # what it would be moved by does not fit 64 bits
+            log.add("backward time", None, _OUT_OF_REACH)
+            continue
         if last is not None and last - first - offset > SEGMENT_US:
             offset += timeline.move(jumps, last - first - offset)
             jumps += 1
             log.add("segment", None, "the device's clock was reset: what follows is "
                     "moved to follow what came before", start_us=last)
         if _latest(packet) + offset >= FAR:
-            log.add("backward time", None, "packets were dropped because no clock "
-                    "reaches their time")
+            log.add("backward time", None, _OUT_OF_REACH)
             continue
         if offset:
             packet = moved(packet, offset)
