@@ -1,5 +1,8 @@
-/* One step of the event pixels that a video frame leaves in peace, by rows of floats;
-   the others are marked.  The mathematics is in _pixel.pxd. */
+/* One interval of the event pixels in front of a video, by rows of floats.
+
+   Pixels that certainly make no event in the interval are done here; the others are
+   marked and solved for in groups, or left to `interval` in _pixel.pxd, whose
+   mathematics this follows. */
 #ifndef PDAVIS_CV_FILM_H
 #define PDAVIS_CV_FILM_H
 
@@ -7,37 +10,40 @@
 
 typedef struct {
     float dark;             /* DN/ms */
-    float faint;            /* the least light that has a log, DN/ms */
-    float w0, w1;           /* end value of the filter for 1 and x */
+    float faint;            /* lower bound of the light, DN/ms; log 0 is undefined */
+    float w0, w1;           /* the filter's end value for the inputs 1 and x */
     float soon;             /* end of the interval, us, rounded up */
-    int32_t unfiltered;
-    int32_t single;         /* whether a crossing may be found without `interval` */
-    double t0, h, t1;       /* the interval, us */
-    double phi;             /* its length in time constants */
+    int32_t unfiltered;     /* 1: no low-pass */
+    int32_t single;         /* 1: film_solve may find a crossing, without `interval` */
+    double t0, h, t1;       /* beginning, length and end of the interval, us */
+    double phi;             /* length of the interval in time constants */
 } film_t;
 
 enum {
     GROUP = 64,             /* pixels per call of film_solve */
-    PEACE = 0, OFF = 1, ON = 2, MORE = 3
+    /* Outcome: no event, one event, or undecided, so that `interval` has to decide. */
+    NO_EVENT = 0, OFF = 1, ON = 2, UNDECIDED = 3
 };
 
-/* Pixels that are looked at. */
+/* Pixels that may make an event. */
 typedef struct {
-    double ref[GROUP];      /* log light that the comparator remembers */
-    double since[GROUP];    /* us, when that was; it falls by leak from then on */
-    double release[GROUP];  /* us, end of the refractory period */
-    double noise_t[GROUP];  /* us, next candidate of shot noise */
+    double ref[GROUP];      /* log light memorised by the comparator */
+    double since[GROUP];    /* its time, us; the memory falls by leak from then on */
+    double release[GROUP];  /* end of the refractory period, us */
+    double noise_t[GROUP];  /* next candidate of a noise event, us */
     double on[GROUP], off[GROUP], leak[GROUP];
     double level[GROUP], last[GROUP];   /* filtered log light at both ends */
     double v0[GROUP], v1[GROUP];        /* log light at both ends */
-    double at[GROUP];       /* us, of the crossing */
-    int64_t verdict[GROUP]; /* PEACE, one crossing (OFF or ON), or MORE to find out */
+    double at[GROUP];       /* time of the crossing, us */
+    int64_t outcome[GROUP]; /* NO_EVENT, OFF, ON or UNDECIDED */
+    /* Up to this time (us) there is no event while the filtered log light stays between
+       low and high. */
     float low[GROUP], high[GROUP], until[GROUP];
 } film_group_t;
 
 /* Natural log of a positive, normal x, to 2e-7.
 
-   The mantissa is taken to sqrt(1/2)..sqrt(2); then Cephes' polynomial (logf.c). */
+   The mantissa is scaled to sqrt(1/2)..sqrt(2); the polynomial is Cephes' (logf.c). */
 PDAVIS_INLINE float log32(float x)
 {
     int32_t bits = bits_of(x), k = (bits - 0x3f3504f3) >> 23;
@@ -57,10 +63,10 @@ PDAVIS_INLINE float log32(float x)
     return m + y + e * 0.693359375f;
 }
 
-/* Write the places of n marks, each 0 or 1; return how many are 1.
+/* Write the indices of those of n marks (0 or 1) that are 1; return their number.
 
-   marks holds zeros up to the next multiple of eight. */
-static PDAVIS_UNUSED ptrdiff_t film_places(
+   marks must hold zeros from n up to the next multiple of eight. */
+static PDAVIS_UNUSED ptrdiff_t film_indices(
     const uint8_t *marks, ptrdiff_t n, int32_t *places)
 {
     ptrdiff_t found = 0, i, k;
@@ -82,9 +88,10 @@ static PDAVIS_UNUSED ptrdiff_t film_places(
 
 /* Light, its log v and the filtered log (level) of n pixels at the frame's time.
 
-   level and v are overwritten; old_level and old_v receive what they were.  A pixel is
-   busy unless, until the interval's end, level certainly stays between low and high: both its ends lie
-   there, and either it goes one way or the light it follows lies there too. */
+   level and v are overwritten; old_level and old_v receive their former values.  busy
+   receives 0 for pixels whose level certainly stays between low and high during the
+   interval: it lies there at both ends and is either monotonic, or follows a light that
+   lies there at both ends too. */
 PDAVIS_CLONES PDAVIS_UNUSED static void film_row(
     const film_t *film, ptrdiff_t n, const float *restrict i0,
     const float *restrict i45, const float *restrict i90, const float *restrict i135,
@@ -156,12 +163,12 @@ PDAVIS_INLINE double pick64(int64_t mask, double where_set, double where_not)
 }
 
 #define FILM_NEVER 3e38         /* us, beyond any time */
-#define FILM_DRIFT 0.03         /* thresholds that leak may move before a look */
-#define FILM_MARGIN 4e-6        /* ln units, for the rounding of levels up to 32 */
-#define FILM_ROUNDING 2e-7      /* of a time to float, relative */
+#define FILM_DRIFT 0.03         /* part of a threshold by which leak may lower ref */
+#define FILM_MARGIN 4e-6        /* ln units; above the rounding of levels up to 32 */
+#define FILM_ROUNDING 2e-7      /* relative error of a time rounded to float */
 
-/* How long, and between which levels, a pixel needs no look from t1 on, when it
-   remembers ref.  The margins are wider than the rounding to floats. */
+/* Levels (low, high) and time (until) within which a pixel that memorises ref at t1
+   makes no event.  The margins exceed the rounding to floats. */
 PDAVIS_INLINE void film_rest(
     double ref, double on, double off, double leak, double release, double noise_t,
     double t1, float *low, float *high, float *until)
@@ -175,8 +182,9 @@ PDAVIS_INLINE void film_rest(
     *until = (release > t1) | (stop < t1) ? -1.0f : (float)till;
 }
 
-/* A step of Chebyshev's method for a e^(-phi s) + p + q s = aim, s in 0..1; return what
-   it leaves. */
+/* One step of Chebyshev's method for a e^(-phi s) + p + q s = aim, s in 0..1.
+
+   Returns an estimate of the error that is left. */
 PDAVIS_INLINE double refine(
     double *at, double aim, double a, double p, double q, double phi)
 {
@@ -190,10 +198,10 @@ PDAVIS_INLINE double refine(
     return step * (2 * turn * turn + step * step);
 }
 
-/* Decide about n pixels, find crossings of those with one, and what all may rest.
+/* Outcome of n pixels, time of the crossing where there is one, and their next bounds.
 
-   The filtered log of light whose log is linear is a e^(-phi s) + p + q s; where its
-   slope has the same sign at both ends, it has no turning point between them. */
+   If the log of the light is linear, the filtered one is a e^(-phi s) + p + q s.  It
+   has no turning point in the interval if its slope has one sign at both ends. */
 PDAVIS_CLONES PDAVIS_UNUSED static void film_solve(
     const film_t *film, ptrdiff_t n, film_group_t *g)
 {
@@ -217,7 +225,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void film_solve(
         int64_t up = -(int64_t)(end >= top), one, k;
         one = single & one_way & (level > bottom) & (level < top)
             & (end < top + on) & (end > bottom - off);
-        /* From the root of the parabola with the values and the first slope. */
+        /* Start from the root of the parabola through both ends with the slope sa. */
         aim = pick64(up, top, bottom);
         way = aim - level;
         bend = sa * sa + 4 * (end - level - sa) * way;
@@ -232,9 +240,9 @@ PDAVIS_CLONES PDAVIS_UNUSED static void film_solve(
         left = left < 0 ? -left : left;
         one &= calm & (left < tolerance) & (s >= 0) & (s <= 1);
         calm &= inside & (one_way | turns | !filtered);
-        /* PEACE = 0, OFF = 1, ON = 2, MORE = 3 */
-        k = (calm - 1) & (MORE + (-one & (OFF - MORE - up)));
-        g->verdict[i] = k;
+        /* NO_EVENT if calm, else OFF or ON if there is one crossing, else UNDECIDED. */
+        k = (calm - 1) & (UNDECIDED + (-one & (OFF - UNDECIDED - up)));
+        g->outcome[i] = k;
         g->at[i] = t0 + s * h;
         one = -(one & (calm ^ 1));
         ref += pick64(one, pick64(up, on, -off), 0);

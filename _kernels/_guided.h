@@ -1,7 +1,7 @@
 /* Row functions of guided demosaicing (see _guided.pyx): one image row per call.
 
-   Rows of samples and of terms have two floats of room at either end, in which they are
-   mirrored without repeating the end itself, so that columns keep their channel. */
+   Rows of samples and of terms have room for two more floats at either end.  There they
+   are mirrored without repeating the end itself, so that columns keep their channel. */
 #ifndef PDAVIS_CV_GUIDED_H
 #define PDAVIS_CV_GUIDED_H
 
@@ -22,7 +22,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_columns(
 }
 
 /* A row's 3x3 means, and the three differences as 3x3 sums: between columns, between
-   rows, between diagonals.  sum and difference are as above; down is 1 or -1 in even and
+   rows, between diagonals.  sum and difference are as above; down is 1 in even and -1 in
    odd rows. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_differences(
     const float *restrict sum, const float *restrict difference, float down,
@@ -43,10 +43,10 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_differences(
 
 /* Inverse error variances of the three differences, up to a common factor.
 
-   A difference errs by what the intensity changes along its axis: across is the part of
-   the other axis' change that counts too, floor the least variance relative to the
-   squared mean.  trust is 1 where all nine samples are usable, else so small that it
-   counts only where none is. */
+   The error of a difference is taken as the change of intensity along its axis, plus
+   the part `across` of the change along the other axis; floor is the lower bound of the
+   variance relative to the squared mean.  trust is 1 if all nine samples are usable,
+   otherwise so small that it matters only if no sample of the window is. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_weights(
     const float *restrict up2, const float *restrict up1, const float *restrict own,
     const float *restrict down1, const float *restrict down2,
@@ -85,10 +85,11 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_terms(
     }
 }
 
-/* The terms of the fit of what the first fit left, and its weighted square.
+/* The terms of the fit of the first fit's residual, and its weighted square.
 
-   To the square comes its variance by noise of the samples: variance is theirs, relative
-   to their square, and 9/64 the sum of a 3x3 difference's squared factors. */
+   The variance of the residual by noise is added to the square: variance is that of the
+   samples relative to their squares, and 9/64 = 0.140625 is the sum of the squared
+   weights of a 3x3 difference. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_residual(
     const float *restrict difference, const float *restrict mean,
     const float *restrict weight, const float *restrict part,
@@ -107,7 +108,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_residual(
 /* The window (1, 5, 8, 5, 1), not normalized. */
 #define PDAVIS_WINDOW(a, b, c, d, e) (((a) + (e)) + 5.0f * ((b) + (d)) + 8.0f * (c))
 
-/* Along a row. */
+/* Apply the window along a row. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_window(
     const float *restrict in, ptrdiff_t w, float *restrict out)
 {
@@ -115,8 +116,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_window(
         out[x] = PDAVIS_WINDOW(in[x - 2], in[x - 1], in[x], in[x + 1], in[x + 2]);
 }
 
-/* Down five rows of products and powers: the windowed power, and the part of the mean
-   that a difference is. */
+/* Apply the window down five rows.  total: sum of w G^2; part: the first fit a, the
+   ratio of a difference to the mean (a_1 in docs/theory/demosaicing.md). */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_fit(
     const float *const *product, const float *const *power, ptrdiff_t w,
     float *restrict total, float *restrict part)
@@ -133,11 +134,11 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_fit(
     }
 }
 
-/* Add the fit of what was left to the first one, as far as it coheres over the window:
-   times gain and the share of the residual's energy that the fit explains, at most.
+/* Add the fit of the residual to the first fit, multiplied by gain and by the fraction
+   of the residual's energy that it explains; this factor is at most `most`.
 
-   least receives what neither explains, relative to the squared mean, where that is
-   less than it holds: of three differences, that which edges disturb the least. */
+   least receives the minimum of its value and of the energy that both fits leave,
+   relative to the squared mean: that of the difference least disturbed by edges. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_refine(
     const float *const *product, const float *const *energy,
     const float *restrict total, const float *restrict first, float gain, float most,
@@ -160,9 +161,10 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_refine(
     }
 }
 
-/* What the sample itself tells of the mean at its pixel, less the 3x3 mean, and the
-   square of that times trust.  additive is the weight of the law "difference as in the
-   3x3 mean" against "difference in proportion to the mean that is here"; down as above. */
+/* Mean of the channels at a pixel from its own sample, less the 3x3 mean (detail), and
+   trust times the square of that.  additive is the weight of the model that differences
+   equal their 3x3 values, against the model that they are proportional to the mean at
+   the pixel; down as above. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_detail(
     const float *restrict own, const float *restrict mean, const float *restrict part_x,
     const float *restrict part_y, const float *restrict part_d, float down,
@@ -190,9 +192,10 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_beside(
 }
 
 /* Four channels of a row, by place in the cell, from its 3x3 means, the detail of the
-   mean and the differences' parts of it.  The detail is taken as far as its mean square
-   nearby (power over trust, each summed along three rows) exceeds that of noise: noise
-   times the relative variance that the differences show. */
+   mean, and the ratios of the differences to it.  The detail is multiplied by
+   1 - N / D, at least 0 (a Wiener filter): D is its mean square over 3x3 pixels (power
+   over trust, each summed along three rows), N the variance of noise in it, taken as
+   noise times the relative variance that the fits left of the differences. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_row(
     const float *restrict mean, const float *restrict detail, const float *const *power,
     const float *const *trust, const float *restrict least, float noise,

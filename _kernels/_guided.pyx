@@ -1,13 +1,14 @@
 """Guided demosaicing.
 
-A sample is mean + X(x) cx + Y(y) cy + X(x) Y(y) cd, X and Y being 1 at even and -1 at
-odd columns and rows: the mean of the four channels and their three differences, by
-place in the cell.  3x3 sums tell all four, blurred (they are bilinear interpolation).
-What each difference is in proportion to the mean is fitted in a 5x5 window, the 3x3
-sums weighted by how little the intensity changes along its axis; what that fit leaves
-is fitted once more and added as far as it coheres, which keeps detail of the
-polarization; and the sample itself then tells the mean at its own pixel, as far as it
-differs from the 3x3 mean by more than noise.
+A sample is m = G + X cx + Y cy + X Y cd, with X and Y +1 in even and -1 in odd columns
+and rows, the mean G of the four channels and their three differences c by place in the
+cell.  3x3 sums give all four, blurred, which is bilinear interpolation.
+
+The ratio of each difference to the mean is fitted by least squares in a 5x5 window with
+weights that decrease with the change of intensity along the difference's axis.  The
+residual is fitted once more, and added as far as the fit explains it, which keeps
+detail of the polarization.  The sample itself then gives the mean at its own pixel, of
+which noise is filtered.  The equations are in docs/theory/demosaicing.md.
 """
 from libc.stdint cimport uint8_t
 
@@ -38,7 +39,7 @@ cdef extern from "_guided.h" nogil:
                     const float*, float, const float*, const float*, const float*,
                     Py_ssize_t, float*, float*, float*, float*)
 
-# As GUIDED_DTYPE in mosaic.py, which says what they are.
+# As GUIDED_DTYPE in mosaic.py, where the fields are explained.
 cdef packed struct guided_t:
     float floor
     float across
@@ -47,25 +48,26 @@ cdef packed struct guided_t:
     float additive
     float noise
 
-# Scratch rows.  Three differences each have a row where one is said.
+# Index of the first scratch row of each quantity, and how many image rows it keeps.
+# Quantities of a difference have so many rows for each of the three.
 cdef enum:
-    SAMPLES = 0       # of seven rows
-    MEANS = 7         # of six
-    DIFFERENCES = 13  # of three
-    WEIGHTS = 22      # of three
-    WINDOWED = 31     # products and powers, summed along five rows each
-    RESIDUAL = 61     # products and energies, likewise
-    TOTALS = 91       # of three
-    PARTS = 100       # of three
-    REFINED = 109     # of two
-    LEAST = 115       # of two
-    DETAIL = 117      # of two
-    POWER = 119       # of three, and as many of trust
+    SAMPLES = 0       # seven
+    MEANS = 7         # six
+    DIFFERENCES = 13  # three
+    WEIGHTS = 22      # three
+    WINDOWED = 31     # five of products and five of powers, windowed along the row
+    RESIDUAL = 61     # five of products and five of energies, likewise
+    TOTALS = 91       # three
+    PARTS = 100       # three
+    REFINED = 109     # two
+    LEAST = 115       # two
+    DETAIL = 117      # two
+    POWER = 119       # three, followed by three of trust
     SUM = 125
     DIFFERENCE = 126
     TRUST = 127
     VARIANCE = 128
-    TERM = 129        # two
+    TERM = 129        # two terms
     ROWS = 131
 
 
@@ -118,9 +120,10 @@ def guided(const pixel_t[:, ::1] mosaic not None,
            float[:, :, ::1] out not None):
     """Interpolate each channel of mosaic (h, w), sides >= 2, into out (4, h, w).
 
-    clean (h, w) is 1 where a sample and its eight neighbours are usable; empty: all
-    are.  variance (h, w) is the samples', relative to their squares; empty: unknown.
-    Every sample must be finite.  scratch is 131 * (w + 32) + 32 floats.
+    clean (h, w) is 1 where a sample and its eight neighbours are usable; if it is
+    empty, all are.  variance (h, w) is that of the samples relative to their squares,
+    or empty if unknown.  All samples must be finite.  scratch has 131 * (w + 32) + 32
+    floats.
     """
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, x, k, f, i
     cdef Py_ssize_t plane[4]

@@ -11,7 +11,7 @@ from libc.stdint cimport int32_t, int64_t
 from _kernels._estimate cimport doubted, holds, part_at, theta_squared
 from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
 from _kernels._lag cimport corner, lead
-from _kernels._lamp cimport lamp_of, lamp_t, lit
+from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t
 from _kernels._math cimport exp_f, log_f
 from _kernels._measure cimport (
     TERMS, TOGETHER, group_t, hand_over, measure, policy_of, policy_t)
@@ -92,7 +92,7 @@ cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t b
     """Integrate from begin to end, event by event; in short steps if a lamp flickers.
     """
     cdef double now = <double>begin, until
-    cdef bint flickers = lit(lamp, now, <double>end)
+    cdef bint flickers = lamp_flickers(lamp, now, <double>end)
     while True:
         until = <double>end
         if walk.next >= 0 and store[walk.next].t < end:
@@ -284,7 +284,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     if end <= begin:
         end = begin + 1
     if at_mid.t <= begin and (at_mid.next < 0 or store[at_mid.next].t >= end) and not (
-            lit(lamp, <double>begin, <double>end)):
+            lamp_flickers(lamp, <double>begin, <double>end)):
         # No event in the whole exposure: the light at its middle is the mean light.
         at_mid.n_on = at_mid.n_off = 0.0
         blur = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp, &h_on,

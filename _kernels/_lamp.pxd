@@ -1,22 +1,23 @@
-"""What a lamp's flicker adds to all log intensities at a time.  Inline only.
+"""Ripple that the flicker of a lamp adds to all log intensities.  Inline only.
 
-Time is cut into blocks of BLOCK_US from a start; each has a wave of its own: turns per
-microsecond, cosine and sine amplitude, phase 0 at the block's beginning, and whether
-it is that of the light, which a pixel passes on by its own corner frequency, or what
-all pixels pass on.
+Time is divided into blocks of BLOCK_US.  The ripple of a block is a sinusoid (`wave_t`)
+with its frequency in periods (turns) per microsecond, the amplitudes of its cosine and
+sine, and phase 0 at the beginning of the block.  The amplitudes are either those of the
+light, to which each pixel's low-pass is applied, or those behind the low-pass, which is
+then taken to be the same for all pixels (docs/theory/lamp.md).
 """
 from libc.stdint cimport int64_t
 
 from _kernels._model cimport wave_t
 
-# One wave holds for so long, microseconds: as BLOCK_US in reconstruct/lamp.py.
+# Length of a block, us: as BLOCK_US in reconstruct/lamp.py.
 cdef enum:
     BLOCK_US = 100000
 
 cdef struct lamp_t:
-    const wave_t* waves     # one a block
-    int64_t blocks
-    int64_t start
+    const wave_t* waves     # one per block
+    int64_t blocks          # number of blocks
+    int64_t start           # beginning of the first block, us
 
 
 cdef extern from *:
@@ -24,8 +25,8 @@ cdef extern from *:
     #include <stdint.h>
 
     #define TWO_PI 6.283185307179586        /* rad per turn */
-    #define TWO_PI_PER_US 6283185.307179586   /* a turn per microsecond, rad per s */
-    /* Taylor series of the sine about 0: these are 3!, 5!, ... 13!. */
+    #define TWO_PI_PER_US 6283185.307179586   /* one turn per us, in rad per s */
+    /* Taylor series of the sine about 0: the factorials 3!, 5!, ... 13!. */
     #define FACTORIAL_3 6.0         /* Taylor series, as above */
     #define FACTORIAL_5 120.0       /* Taylor series, as above */
     #define FACTORIAL_7 5040.0      /* Taylor series, as above */
@@ -48,7 +49,7 @@ cdef extern from *:
 
 
 cdef inline lamp_t lamp_of(const wave_t[::1] waves) noexcept nogil:
-    """Return the lamp of these waves, one per block, which must outlive it."""
+    """Return the lamp with these waves, one per block; it points into their memory."""
     cdef lamp_t lamp
     lamp.blocks = waves.shape[0]
     lamp.waves = NULL
@@ -60,7 +61,7 @@ cdef inline lamp_t lamp_of(const wave_t[::1] waves) noexcept nogil:
 
 
 cdef inline const wave_t* wave_at(const lamp_t* lamp, double t) noexcept nogil:
-    """Return the wave of the block of t, NULL if there is none."""
+    """Return the wave of the block that contains t, or NULL."""
     cdef double since = t - <double>lamp.start
     cdef int64_t block
     if lamp.blocks == 0 or since < 0.0:
@@ -69,8 +70,9 @@ cdef inline const wave_t* wave_at(const lamp_t* lamp, double t) noexcept nogil:
     return lamp.waves + block if block < lamp.blocks else NULL
 
 
-cdef inline bint lit(const lamp_t* lamp, double begin, double end) noexcept nogil:
-    """Tell whether the lamp flickers at either time."""
+cdef inline bint lamp_flickers(const lamp_t* lamp, double begin,
+                               double end) noexcept nogil:
+    """Return whether the lamp flickers in the block of either time."""
     cdef const wave_t* wave = wave_at(lamp, begin)
     if wave != NULL and wave.turns_per_us > 0.0:
         return True
@@ -86,15 +88,15 @@ cdef extern from *:
     #define PD_SELDOM
     #endif
 
-    /* The ripple of a wave (see lamp_t) turns after its block's beginning, and its
-       change per second, as a pixel passes it on whose corner frequency is hz; 0: as it
-       is.  Not inlined: where lamps are steady, that would slow everything down. */
+    /* Ripple, and its derivative (1/s), at a phase of `turns` since the beginning of
+       the block.  If of_light, the pixel's low-pass of corner frequency hz is applied
+       (hz = 0: no low-pass).  Not inlined, as that would slow down steady lamps. */
     static PD_SELDOM double pd_ripple(double turns_per_us, double cosine, double sine,
                                       int of_light, double turns, double hz,
                                       double *rate) {
         double c = pd_cos_turns(turns), s = pd_cos_turns(turns - 0.25);
         if (hz > 0 && of_light) {
-            /* Of e^(i w t), the low-pass leaves e^(i w t) / (1 + i lag). */
+            /* A low-pass turns e^(i w t) into e^(i w t) / (1 + i lag), lag = f / hz. */
             double lag = 1e6 * turns_per_us / hz, share = 1 / (1 + lag * lag), passed;
             passed = share * (c + lag * s);
             s = share * (s - lag * c);
@@ -111,9 +113,9 @@ cdef extern from *:
 
 cdef inline double ripple(const lamp_t* lamp, double hz, double t,
                           double* rate) noexcept nogil:
-    """Return the ripple in log intensity at t, and its change per second.
+    """Return the ripple of log intensity at t; its derivative (1/s) goes into rate.
 
-    As a pixel passes it on whose corner frequency is hz; 0: as it is.
+    hz is the corner frequency of the pixel's low-pass, 0 for none.
     """
     cdef const wave_t* wave = wave_at(lamp, t)
     cdef double since = t - <double>lamp.start

@@ -1,7 +1,9 @@
-"""Lamp on the mains: what flickers alike in all pixels, from events alone.
+"""Flicker of a mains lamp, a ripple common to all pixels, from events alone.
 
-Between the first and the last of three events of a pixel the light changes evenly, but
-for the lamp: where the middle one falls tells its wave, whatever the pixel sees.
+Of three successive events of a pixel, the middle one lies on a straight line between
+the others if the light changes linearly.  Its deviation is a linear function of the
+cosine and sine amplitudes of the ripple, whatever the pixel sees, so that least squares
+gives them (docs/theory/lamp.md).
 """
 from libc.stdint cimport int64_t
 
@@ -10,35 +12,43 @@ from _kernels._tracks cimport never
 from _kernels._types cimport event_t
 
 cdef enum:
-    # Of three events; where they are closer, the lamp does not show.
-    CLOSEST_US = 200
-    FURTHEST_US = 40000
+    # Bounds of the time from the first to the last of three events.  In a shorter time
+    # the ripple hardly changes, in a longer one the light does not change linearly.
+    SPAN_LEAST_US = 200
+    SPAN_MOST_US = 40000
+    # Time constants of the weight of three events: the length of even_us.
     SPANS = 3
+    # Frequencies: 100 and 120 Hz, and three quarters of both.
     RATES = 4
-    # Frequencies beside the mains', in both directions, so many a hertz.
+    # Grid of frequency offsets: STEPS on either side of the nominal one, PER_HZ per Hz.
     STEPS = 6
     PER_HZ = 10
+    # Number of doubles in normal_t.
     SUMS = 7
-    WHOLE_US = 200000
-    # Of every 2^15th macropixel there is at most one on any sensor.
+    # A common multiple of the periods of all RATES frequencies, us.
+    COMMON_PERIOD_US = 200000
+    # On any sensor there is at most one macropixel in 2^15.
     SHIFT_MOST = 15
 
 cdef extern from *:
     """
-    #define MAINS_50 100e-6     /* turns per us of a lamp: twice the mains' */
+    #define MAINS_50 100e-6     /* a lamp's periods per us: twice the mains frequency */
     #define MAINS_60 120e-6     /* the same for mains of 60 Hz */
-    #define BELOW 0.75          /* of these frequencies there is no lamp: what a wave of
-                                   it explains is motion */
-    #define PREFER 0.002        /* what a frequency at the end of the range costs, so
-                                   that equal fits give the mains' */
+    /* No lamp flickers at this fraction of these frequencies, so what a wave of that
+       frequency explains is due to motion. */
+    #define BELOW 0.75
+    /* Penalty of a frequency at the end of the grid, relative to what its wave
+       explains, so that equally good fits give the nominal frequency. */
+    #define NOMINAL_PREFERENCE 0.002
     """
     const double MAINS_50
     const double MAINS_60
     const double BELOW
-    const double PREFER
+    const double NOMINAL_PREFERENCE
 
 cdef struct normal_t:
-    # Normal equations of (cosine, sine): matrix, right side; sum of squares, number.
+    # Normal equations of (cosine, sine): three elements of the matrix, two of the right
+    # side; sum of squares of the left sides e; sum of weights.
     double cc
     double cs
     double ss
@@ -52,14 +62,15 @@ def lamp_push(const event_t[::1] events not None, int64_t until, sensor not None
               thresholds not None, const double[::1] even_us not None,
               const float[:, ::1] hz not None, int64_t[:, :, ::1] stamps not None,
               double[:, :, :, ::1] sums not None):
-    """Add the events of t < until to the sums; return the index of the first left.
+    """Add the events with t < until to sums; return the index of the first one left.
 
-    sensor is (h, w, shift), thresholds (on, off) in log intensity.  Of the macropixels
-    of the sensor, h x w, every 2**shift-th of every 2**shift-th row
-    counts.  stamps holds their pixels' last two events (2 t + p).  sums is (span,
-    frequency, place in the macropixel, `normal_t`), phase 0 at t = 0: of 100 and 120
-    Hz, then three quarters of them; even_us the time over which the light changes
-    evenly, by span; hz the pixels' corner frequencies, 0: they pass on all there is.
+    sensor is (h, w, shift): the sensor's size in pixels, of whose macropixels every
+    2**shift-th in every 2**shift-th row is used.  thresholds are (on, off) in log
+    intensity.  stamps holds the last two events (2 t + p) of the pixels used, hz their
+    corner frequencies (0: no low-pass).  even_us has the time constants of the weight,
+    us: the times over which the light is taken to change linearly.  sums has the axes
+    time constant, frequency (100 and 120 Hz, then three quarters of both), place in the
+    macropixel, and the doubles of `normal_t`; phase 0 is at t = 0.
     """
     cdef Py_ssize_t n = events.shape[0], i = 0, y, x, row, column, h, w
     cdef int shift, mask
@@ -102,7 +113,7 @@ cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double
     cdef double s, e, gap, span
     cdef double weight[SPANS]
     cdef int i
-    if never(a) or c - a < CLOSEST_US or c - a > FURTHEST_US:
+    if never(a) or c - a < SPAN_LEAST_US or c - a > SPAN_MOST_US:
         return
     gap = <double>(c - a)
     s = <double>(b - a) / gap
@@ -111,18 +122,18 @@ cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double
         span = gap / even_us[i]
         weight[i] = 1.0 / (1.0 + span * span * span * span)
     for i in range(RATES):
-        add_equation(turns_of(i), modulo(a, WHOLE_US), b - a, c - a, s, e, hz,
+        add_equation(turns_of(i), modulo(a, COMMON_PERIOD_US), b - a, c - a, s, e, hz,
                      weight, sums + i * 4 * SUMS)
 
 
 cdef inline double turns_of(Py_ssize_t which) noexcept nogil:
-    """Return a frequency, turns per microsecond; WHOLE_US holds all a whole number."""
+    """Return a frequency in periods per us."""
     cdef double turns = MAINS_50 if which % 2 == 0 else MAINS_60
     return turns if which < 2 else BELOW * turns
 
 
 cdef inline int64_t modulo(int64_t t, int64_t period) noexcept nogil:
-    """Return t in [0, period), whatever the division of negative numbers does."""
+    """Return t modulo period, in [0, period) for negative t as well."""
     return (t % period + period) % period
 
 
@@ -155,7 +166,7 @@ cdef inline void add_equation(double turns, int64_t a, int64_t b, int64_t c, dou
 
 
 cdef inline double explained(const normal_t* m, double* c, double* s) noexcept nogil:
-    """Solve the equations; return the part of the sum of squares that is explained."""
+    """Solve the normal equations; return the sum of squares that the wave explains."""
     cdef double cc = m.cc + 1e-6, ss = m.ss + 1e-6
     cdef double det = cc * ss - m.cs * m.cs
     c[0] = (ss * m.c - m.cs * m.s) / det
@@ -164,7 +175,7 @@ cdef inline double explained(const normal_t* m, double* c, double* s) noexcept n
 
 
 cdef inline void turned(const normal_t* m, double turns, normal_t* to) noexcept nogil:
-    """Add equations whose phase is so many turns further on."""
+    """Add normal equations to others whose phase 0 is that many turns earlier."""
     cdef double u = cos_turns(turns), v = cos_turns(turns - 0.25)
     to.cc += u * u * m.cc - 2.0 * u * v * m.cs + v * v * m.ss
     to.ss += v * v * m.cc + 2.0 * u * v * m.cs + u * u * m.ss
@@ -178,10 +189,11 @@ cdef inline void turned(const normal_t* m, double turns, normal_t* to) noexcept 
 cdef double common(const double[:, :, :, ::1] sums, Py_ssize_t which, double hz,
                    double* wave, double* apart, double* left,
                    double* n) noexcept nogil:
-    """Fit one wave, hz beside its mains, to all blocks; return what it explains.
+    """Fit one wave, hz off the nominal frequency, to all blocks.
 
-    apart is what a wave for each of the four places would explain beyond that, left
-    what neither does.
+    Returns the sum of squares that it explains.  apart receives what separate waves for
+    the four places of a macropixel would explain in addition, left the residual of
+    those, n the sum of weights.
     """
     cdef Py_ssize_t blocks = sums.shape[0], k, place
     cdef normal_t whole, one
@@ -203,11 +215,12 @@ cdef double common(const double[:, :, :, ::1] sums, Py_ssize_t which, double hz,
 
 def lamp_wave(const double[:, :, :, ::1] sums not None, int64_t t,
               double[::1] out not None):
-    """Fit a wave to the sums of the last blocks, the oldest first, for that from t on.
+    """Fit a wave to the sums of the last blocks, the oldest first; t is their end.
 
-    out receives turns per us, cosine and sine amplitude, phase 0 at t; then what the
-    wave explains, what one for each place would beyond that, what is left, the number,
-    and what one for each place of three quarters of the frequency would explain.
+    out receives the frequency (periods per us), the cosine and sine amplitudes with
+    phase 0 at t, and sums of squares: that which the wave explains, that which separate
+    waves for the four places would explain in addition, the residual, the sum of
+    weights, and that which separate waves of three quarters of the frequency explain.
     """
     cdef Py_ssize_t which, step, at
     cdef double wave[2]
@@ -224,9 +237,9 @@ def lamp_wave(const double[:, :, :, ::1] sums not None, int64_t t,
             for step in range(2 * STEPS + 1):
                 tried[step] = common(sums, which, (step - STEPS) / <double>PER_HZ, wave,
                                      &apart, &left, &n)
-                # A single block tells nothing of the frequency: then it is the mains'.
+                # With one block, all frequencies fit alike, and the nominal one wins.
                 hz = (step - STEPS) / <double>STEPS
-                tried[step] *= 1.0 - PREFER * hz * hz
+                tried[step] *= 1.0 - NOMINAL_PREFERENCE * hz * hz
                 if tried[step] > tried[at]:
                     at = step
             hz = (at - STEPS) / <double>PER_HZ
@@ -238,8 +251,8 @@ def lamp_wave(const double[:, :, :, ::1] sums not None, int64_t t,
             if here <= best:
                 continue
             best = here
-            # From phase 0 at 0 to phase 0 at t.
-            u = turns_of(which) * <double>modulo(t, WHOLE_US)
+            # Move phase 0 from time 0 to t.
+            u = turns_of(which) * <double>modulo(t, COMMON_PERIOD_US)
             out[0] = turns_of(which) + 1e-6 * hz
             v = cos_turns(u - 0.25)
             u = cos_turns(u)

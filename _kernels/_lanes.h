@@ -222,12 +222,12 @@ PDAVIS_INLINE void follow(shown_t *restrict g, const reader_t *restrict r, ptrdi
             g->narrow[i] = pd_exp((float)g->lag[i]);
         for (i = from; i < n; i++) {
             double u = g->lag[i], e = k * g->light[i] * g->narrow[i];
-            double f = hz + e * (1.0 + u), least = STIFF * (hz + e);
+            double f = hz + e * (1.0 + u), least = DERIVATIVE_LEAST * (hz + e);
             double by = u * (hz + e) - g->slope[i] * PER_TURN;
             f = f < least ? least : f;
             by /= f;
             u -= by;
-            u = u > RISE_MOST ? RISE_MOST : u < FALL_MOST ? FALL_MOST : u;
+            u = u > LAG_MOST ? LAG_MOST : u < LAG_LEAST ? LAG_LEAST : u;
             g->lag[i] = g->step[i] > 0.0 ? u : g->lag[i];
             g->step[i] = (by < CONVERGED) & (by > -CONVERGED) ? 0.0 : g->step[i];
         }
@@ -253,7 +253,7 @@ PDAVIS_INLINE void add_lag(shown_t *restrict g, const reader_t *restrict r, ptrd
         lost = lost > LOST_FROM ? LOST_SLOPE * (lost - LOST_FROM) : 0.0;
         e = k * g->narrow[i];
         d = hz + e * (1.0 + u);
-        least = STIFF * (hz + e);
+        least = DERIVATIVE_LEAST * (hz + e);
         d = d < least ? least : d;
         v = r->sigma * u * (hz + e);
         v = (PER_TURN * PER_TURN * g->rate_var[i] + v * v) / (d * d) + lost * lost;
@@ -282,8 +282,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void show_lanes(
     } else {
         for (i = from; i < n; i++) {
             double u = r->hz > 0.0 ? g->slope[i] * PER_TURN / r->hz : 0.0;
-            u = u > STRAIGHT_MOST ? STRAIGHT_MOST : u;
-            g->lag[i] = u < -STRAIGHT_MOST ? -STRAIGHT_MOST : u;
+            u = u > LINEAR_LAG_MOST ? LINEAR_LAG_MOST : u;
+            g->lag[i] = u < -LINEAR_LAG_MOST ? -LINEAR_LAG_MOST : u;
             g->light[i] = 0.0;
         }
     }

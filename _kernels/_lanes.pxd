@@ -1,4 +1,8 @@
-"""What does not change of moving pixels until their next event.  Inline only."""
+"""Constants of moving pixels between two events (`lanes_t`).  Inline only.
+
+Until its next event or sample, a pixel's estimate is a function of time and of
+constants, which `enter` computes and _lanes.h evaluates for a group of pixels at once.
+"""
 from libc.stdint cimport int64_t
 
 from _kernels._estimate cimport (
@@ -73,7 +77,11 @@ cdef inline reader_t reader_of(const tuning_t* tuning, int64_t t, int64_t known,
 cdef inline void enter(lanes_t* lanes, Py_ssize_t i, const walk_t* walk,
                        const state_t* s, int64_t epoch,
                        const tuning_t* tuning) noexcept nogil:
-    """Write a pixel's lane, its last event being the last that walk has passed."""
+    """Write the constants of a pixel to its lane, after the last event of walk.
+
+    Level and variance are quadratic in the part of a threshold crossed since that
+    event: v0 + part (v1 + part v2), from the covariance of (base, theta_on, theta_off).
+    """
     cdef double n_on = walk.n_on, n_off = walk.n_off, theta2 = theta_squared(s), u, v
     cdef double doubt = unheard(walk, s.sampled_us, tuning)
     v = doubt * (1.0 - doubt) + drift(epoch - s.sampled_us, n_on + n_off, tuning)

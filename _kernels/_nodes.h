@@ -1,28 +1,28 @@
-/* Light at the nodes of some pixels as event pixels need it, by rows of doubles. */
+/* Light of some pixels at the nodes of intervals, and its log, by rows of doubles. */
 #ifndef PDAVIS_CV_NODES_H
 #define PDAVIS_CV_NODES_H
 
 #include "_clones.h"
 
 enum {
-    NODES = 33,             /* of a block of intervals, at most */
-    BESIDE = 16             /* pixels at once: what is known of them fits a cache */
+    NODES = 33,             /* most nodes of a block of intervals */
+    BESIDE = 16             /* pixels at once, so that nodes_t fits a cache */
 };
 
-/* A pixel's nodes lie BESIDE apart. */
+/* The nodes of a pixel are BESIDE elements apart. */
 typedef struct {
     double light[NODES * BESIDE];   /* DN/ms, with the dark current */
     double slope[NODES * BESIDE];   /* per interval */
     double log[NODES * BESIDE];
     double rise[NODES * BESIDE];    /* slope of the log, per interval */
-    /* Where cutoff and leak are constant, of the interval that ends there: */
+    /* For the interval that ends there, if cutoff and leak are constant: */
     double level[NODES * BESIDE];   /* filtered log at its end */
-    double calm[NODES * BESIDE];    /* 1: with the leak it goes one way */
-    double drift[BESIDE];           /* by the leak, per interval */
-    double flat[BESIDE];            /* 1: light rests in some interval */
+    double monotonic[NODES * BESIDE];   /* 1: filtered log plus leak is monotonic */
+    double drift[BESIDE];           /* change by the leak per interval */
+    double flat[BESIDE];            /* 1: the light is constant in some interval */
 } nodes_t;
 
-/* The photoreceptor's filter: as config_t in _pixel.pxd. */
+/* The photoreceptor's low-pass: fields as in config_t of _pixel.pxd. */
 typedef struct {
     double phi, e, w0, w1, w2, w3;
 } nodes_filter_t;
@@ -54,7 +54,7 @@ PDAVIS_INLINE double nodes_log(double x)
         (half - (s * (half + r) + dk * 1.90821492927058770002e-10)) - f);
 }
 
-/* What n pixels see at one node: what is fainter than `faint` is that, and at rest. */
+/* Light of n pixels at one node.  Light below `faint` becomes `faint`, with slope 0. */
 PDAVIS_CLONES PDAVIS_UNUSED static void nodes_row(
     ptrdiff_t n, double dark, double faint, const double *restrict seen,
     const double *restrict change, double *restrict light, double *restrict slope,
@@ -71,13 +71,14 @@ PDAVIS_CLONES PDAVIS_UNUSED static void nodes_row(
     }
 }
 
-/* Filtered log light of n pixels at the end of the interval from one node, 0, to the
-   next, 1; the operations are those of begin, end_level and quiet in _pixel.pxd. */
+/* Filtered log light of n pixels at the end of the interval between two nodes.
+
+   The operations are those of begin, end_level and no_crossing in _pixel.pxd. */
 PDAVIS_CLONES PDAVIS_UNUSED static void nodes_level_row(
     ptrdiff_t n, const nodes_filter_t *filter, const double *restrict drift,
     const double *restrict light, const double *restrict slope,
     const double *restrict log, const double *restrict rise,
-    const double *restrict level0, double *restrict level1, double *restrict calm,
+    const double *restrict level0, double *restrict level1, double *restrict monotonic,
     double *restrict flat)
 {
     const double *next_light = light + BESIDE, *next_slope = slope + BESIDE;
@@ -94,7 +95,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void nodes_level_row(
         int rests = (light[i] == next_light[i]) & (slope[i] == 0)
             & (next_slope[i] == 0);
         level1[i] = last;
-        calm[i] = (first + by) * (second + by) > 0 ? 1.0 : 0.0;
+        monotonic[i] = (first + by) * (second + by) > 0 ? 1.0 : 0.0;
         flat[i] = rests ? 1.0 : flat[i];
     }
 }

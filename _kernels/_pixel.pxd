@@ -1,10 +1,11 @@
-"""The event pixel: threshold crossings of filtered log light, and injected noise.
+"""The event pixel: threshold crossings of low-pass filtered log light; noise events.
 
-Light between two nodes is the cubic with the given values and slopes.  Its log is
-low-pass filtered exactly for a cubic log: in x, the filter's own time within the
-interval (0..1; phi time constants long), L' = phi (v - L), so
-L = a exp(-phi x) + P(x), or a power series where phi is small.  Crossings are roots
-of that function, not of samples.
+Between two nodes the light is the cubic with the given values and slopes, and its log
+is the cubic v(x).  x in 0..1 is the interval's time in units of the filter's time
+constants, of which the interval has phi.  The low-pass L' = phi (v - L) then has the
+exact solution L = a exp(-phi x) + P(x) with a cubic P; for small phi a power series
+replaces it.  Crossings are roots of L, not differences of samples.  The model and its
+sources are in docs/theory/pixels.md.
 """
 from libc.math cimport fabs
 from libc.stdint cimport int64_t, uint8_t, uint16_t, uint64_t
@@ -20,7 +21,7 @@ cdef extern from *:
     """
     const double NEVER      # us
     const double SERIES     # below this phi the power series is used
-    const double FAINT      # DN/ms: the log of no light is not defined
+    const double FAINT      # lower bound of light, DN/ms: log 0 is undefined
 
 cdef enum:
     TERMS = 14              # of the series: 0.5^14 / 14! = 7e-16
@@ -33,21 +34,21 @@ cdef struct config_t:
     double cutoff           # 1/us
     double cutoff_slope     # 1/us per DN/ms of light
     double refractory       # us
-    double bright_factor    # shot-noise rate in bright light, of that in the dark
+    double bright_factor    # rate of noise events in bright light over that in the dark
     double bright_light     # DN/ms
     double burst_chance
     double burst_width      # us
-    double noise            # candidates of shot noise per us
+    double noise            # candidates of noise events per us
     double dark             # DN/ms
     double leak_slope       # leak events per us and DN/ms of light
-    double e, w0, w1, w2, w3  # end value of the filter, constant cutoff
+    double e, w0, w1, w2, w3  # weights of the filter's end value, constant cutoff
 
 
 cdef struct pixel_t_:
     double level            # filtered log light at the node
     double ref              # log light at the comparator's last reset
-    double release          # us, end of the refractory period
-    double noise_t          # us, next candidate of shot noise
+    double release          # end of the refractory period, us
+    double noise_t          # next candidate of a noise event, us
     uint64_t counter        # number of candidates drawn
     uint64_t key
     double on, off          # thresholds
@@ -73,7 +74,7 @@ cdef inline double light_at(cell_t *c, double s) noexcept nogil:
 
 
 cdef inline double filter_time(cell_t *c, double s) noexcept nogil:
-    """Turn time s into the filter's own time x."""
+    """Return x at time s: integral of the cutoff up to s, divided by the whole one."""
     if c.slope == 0:
         return s
     return s * (c.cutoff + c.slope * (c.i0 + s * (c.i1 / 2 + s * (
@@ -194,11 +195,11 @@ cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, dou
 
 cdef inline double root(cell_t *c, double target, double sa, double sb, double ya,
                         double yb, double tolerance) noexcept nogil:
-    """Where value(), ya and yb at sa and sb, reaches target on a monotonic stretch.
+    """Return where value() reaches target between sa and sb, where it is monotonic.
 
-    Chebyshev's method (Newton's with the second derivative) from the chord's guess,
-    kept in bounds by bisection, until the estimate of what the step leaves is below
-    the tolerance.
+    ya and yb are its values at sa and sb.  Chebyshev's method (Newton's with the second
+    derivative) starts from the root of the chord and falls back to bisection, until the
+    estimated error is below the tolerance.
     """
     cdef double s, y, slope, bend, step, turn
     cdef int rising = ya < target, direct = c.unfiltered and c.drift == 0, _n
@@ -225,7 +226,7 @@ cdef inline double root(cell_t *c, double target, double sa, double sb, double y
             if fabs(turn) > 0.25:
                 turn = 0
             y = s + step - step * turn
-            # what is left: of Chebyshev's method, and of the third derivative
+            # Error left by Chebyshev's method, and by the third derivative.
             if sa <= y <= sb and fabs(step) * (
                     2 * turn * turn + step * step) < tolerance:
                 return y
@@ -240,7 +241,7 @@ cdef inline double root(cell_t *c, double target, double sa, double sb, double y
 
 
 cdef inline double turning(cell_t *c, double sa, double sb) noexcept nogil:
-    """Where the slope of value() changes sign between sa and sb (Illinois method)."""
+    """Return where the slope of value() changes sign, or 2 (Illinois method)."""
     cdef double fa, fb, f, s, y, bend
     cdef int _n, side = 0
     y = value(c, sa, &fa, &bend)
@@ -297,7 +298,10 @@ cdef inline void next_noise(pixel_t_ *p, config_t *cfg) noexcept nogil:
 
 cdef inline int noise_polarity(pixel_t_ *p, config_t *cfg, cell_t *c,
                                double s) noexcept nogil:
-    """Polarity of the current candidate, -1 if light thins it out."""
+    """Polarity of the current candidate, or -1 if it is rejected because of the light.
+
+    Thinning a Poisson process makes its rate depend on the light.
+    """
     cdef uint64_t bits = draw64(p.key, 2 * p.counter - 1)
     cdef double rate = light_at(c, s) / cfg.bright_light
     rate = 1 - (1 - cfg.bright_factor) * (rate if rate < 1 else 1.0)
@@ -328,7 +332,7 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
         if at < t1:
             stop = (at - t0) / cfg.h
             forced = 1
-            if stop < s:  # held in reset: it does not happen
+            if stop < s:  # in the refractory period no event is made
                 if burst_t[0] == at:
                     burst_t[0] = NEVER
                 else:
@@ -344,7 +348,7 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
         else:
             gb = last + c.drift if stop == 1 else value(c, stop, &slope_b, &bend)
             if not checked:
-                # A turning point inside hides crossings from the two ends.
+                # The values at both ends do not show crossings around a turning point.
                 checked = 1
                 if c.unfiltered:
                     slope_a = c.i1 / c.i0 + c.drift
@@ -356,7 +360,7 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
                         c.phi if c.slope == 0
                         else c.cutoff + c.slope * light_at(c, 1))
                 if slope_a * slope_b < 0:
-                    # Four times what a parabola exceeds its higher end by.
+                    # Four times the height of a parabola above its higher end.
                     reach = fabs(slope_a)
                     if fabs(slope_b) < reach:
                         reach = fabs(slope_b)
@@ -415,10 +419,11 @@ cdef inline void interval(pixel_t_ *p, config_t *cfg, cell_t *c, double t0, doub
             ga = p.ref = value(c, s, &slope_a, &bend)
 
 
-cdef inline int quiet(cell_t *c, pixel_t_ *p, double last) noexcept nogil:
-    """Whether the interval's end shows that nothing crosses within it.
+cdef inline int no_crossing(cell_t *c, pixel_t_ *p, double last) noexcept nogil:
+    """Return 1 if there certainly is no crossing in the interval.
 
-    The slope has one sign, and the end lies between the thresholds.
+    That is so if the end lies between the thresholds and the slope has the same sign at
+    both ends.
     """
     cdef double a, b
     last += c.drift
@@ -434,7 +439,7 @@ cdef inline int quiet(cell_t *c, pixel_t_ *p, double last) noexcept nogil:
 
 
 cdef inline void filter_weights(config_t *cfg) noexcept nogil:
-    """End value of the filter for x^n input: w_n = phi int exp(-phi(1-x)) x^n dx."""
+    """Weights of the filter's end value: w_n = phi int_0^1 exp(-phi (1 - x)) x^n dx."""
     cdef double phi = cfg.cutoff * cfg.h, term, total
     cdef double w[4]
     cdef int n, k
@@ -477,7 +482,7 @@ cdef inline void read_config(const double[::1] settings, config_t *cfg) noexcept
 cdef inline double next_burst(pixel_t_ *p, config_t *cfg, const double[::1] edges,
                               Py_ssize_t *edge, uint64_t first, double after,
                               int *polarity) noexcept nogil:
-    """Time of the pixel's next event that a frame edge causes, not before `after`."""
+    """Time of the next event that the edge of an exposure causes, from after on."""
     cdef uint64_t key = p.key ^ 0xd1b54a32d192ed03ULL, bits
     cdef double t
     while edge[0] < edges.shape[0]:

@@ -10,7 +10,7 @@ from libc.math cimport sqrt
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._lag cimport corner, lead
-from _kernels._lamp cimport lamp_of, lamp_t, lit
+from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t
 from _kernels._math cimport exp_f, log_f
 from _kernels._model cimport tuning_t, wave_t
 from _kernels._tracks cimport (
@@ -139,7 +139,7 @@ cdef blur_t integral(walk_t* walk, const event_t* events, int32_t stop,
     """
     cdef blur_t total
     cdef double now = <double>frame.begin, end = <double>frame.end, until
-    cdef bint flickers = lit(lamp, now, end)
+    cdef bint flickers = lamp_flickers(lamp, now, end)
     total.whole = 0.0
     total.on = 0.0
     total.off = 0.0
@@ -285,7 +285,7 @@ cdef void take_frame(state_t* s, const walk_t* begin, const event_t* events,
         propagate(s, n_on, n_off, theta2 * drift(
             frame.middle - reference, n_on + n_off, camera))
         level = s.base
-    if (walk.next < 0 or events[walk.next].t >= frame.end) and not lit(
+    if (walk.next < 0 or events[walk.next].t >= frame.end) and not lamp_flickers(
             lamp, <double>frame.begin, <double>frame.end):
         # No event in the whole exposure: the light at its middle is the mean light.
         blur = log_at(&walk, events, frame.known, 0.5 * (

@@ -1,4 +1,4 @@
-"""Event pixels over intervals of light; the mathematics is in _pixel.pxd."""
+"""Events of simulated pixels over intervals of light; the model is in _pixel.pxd."""
 from libc.math cimport INFINITY
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t
 
@@ -15,8 +15,8 @@ from _kernels._pixel cimport (
     interval,
     next_burst,
     next_noise,
+    no_crossing,
     pixel_t_,
-    quiet,
     read_config,
     sink_t,
 )
@@ -42,7 +42,7 @@ cdef extern from "_nodes.h" nogil:
         double *log
         double *rise
         double *level
-        double *calm
+        double *monotonic
         double *drift
         double *flat
     ctypedef struct nodes_filter_t:
@@ -50,7 +50,8 @@ cdef extern from "_nodes.h" nogil:
     void nodes_level_row(Py_ssize_t n, const nodes_filter_t *filter,
                          const double *drift, const double *light,
                          const double *slope, const double *log, const double *rise,
-                         const double *level0, double *level1, double *calm,
+                         const double *level0, double *level1,
+                         double *monotonic,
                          double *flat)
     void nodes_row(Py_ssize_t n, double dark, double faint, const double *seen,
                    const double *change, double *light, double *slope, double *log,
@@ -61,7 +62,10 @@ cdef void look_ahead(nodes_t *nodes, const config_t *cfg, Py_ssize_t many,
                      Py_ssize_t k, const double[:, ::1] light,
                      const double[:, ::1] slope, const double[:, ::1] pixels,
                      const double[:, ::1] state, Py_ssize_t i) noexcept nogil:
-    """Follow the light of pixels i and some more to the last node, event or not."""
+    """Compute light and filtered log of pixels i ... i + many - 1 at all nodes.
+
+    Events do not change either, so that this can be done for several pixels at once.
+    """
     cdef Py_ssize_t j, at
     cdef nodes_filter_t filter
     for j in range(k + 1):
@@ -86,7 +90,8 @@ cdef void look_ahead(nodes_t *nodes, const config_t *cfg, Py_ssize_t many,
         at = j * BESIDE
         nodes_level_row(many, &filter, nodes.drift, &nodes.light[at], &nodes.slope[at],
                         &nodes.log[at], &nodes.rise[at], &nodes.level[at],
-                        &nodes.level[at + BESIDE], &nodes.calm[at + BESIDE], nodes.flat)
+                        &nodes.level[at + BESIDE], &nodes.monotonic[at + BESIDE],
+                        nodes.flat)
 
 
 def pixel_events(const double[:, ::1] light not None,
@@ -101,14 +106,16 @@ def pixel_events(const double[:, ::1] light not None,
                  double[:, ::1] state not None,
                  uint64_t[::1] counters not None,
                  Py_ssize_t start, Py_ssize_t stop, event_t[::1] out not None):
-    """Events of pixels start..stop over K intervals, in pixel order.
+    """Write the events of pixels [start, stop) in K intervals, in the order of pixels.
 
-    light, slope: (K + 1, N) of each pixel; with analyser (N, 3), (K + 1, 3) Stokes
-    components that all pixels share.  slope is per interval; without rows, light is
-    linear between nodes.  pixels (N, 3): on, off, leak; places (N, 2): x, y; state
-    (N, 6): level, reference, release, next noise, light and its log at the node.
-    Returns (pixels done up to, events written): it stops before a pixel whose events
-    do not fit.
+    light and slope are (K + 1, N), the light of each pixel at the nodes; with analyser
+    (N, 3) they are (K + 1, 3), Stokes parameters that all pixels share.  slope is per
+    interval; if it has no rows, light is linear between nodes.  pixels (N, 3) holds ON
+    and OFF thresholds and leak, places (N, 2) x and y, state (N, 6) the filtered log,
+    the reference, the end of the refractory period, the next noise candidate, the light
+    and its log at the first node.
+    Returns (index of the first pixel not done, number of events): a pixel whose events
+    do not fit into out is not done.
     """
     cdef Py_ssize_t n = pixels.shape[0], k = light.shape[0] - 1, i, j, m, edge, many
     cdef Py_ssize_t saved
@@ -139,7 +146,7 @@ def pixel_events(const double[:, ::1] light not None,
     sink.capacity = out.shape[0]
     sink.n = 0
     sink.full = 0
-    # Logs of the light of some pixels at once, where all of them are needed.
+    # Several pixels are computed at once if the log is needed at every node.
     cdef int together = not (shared or linear or cfg.unfiltered) and k < NODES
     with nogil:
         for i in range(start, stop):
@@ -166,10 +173,11 @@ def pixel_events(const double[:, ::1] light not None,
                 next_noise(&p, &cfg)
             edge = 0
             known = 1
-            # Without filter and leak, light itself is compared, and seldom its log.
+            # Without low-pass and leak, light is compared with the exponential of the
+            # thresholds, which saves most logarithms.
             direct = cfg.unfiltered and p.leak == 0 and cfg.leak_slope == 0
             burst_t = next_burst(&p, &cfg, edges, &edge, first_edge, cfg.t0, &burst_p)
-            # Light that rests somewhere is looked at interval by interval.
+            # Constant light is treated below, interval by interval.
             known_ahead = (together and cfg.cutoff_slope == 0 and cfg.leak_slope == 0
                            and nodes.flat[i - ahead] == 0)
             for j in range(k + 1):
@@ -178,7 +186,7 @@ def pixel_events(const double[:, ::1] light not None,
                     if known_ahead and j > 0:
                         last = nodes.level[at] + nodes.drift[i - ahead]
                         t0 = cfg.t0 + (j - 1) * cfg.h
-                        if (nodes.calm[at] and p.ref - p.off < last < p.ref + p.on
+                        if (nodes.monotonic[at] and p.ref - p.off < last < p.ref + p.on
                                 and p.noise_t >= t0 + cfg.h
                                 and burst_t >= t0 + cfg.h and p.release <= t0):
                             p.ref -= nodes.drift[i - ahead]
@@ -233,7 +241,7 @@ def pixel_events(const double[:, ::1] light not None,
                     continue
                 if light1 == p.light and d0 == 0 and d1 == 0 and still and (
                         p.level == p.v and not direct):
-                    # Settled in constant light: only the leak is at work.
+                    # Constant light, to which the filter has settled: the leak is all.
                     c.drift = cfg.h * (p.leak + cfg.leak_slope * p.on * light1)
                     if p.ref - p.off < p.level + c.drift < p.ref + p.on:
                         p.ref -= c.drift
@@ -248,7 +256,7 @@ def pixel_events(const double[:, ::1] light not None,
                         m1 = d1 / light1
                 begin(&c, &cfg, &p, light1, v1, d0, d1, m0, m1)
                 last = end_level(&c, &cfg, v1)
-                if not (still and quiet(&c, &p, last)):
+                if not (still and no_crossing(&c, &p, last)):
                     before = sink.n
                     interval(&p, &cfg, &c, t0, last, &burst_t, burst_p, &sink)
                     if direct and before != sink.n:
@@ -286,9 +294,9 @@ def pixel_events(const double[:, ::1] light not None,
 cdef extern from "_film.h" nogil:
     enum:
         GROUP
-        MORE
+        NO_EVENT
         ON
-        PEACE
+        UNDECIDED
     ctypedef struct film_t:
         float dark, faint, w0, w1, soon
         int32_t unfiltered, single
@@ -306,7 +314,7 @@ cdef extern from "_film.h" nogil:
         double *v0
         double *v1
         double *at
-        int64_t *verdict
+        int64_t *outcome
         float *low
         float *high
         float *until
@@ -316,7 +324,7 @@ cdef extern from "_film.h" nogil:
                   const float *along, const float *across, const float *low,
                   const float *high, const float *until, float *light, float *level,
                   float *v, float *old_level, float *old_v, uint8_t *busy)
-    Py_ssize_t film_places(const uint8_t *marks, Py_ssize_t n, int32_t *places)
+    Py_ssize_t film_indices(const uint8_t *marks, Py_ssize_t n, int32_t *places)
     void film_solve(const film_t *film, Py_ssize_t n, film_group_t *group)
     void film_rest(double ref, double on, double off, double leak, double release,
                    double noise_t, double t1, float *low, float *high, float *until)
@@ -326,18 +334,18 @@ cdef enum:
     FRAMES = 16             # intervals per call of video_events
 
 cdef packed struct film_cell_t:
-    # What a pixel before a video keeps beside the rows of `watch`.
-    double ref              # log light that the comparator remembers
-    double since            # us, when that was; it falls by leak from then on
-    double release          # us, end of the refractory period
-    double noise_t          # us, next candidate of shot noise
+    # State of a pixel in front of a video, in addition to the rows of `watch`.
+    double ref              # log light memorised by the comparator
+    double since            # its time, us; the memory falls by leak from then on
+    double release          # end of the refractory period, us
+    double noise_t          # next candidate of a noise event, us
     double on, off          # thresholds
     double leak             # ln units per us
-    uint64_t counter        # of candidates drawn
+    uint64_t counter        # number of candidates drawn
 
 
 cdef struct film_job_t:
-    # What the intervals of a call share; n pixels.
+    # Arguments of video_events that all its intervals share; n pixels.
     Py_ssize_t n, width
     const float *weights    # (3, n)
     const uint64_t *keys
@@ -345,11 +353,11 @@ cdef struct film_job_t:
     film_cell_t *cells
 
 
-cdef inline void film_more(
+cdef inline void film_undecided(
         const film_job_t *job, config_t *cfg, cell_t *c, film_group_t *g, Py_ssize_t k,
         const double[::1] edges, uint64_t first_edge, film_cell_t *cell, Py_ssize_t i,
         sink_t *sink) noexcept nogil:
-    """Do an interval of pixel i, k of the group, with anything that can happen."""
+    """Compute an interval of pixel i, the k-th of the group, by the general solver."""
     cdef pixel_t_ p
     cdef double t1 = cfg.t0 + cfg.h, ref, burst_t = NEVER
     cdef Py_ssize_t edge = 0, saved = sink.n
@@ -392,10 +400,10 @@ cdef Py_ssize_t film_interval(const film_job_t *job, config_t *cfg, const float 
                               float *light, const double[::1] edges,
                               uint64_t first_edge, Py_ssize_t start, Py_ssize_t stop,
                               sink_t *sink) noexcept nogil:
-    """Do one interval of pixels start..stop; return the first one not done.
+    """Compute one interval of pixels [start, stop); return the first one not done.
 
-    quad (4, n): the frame at its end; light (n) receives what pixels see of it, or is
-    NULL.
+    quad (4, n) is the frame at the end of the interval.  light (n) receives the light
+    of the pixels at that time, unless it is NULL.
     """
     cdef Py_ssize_t n = job.n, i, j = start, k, many, found, first, some
     cdef film_t film
@@ -422,9 +430,9 @@ cdef Py_ssize_t film_interval(const film_job_t *job, config_t *cfg, const float 
     film.h = cfg.h
     film.t1 = cfg.t0 + cfg.h
     film.phi = c.phi = c.cutoff = cfg.cutoff * cfg.h
-    # film_solve divides by phi, and has an exp for up to 700.
+    # film_solve divides by phi, and fall64 takes arguments up to 700.
     film.single = not cfg.unfiltered and not cfg.refractory > 0 and 1e-3 < c.phi < 700
-    # Every pixel is looked at where frame edges can burst.
+    # If edges of exposures can cause bursts of events, every pixel is busy.
     film.soon = INFINITY if bursts else <float>(film.t1 * (1 + FILM_ROUNDING))
     c.i0 = c.i1 = c.i2 = c.i3 = c.b = c.e = c.slope = 0
     c.unfiltered = cfg.unfiltered
@@ -438,7 +446,7 @@ cdef Py_ssize_t film_interval(const film_job_t *job, config_t *cfg, const float 
                  job.weights + 2 * n + j, low + j, high + j, until + j,
                  &unseen[0] if light == NULL else light + j, levels + j, logs + j,
                  old_level, old_v, busy)
-        found = film_places(busy, many, places)
+        found = film_indices(busy, many, places)
         for k in range(found):
             prefetch(&job.cells[j + places[k]])
         first = 0
@@ -450,7 +458,8 @@ cdef Py_ssize_t film_interval(const film_job_t *job, config_t *cfg, const float 
                 g.ref[k] = cell.ref
                 g.since[k] = cell.since
                 g.release[k] = cell.release
-                # Every pixel that can burst is more than film_solve knows.
+                # film_solve does not model bursts: a noise candidate in the past makes
+                # the pixel undecided.
                 g.noise_t[k] = -NEVER if bursts else cell.noise_t
                 g.on[k] = cell.on
                 g.off[k] = cell.off
@@ -463,21 +472,21 @@ cdef Py_ssize_t film_interval(const film_job_t *job, config_t *cfg, const float 
             for k in range(some):
                 i = places[first + k]
                 cell = &job.cells[j + i]
-                if g.verdict[k] != PEACE:
+                if g.outcome[k] != NO_EVENT:
                     sink.x = <uint16_t>(<uint32_t>(j + i) % <uint32_t>job.width)
                     sink.y = <uint16_t>(<uint32_t>(j + i) // <uint32_t>job.width)
-                    if g.verdict[k] == MORE:
-                        film_more(job, cfg, &c, &g, k, edges, first_edge, cell, j + i,
-                                  sink)
+                    if g.outcome[k] == UNDECIDED:
+                        film_undecided(job, cfg, &c, &g, k, edges, first_edge, cell,
+                                       j + i, sink)
                     else:
-                        emit(sink, g.at[k], g.verdict[k] == ON)
+                        emit(sink, g.at[k], g.outcome[k] == ON)
                     if sink.full:
                         first = i
                         for i in range(first, many):
                             levels[j + i] = old_level[i]
                             logs[j + i] = old_v[i]
                         return j + first
-                    if g.verdict[k] != MORE:
+                    if g.outcome[k] != UNDECIDED:
                         cell.ref = g.ref[k]
                         cell.since = film.t1
                 i += j
@@ -496,17 +505,18 @@ def video_events(tuple quads not None, const float[:, ::1] weights not None,
                  float[:, ::1] watch not None, film_cell_t[::1] cells not None,
                  Py_ssize_t start, Py_ssize_t stop, Py_ssize_t band, Py_ssize_t done,
                  event_t[::1] out not None):
-    """Events of pixels start..stop in intervals that end with a video's frames.
+    """Write the events of pixels [start, stop) in intervals that end with video frames.
 
-    quads: a frame (4, H, W) per interval, settings (K, 13) as for pixel_events, K up
-    to 16.  weights (3, H * W): what each pixel sees of I0 + I45 + I90 + I135, I0 - I90
-    and I45 - I135.  Log light is linear over an interval, which needs a constant
-    cutoff or none, and a constant leak.  light (K, H * W) receives the light at the
-    intervals' ends; without rows, nobody does.  watch (5, H * W): level, log of light,
-    and the two levels and the time up to which a pixel needs no look.  band pixels go
-    through all intervals before the next, since they fit the cache.
-    Returns (pixel-intervals done, events written): it stops before one whose events
-    do not fit, and goes on after `done`.
+    quads has one frame (4, H, W) per interval, settings (K, 13) are as for
+    pixel_events; K is at most 16.  weights (3, H * W) are the response of each pixel to
+    I0 + I45 + I90 + I135, I0 - I90 and I45 - I135.  Log light is linear over an
+    interval, so cutoff and leak must not depend on the light.  light (K, H * W)
+    receives the light at the ends of the intervals, unless it has no rows.  watch
+    (5, H * W) holds the filtered log, the log of light, and the two levels and the time
+    within which a pixel makes no event.  Pixels are taken through all intervals in
+    bands of `band`, which fit a cache.
+    Returns (pixel-intervals done, number of events).  It stops before a pixel-interval
+    whose events do not fit into out; the next call continues from there with `done`.
     """
     cdef Py_ssize_t n = keys.shape[0], frames = len(quads), height, k, at, first, last
     cdef film_job_t job
@@ -562,7 +572,7 @@ def video_events(tuple quads not None, const float[:, ::1] weights not None,
                 break
             done = 0
             first = last
-    # k and at are those of the interval that stopped
+    # k and at are those of the interval at which out was full.
     if first < stop:
         return (first - start) * frames + k * (last - first) + at - first, sink.n
     return (stop - start) * frames, sink.n

@@ -1,4 +1,4 @@
-"""Store of recent events, and what each pixel remembers of them (see _model.pxd)."""
+"""Store of recent events, and the summary of past ones of each pixel (`track_t`)."""
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._listing cimport CHANGED, LISTED
@@ -11,17 +11,18 @@ cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
 
 
-cdef inline void ask(const stored_t[::1] store, Py_ssize_t i,
-                     track_t[:, ::1] tracks) noexcept nogil:
-    """Ask for the track of a stored event, if the index is one."""
+cdef inline void prefetch_track(const stored_t[::1] store, Py_ssize_t i,
+                                track_t[:, ::1] tracks) noexcept nogil:
+    """Prefetch the track of stored event i, if there is one."""
     if (0 <= i < store.shape[0] and store[i].y < tracks.shape[0]
             and store[i].x < tracks.shape[1]):
         prefetch(&tracks[store[i].y, store[i].x])
 
 
-cdef inline Py_ssize_t enlist(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
-                              int32_t[::1] pixels,
-                              uint8_t[:, ::1] listed) noexcept nogil:
+cdef inline Py_ssize_t list_pixel(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
+                                  int32_t[::1] pixels,
+                                  uint8_t[:, ::1] listed) noexcept nogil:
+    """Append a pixel to a list of n, unless it is in it; return the list's length."""
     if not listed[y, x] & LISTED and n < pixels.shape[0]:
         pixels[n] = <int32_t>(y * listed.shape[1] + x)
         n += 1
@@ -32,12 +33,13 @@ cdef inline Py_ssize_t enlist(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
 def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t at,
                stored_t[::1] store not None, int32_t[::1] pixels not None,
                Py_ssize_t listed_before, uint8_t[:, ::1] listed not None):
-    """Copy events to store from index at; return how many, and the list's length.
+    """Copy events to store from index at; return their number and the list's length.
 
-    Stops at the first event outside the image, or before its predecessor (the first:
-    before last).  The pixels of those taken are listed and marked as changed: appended
-    to pixels (row * width + column, the first `listed_before` are there) unless their
-    flag says that they are (see _listing.pxd).
+    Stops at the first event that lies outside the image, or is earlier than the event
+    before it (the first event: earlier than last).  The pixels of copied events are
+    marked as changed, and are appended to pixels (row * width + column), which holds
+    `listed_before` entries, unless their flag in listed says that they are in it (see
+    _listing.pxd).
     """
     cdef Py_ssize_t n = events.shape[0], h = listed.shape[0], w = listed.shape[1]
     cdef Py_ssize_t i, m = listed_before, y, x
@@ -57,7 +59,7 @@ def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t at,
             store[at + i].y = events[i].y
             store[at + i].p = events[i].p
             store[at + i].next = -1
-            m = enlist(y, x, m, pixels, listed)
+            m = list_pixel(y, x, m, pixels, listed)
         else:
             i = n
     return i, m
@@ -65,9 +67,10 @@ def store_push(const event_t[::1] events not None, int64_t last, Py_ssize_t at,
 
 def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t stop,
                  int64_t until, double refractory, track_t[:, ::1] tracks not None):
-    """Count stored events from index at on, t <= until; return the first one left.
+    """Count stored events from index at on with t <= until; return the first one left.
 
-    With what a refractory period (us) loses of the light between two of them.
+    The change of light during a refractory period (us), which no event shows, is added
+    to the counts (`lost` in _tracks.pxd).
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
     cdef track_t* track
@@ -78,7 +81,7 @@ def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t s
     with nogil:
         i = at
         while i < stop and store[i].t <= until:
-            ask(store, i + AHEAD, tracks)
+            prefetch_track(store, i + AHEAD, tracks)
             y = store[i].y
             x = store[i].x
             if y >= h or x >= w:
@@ -100,9 +103,9 @@ def store_commit(const stored_t[::1] store not None, Py_ssize_t at, Py_ssize_t s
 
 def store_link(stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
                track_t[:, ::1] tracks not None):
-    """Chain stored events [start, stop) by pixel, from `first` in tracks on.
+    """Link each pixel's stored events [start, stop), starting from `first` in tracks.
 
-    No other events may be chained from these tracks (see `store_unlink`).
+    Links that were made before must have been removed by `store_unlink`.
     """
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
     if start < 0 or stop > store.shape[0]:
@@ -110,7 +113,7 @@ def store_link(stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
     with nogil:
         i = stop - 1
         while i >= start:
-            ask(store, i - AHEAD, tracks)
+            prefetch_track(store, i - AHEAD, tracks)
             y = store[i].y
             x = store[i].x
             if y < h and x < w:
@@ -121,13 +124,13 @@ def store_link(stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
 
 def store_unlink(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
                  track_t[:, ::1] tracks not None):
-    """Take the chains of stored events [start, stop) off tracks again."""
+    """Remove the links from tracks to stored events [start, stop)."""
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, y, x
     if start < 0 or stop > store.shape[0]:
         raise ValueError("store_unlink: indices must lie in store")
     with nogil:
         for i in range(start, stop):
-            ask(store, i + AHEAD, tracks)
+            prefetch_track(store, i + AHEAD, tracks)
             y = store[i].y
             x = store[i].x
             if y < h and x < w:
@@ -137,9 +140,9 @@ def store_unlink(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_
 def store_mark(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t stop,
                int32_t[::1] pixels not None, Py_ssize_t listed_before,
                uint8_t[:, ::1] listed not None):
-    """List the pixels of stored events [start, stop); return the list's length.
+    """List the pixels of stored events [start, stop) as `store_push` does.
 
-    As `store_push` does those of the events that it stores.
+    Returns the list's length.
     """
     cdef Py_ssize_t h = listed.shape[0], w = listed.shape[1], i, y, x
     cdef Py_ssize_t m = listed_before
@@ -152,5 +155,5 @@ def store_mark(const stored_t[::1] store not None, Py_ssize_t start, Py_ssize_t 
             y = store[i].y
             x = store[i].x
             if y < h and x < w:
-                m = enlist(y, x, m, pixels, listed)
+                m = list_pixel(y, x, m, pixels, listed)
     return m
