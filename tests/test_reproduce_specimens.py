@@ -16,7 +16,7 @@ def test_errors_against_speed_are_of_ten_specimens_at_ten_start_angles(figure):
     assert asked.specimens == [(2, 0.0), (3, 0.0)]
 
 
-@pytest.mark.parametrize("figure", ["fig4a", "dr", "all"])
+@pytest.mark.parametrize("figure", ["fig4a", "dr"])
 def test_others_are_of_one(figure):
     assert settings_of([figure, "-o", "x"]).specimens == [(1, 17.0)]
 
