@@ -122,7 +122,7 @@ def test_a_parent_is_killed_and_called_again(started):
     child = start()
     until(lambda: len(markers(out)) >= 3)
     child.kill()
-    until(lambda: not of_session(child.pid), 10)    # its workers went with it
+    until(lambda: not of_session(child.pid), 30)    # its workers went with it
     before = {path: path.stat().st_mtime_ns for path in markers(out)}
     assert 3 <= len(before) < 18
     for path in before:
@@ -139,8 +139,9 @@ def test_an_interrupt_ends_it_and_it_goes_on(started):
     begin = time.monotonic()
     os.killpg(child.pid, signal.SIGINT)
     child.wait()
-    assert time.monotonic() - begin < 5
-    until(lambda: not of_session(child.pid), 5)
+    # Less than 5 s on a free machine; a busy one takes longer.
+    assert time.monotonic() - begin < 20
+    until(lambda: not of_session(child.pid), 30)
     before = len(markers(out))
     assert before < 18
     assert not list((out / ".batch" / "runs").iterdir())
