@@ -46,9 +46,9 @@ cdef extern from *:
     """
     /* A line fitted to N periods has an error of up to 3 / (2 N)^2 (see rebalance). */
     #define LINE_ERROR 3.0
-    /* A pixel that is farther from the prior than this many such errors (two sigma) is
-       an outlier.  In the first period, light that contains fast and slow motion causes
-       errors of 1.4 rms. */
+    /* A pixel whose ratio is farther from the prior than this many such errors is an
+       outlier: two sigma of the errors that light with fast and slow motion causes in
+       its first period (studies/redundancy_far.py). */
     #define FAR_ERRORS 1.7
     #define PART_LEAST 0.05         /* bounds the fraction of ON, and of OFF, events */
     #define GAIN_LEAST 0.02         /* least gain of a unit vector that counts as > 0 */

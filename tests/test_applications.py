@@ -409,10 +409,7 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
 @pytest.mark.parametrize("module", ["numpy", "numpy.linalg", "pdavis_cv._kernels"])
 def test_an_interrupt_while_modules_load_says_one_line(tmp_path, module):
-    # Jobs in the background are started deaf to SIGINT.  The first image imports Cython
-    # modules, numpy.random among them, whose start ignores what abc.register raises: an
-    # interrupt at that moment would be lost.
-    program = (
+    program = (  # jobs in the background are started deaf to SIGINT
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Interrupt:\n"
