@@ -98,10 +98,12 @@ def test_who_says_nothing_or_shows_nothing_keeps_nobody_waiting(
         with pytest.raises(DeviceError, match=r"no dv stream|closed|broke|reset"):
             open_source(f"dv+tcp://127.0.0.1:{place[1]}")
         none = ssl.create_default_context(cafile=certificates.pem("authority"))
-        with pytest.raises(OSError, match=r"(?i)certificate|reset|broken"), (
+        # The end of the connection may reach the client before its reason does; who is
+        # let in gets the head of the stream.
+        with contextlib.suppress(ssl.SSLError, ConnectionError), (
                 none.wrap_socket(socket.create_connection(place),
                                  server_hostname="127.0.0.1")) as link:
-            link.recv(1)
+            assert link.recv(1) == b""
         time.sleep(1.2)
         with open_source("dv+tls://{}:{}?{}".format(
                 *place, certificates.query("client"))):
@@ -189,7 +191,8 @@ def test_the_viewer_can_ask_for_a_certificate(
     none = ssl.create_default_context(cafile=certificates.pem("authority"))
     with serve(recording, port=0, context=context) as running:
         assert asked(running, mine)[0] == 200
-        with pytest.raises(OSError, match=r"(?i)certificate|reset|broken"):
+        # The end of the connection may reach the client before its reason does.
+        with pytest.raises((ssl.SSLError, ConnectionError)):
             asked(running, none)
 
 
