@@ -38,10 +38,10 @@ class ApsPixel:
         Mean level of the reset read; the paper's camera reads 800 +- 24 DN.  None:
         a sensor that delivers the difference only (Sony).
     reset_fpn_dn, offset_fpn_dn : float
-        Spread over pixels of the reset level, which correlated double sampling
-        removes, and of what it leaves.
+        Standard deviation over pixels of the reset level, which correlated double
+        sampling removes, and of the offset that remains after it.
     ktc_dn : float
-        Reset noise of the two reads in common.
+        Reset (kTC) noise, common to the reset and the signal read.
     read_noise_dn : float
         Noise of each read; 200 electrons (Haessig, table S1).
     electrons_per_dn : float, optional
@@ -49,8 +49,8 @@ class ApsPixel:
     dark_dn_s : float
         Dark current in DN per second of exposure; 1200 electrons/s (table S1).
     storage_leak : float
-        Global shutter: fraction of the light that a stored sample still sees while
-        it waits for its column to be read.
+        Global shutter: parasitic sensitivity of the storage node, relative to the
+        photodiode's, while a sample waits for its column to be read.
     """
 
     fps: float = 20.0
@@ -86,7 +86,7 @@ class ApsPixel:
 
     @property
     def full_scale_dn(self) -> int:
-        """Largest value of the converter."""
+        """Largest code of the converter, DN."""
         return 1023 if self.adc_bits is None else 2**self.adc_bits - 1
 
     def maps(
@@ -94,7 +94,7 @@ class ApsPixel:
     ) -> dict[str, FloatArray]:
         """Return a specimen's maps: ``reset_dn`` and ``dark_dn``, shape (H, W).
 
-        ``dark_dn`` is the value of a frame without light after double sampling.
+        ``dark_dn`` is the mean of dark frames after correlated double sampling.
         """
         index = noise.pixel_index(size, origin)
         reset = (self.reset_dn or 0.0) + self.reset_fpn_dn * noise.normal(
@@ -112,7 +112,7 @@ class ApsPixel:
         Parameters
         ----------
         signal_dn : ndarray of float64, shape (H, W)
-            Light times time in DN.
+            Light integrated over the exposure, DN.
         maps : mapping of str to ndarray
             Result of `maps`.
         seed : int
@@ -122,7 +122,7 @@ class ApsPixel:
         origin : (int, int)
             (row, column) of the first pixel on the sensor.
         current : float
-            Factor on the dark current.
+            Factor on the dark current, by the temperature.
 
         Returns
         -------
@@ -200,15 +200,22 @@ class FrameClock:
 
     def edges(self, start_us: float, stop_us: float, width_us: float
               ) -> tuple[FloatArray, int]:
-        """Find exposure starts and ends that can burst within [start, stop).
+        """Find exposure starts and ends whose bursts reach into [start, stop).
+
+        Parameters
+        ----------
+        start_us, stop_us : float
+            Interval.
+        width_us : float
+            Duration of a burst of events, `DvsPixel.burst_us`.
 
         Returns
         -------
         times : ndarray of float64
-            Microseconds, those in (start - width, stop).
+            Those in (start - width, stop), us.
         first : int
-            Number of the first since the recording's start: 2 k for the start of
-            frame k, 2 k + 1 for its end.
+            Index of the first one, 2 k for the start of frame k, 2 k + 1 for its end;
+            the random numbers of a burst depend on it.
         """
         frames = self.frames(start_us - width_us, stop_us)
         times = [(2 * k + i, self.start_us(k) + i * self.pixel.exposure_us)
@@ -217,7 +224,7 @@ class FrameClock:
         return (np.array([t for _, t in kept], np.float64), kept[0][0] if kept else 0)
 
     def column_delays(self) -> FloatArray:
-        """Delay of each column in us: of its exposure, or of its read-out."""
+        """Delay of each column's read-out (rolling shutter: exposure), us, (W,)."""
         return np.arange(self.width, dtype=np.float64) * (
             self.pixel.readout_us / self.width)
 
@@ -232,7 +239,7 @@ class FrameClock:
         self, frame: int, start_us: float, step_us: float, intervals: int,
         linear: bool,
     ) -> FloatArray:
-        """Weights of light at the nodes in a frame's integral over these intervals.
+        """Quadrature weights of light at the nodes for a frame's exposure integral.
 
         Parameters
         ----------
@@ -241,8 +248,8 @@ class FrameClock:
         start_us, step_us, intervals : float, float, int
             Nodes lie at start_us + k step_us, k = 0..intervals.
         linear : bool
-            Light is linear between nodes; else the cubic of `node_slopes`, for
-            which two more nodes at each end get weights.
+            Light is linear between nodes; else a cubic Hermite spline with the slopes
+            of `node_slopes`, for which two more nodes at each end get weights.
 
         Returns
         -------
@@ -269,7 +276,7 @@ def integral_weights(
     start: FloatArray, end: FloatArray, origin_us: float, step_us: float,
     intervals: int, linear: bool,
 ) -> FloatArray:
-    """Weights of node values in the integral from start to end; see `weights`."""
+    """Weights of node values in the integral from start to end; see `FrameClock`."""
     if np.all(end <= origin_us) or np.all(start >= origin_us + step_us * intervals):
         return np.zeros((intervals + (1 if linear else 5), len(start)))
     left = np.clip((start - origin_us) / step_us - np.arange(intervals)[:, None], 0, 1)
@@ -302,7 +309,7 @@ def make_frame(
     clock: FrameClock, frame: int, digitised: dict[str, NDArray[np.generic] | None],
     offset_us: int = 0,
 ) -> ApsFrame:
-    """Build the `ApsFrame` of one exposure, with stamps that are wrong by offset_us."""
+    """Build the `ApsFrame` of one exposure, its stamps shifted by offset_us."""
     start, end = (t + offset_us for t in clock.exposure(frame))
     rolling = clock.pixel.shutter == "rolling"
     end_us = int(end[-1])

@@ -16,17 +16,17 @@ __all__ = ["Bus", "BusState"]
 
 @dataclass(frozen=True, kw_only=True)
 class Bus:
-    """A word-serial address-event bus (Boahen 2004) as the DAVIS has it.
+    """The DAVIS's word-serial address-event bus (AER, Boahen 2004).
 
-    The arbiter takes one row at a time in turn; all its requests leave with one time
-    stamp.  A pixel that still waits cannot make another event: that one is lost.
+    The arbiter serves rows round robin; all pending requests of a row get one time
+    stamp.  An event of a pixel whose last request is still pending is lost.
 
     Parameters
     ----------
     rate_hz : float
         Events per second within a row; about 10 MHz (Haessig, section S1).
     row_us : float
-        Time to change the row, microseconds.
+        Time to switch to the next row, microseconds.
     """
 
     rate_hz: float = 10e6
@@ -38,7 +38,14 @@ class Bus:
 
 
 class BusState:
-    """One bus at work; `pass_on` takes time-ordered events, chunk by chunk.
+    """The state of a bus between chunks of events, which `pass_on` sends through it.
+
+    Parameters
+    ----------
+    bus : Bus
+        Its rates.
+    size : (int, int)
+        (height, width) of the sensor.
 
     Attributes
     ----------
@@ -62,7 +69,7 @@ class BusState:
         Parameters
         ----------
         events : ndarray of EVENT_DTYPE, shape (N,)
-            What the pixels request, time-ordered, before ``until_us``.
+            Requests of the pixels, time-ordered, before ``until_us``.
         until_us : float
             End of the chunk.
         """

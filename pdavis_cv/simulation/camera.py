@@ -38,7 +38,7 @@ _NOMINAL_OPTICS = Optics(
     angle_sigma=math.radians(0.7), gain_sigma=0.02)
 _REALISTIC_DVS = dataclasses.replace(
     _NOMINAL_DVS, cutoff_hz=None, cutoff_hz_per_dn_ms=0.42 * 20, burst_chance=0.002)
-# The maker of a camera states thresholds of 0.2, whatever a specimen has.
+# The nominal thresholds are 0.2, whatever those of a specimen.
 _STATED_DVS = dataclasses.replace(_REALISTIC_DVS, theta_on=0.2, theta_off=0.2)
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
@@ -100,16 +100,16 @@ class Camera:
     sensor : Sensor
         Kind of sensor; gives the full size.
     name : str
-        What the recording says.
+        Name of the camera in the recording's header.
 
     Attributes
     ----------
     maps : mapping of str to ndarray of float64, shape (H, W)
-        What this specimen has: ``angle`` (radians), ``extinction_ratio``, ``gain``,
+        Parameters per pixel: ``angle`` (radians), ``extinction_ratio``, ``gain``,
         ``analyser`` (H, W, 3), ``theta_on``, ``theta_off`` (natural log), ``leak_hz``,
         ``reset_dn``, ``dark_dn``; with a lens ``circular``, the response to S3.
     neighbours : Neighbours or None
-        The pixels with those around them, if there is crosstalk.
+        Crosstalk between neighbouring pixels; None without it.
     """
 
     def __init__(
@@ -164,15 +164,15 @@ class Camera:
             ``ideal``: exact crossings at 0.15, ER 40, no noise, floats.
             ``nominal``: thresholds 0.16/0.18 with 3.5 % mismatch, 250 Hz, leak
             0.3 Hz, shot noise 1 Hz, ER 40 +- 3, angle error 0.7 degrees, gain 2 %,
-            10-bit frames with fixed pattern and noise; no bus limit.
+            10-bit frames with fixed-pattern, shot and read noise; no bus limit.
             ``realistic``: nominal, with a bandwidth of 0.42 Hz per DN of light in
             20 ms, read-out bus, and bursts at frame edges.
             ``hard``: realistic with a mismatch of 0.035 in natural-log units.
-            ``saturated``: nominal with the bus, for scenes that fill the full chip.
+            ``saturated``: nominal on the whole sensor, whose events saturate the bus.
             ``sony``: 12-bit frames at 50 fps, ER 350, 72 dB.
             ``drawn``: each seed another camera: thresholds, mismatch, bandwidth,
             refractory period, leak, noise, offsets, sensitivities, angles and ER
-            from ranges wider than, and centred off, what the methods assume.
+            from ranges wider than the estimators' priors and centred elsewhere.
             ``davis346``: the same from the ranges of published and measured
             DAVIS346: thresholds of .26 to .43 that are stated as .2, refractory
             period, leak that grows with light, and events 4 to 7.4 ms behind frames.
@@ -250,7 +250,7 @@ class Camera:
         self, scene: Scene, seconds: float, *, run: int = 0, threads: int = 1,
         step_us: float | None = None,
     ) -> SimulatedRecording:
-        """Return a recording that is simulated while it is read, in flat memory.
+        """Return a recording that is simulated while it is read, in constant memory.
 
         Parameters
         ----------

@@ -15,13 +15,13 @@ Kernel = tuple[tuple[float, float, float], ...]
 
 
 def kernel(side: float, corner: float = 0.0) -> Kernel:
-    """Return the crosstalk kernel of a pixel, equal in all directions.
+    """Return a crosstalk kernel with the symmetry of the pixel.
 
     Parameters
     ----------
     side, corner : float
-        Share of its light that a pixel has from each of the four pixels at its sides,
-        and from each of those at its corners.
+        Fraction of a pixel's light that comes through the polarizer of each of its
+        four nearest neighbours, and of each of its four diagonal ones.
     """
     middle = 1 - 4 * side - 4 * corner
     return ((corner, side, corner), (side, middle, side), (corner, side, corner))
@@ -36,12 +36,13 @@ def check_kernel(name: str, value: Any) -> None:
 
 
 class Neighbours:
-    """The pixels of a region and their surrounding neighbours, which exchange light.
+    """Crosstalk of the pixels of a region with each other and those around it.
 
     Parameters
     ----------
     shares : sequence of 3 sequences of 3 floats
-        Share of a pixel's light that comes from above left, above, ... below right.
+        The kernel: fraction of a pixel's light that comes through the polarizer above
+        left, above, ... below right.
     responses : ndarray of float64, shape (H + 2, W + 2, C)
         Responses of each pixel without crosstalk; the first and last rows and columns
         are neighbours of the region, 0 where the sensor ends.
@@ -49,7 +50,7 @@ class Neighbours:
 
     def __init__(self, shares: Kernel, responses: FloatArray) -> None:
         self.shares, self.responses = shares, responses
-        # At the sensor's edge, a pixel keeps the light that it would exchange.
+        # At the sensor's edge the kernel is renormalised to the pixels that exist.
         self._scale = 1 / self._mixed((responses[..., 0] > 0).astype(np.float64))
 
     def _mixed(self, light: FloatArray) -> FloatArray:
@@ -73,8 +74,7 @@ class Neighbours:
         Parameters
         ----------
         stokes : tuple of ndarray of float64, shape (..., H + 2, W + 2)
-            As many as the responses' components, in front of these rows and of the
-            pixels around them.
+            S0, S1, ... as far as the responses go, on these rows and one pixel around.
         rows : slice
             Rows of the region.
 

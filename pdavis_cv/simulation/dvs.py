@@ -18,12 +18,14 @@ from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, requi
 
 __all__ = ["FILM_ROWS", "DvsPixel", "PixelArray"]
 
-FILM_ROWS = 16  # of a video, done before the next: what they keep fits a cache
-_INTERVALS = 16  # of a video that the kernel takes at once
-_POLE_PHASE = 0.2  # of the second pole per interval: cubics err by 4e-6 of a step
-_LAG_TERMS = 12    # at that phase the last one is below 1e-16
+FILM_ROWS = 16      # rows per band of a video: the state of their pixels fits a cache
+_INTERVALS = 16     # intervals of a video per call of the kernel
+# Longest interval in time constants of the second pole: the cubic of `_follow` is then
+# off by at most 4e-6 of a step of log light.
+_POLE_PHASE = 0.2
+_LAG_TERMS = 12     # of the series in `lag_weights`: the last is below 1e-16 there
 
-_DARK = 11          # place of the dark current among the kernel's settings
+_DARK = 11          # index of the dark current in the kernel's settings
 
 FloatArray = NDArray[np.float64]
 
@@ -42,10 +44,10 @@ class DvsPixel:
     theta_on, theta_off : float
         Thresholds, natural-log units; the paper's camera reaches 0.14 (table S1).
     mismatch : float
-        Spread of the thresholds over pixels, ON and OFF independent, relative to
-        the threshold; 0.035 (Brandli et al. 2014).
+        Standard deviation of the thresholds over pixels, ON and OFF independent,
+        relative to the threshold; 0.035 (Brandli et al. 2014).
     mismatch_ln : float
-        The same in natural-log units; the two add in square.
+        The same in natural-log units; the variances of the two add.
     cutoff_hz : float, optional
         -3 dB frequency of the photoreceptor in any light; None and no
         ``cutoff_hz_per_dn_ms``: unlimited.
@@ -56,7 +58,7 @@ class DvsPixel:
         -3 dB frequency of the source follower behind the photoreceptor, a second
         first-order low-pass; None: none, as in v2e.
     dark_dn_ms : float
-        Light that the photodiode's dark current is worth, DN per ms.
+        Dark current of the photodiode as an equivalent light, DN per ms.
     refractory_us : float
         Time after an event during which the comparator is held in reset.
     leak_hz : float
@@ -77,10 +79,10 @@ class DvsPixel:
     hot_fraction, hot_hz : float
         Fraction of hot pixels, and the rate of ON events of each.
     burst_chance : float
-        Chance that a pixel makes an event when a frame's exposure starts, and again
-        when it ends, by coupling from the frame read-out.
+        Probability that a pixel makes an event when a frame's exposure starts, and
+        again when it ends, by coupling from the frame read-out.
     burst_us : float
-        Time over which such a burst spreads.
+        Duration of such a burst: its events are uniform in it.
     """
 
     theta_on: float = 0.15
@@ -123,7 +125,7 @@ class DvsPixel:
 
     @property
     def step_us(self) -> float:
-        """Longest interval of light over which its second pole is followed well."""
+        """Longest sampling interval at which the second pole is exact to 4e-6, us."""
         if self.second_pole_hz is None:
             return math.inf
         return _POLE_PHASE / (2e-6 * math.pi * self.second_pole_hz)
@@ -159,14 +161,14 @@ class DvsPixel:
 
 
 class PixelArray:
-    """Event pixels at work: feed light interval by interval, get events.
+    """Event pixels with their state: `advance` turns light into events.
 
     Parameters
     ----------
     pixel : DvsPixel
         Parameters.
     maps : mapping of str to ndarray, shape (H, W)
-        What `DvsPixel.maps` returned, or measured ones.
+        As from `DvsPixel.maps`.
     seed : int
         Seed of the noise.
     origin : (int, int)
@@ -180,20 +182,22 @@ class PixelArray:
         self.pixel = pixel
         self.size = (maps["theta_on"].shape[0], maps["theta_on"].shape[1])
         n = self.size[0] * self.size[1]
+        # Per pixel: ON and OFF threshold (ln), and leak of the reference (ln per us).
         self._pixels = np.empty((n, 3))
         self._pixels[:, 0] = maps["theta_on"].ravel()
         self._pixels[:, 1] = maps["theta_off"].ravel()
-        self._cells: NDArray[Any] = np.empty(0, _CELL_DTYPE)     # of a video
+        self._cells: NDArray[Any] = np.empty(0, _CELL_DTYPE)     # see `settle_film`
         self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
         self._usual = self._pixels.copy()
         index = noise.pixel_index(self.size, origin).ravel()
         self._keys = noise.keys(seed, "events", index)
         y, x = np.divmod(np.arange(n), self.size[1])
         self._places = np.stack((x, y), axis=-1).astype(np.uint16)
+        # Columns: see `pixel_events` in _simulate.pyx.
         self._state = np.zeros((n, 6))
         self._state[:, 2] = -np.inf
         self._counters = np.zeros(n, np.uint64)
-        self._followed = np.zeros(n)  # log light behind the second pole
+        self._followed = np.zeros(n)  # log light after the second pole
         self._settings = np.array([
             1.0, 0.0, not pixel.filtered,
             2e-6 * np.pi * (pixel.cutoff_hz or 0.0),
@@ -204,21 +208,21 @@ class PixelArray:
         self._buffers: dict[int | tuple[int, int], NDArray[Any]] = {}
 
     def set_conditions(self, on: float, off: float, current: float = 1.0) -> None:
-        """Set thresholds, and leak and dark current, to multiples of the usual ones."""
+        """Scale the nominal thresholds, and leak and dark current, by these factors."""
         self._pixels[:] = self._usual * (on, off, current)
         self._settings[_DARK] = self.pixel.dark_dn_ms * current
         if len(self._cells):
             for column, name in enumerate(("on", "off", "leak")):
                 self._cells[name] = self._pixels[:, column]
-            self._watch[4] = -1  # every pixel is looked at again
+            self._watch[4] = -1  # bounds of rest are void: examine every pixel
 
     @property
     def dark_dn_ms(self) -> float:
-        """Light that the dark current is worth now, DN per ms."""
+        """Dark current at this temperature as an equivalent light, DN per ms."""
         return float(self._settings[_DARK])
 
     def settle(self, light: FloatArray, rows: slice = slice(None)) -> None:
-        """Let the pixels of some rows adapt to light, shape (rows, W), DN per ms."""
+        """Put pixels into steady state under light, shape (rows, W), DN per ms."""
         part = self._part(rows)
         total = np.maximum(light.ravel() + self.dark_dn_ms, 1e-9)
         self._state[part, 4] = total
@@ -244,11 +248,11 @@ class PixelArray:
         analyser : ndarray of float64, shape (rows * W, 3), optional
             Response of each pixel to S0, S1, S2.
         rows : slice
-            Rows of the sensor that this is about.
+            Rows of the sensor that ``light`` covers.
         edges : ndarray of float64, optional
-            Times in us of frame edges that can burst in these intervals.
+            Times in us of frame edges whose bursts reach into these intervals.
         first_edge : int
-            Number of the first of them since the recording's start.
+            Index of the first of them since the recording's start.
 
         Returns
         -------
@@ -278,9 +282,9 @@ class PixelArray:
     ) -> tuple[FloatArray, FloatArray]:
         """Return light and slopes of each pixel after the second pole's low-pass.
 
-        In a pixel the second pole follows the photoreceptor's; here it comes first,
-        which is the same for linear filters of log light with constant cutoffs.
-        Log light is the cubic through its values and slopes at an interval's ends.
+        In a pixel the second pole follows the photoreceptor's; here it comes first:
+        linear filters of log light with constant cutoffs commute.  Log light is the
+        cubic through its values and slopes at an interval's ends.
         """
         if analyser is not None:
             light, slope = light @ analyser.T, slope @ analyser.T
@@ -308,7 +312,7 @@ class PixelArray:
         return np.ascontiguousarray(seen - dark), seen * phi * (log - followed)
 
     def settle_film(self, seen: NDArray[np.float32]) -> None:
-        """Let all pixels adapt to the light of a video's first frame.
+        """Put all pixels into steady state under the first frame of a video.
 
         Parameters
         ----------
@@ -319,7 +323,7 @@ class PixelArray:
         level = np.log(np.maximum(seen, 1e-9), dtype=np.float64).astype(np.float32)
         self._watch = np.zeros((5, len(seen)), np.float32)
         self._watch[:2] = level
-        self._watch[4] = -1  # every pixel is examined first
+        self._watch[4] = -1  # no bounds of rest yet: examine every pixel
         # Aligned, so that each cell lies in one cache line.
         room = np.zeros(len(seen) + 1, _CELL_DTYPE).view(np.uint8)
         line = _CELL_DTYPE.itemsize
@@ -349,8 +353,8 @@ class PixelArray:
         light : ndarray of float32, shape (K, H * W), optional
             Receives the light on each pixel there, dark current included.
         rows : slice
-            Rows of the sensor that this is about; the first is a multiple of 16, or
-            the order of events of equal time depends on it.
+            Rows of the sensor to simulate; start at a multiple of 16, since the order
+            of simultaneous events depends on the bands.
         edges, first_edge
             As for `advance`.
 
@@ -393,8 +397,8 @@ class PixelArray:
     ) -> list[NDArray[Any]]:
         """Run a kernel until it has finished, enlarging the buffer as needed.
 
-        With a place, the events are views of a buffer that the next call for the same
-        place overwrites.
+        Without a place, the buffer is the thread's and events are copied out of it;
+        with one, they are views of a buffer that its next use overwrites.
         """
         parts = []
         key = threading.get_ident() if place is None else place
@@ -419,7 +423,7 @@ def lag_weights(phi: float) -> FloatArray:
     """Return the response of a first-order low-pass to 1, x, x^2, x^3 at x = 1.
 
     ``w_n = phi int_0^1 exp(-phi (1 - x)) x^n dx``, where phi is the interval over the
-    time constant.  A series is used, as the closed form loses digits for small phi.
+    time constant.  By a series, since the closed form cancels for small phi.
     """
     n = np.arange(4)[:, None]
     # Terms phi^(k+1) n! (-1)^k / (n+k+1)!, the ratio of one to the one before:

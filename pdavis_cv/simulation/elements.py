@@ -45,7 +45,7 @@ class Waveplate:
     design_nm : float
         Wavelength that the plate is made for.
     order : int
-        Whole waves of retardance beyond: 0 for a zero-order plate.
+        Whole waves of retardance on top of it: 0 for a zero-order plate.
     achromatic : bool
         Whether the retardance is the same at each wavelength; else that of quartz.
 
@@ -88,12 +88,12 @@ class Waveplate:
 
 @dataclass(frozen=True, eq=False)
 class Behind(Scene):
-    """The light of a scene after an element at rest.
+    """The light of a scene behind a static optical element.
 
     Parameters
     ----------
     scene : Scene
-        The light before it.
+        The light in front of the element.
     matrix : array_like, shape (4, 4)
         Mueller matrix of the element, as `Waveplate.mueller` gives it.
 
@@ -117,17 +117,17 @@ class Behind(Scene):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """As the scene."""
+        """Whether the scene's light is the same everywhere."""
         return self.scene.uniform
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """As the scene."""
+        """Whether the scene's light is linear between samples."""
         return self.scene.linear
 
     @property
     def step_us(self) -> float:
-        """As the scene."""
+        """Sampling interval of the scene, us."""
         return self.scene.step_us
 
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
@@ -150,5 +150,5 @@ class Behind(Scene):
         return np.asarray(sum(m * s for m, s in zip(row, before, strict=True)))
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Where the scene is lit."""
+        """Return the scene's mask: the element moves nothing."""
         return self.scene.lit(x, y)

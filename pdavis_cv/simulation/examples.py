@@ -16,18 +16,18 @@ __all__ = ["EXAMPLES", "Example", "example_truth"]
 
 @dataclass(frozen=True, kw_only=True)
 class Example:
-    """A simulated recording: a `nominal` camera before a scene.
+    """A simulated recording of a scene by a `nominal` camera.
 
     Parameters
     ----------
     scene : Scene
-        The scene that it looks at.
+        The scene.
     size : (int, int)
-        (height, width) of the part of the sensor, its middle.
+        (height, width) of the recorded region in the middle of the sensor.
     seconds : float
         Duration.
     seed : int
-        Names the specimen of the camera.
+        Seed of the camera's specimen.
     """
 
     scene: Scene

@@ -1,4 +1,4 @@
-"""Faults between pixels and file: stamps that are off, jitter, lost events, drift."""
+"""Faults: offset of the frames' stamps, jitter and loss of events, threshold drift."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from pdavis_cv.simulation.checks import at_least_zero, require
 __all__ = ["EventFaults", "Faults"]
 
 _LARGEST_DRIFT = 0.5
-"""Largest relative drift of the thresholds over a recording; more is not a drift."""
+"""Bound on the relative drift of the thresholds over a recording."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,15 +23,15 @@ class Faults:
     Parameters
     ----------
     frame_offset_us : int
-        Added to the exposure times that frames state, not to when they arrive.  In a
-        DAVIS346 events trail frames by 4 to 7 ms, an offset below 0.  At most the
-        read-out time, since a frame cannot arrive before its stated exposure ends.
+        Added to the frames' exposure stamps, not to ``available_us``.  In a DAVIS346
+        events trail frames by 4 to 7 ms, an offset below 0.  At most the read-out
+        time, since a frame cannot arrive before its stated exposure ends.
     jitter_us : float
-        Standard deviation of the events' stamps; below 1000 under usual light (Hu et
-        al., CVPR Workshops 2021).  Events stay in the order of their stamps and
-        within 10 ms.
+        Standard deviation of the noise on the events' stamps; below 1000 under usual
+        light (Hu et al., CVPR Workshops 2021).  Events are sorted by the noisy stamps,
+        which are kept within their piece of 10 ms.
     lost : float
-        Fraction of the events that are lost, whatever their pixel.
+        Fraction of the events that are lost, at random.
     drift_on, drift_off : float
         Relative change of the thresholds from the beginning of the recording to its
         end, linear in time.
@@ -55,7 +55,7 @@ class Faults:
                     f"lie within {_LARGEST_DRIFT} of 0")
 
     def threshold_factors(self, part: float) -> tuple[float, float]:
-        """Return what ON and OFF thresholds are multiplied by at a part, 0..1."""
+        """Return the factors on ON and OFF thresholds at a fraction of the duration."""
         return 1 + self.drift_on * part, 1 + self.drift_off * part
 
 
@@ -65,7 +65,7 @@ class EventFaults:
     Parameters
     ----------
     faults : Faults
-        Their amounts.
+        Loss and jitter.
     seed : int
         Seed of the noise.
     """
@@ -76,7 +76,7 @@ class EventFaults:
     def pass_on(
         self, events: NDArray[Any], start_us: int, stop_us: int
     ) -> NDArray[Any]:
-        """Return the events of start_us..stop_us, both included, as a file has them."""
+        """Apply loss and jitter to the events with start_us <= t <= stop_us."""
         index = np.arange(self._count, self._count + len(events), dtype=np.uint64)
         self._count += len(events)
         if self.faults.lost:

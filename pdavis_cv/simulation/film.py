@@ -1,4 +1,4 @@
-"""A video before a camera: its light on each pixel, frame after frame."""
+"""The light of a `VideoScene` on each pixel behind its polarizer."""
 from __future__ import annotations
 
 import numpy as np
@@ -11,7 +11,7 @@ __all__ = ["Film"]
 
 
 class Film:
-    """The part of a video that a camera sees, and how its pixels see it.
+    """A video, cropped to a camera's region, and the responses of its pixels.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Film:
             analyser.reshape(-1, 3).T * [[0.5], [1.0], [1.0]], np.float32)
 
     def quad(self, t_us: float) -> NDArray[np.float32]:
-        """Return the video's four planes at a time, float32 (4, H, W)."""
+        """Interpolate I0, I45, I90, I135 at a time, DN per ms, float32 (4, H, W)."""
         quad, last = self.scene.quad, len(self.scene.quad) - 1
         at = min(max(t_us * self.scene.fps / 1e6, 0.0), float(last))
         k = round(at)
@@ -53,10 +53,10 @@ class Film:
             np.float32)
 
     def light(self, quad: NDArray[np.float32], dark: float) -> NDArray[np.float32]:
-        """Return the light of four planes on each pixel, float32 (H * W,).
+        """Return the light on each pixel in DN per ms, float32 (H * W,).
 
-        The same bits as the event pixels see; ``dark`` is their dark current in DN
-        per ms.
+        Bit-identical to `video_events`, whose operations it repeats.  ``quad`` is
+        that of `quad`, ``dark`` the dark current as a light in DN per ms.
         """
         i0, i45, i90, i135 = quad.reshape(4, -1)
         half, along, across = self.weights

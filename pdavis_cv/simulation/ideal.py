@@ -1,4 +1,4 @@
-"""An ideal camera before a rotating polarizer: exact events, frames and truth.
+"""A rotating polarizer seen by an ideal camera: exact events, frames and truth.
 
 Log intensity of a pixel behind its analyser is ``ln(a (1 + k cos u))`` with u
 linear in time, so threshold crossings and exposure integrals have closed forms:
@@ -21,7 +21,7 @@ from pdavis_cv.simulation.truth import Truth
 __all__ = ["rotating_polarizer"]
 
 MOST_ANGLE = 1e6
-"""Radians; beyond it a phase has no microseconds left."""
+"""Bound on ``start_angle``, radians: rounding of a larger phase shifts crossings."""
 
 
 def rotating_polarizer(
@@ -64,8 +64,8 @@ def rotating_polarizer(
     dolp : float
         Degree of linear polarization of the light, 0..1.
     extinction_ratio : float
-        That of the camera's analysers, above 1; the smallest intensity behind one is
-        the largest divided by this.
+        Extinction ratio of the camera's analysers, largest over smallest intensity
+        behind one in fully polarized light; above 1.
 
     Returns
     -------
@@ -118,15 +118,15 @@ def rotating_polarizer(
 
 
 _EVENT_BYTES = 3 * EVENT_DTYPE.itemsize
-"""Bytes per event while events are sorted: parts, joined and sorted arrays."""
+"""Bytes per event while events are sorted: three copies are held at once."""
 
 
 def _size(rpm: float, seconds: float, size: tuple[int, int], theta: float, k: float,
           fps: float) -> float:
-    """Return about how many bytes a recording takes."""
+    """Estimate the memory of a recording in bytes."""
     pixels = float(size[0]) * size[1]
     turns = abs(rpm) / 60 * seconds
-    # Four times per turn the log intensity goes from one end of its range to the other.
+    # The log intensity crosses its range four times per turn.
     range_ln = np.log1p(k) - np.log1p(-k)
     return float(pixels * (4 * turns * (1 + range_ln / theta) * _EVENT_BYTES
                            + seconds * fps * np.dtype(np.float32).itemsize))
@@ -141,7 +141,7 @@ def _events(
     scene: RotatingPolarizer, angles: FloatArray, k: float, on: FloatArray,
     off: FloatArray, stop_us: int,
 ) -> NDArray[np.void]:
-    """Events of all pixels, time-ordered; pixels that are alike are solved once."""
+    """Events of all pixels, time-ordered; equal pixels are solved only once."""
     kinds, member = np.unique(
         np.stack((angles, on, off)).reshape(3, -1), axis=1, return_inverse=True)
     parts = []

@@ -1,4 +1,4 @@
-"""The lens: polarization per field point, and how its cone meets the polarizers."""
+"""The lens: its polarization, and oblique incidence on the sensor's polarizers."""
 from __future__ import annotations
 
 import math
@@ -14,7 +14,8 @@ __all__ = ["Lens"]
 
 FloatArray = NDArray[np.float64]
 
-_RINGS, _SPOKES = 3, 8  # of the pupil: exact for squares of angles, to order 7 around
+# Quadrature over the pupil: exact for r^2, and for azimuthal orders up to 7.
+_RINGS, _SPOKES = 3, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,17 +25,17 @@ class Lens:
     Parameters
     ----------
     f_number : float
-        The cone on a pixel has half the angle ``asin(1 / (2 f_number))``.
+        The half-angle of the cone on a pixel is ``asin(1 / (2 f_number))``.
     chief_ray : float
-        Angle of incidence of the cone's middle at the sensor's corners, radians; its
-        tangent grows with the distance from the middle.  0: telecentric.
+        Angle of incidence of the chief ray at the sensor's corners, radians; its
+        tangent is proportional to the distance from the middle.  0: telecentric.
     half_ratio : float
-        Angle of incidence, radians, at which a polarizer's extinction ratio is half:
+        Angle of incidence, radians, at which a polarizer's extinction ratio is halved:
         ``ER / (1 + (angle / half_ratio)^2)``.
     diattenuation, retardance : float
-        Those of the glass at the sensor's corners, 0..1 and radians, growing with the
-        square of the distance from the middle, as Fresnel's equations do with the
-        angle.  Light polarized towards the middle passes best, and fastest.
+        Of the glass at the sensor's corners, 0..1 and radians; proportional to the
+        square of the distance from the middle, as Fresnel's equations are to that of
+        the angle.  The axis of larger transmission, and the fast one, is radial.
 
     Notes
     -----
@@ -82,8 +83,7 @@ class Lens:
         Parameters
         ----------
         angle, ratio : ndarray of float64
-            Angle, radians, and extinction ratio of each polarizer under light that
-            falls on it straight.
+            Angle, radians, and extinction ratio of each polarizer at normal incidence.
         x, y : ndarray of float64
             Places, as for `mueller`; all broadcast together.
 
@@ -106,7 +106,7 @@ class Lens:
             plane = np.arctan2(up, right)
             at = ratio / (1 + (incidence / self.half_ratio)**2)
             contrast = (at - 1) / (at + 1) / (2 * len(rays))
-            # A polarizer that lies aslant is seen shortened in the plane of incidence.
+            # Oblique incidence foreshortens the axis in the plane of incidence.
             turned = 2 * (plane + np.arctan2(np.sin(angle - plane) * np.cos(incidence),
                                              np.cos(angle - plane)))
             total[..., 1] += contrast * np.cos(turned)

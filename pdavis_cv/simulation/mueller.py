@@ -1,4 +1,4 @@
-"""Mueller matrices: what an element does to the Stokes vector of light."""
+"""Mueller matrices of diattenuators and retarders, and whether one is physical."""
 from __future__ import annotations
 
 import numpy as np
@@ -22,8 +22,7 @@ def diattenuator(diattenuation: ArrayLike, axis: ArrayLike = 0.0) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (..., 4, 4)
-        For a mean transmission of 1, so that it changes unpolarized light's
-        polarization but not its intensity.
+        Normalised to a mean transmission of 1: unpolarized light keeps its intensity.
     """
     d, axis = np.broadcast_arrays(
         np.asarray(diattenuation, np.float64), np.asarray(axis, np.float64))
@@ -60,14 +59,14 @@ def retarder(retardance: ArrayLike, axis: ArrayLike = 0.0) -> FloatArray:
 
 
 def rotated(matrix: ArrayLike, angle: ArrayLike) -> FloatArray:
-    """Return the matrix of an element after a turn, counter-clockwise as displayed.
+    """Return the Mueller matrix of an element that is rotated.
 
     Parameters
     ----------
     matrix : array_like, shape (..., 4, 4)
-        Matrix of the element before.
+        Matrix of the element at angle 0.
     angle : array_like, shape (...)
-        Radians.
+        Radians, counter-clockwise as displayed.
     """
     matrix = np.asarray(matrix, np.float64)
     turn = 2 * np.asarray(angle, np.float64)
@@ -83,7 +82,7 @@ _PAULI = np.array([[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]],
 
 
 def is_physical(matrix: ArrayLike, tolerance: float = 1e-9) -> bool:
-    """Whether a passive element or a mixture of such can have this Mueller matrix.
+    """Whether a Mueller matrix is physically realisable, by a mixture of elements.
 
     Its coherency matrix ``sum(m[i, j] kron(sigma[i], conj(sigma[j]))) / 4`` then has
     no negative eigenvalue [Cloude 1986].

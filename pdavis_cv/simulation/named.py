@@ -33,7 +33,8 @@ SCENES = {
 
 _STEPS = 37                 # of MalusSweep: 0..180 degrees in steps of 5
 _LEVELS = 13                # of IrradianceSweep
-_BRIGHT = {"sony": 0.68}    # DN per ms that fill the converter in the longest exposure
+# DN per ms at 1 uW/cm2, by camera: see `IrradianceSweep`.
+_BRIGHT = {"sony": 0.68}
 _BRIGHT_DN_PER_MS = 27.0
 
 
@@ -49,7 +50,7 @@ def named_scene(
     name : str
         One of `SCENES`.
     seconds : float
-        In which ``malus`` and ``dr`` run through all their steps.
+        Duration of all the steps of ``malus`` and of ``dr``.
     rpm : float
         Turns per minute; negative is clockwise.
     hz : float
@@ -65,7 +66,7 @@ def named_scene(
     flicker_hz : float, optional
         Mains frequency of the lamp.
     camera : str
-        Preset that will look at it: ``dr`` fills its range.
+        Preset of the camera, whose sensitivity scales ``dr``.
 
     Returns
     -------

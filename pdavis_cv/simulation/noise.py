@@ -1,8 +1,8 @@
-"""Random numbers that depend on seed, purpose and pixel alone.
+"""Counter-based random numbers: a function of seed, purpose, pixel and counter.
 
-Every number is an output of SplitMix64 (Steele, Lea, Flood 2014) at a counter, so
-that neither the order of pixels, nor chunks, threads or a region of interest change
-what a pixel sees.  ``_kernels/_double.pxd`` draws from the same streams.
+SplitMix64 (Steele, Lea, Flood 2014) evaluated at a counter: the order of pixels,
+chunks, threads and the region of interest do not change the noise of a pixel.
+``_kernels/_double.pxd`` draws from the same streams.
 """
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
 def pixel_index(
     size: tuple[int, int], origin: tuple[int, int] = (0, 0)
 ) -> NDArray[np.uint64]:
-    """Return a number per pixel that is the same for every region of one sensor.
+    """Return an index per pixel that is the same for every region of one sensor.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def pixel_index(
 
 
 def keys(seed: int, purpose: str, index: ArrayLike) -> NDArray[np.uint64]:
-    """Return the stream of each index; streams of two purposes are unrelated."""
+    """Return the key of each index's stream; a purpose has streams of its own."""
     base = np.array([seed % 2**64], np.uint64) + _GOLDEN
     named = _mix(base) ^ np.uint64(zlib.crc32(purpose.encode()))
     with np.errstate(over="ignore"):

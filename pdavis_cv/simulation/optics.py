@@ -1,4 +1,4 @@
-"""Optics: the polarizer in front of each pixel, as a specimen has it."""
+"""Optics: angle, extinction ratio and gain of each pixel's polarizer."""
 from __future__ import annotations
 
 import math
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
-    """Layout and spread of the polarizers and of the pixels' sensitivity.
+    """Layout of the polarizers, and their spread and that of the sensitivity.
 
     A pixel behind an analyser at angle a sees
     ``gain / 2 (S0 + k (S1 cos 2a + S2 sin 2a))`` with k = (ER - 1)/(ER + 1): the
@@ -36,17 +36,18 @@ class Optics:
     extinction_ratio : float
         Mean extinction ratio, above 1; PDAVIS 40, Sony 350 (Haessig, table S1).
     extinction_ratio_sigma : float
-        Spread over pixels, normal, kept above 1.5.
+        Standard deviation over pixels, normal, kept above 1.5.
     angle_sigma, angle_smooth : float
-        Error of the angles in radians: independent per pixel, and a field that
-        varies smoothly over the sensor (rms), as a misplaced filter array gives.
+        Rms error of the angles in radians: independent per pixel, and a field that
+        varies smoothly over the sensor, as a misaligned filter array gives.
     gain_sigma, gain_smooth : float
         Relative spread of sensitivity: per pixel, and the fall towards the corners.
     lens : Lens, optional
-        Elements in front of the polarizers; None: light falls straight on them.
+        Lens in front of the polarizers; None: normal incidence.
     crosstalk : 3 rows of 3 floats, optional
-        Share of its light that a pixel has from each of those around it, in the middle
-        from itself, behind their polarizers; `crosstalk.kernel` makes one.  None: none.
+        Kernel: fraction of a pixel's light that comes through each of the polarizers
+        around it, and in the middle through its own; `crosstalk.kernel` makes one.
+        None: no crosstalk.
     """
 
     layout: Layout = Layout.PDAVIS
@@ -81,7 +82,7 @@ class Optics:
         Parameters
         ----------
         seed : int
-            Names the specimen.
+            Seed of the specimen.
         size, origin, full_size : (int, int)
             Region of the sensor as (height, width) and (row, column), and the
             sensor's size.
@@ -90,8 +91,9 @@ class Optics:
         -------
         dict of ndarray of float64, shape (H, W)
             ``angle``, ``extinction_ratio``, ``gain``, and ``analyser`` of shape
-            (H, W, 3): the response to S0, S1, S2.  Lens and crosstalk included, for
-            uniform light; a lens adds ``circular``, the response to S3.
+            (H, W, 3): the response to S0, S1, S2.  With lens and crosstalk these are
+            the effective ones in uniform light; a lens adds ``circular``, the response
+            to S3.
         """
         if self.crosstalk is not None:
             near = self.neighbours(seed, size, origin, full_size)
@@ -110,7 +112,7 @@ class Optics:
         self, seed: int, size: tuple[int, int], origin: tuple[int, int],
         full_size: tuple[int, int],
     ) -> Neighbours:
-        """Return the pixels of a region with those around it, for their crosstalk.
+        """Return the crosstalk of the pixels of a region.
 
         Parameters
         ----------
@@ -134,7 +136,7 @@ class Optics:
     def _effective(
         self, seen: FloatArray, origin: tuple[int, int]
     ) -> dict[str, FloatArray]:
-        """Angle, ratio and gain of pixels that respond so to S0..S3."""
+        """Convert responses (H, W, 4) to S0..S3 into the maps of `maps`."""
         s0, s1, s2, s3 = np.moveaxis(seen, -1, 0)
         contrast = np.hypot(s1, s2) / s0
         nominal = self._nominal(seen.shape[:2], origin)
@@ -154,7 +156,7 @@ class Optics:
         self, seed: int, size: tuple[int, int], origin: tuple[int, int],
         full_size: tuple[int, int],
     ) -> tuple[FloatArray, ...]:
-        """Angle, extinction ratio and gain of the pixels themselves, and places."""
+        """Angle, extinction ratio, gain without lens and crosstalk; x, y of `Lens`."""
         index = noise.pixel_index(size, origin)
         rows = np.arange(size[0]) + origin[0]
         columns = np.arange(size[1]) + origin[1]
@@ -183,10 +185,11 @@ LENSES: Mapping[str, Mapping[str, Any]] = MappingProxyType({
                      retardance=math.radians(2)),
         "crosstalk": kernel(side, side / 5)})
     for name, f_number, side in (("f2.8", 2.8, 0.005), ("f8", 8.0, 0.00175))})
-"""Lens and crosstalk of a camera in use, by name, for `Camera.preset`.
+"""Lens and crosstalk by name, for `Camera.preset`.
 
-Cone and angles follow from the f-number.  All else is an assumption, since nothing is
-published of this camera: 10 degrees at the corners is a lens with its exit pupil 23 mm
-from an 8 mm diagonal, half the extinction ratio at 20 degrees, 1 % and 2 degrees of the
-glass, and crosstalk as wide as the cone, .5 % at f/2.8.
+The cone follows from the f-number.  The rest is assumed, since nothing is published of
+this camera: a chief ray of 10 degrees at the corners (exit pupil 23 mm from a sensor of
+8 mm diagonal), half the extinction ratio at 20 degrees, 1 % diattenuation and 2 degrees
+retardance of the glass at the corners, and crosstalk inversely proportional to the
+f-number, .5 % at f/2.8.
 """

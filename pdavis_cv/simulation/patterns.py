@@ -25,11 +25,12 @@ from pdavis_cv.simulation.scenes import (
 __all__ = ["Fan", "FunctionScene", "Tendon", "Texture", "VideoScene"]
 
 _MIDDLE = ((Sensor.PDAVIS.size[1] - 1) / 2, (Sensor.PDAVIS.size[0] - 1) / 2)
-# From 12 sectors before the first on: a place less a turn is never further back.
+# exp(2i angle) of the polarizers in sectors -12..5: azimuth (-3..3 sectors) less turn
+# (0..6) lies in -9..3, and a soft edge reads the sector before.
 _SECTORS = np.exp(1j * (np.pi / 3) * (np.arange(18) % 6))
-_KEPT_COLUMNS = 4096  # of a wider sensor the waves' curves are computed each time
-_KEPT_PLACES = 8192  # likewise the parts of a wheel that stand still
-_EDGE_SAMPLES = 16  # while an edge passes
+_KEPT_COLUMNS = 4096    # widest sensor whose columns' cosines are cached
+_KEPT_PLACES = 8192     # most pixels of which a wheel's constant maps are cached
+_EDGE_SAMPLES = 16      # while a soft edge passes a pixel at the rim
 
 
 def smooth_edge(u: FloatArray) -> FloatArray:
@@ -62,7 +63,7 @@ class Fan(Scene):
     edge : float
         Width of the soft edges, pixels.
     opaque : float
-        Light of the hub and around the wheel, relative to that behind it, unpolarized.
+        Unpolarized S0 of hub and surround, relative to S0 behind the wheel.
     """
 
     rpm: float
@@ -111,7 +112,7 @@ class Fan(Scene):
     def _polarized(
         place: FloatArray, steep: FloatArray, sectors: NDArray[np.complex128]
     ) -> NDArray[np.complex128]:
-        """s1 + i s2 at places -9..3; steep: sectors per width of an edge there."""
+        """s1 + i s2 at azimuths -9..3 in sectors; steep: sector width / edge width."""
         first = np.floor(place)
         part = place - first
         seen = sectors.take(first.astype(np.intp) + 12)
@@ -126,13 +127,13 @@ class Fan(Scene):
         return seen
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Tell the wheel between hub and rim, soft edges excluded."""
+        """Return the mask of the wheel between hub and rim, without soft edges."""
         r = np.hypot(np.asarray(x) - self.centre[0], np.asarray(y) - self.centre[1])
         return np.asarray((r > self.hub + self.edge) & (r < self.radius - self.edge))
 
     @property
     def step_us(self) -> float:
-        """Finer than the passage of an edge at the rim, and than the turn."""
+        """Sampling interval in us of an edge's passage at the rim, or of the turn."""
         speed = rad_per_us(self.rpm)
         if speed == 0:
             return math.inf
@@ -144,9 +145,10 @@ def _still(
     wheel: tuple[float, ...], x: tuple[tuple[int, ...], bytes],
     y: tuple[tuple[int, ...], bytes],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the constant maps: place in sectors, slope of edges, S0, light behind.
+    """Return the maps that do not turn with the wheel, for places x and y.
 
-    x and y are shapes of places and their bytes.
+    They are the azimuth in sectors, the width of a sector over that of an edge, S0, and
+    the polarized part of S0.  x and y are shape and bytes of arrays, to be hashable.
     """
     column, row, hub, radius, edge, s0, bright, opaque = wheel
     u, v = (np.frombuffer(of).reshape(shape) for shape, of in (x, y))
@@ -242,7 +244,7 @@ class Tendon(Scene):
 
     @property
     def step_us(self) -> float:
-        """A fine part of the cycle, finer where the far end crosses fibres."""
+        """Sampling interval in us; the far end crosses fibres faster than the cycle."""
         travel = Sensor.PDAVIS.size[1] * (self.strain_high - self.strain_low)
         cycle = 2 * math.pi * 1e-6 * self.hz
         phase = 1 + travel * 2 * math.pi * (
@@ -254,7 +256,7 @@ class Tendon(Scene):
 def _waves(
     seed: int, name: str, waves: int, longest: float, shortest: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return weights, wave numbers along x and y, and phases of a field's waves."""
+    """Return amplitudes, wave numbers along x and y, and phases of a field's waves."""
     index = np.arange(waves)
 
     def draw(what: str) -> FloatArray:
@@ -270,7 +272,7 @@ def _waves(
 
 
 def _curves(k: bytes, x: bytes) -> tuple[FloatArray, FloatArray]:
-    """Return cosine and sine of wave numbers times places, (n, W)."""
+    """Return cosine and sine of k x, shape (n, W); float64 arrays as bytes."""
     across = np.frombuffer(k)[:, None] * np.frombuffer(x)
     return np.cos(across), np.sin(across)
 
@@ -292,10 +294,10 @@ def _plane_waves(
 
 @dataclass(frozen=True, kw_only=True)
 class Texture(Scene):
-    """A moving random texture with fields of AoP and DoLP, spectrum 1/f.
+    """A random texture of S0, DoLP and AoP that moves as a whole, amplitudes 1/f.
 
-    Each field is a sum of plane waves that moves as a whole; intensity is the
-    exponential of one, AoP and DoLP follow two others.
+    Each is a function of a sum of plane waves: the exponential (S0), the sine (DoLP)
+    and the sum itself (AoP).
 
     Parameters
     ----------
@@ -304,7 +306,7 @@ class Texture(Scene):
     s0, contrast : float
         Geometric mean of S0 in DN per ms, and rms of its natural log.
     dolp, dolp_spread : float
-        Mean of DoLP, and how far it goes up and down at the most.
+        Mean of DoLP, and its largest deviation from it.
     aop, aop_spread : float
         Mean and rms spread of AoP in radians.
     longest, shortest : float
@@ -369,24 +371,24 @@ class Texture(Scene):
 
     @property
     def step_us(self) -> float:
-        """A fine part of the passage of the shortest wave."""
+        """Sampling interval in us of the shortest wave's passage."""
         speed = math.hypot(*self.velocity) * 1e-6
         return step_of(2 * math.pi * speed / self.shortest) * 2
 
 
 @dataclass(frozen=True)
 class FunctionScene(Scene):
-    """A scene of the user's own, in closed form.
+    """A scene given by a function of time and place.
 
     Parameters
     ----------
     function : callable
         ``function(t_us, x, y) -> (s0, s1, s2)`` of arrays that broadcast together.
     sampling_us : float
-        Interval at which it is sampled; between samples it is a cubic whose error is
-        at most sampling_us^4 / 384 times the largest fourth derivative.
+        Sampling interval; the cubic between samples is off by at most
+        sampling_us^4 / 384 times the largest fourth derivative.
     uniform : bool
-        Whether the light is the same everywhere, which is far quicker.
+        Whether the light is the same everywhere, which is faster to simulate.
     """
 
     function: Callable[[FloatArray, FloatArray, FloatArray], Stokes]
@@ -397,7 +399,7 @@ class FunctionScene(Scene):
         positive(sampling_us=self.sampling_us)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
-        """S0, S1, S2 in DN per ms, as the function gives them."""
+        """S0, S1, S2 in DN per ms."""
         t, u, v = (np.asarray(a, np.float64) for a in (t_us, x, y))
         shape = np.broadcast_shapes(t.shape, u.shape, v.shape)
         s0, s1, s2 = (np.broadcast_to(np.asarray(s, np.float64), shape)
@@ -406,7 +408,7 @@ class FunctionScene(Scene):
 
     @property
     def step_us(self) -> float:
-        """What the user gave."""
+        """``sampling_us``."""
         return self.sampling_us
 
 

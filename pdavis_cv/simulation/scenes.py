@@ -3,8 +3,8 @@
 S0, S1, S2 are those of the light that reaches the sensor, in DN per ms: an ideal
 pixel behind an ideal analyser at angle a counts (S0 + S1 cos 2a + S2 sin 2a)/2 per
 ms of exposure.  Places are pixels of the full sensor, (0, 0) the middle of the one
-at the top left; ``FULL`` is a fully polarized light of 600 DN in 20 ms at the most
-behind an analyser of extinction ratio 40.
+at the top left; ``FULL`` is the S0 of fully polarized light that gives 600 DN in 20 ms
+behind a parallel analyser of extinction ratio 40.
 """
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 Stokes = tuple[FloatArray, FloatArray, FloatArray]
 
 FULL = 30.75
-_PHASE = 0.04  # radians of a Stokes component's phase per sample
+_PHASE = 0.04  # radians per sample of the fastest Stokes component
 
 
 class Scene(ABC):
@@ -46,10 +46,9 @@ class Scene(ABC):
         Whether the light is the same everywhere.
     linear : bool
         Whether light is linear between samples (recorded scenes); else it is smooth
-        and sampled finely enough for a cubic between samples.
+        and a cubic between samples ``step_us`` apart is exact.
     circular : bool
-        Whether S3 can differ from 0: a lens with retardance then makes part of it
-        linear.
+        Whether S3 can differ from 0; a lens with retardance converts it to linear.
     """
 
     uniform: bool = False
@@ -71,7 +70,7 @@ class Scene(ABC):
         """
 
     def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """S3, circular light, in DN per ms; of Collett's sign.
+        """S3 in DN per ms, with Collett's sign; 0 unless the scene overrides it.
 
         Parameters
         ----------
@@ -81,43 +80,45 @@ class Scene(ABC):
         Returns
         -------
         ndarray of float64
-            0 unless the scene has some.
         """
         return np.zeros(np.broadcast_shapes(np.shape(t_us), np.shape(x), np.shape(y)))
 
     @property
     @abstractmethod
     def step_us(self) -> float:
-        """Interval at which sampling the light loses nothing; inf if it is constant.
+        """Sampling interval in us; inf if the light is constant.
 
-        Between samples the light is a cubic; at a phase of 0.04 radians per sample
-        of its fastest part that is exact to 1e-8 of S0.
+        At 0.04 radians per sample of the fastest component, the cubic between samples
+        is exact to 1e-8 of S0.
         """
 
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
-        """Return where linear light has kinks, strictly between start and stop."""
+        """Return the nodes of piecewise-linear light in (start_us, stop_us)."""
         return np.empty(0)
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Where the scene shows what it is about: everywhere, unless it says."""
+        """Return the mask of the places to score: all, unless the scene overrides it.
+
+        `Fan` leaves out its hub, its surround and the soft edges of both.
+        """
         return np.ones(np.broadcast_shapes(np.shape(x), np.shape(y)), np.bool_)
 
     def __add__(self, other: Scene) -> Scene:
-        """Light of two scenes together, e.g. over a background."""
+        """Return the incoherent sum of two scenes, e.g. with a background."""
         return Sum(self, other)
 
     def flicker(self, mains_hz: float = 50.0, depth: float = 0.2) -> Scene:
-        """Return the scene under a lamp on the mains, which flickers at twice that."""
+        """Return the scene under a lamp that flickers at twice the mains frequency."""
         return Flicker(self, hz=2 * mains_hz, depth=depth)
 
 
 def same_everywhere(t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-    """Return time as float64 in the shape that t, x and y have together."""
+    """Return time as float64, broadcast to the common shape of t, x and y."""
     return np.broadcast_arrays(np.asarray(t_us, np.float64), x, y)[0]
 
 
 def polarized(s0: ArrayLike, dolp: ArrayLike, aop: FloatArray) -> Stokes:
-    """Stokes vector of light of an intensity, degree and angle of polarization."""
+    """Return S0, S1, S2 of light of this intensity, DoLP and AoP (radians)."""
     full = np.broadcast_to(np.asarray(s0, np.float64), aop.shape)
     part = full * np.asarray(dolp, np.float64)
     return full, part * np.cos(2 * aop), part * np.sin(2 * aop)
@@ -143,7 +144,7 @@ def grid(step_us: float, start_us: float, stop_us: float) -> FloatArray:
 
 
 def kinks(scene: Scene, start_us: float, stop_us: float) -> FloatArray:
-    """Return where light that is to be linear between samples needs one."""
+    """Return the times strictly within start..stop at which `Sum` needs a node, us."""
     if scene.linear:
         return scene.times_us(start_us, stop_us)
     return grid(scene.step_us, start_us, stop_us)
@@ -151,12 +152,12 @@ def kinks(scene: Scene, start_us: float, stop_us: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Sum(Scene):
-    """Light of two scenes together.
+    """The incoherent sum of two scenes.
 
     Parameters
     ----------
     first, second : Scene
-        ``lit`` is that of the first.
+        Scenes; the mask `lit` is that of the first.
     """
 
     first: Scene
@@ -164,7 +165,7 @@ class Sum(Scene):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether both are the same everywhere."""
+        """Whether the light of both is the same everywhere."""
         return self.first.uniform and self.second.uniform
 
     @property
@@ -174,16 +175,16 @@ class Sum(Scene):
 
     @property
     def step_us(self) -> float:
-        """The finer of both."""
+        """Smaller sampling interval of the two, us."""
         return min(self.first.step_us, self.second.step_us)
 
     @property
     def circular(self) -> bool:  # type: ignore[override]
-        """Whether either is."""
+        """Whether S3 of either can differ from 0."""
         return self.first.circular or self.second.circular
 
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
-        """Kinks of both, and samples of the smooth one."""
+        """Nodes of both; of a smooth one its samples."""
         return np.union1d(*(kinks(scene, start_us, stop_us)
                             for scene in (self.first, self.second)))
 
@@ -197,7 +198,7 @@ class Sum(Scene):
         return self.first.s3(t_us, x, y) + self.second.s3(t_us, x, y)
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Where the first scene is lit."""
+        """Return the mask of the first scene."""
         return self.first.lit(x, y)
 
 
@@ -225,28 +226,28 @@ class Flicker(Scene):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """As the scene."""
+        """Whether the scene's light is the same everywhere."""
         return self.scene.uniform
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """As the scene."""
+        """Whether the scene's light is linear between samples."""
         return self.scene.linear
 
     @property
     def circular(self) -> bool:  # type: ignore[override]
-        """As the scene."""
+        """Whether S3 of the scene can differ from 0."""
         return self.scene.circular
 
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
-        """Kinks of the scene, and samples of the lamp."""
+        """Nodes of the scene, and samples of the lamp."""
         step = step_of(2e-6 * math.pi * self.hz)
         return np.union1d(self.scene.times_us(start_us, stop_us),
                           grid(step, start_us, stop_us))
 
     @property
     def step_us(self) -> float:
-        """The finer of scene and lamp."""
+        """Smaller sampling interval of scene and lamp, us."""
         return min(self.scene.step_us, step_of(2e-6 * math.pi * self.hz))
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
@@ -264,13 +265,13 @@ class Flicker(Scene):
             2e-6 * np.pi * self.hz * np.asarray(t_us, np.float64)))
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Where the scene is lit."""
+        """Return the mask of the scene."""
         return self.scene.lit(x, y)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlatLight(Scene):
-    """Constant light, the same everywhere; ``s0=0`` is the dark.
+    """Constant, uniform light; ``s0=0`` is darkness.
 
     Parameters
     ----------
@@ -296,7 +297,7 @@ class FlatLight(Scene):
 
     @property
     def circular(self) -> bool:  # type: ignore[override]
-        """Whether it is."""
+        """Whether ``docp`` is not 0."""
         return self.docp != 0
 
     def s3(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
@@ -305,7 +306,7 @@ class FlatLight(Scene):
 
     @property
     def step_us(self) -> float:
-        """It is constant."""
+        """Infinite: the light is constant."""
         return math.inf
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
@@ -456,10 +457,10 @@ class RotatingPlate(Scene):
 def behind_plate(
     s0: float, polarizer: ArrayLike, axis: ArrayLike, retardance: float
 ) -> Stokes:
-    """Linear part of polarized light behind a retarder.
+    """S0, S1, S2 of light behind a polarizer and a retarder.
 
-    The part along the axis passes; of the part at 45 degrees to it cos(retardance)
-    stays linear, and the rest becomes circular.
+    The Stokes component along the retarder's axis passes; that at 45 degrees to it is
+    multiplied by cos(retardance), the rest becomes S3.
     """
     axis = np.asarray(axis, np.float64)
     turn = 2 * (np.asarray(polarizer, np.float64) - axis)
@@ -472,16 +473,15 @@ def behind_plate(
 def circular_part(
     s0: float, polarizer: ArrayLike, axis: ArrayLike, retardance: float
 ) -> FloatArray:
-    """S3 of polarized light behind a retarder; see `behind_plate`."""
+    """S3 of light behind a polarizer and a retarder; see `behind_plate`."""
     turn = 2 * (np.asarray(polarizer, np.float64) - np.asarray(axis, np.float64))
     return np.asarray(-s0 * math.sin(retardance) * np.sin(turn))
 
 
 def staircase(t_us: FloatArray, hold_us: float, move_us: float) -> FloatArray:
-    """Count held intervals: flat, but for a smooth rise at the start of each.
+    """Return the index of the held interval, with a smooth rise at its start.
 
-    The rise is a quintic with two continuous derivatives; the first interval, 0,
-    has none.
+    The rise is a quintic with two continuous derivatives; interval 0 has none.
     """
     step = np.floor(t_us / hold_us)
     inside = np.clip((t_us - step * hold_us) / move_us, 0, 1)
@@ -491,7 +491,7 @@ def staircase(t_us: FloatArray, hold_us: float, move_us: float) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class MalusSweep(Scene):
-    """A polarizer that is turned in steps and held, as a calibration bench does it.
+    """A polarizer that is turned in steps and held, as on a calibration bench.
 
     Parameters
     ----------
@@ -500,9 +500,9 @@ class MalusSweep(Scene):
     hold_us : float
         Time from one step to the next.
     move_us : float
-        Part of it that the turn takes.
+        Duration of a step's rotation, at the start of ``hold_us``.
     s0, dolp, start_angle : float
-        Those of the light: DN per ms, 0..1 and radians.
+        S0 (DN per ms) and DoLP behind the polarizer, and its first angle, radians.
     """
 
     step: float = math.radians(5)
@@ -529,13 +529,13 @@ class MalusSweep(Scene):
 
     @property
     def step_us(self) -> float:
-        """A hundredth of a turn's time, or finer for large steps."""
+        """A hundredth of ``move_us``, or less for a large ``step``."""
         return min(self.move_us / 100, step_of(4 * self.step / self.move_us))
 
 
 @dataclass(frozen=True, kw_only=True)
 class IrradianceSweep(Scene):
-    """A rotating polarizer under light that is raised in equal ratios and held.
+    """A rotating polarizer under irradiance that rises in equal ratios.
 
     Parameters
     ----------
@@ -548,7 +548,7 @@ class IrradianceSweep(Scene):
     hold_us : float
         Time at each level.
     dn_per_ms : float
-        DN per ms that 1 microwatt per cm2 gives: 27 for the PDAVIS (18.5 um pixels,
+        S0 in DN per ms at 1 microwatt per cm2: 27 for the PDAVIS (18.5 um pixels,
         24 % quantum efficiency at 520 nm, 80 electrons per DN), 0.68 for the Sony
         (4095 DN at 300 microwatt per cm2 in 20 ms; Haessig, figure S9).
     start_angle : float
@@ -584,5 +584,5 @@ class IrradianceSweep(Scene):
 
     @property
     def step_us(self) -> float:
-        """The finer of the turn and of a hundredth of a rise."""
+        """Smaller sampling interval of the turn and of a rise, us."""
         return min(step_of(2 * rad_per_us(self.rpm)), self.hold_us / 2000)

@@ -1,8 +1,8 @@
-"""Populations of cameras: from which distributions a specimen's parameters are drawn.
+"""Populations of cameras: the distributions of a specimen's parameters.
 
-What the estimators assume of a camera (docs/theory/priors.md) must not be what the
-cameras that they are scored on have.  Here are ranges, wider than those priors and
-centred elsewhere; the seed of a camera draws one value from each.
+The estimators are scored on cameras that do not follow their priors
+(docs/theory/priors.md): the ranges here are wider, and centred elsewhere.  The seed of
+a camera draws one value from each.
 """
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _DEGREES = math.radians(1.0)
 
 _DRAWN: Mapping[str, Mapping[str, Range]] = {
     "dvs": {
-        # 0.14 is the paper's least (table S1), .29 and .37 were fitted to a DAVIS346.
+        # 0.14: smallest of the paper (table S1); .29 and .37: fits to a DAVIS346.
         "theta_on": Range(0.14, 0.42),
         "theta_off": Range(0.85, 1.45, times="theta_on"),
         # Relative: 2.1 % of contrast (Lichtsteiner 2008) to v2e's .03 of .2.
@@ -123,7 +123,7 @@ def drawn(name: str, parts: Mapping[str, Any], seed: int) -> dict[str, Any]:
     parts : mapping of str to dataclass
         The preset's parts.
     seed : int
-        Names the specimen.
+        Seed of the specimen.
     """
     out = dict(parts)
     for part, ranges in POPULATIONS.get(name, {}).items():

@@ -1,4 +1,4 @@
-"""A simulation as a recording: made while it is read, in flat memory."""
+"""A simulation as a recording: computed while it is read, in constant memory."""
 from __future__ import annotations
 
 import functools
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 __all__ = ["Piece", "SimulatedRecording"]
 
 PIECE_US = 10_000
-_ROWS = 16  # rows and intervals that a scene with structure is evaluated for at once
+_ROWS = 16      # rows, and intervals, per evaluation of a scene that is not uniform
 _INTERVALS = 16
-_WEIGHTS = 4    # arrays of float64
+_WEIGHTS = 4    # float64 arrays of (intervals, columns) that are held at once
 
 
 @dataclass(slots=True)
@@ -103,7 +103,7 @@ class SimulatedRecording(Recording):
 
     @property
     def info(self) -> RecordingInfo:
-        """Header facts; counts are not known before it has been simulated."""
+        """Header; counts are None, since they are unknown before the simulation."""
         return self._info
 
     @property
@@ -197,7 +197,7 @@ class SimulatedRecording(Recording):
         self._bus = log
 
     def _conditions(self, t_us: float) -> Conditions:
-        """Return what thresholds and thermal currents are multiplied by at a time."""
+        """Return the factors on thresholds and thermal currents at a time."""
         camera = self.camera
         on, off = camera.faults.threshold_factors(t_us / self.stop_us)
         warm_on, warm_off, current = camera.temperature.conditions(t_us)
@@ -207,7 +207,7 @@ class SimulatedRecording(Recording):
         self, start: int, pixels: PixelArray | None, clock: FrameClock | None,
         sums: dict[int, FloatArray], pool: ThreadPoolExecutor, film: Film | None,
     ) -> list[NDArray[Any]]:
-        """Feed 10 ms of light to the pixels and to the frames; return the events."""
+        """Return the events of 10 ms, and add its light to the exposures ``sums``."""
         height, width = self.camera.size
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
         if film is not None:
@@ -257,7 +257,7 @@ class SimulatedRecording(Recording):
         weights: dict[tuple[int, tuple[float, float, int]], FloatArray],
         sums: dict[int, FloatArray], pool: ThreadPoolExecutor, bursts: dict[str, Any],
     ) -> list[NDArray[Any]]:
-        """Do for a video what `_simulate` does, all its frames at once."""
+        """Do what `_simulate` does for a video, by the faster kernel for it."""
         dark = 0.0 if pixels is None else pixels.dark_dn_ms
         times = [blocks[0][0], *(at + step for at, step, _ in blocks)]
         quads = [film.quad(t) for t in times[1:]]
@@ -304,9 +304,10 @@ class SimulatedRecording(Recording):
     def _light(
         self, block: tuple[float, float, int], rows: slice
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Light at the nodes of a block, its slopes, and how pixels see it.
+        """Light (nodes, pixels) at the nodes of a block, its slopes, and None.
 
-        Two more nodes at each end give the slopes of smooth light.
+        For uniform light: S0..S2 (nodes, 3), their slopes, and the pixels' responses
+        (pixels, 3).  Smooth light has two more nodes at each end, for the slopes.
         """
         beyond = 0 if self.scene.linear else 2
         start, step, count = block
@@ -341,7 +342,7 @@ class SimulatedRecording(Recording):
         row, column = self.camera.origin
         y = np.arange(rows.start - around, rows.stop + around)[:, None] + row
         x = np.arange(-around, self.camera.size[1] + around)[None, :] + column
-        if around:  # beyond the sensor there is nothing, beyond a video no light known
+        if around:  # a place off the sensor has response 0, one off the video no light
             first, size = (0, 0), self.camera.sensor.size
             if isinstance(self.scene, VideoScene):
                 first, size = self.scene.origin, self.scene.quad.shape[2:]
@@ -374,11 +375,11 @@ def _film_band(
 
 
 def _analysed(analyser: FloatArray, stokes: Stokes, times: int) -> FloatArray:
-    """Return what pixels (H, W, 3) see of light (times, H, W), (times, H * W)."""
+    """Return light (times, H * W) on pixels of responses (H, W, 3) to Stokes images."""
     shape = (times, *analyser.shape[:2])
     s0, s1, s2 = (np.broadcast_to(each, shape) for each in stokes)
     if not s0.strides[0]:
-        s0 = s0[:1]             # it does not change
+        s0 = s0[:1]             # constant: stride 0 in time
     light = np.empty((times, analyser.shape[0] * analyser.shape[1]))
     s0, s1, s2 = (np.ascontiguousarray(each.reshape(len(each), -1))
                   for each in (s0, s1, s2))
@@ -391,7 +392,7 @@ def _integral(
     weight: FloatArray, light: FloatArray, analyser: FloatArray | None,
     shape: tuple[int, int],
 ) -> FloatArray:
-    """Sum of weighted nodes per pixel; weights per column where there are several."""
+    """Exposure integral per pixel; ``weight`` is (nodes, 1) or (nodes, columns)."""
     if weight.shape[1] == 1:
         total = weight[:, 0] @ light
         return (total if analyser is None else analyser @ total).reshape(shape)
@@ -403,7 +404,7 @@ def _integral(
 
 
 def _packets(piece: Piece) -> Iterator[Packet]:
-    """Cut a piece so that a frame closes its packet, and packets are small."""
+    """Split a piece into packets that end with a frame or at MAX_PACKET_EVENTS."""
     events, at = piece.events, 0
     for frame in [*piece.frames, None]:
         end = len(events) if frame is None else int(

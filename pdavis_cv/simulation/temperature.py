@@ -1,4 +1,4 @@
-"""The sensor's temperature: dark current, leak and thresholds that follow it."""
+"""Dependence of dark current, leak and thresholds on the chip's temperature."""
 from __future__ import annotations
 
 import math
@@ -9,36 +9,36 @@ from pdavis_cv.simulation.checks import at_least_zero, positive, require
 __all__ = ["Conditions", "Temperature"]
 
 BOLTZMANN_EV = 8.617333e-5
-"""Per kelvin."""
+"""Boltzmann's constant, eV per kelvin."""
 ZERO_C = 273.15
 
 Conditions = tuple[float, float, float]
-"""Factors on thresholds ON and OFF, and on thermal currents."""
+"""Factors on the ON threshold, the OFF threshold and thermal currents."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Temperature:
     """Temperature of the chip over a recording.
 
-    It rises from `start_c` towards `end_c` as ``1 - exp(-t / rise_s)``.  What the parts
-    of a camera state holds at `reference_c`, and so does its exact calibration.
+    It rises from `start_c` towards `end_c` as ``1 - exp(-t / rise_s)``.  The parameters
+    of a camera's parts, and its exact calibration, are those at `reference_c`.
 
     Parameters
     ----------
     start_c, end_c : float
         Degrees Celsius, -40 to 125; `end_c` by default `start_c`.
     rise_s : float
-        Time constant.  The default is a choice: ten minutes, of a camera's body.
+        Time constant of the camera body's warm-up; the default is an assumption.
     reference_c : float
-        Where a camera's parameters hold.
+        Temperature at which a camera's parameters hold, degrees Celsius.
     activation_ev : float
         Activation energy of the dark current and of the leak, which both follow
         Arrhenius's law [Nozaki 2017].  The default is half of silicon's gap, that of
-        generation in a depleted junction [Widenhorn 2002]: twice as much every 9.8 K.
+        generation in a depleted junction [Widenhorn 2002]: a factor of 2 every 9.8 K.
     threshold_per_k : float
-        Relative change of both thresholds per kelvin.  With bias currents of a constant
-        ratio it is 0 [Nozaki 2017]; the default, .1 %, is an assumption for those that
-        are not.
+        Relative change of both thresholds per kelvin.  It is 0 if the ratio of the bias
+        currents does not depend on temperature [Nozaki 2017]; the default, .1 %, is an
+        assumption for a ratio that does.
 
     Examples
     --------
@@ -70,11 +70,11 @@ class Temperature:
         return end + (self.start_c - end) * math.exp(-t_us / 1e6 / self.rise_s)
 
     def current(self, t_us: float) -> float:
-        """Return what thermal currents are multiplied by at a time."""
+        """Return the factor on thermal currents at a time."""
         warm, usual = self.at(t_us) + ZERO_C, self.reference_c + ZERO_C
         return math.exp(self.activation_ev / BOLTZMANN_EV * (1 / usual - 1 / warm))
 
     def conditions(self, t_us: float) -> Conditions:
-        """Return what thresholds ON and OFF and thermal currents are multiplied by."""
+        """Return the factors on ON and OFF thresholds and on thermal currents."""
         threshold = 1 + self.threshold_per_k * (self.at(t_us) - self.reference_c)
         return threshold, threshold, self.current(t_us)

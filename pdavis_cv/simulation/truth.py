@@ -17,8 +17,7 @@ class Truth:
     """Exact truth of a simulated recording, evaluated on request.
 
     Times are microseconds on the recording's clock, places are pixels of the
-    recording.  Without ``x`` and ``y`` the answer is for the middle of the
-    recording, which for uniform scenes is the answer everywhere.
+    recording; ``x`` and ``y`` default to its middle.
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ class Truth:
         return self.scene.stokes(t_us, np.add(x, column), np.add(y, row))
 
     def s3(self, t_us: ArrayLike, x: Any = None, y: Any = None) -> FloatArray:
-        """S3, circular light, in DN per ms."""
+        """S3 in DN per ms."""
         height, width = self.size
         x = (width - 1) / 2 if x is None else x
         y = (height - 1) / 2 if y is None else y
@@ -87,7 +86,7 @@ class Truth:
         return self.stokes(t_us, x, y)
 
     def lit(self) -> NDArray[np.bool_]:
-        """Where the scene shows what it is about, bool (H, W)."""
+        """Return the mask of the pixels to score (`Scene.lit`), bool (H, W)."""
         y, x = np.mgrid[: self.size[0], : self.size[1]]
         return self.scene.lit(x + self.origin[1], y + self.origin[0])
 
@@ -95,7 +94,7 @@ class Truth:
         self, path: str | os.PathLike[str], *, every_us: int = 1000,
         x: int | None = None, y: int | None = None,
     ) -> None:
-        """Write a NumPy archive of the truth at one place, every so often.
+        """Write a NumPy archive of the truth at one place, at regular times.
 
         Parameters
         ----------
