@@ -1,4 +1,4 @@
-"""Statistics to watch while a polarizer array is aligned on a sensor."""
+"""Statistics of frames for the alignment of a polarizer array on a sensor."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator

@@ -27,7 +27,7 @@ class Finding:
     what : str
         ``"orientation"`` or ``"layout"``.
     ok : bool or None
-        None = the recording does not show it.
+        None: the recording does not determine it.
     message : str
         One sentence for the user.
     scores : dict of str to float
@@ -49,8 +49,8 @@ def check_recording(
     of the frames.  If its mirror image does so better, events and frames were stored in
     different orientations.  Layout: orthogonal channels have the same sum,
     I0 + I90 = I45 + I135.  If another pairing of the cell's places fits better, the
-    layout is wrong.  A mirror of both events and frames, and a constant angle, do not
-    show in an unknown scene: see `detect_layout`.
+    layout is wrong.  A reflection of both events and frames, and a constant offset of
+    the angles, cannot be found in an unknown scene: see `detect_layout`.
 
     Parameters
     ----------

@@ -50,20 +50,20 @@ class Samples(NamedTuple):
     quality: NDArray[np.float32] | None
 
     def part(self, rows: slice, columns: slice) -> Samples:
-        """Return those of a part; views."""
+        """Return views of a part."""
         return Samples._make(
             None if plane is None else plane[rows, columns] for plane in self)
 
 
 def samples_of(method: Reconstructor, t_us: int) -> Samples:
-    """Return what a method, fed as far as it needs, tells at a time."""
+    """Return the estimate of a method that has been fed as far as t_us needs."""
     estimate = method.read(t_us)
     return Samples(method.intensity(estimate.log_intensity), estimate.variance,
                    estimate.valid, method.quality)
 
 
 class ImageMaker:
-    """Brings the channels of a window to one place and makes a PolarFrame of them.
+    """Demosaic the estimate for a window and make a PolarFrame of it.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class ImageMaker:
     sensor : Sensor or None
         Gives the spread of the polarizers; default `Sensor.PDAVIS`.
     workers : Workers
-        Share the rows.
+        Threads that share the rows.
     """
 
     def __init__(
@@ -95,14 +95,14 @@ class ImageMaker:
             calibration, (window.rows, window.columns), self._layout, demosaic,
             self._crop)
         self._ratio = extinction_ratio if self._analyser is None else None
-        # An analyser matrix holds what the pixels differ by.
+        # An analyser matrix already includes the mismatch of the pixels.
         spread = mismatch_of(sensor) if self._analyser is None else ()
         self._spread = np.array(spread, np.float32)
         self._gain = gain_of(
             calibration, (window.rows, window.columns), demosaic)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
-        # Rows of the window are rows of the image, each made of its neighbours.
+        # Rows of the window are rows of the image, each interpolated from neighbours.
         self._whole = demosaic == "bilinear" and self._crop is None
         self._usable: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
         self._last: tuple[object, PolarFrame] | None = None
@@ -166,7 +166,7 @@ class ImageMaker:
             reconciled=variance is not None, **about)
 
     def _valid(self, samples: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return where an image is made of usable samples, which seldom changes."""
+        """Return where the image is made of usable samples; cached, as rarely new."""
         if self._usable is None or not np.array_equal(self._usable[0], samples):
             self._usable = samples.copy(), self._cropped(
                 demosaic_valid(samples, self._layout, self._demosaic))

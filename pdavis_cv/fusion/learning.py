@@ -52,11 +52,10 @@ FIRST_LOOK_S = 0.5
 frame; the next ones follow at twice, four times ... that."""
 
 _TIME_TO_TELL = 8
-"""An estimate takes effect this fraction (an eighth) of the time of its look later, as
-it is computed while the stream goes on: at 1 Mev/s it takes 0.03 s of processor time at
-0.5 s, and 0.2 to 0.3 s from 2 s on.  Applied at once, it would predict the left-out
-frames of `davis346.aedat4` with an error of 0.355 instead of 0.360; after a quarter of
-the time, 0.366."""
+"""An estimate from the first T seconds is applied at T + T / 8, as it is computed while
+the stream goes on: at 1 Mev/s it takes 0.03 s of processor time for T = 0.5 s, and 0.2
+to 0.3 s from 2 s on.  Applied at T, it would predict the left-out frames of
+`davis346.aedat4` with an error of 0.355 instead of 0.360; at T + T / 4, of 0.366."""
 
 _WORTHWHILE = 0.05
 """Least change of a parameter that is applied: of the ln of the corner frequency, or
@@ -290,7 +289,7 @@ class OnlineLearning:
         self._told: Future[CameraEstimate] | None = None
 
     def saw_frame(self, mid_us: int, now_us: int) -> None:
-        """Note that a frame has passed; the first one sets the times of the looks."""
+        """Count the time of the looks from the first frame that passes."""
         if self._start_us is None:
             self._start_us = mid_us
             while self._look_us() < now_us:
@@ -367,7 +366,10 @@ class OnlineLearning:
 
 
 def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
-    """Tell whether a bandwidth is known better than before and is worth applying."""
+    """Return whether a bandwidth is better known than before, and worth applying.
+
+    It is if it differs by more than `_WORTHWHILE`, or halves the standard error.
+    """
     if found.sigma > known[2]:
         return False
     level = found.at_intensity * np.array([1.0, 10.0])
@@ -378,7 +380,7 @@ def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
 
 
 def _is_other(found: Refractory, known_us: float) -> bool:
-    """Tell whether a refractory period differs significantly from the known one."""
+    """Return whether a refractory period differs significantly from the known one."""
     return abs(found.us - known_us) > max(
         _SIGMAS * found.sigma_us if found.us else 0.0, _WORTHWHILE * known_us)
 

@@ -1,4 +1,4 @@
-"""A stream of angles: after each event, the AoP of its macropixel."""
+"""A stream of AoP events: after each event, the AoP of its macropixel."""
 from __future__ import annotations
 
 import math
@@ -18,26 +18,28 @@ from pdavis_cv.stokes_vector import aop
 __all__ = ["AOP_EVENT_DTYPE", "MOST_RADIUS", "AopEvents", "axes_of", "layout_of"]
 
 MOST_RADIUS = 32
-"""Macropixels; a choice.  3,200 of them count for one, and the paper takes 4."""
+"""Largest radius, macropixels: an event then changes 3,200 of them.  Engineering
+choice; the paper has 4."""
 
 AOP_EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("aop", "<f4")])
 """An event with the AoP of its macropixel after it: us, pixels, radians in [0, pi)."""
 
 TURN_DTYPE = np.dtype([(name, "<f8") for name in ("s1", "s2", "swept", "energy", "t")])
 
-# Sums are referred to a time at most this many time constants ago.
+# The epoch that the weights of discounted sums refer to is moved after so many time
+# constants, which keeps exponentials in range.
 _SPAN = 20.0
 
 
 class AopEvents:
-    """Turns a stream of events into a stream of AoP events, one for each.
+    """Convert a stream of events to a stream of AoP events, one for each.
 
-    Each event changes the high-passed log intensity of its channel in its macropixel
-    and in those within `radius`, at once; AoP is formed of the four channels' changes.
-    As with ``method="events"`` it is right only while the means of the four channels
-    are equal; and as there the high pass turns it ahead, in the sense of its rotation,
-    by ``atan(cutoff_hz / f) / 2``, f being the frequency of the intensity: by 45
-    degrees far below the cutoff, 13 at 30 RPM, 7 at 60 RPM.
+    Each event adds to the high-passed log intensity of its channel in its macropixel
+    and in those within `radius`; AoP is computed from the four channels.  As with
+    ``method="events"`` it is correct only while the means of the four channels are
+    equal, and has the phase lead of the high pass: AoP is ahead, in the sense of its
+    rotation, by ``atan(cutoff_hz / f) / 2``, f being the frequency of the intensity: by
+    45 degrees far below the cutoff, 13 at 30 RPM, 7 at 60 RPM.
 
     Parameters
     ----------
@@ -50,10 +52,10 @@ class AopEvents:
     cutoff_hz : float
         Corner frequency f3dB of the high pass.
     radius : int
-        In macropixels.
+        Radius in macropixels within which an event acts.
     correct_phase : bool
-        Estimate each macropixel's signed rate of rotation, over about two time
-        constants, and take the high pass's turn out.
+        Correct the phase lead by each macropixel's signed rate of rotation, estimated
+        over about two time constants.
 
     Raises
     ------
@@ -101,7 +103,7 @@ class AopEvents:
         self._clock = StreamClock(self.shape)
 
     def add(self, events: Any) -> NDArray[Any]:
-        """Take events and return as many AoP events.
+        """Process events and return one AoP event for each.
 
         Parameters
         ----------
@@ -135,7 +137,7 @@ class AopEvents:
         return out
 
     def turn(self, t_us: int) -> NDArray[np.float64]:
-        """Return by how much the doubled angle is ahead, by macropixel, at t_us.
+        """Return the phase lead of the doubled angle of each macropixel at t_us.
 
         Parameters
         ----------
@@ -145,7 +147,7 @@ class AopEvents:
         Returns
         -------
         ndarray of float64, shape ((H + 1) // 2, (W + 1) // 2)
-            Radians, within a quarter of a turn of 0; positive where AoP increases.
+            Radians, -pi/2 to pi/2; positive where AoP increases.
         """
         turns, since = self._turns, t_us - self._epoch[0]
         if since == np.inf:
@@ -169,7 +171,7 @@ class AopEvents:
 
 
 def axes_of(response: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what each place of the cell counts for in S1 and S2: 1, -1 or 0.
+    """Return the coefficients, 1, -1 or 0, of each place of the cell in S1 and S2.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ __all__ = ["CELL_DTYPE", "ComplementaryFilter"]
 
 CELL_DTYPE = np.dtype(
     [("t", "<f8"), ("value", "<f8"), ("rate", "<f4"), ("unused", "<f4")])
-"""A leaky pixel: last update in us, the value that decays, its rate in 1/us."""
+"""A leaky integrator: time of its last update, us; value then; decay rate, 1/us."""
 
 GAIN_FLOOR = 0.1
 """Lambda of the adaptive gain (Haessig et al., supplement)."""
@@ -103,7 +103,7 @@ class ComplementaryFilter(Reconstructor):
             _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
 
     def retune(self, **learned: Any) -> None:
-        """Go on with other thresholds, of the events to come (see `Reconstructor`)."""
+        """Continue with other thresholds for later events (see `Reconstructor`)."""
         if learned.keys() - {"theta_on", "theta_off"}:
             raise TypeError("retune takes theta_on and theta_off, got "
                             f"{', '.join(sorted(learned))}")

@@ -1,10 +1,10 @@
-"""Reading FireNet checkpoints, which are pickles, without trusting or torch.
+"""Read FireNet checkpoints, which are pickles, without executing them or using torch.
 
 A checkpoint is a zip of a pickle and of one file per tensor, or, before torch 1.6, a
-stream of pickles and numbers.  What the pickle may name is what a state dict is made of
-and classes of the program that trained the network; those names stand for harmless
-things of our own.  Of the standard library, numpy and torch it may name what is listed
-here; anything else of them is refused before it is looked at.
+stream of pickles and numbers.  A pickle can import and call any function, so the names
+in it are resolved here: those that a state dict consists of, to functions of this
+module; classes of the program that trained the network, to `_Inert`; of the standard
+library, numpy and torch only the names listed here.  Any other name is refused.
 """
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pdavis_cv.reconstruct.weights import Weights, expected_shapes
 __all__ = ["firenet_weights", "read_state_dict"]
 
 _MOST_BYTES = 1 << 24
-"""Of the pickle, of one tensor and of a plain zip member; FireNet needs 0.5 MB."""
+"""Bound on the size of a zip member: the pickle or a tensor; FireNet needs 0.5 MB."""
 
 _DTYPES = {"FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2",
            "LongStorage": "<i8", "IntStorage": "<i4", "ShortStorage": "<i2",
@@ -39,19 +39,19 @@ _DATA = frozenset((
     ("_codecs", "encode"), ("collections", "defaultdict"), ("datetime", "datetime"),
     ("numpy", "dtype"), ("numpy.core.multiarray", "scalar"), ("pathlib", "PosixPath"),
     ("torch", "Size"), ("torch", "device")))
-"""Data that stand beside a state dict, such as the best loss; they are not kept."""
+"""Names of data beside a state dict, such as the best loss, which are discarded."""
 
 _LEGACY = pickle.dumps(0x1950A86A20F9469CFC6C, 2)
 """A checkpoint of torch before 1.6 begins with this number as a pickle."""
 _LEGACY_PROTOCOL = 1001
 _MOST_LEGACY_BYTES = 1 << 26
-"""FireNet with the state of its optimiser has 0.5 MB."""
+"""Bound on such a file; FireNet with the state of its optimiser has 0.5 MB."""
 
 Array = NDArray[Any]
 
 
 class _Tensor:
-    """Stands for torch._utils._rebuild_tensor_v2; has no state to tamper with."""
+    """Replace torch._utils._rebuild_tensor_v2; no attribute of it can be set."""
 
     __slots__ = ()
 
@@ -59,7 +59,7 @@ class _Tensor:
         self, storage: Array, offset: int, size: tuple[int, ...],
         stride: tuple[int, ...], *_: Any,
     ) -> Array:
-        """Return a tensor's numbers."""
+        """Return the array of this size and stride (elements) in a storage."""
         # The numbers come from the file: none of them may reach beyond the storage.
         if len(size) != len(stride) or any(
                 not isinstance(v, int) or v < 0 for v in (offset, *size, *stride)):
@@ -76,7 +76,7 @@ class _Tensor:
 
 
 class _Parameter:
-    """Stands for torch._utils._rebuild_parameter."""
+    """Replace torch._utils._rebuild_parameter."""
 
     __slots__ = ()
 
@@ -86,7 +86,7 @@ class _Parameter:
 
 
 class _Inert:
-    """Stands for the classes of the programs that trained networks; does nothing."""
+    """Replace a class whose objects are not needed: accept all data, keep none."""
 
     __slots__ = ()
 
@@ -94,29 +94,29 @@ class _Inert:
         return object.__new__(cls)
 
     def __setstate__(self, state: Any) -> None:
-        """Forget what the object held."""
+        """Discard the object's attributes."""
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        """Forget an item."""
+        """Discard an item of a mapping."""
 
     def append(self, value: Any) -> None:
-        """Forget an item."""
+        """Discard an item of a list."""
 
     def extend(self, values: Any) -> None:
-        """Forget items."""
+        """Discard items of a list."""
 
 
 class _Unpickler(pickle.Unpickler):
-    """Builds only what a checkpoint needs.
+    """Unpickle objects of the allowed names only.
 
     Parameters
     ----------
     data : bytes
         One pickle.
     storage : callable
-        From the parts of a persistent id, without its first, to a tensor's numbers.
+        Returns a storage's numbers, given its persistent id without the first part.
     path : str
-        For messages.
+        The file, for messages.
     """
 
     def __init__(self, data: bytes, storage: Callable[..., Array], path: str) -> None:
@@ -125,7 +125,7 @@ class _Unpickler(pickle.Unpickler):
         self._storage, self._path = storage, path
 
     def find_class(self, module: str, name: str) -> Any:
-        """Return what stands for a global name, or refuse it."""
+        """Resolve a global name, or raise WeightsError."""
         if (module, name) == ("collections", "OrderedDict"):
             return OrderedDict
         if module == "torch._utils" and name in _TENSORS:
@@ -144,7 +144,7 @@ class _Unpickler(pickle.Unpickler):
             "state dict needs")
 
     def persistent_load(self, pid: Any) -> Any:
-        """Return the numbers of one storage."""
+        """Return the numbers of a storage."""
         kind, *parts = pid
         if kind == "module":  # legacy: a class and its source text, which is not run
             return parts[0]
@@ -154,7 +154,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _zipped(path: str | Path) -> Any:
-    """Return what a checkpoint of torch 1.6 and later holds: a zip."""
+    """Return the object in a checkpoint of torch 1.6 and later, a zip."""
     with zipfile.ZipFile(path) as archive:
         pickles = [name for name in archive.namelist() if name.endswith("/data.pkl")]
         if len(pickles) != 1:
@@ -171,10 +171,10 @@ def _zipped(path: str | Path) -> Any:
 
 
 def _legacy(path: str | Path, data: bytes) -> Any:
-    """Return what a checkpoint of torch before 1.6 holds: one stream.
+    """Return the object in a checkpoint of torch before 1.6, a stream.
 
-    Five pickles (magic number, protocol version, facts of the machine, the object, the
-    names of its storages), then each storage: its length, int64, and its numbers.
+    Five pickles (magic number, protocol version, properties of the machine, the object,
+    the names of its storages), then each storage: its length, int64, and its numbers.
     """
     at = len(_LEGACY)
     parts = []
@@ -193,7 +193,7 @@ def _legacy(path: str | Path, data: bytes) -> Any:
     facts = _Unpickler(machine, none, str(path)).load()
     if not isinstance(facts, dict) or facts.get("little_endian") is not True:
         raise ValueError("numbers are not little-endian")
-    # The numbers come last, and their types first: the object is built twice.
+    # The numbers follow the object, which states their types, so it is read twice.
     sizes: dict[str, tuple[np.dtype[Any], int]] = {}
 
     def noted(kind: str, key: str, place: str, count: int, *_: Any) -> Array:
@@ -201,7 +201,7 @@ def _legacy(path: str | Path, data: bytes) -> Any:
         if not isinstance(count, int) or not 0 <= count * dtype.itemsize <= len(data):
             raise ValueError(f"storage {key} of {count!r} numbers")
         sizes[key] = dtype, count
-        # All zeros, of which each takes no memory: shapes are checked this time too.
+        # Zeros of stride 0, which need no memory; shapes are checked this time too.
         return np.broadcast_to(np.zeros((), dtype), count)
 
     _Unpickler(whole, noted, str(path)).load()
@@ -231,7 +231,7 @@ def _legacy(path: str | Path, data: bytes) -> Any:
 
 
 def _pickle_size(data: bytes) -> int:
-    """Return how many bytes a pickle at the beginning of data has."""
+    """Return the length in bytes of the pickle at the beginning of data."""
     for code, _, at in pickletools.genops(data[:_MOST_BYTES]):
         if code.name == "STOP":
             return int(at or 0) + 1
@@ -284,9 +284,9 @@ def read_state_dict(path: str | Path) -> Mapping[str, Array]:
         raise
     except zipfile.BadZipFile as error:
         _refuse(path, str(error))
-    except Exception as error:  # an archive and a pickle can go wrong in any way
+    except Exception as error:  # a damaged archive or pickle can raise anything
         if isinstance(error, OSError) and error.filename is not None:
-            raise   # it cannot be opened
+            raise   # the file cannot be opened
         _refuse(path, f"{type(error).__name__}: {error}")
     state = found.get("state_dict", found) if isinstance(found, dict) else None
     if not isinstance(state, dict) or not state or not all(
@@ -310,7 +310,7 @@ def firenet_weights(path: str | Path) -> Weights:
     Returns
     -------
     Weights
-        Of network ``firenet``: takes counts of events, gives intensity.
+        Weights of network ``firenet``, from counts of events to intensity.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The event double integral: what a blurred frame was at one time."""
+"""Event-based double integral: the sharp image at one time from a blurred frame."""
 from __future__ import annotations
 
 from bisect import bisect_right
@@ -20,12 +20,12 @@ def deblur(
     frame: ApsFrame, events: ArrayLike, *, theta_on: ArrayLike, theta_off: ArrayLike,
     t_us: int | None = None,
 ) -> Estimate:
-    """Take the motion during its exposure out of one frame.
+    """Remove the motion blur of one frame.
 
-    The frame is the mean of intensity over the exposure, the events say how intensity
-    changed, so intensity at one time is the frame over the mean of that change
-    relative to then.  Between two events of a pixel the log intensity is taken to go on
-    evenly, so less than a threshold is followed too.
+    The frame is the mean of the intensity over the exposure, and the events give the
+    intensity relative to that at t_us; the intensity at t_us is the frame divided by
+    the mean of this ratio over the exposure.  Log intensity is interpolated between the
+    events of a pixel, which resolves changes below the threshold.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ def deblur(
     theta_on, theta_off : float, or array_like of shape (H, W)
         Contrast thresholds, positive, in natural-log units.
     t_us : int, optional
-        When, default the middle of the exposure.
+        Time of the estimate; default the middle of the exposure.
 
     Returns
     -------
     Estimate
-        Natural log of DN per ms, float32 of shape (H, W), its variance as far as the
-        frame's noise and the interpolation go, and where the frame was usable.
+        Natural log of DN per ms, float32 of shape (H, W), its variance by noise of the
+        frame and interpolation, and where the frame was usable.
 
     Raises
     ------
@@ -52,9 +52,9 @@ def deblur(
 
     Notes
     -----
-    `KalmanFilter` does the same to each frame and weighs the results; here one frame
-    counts alone, with the thresholds as given.  Event-based double integral: Pan et
-    al., CVPR 2019.
+    `KalmanFilter` does the same to each frame and weights the results; here a single
+    frame is used, with the given thresholds.  Event-based double integral: Pan et al.,
+    CVPR 2019.
     """
     if not isinstance(frame, ApsFrame):
         raise TypeError(f"frame must be an ApsFrame, got {type(frame).__name__}")
@@ -62,7 +62,7 @@ def deblur(
     t = frame.mid_us if t_us is None else checked_time("t_us", t_us)
     begin = min(t, int(np.min(frame.column_mid_us)))
     stop = max(t, int(np.max(frame.exposure_end_us)))
-    # Read so far ahead that the frame, and the events that it needs, have been seen.
+    # Long enough that the frame, and the events that it needs, are used before a read.
     ahead = stop - begin + LOOKAHEAD_US
     one = KalmanFilter(
         frame.shape, theta_on=theta_on, theta_off=theta_off, mode="offline",

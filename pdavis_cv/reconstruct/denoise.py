@@ -1,4 +1,4 @@
-"""Denoising of events that leaves the polarizers apart."""
+"""Denoising of events by the support of neighbours behind the same polarizer."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -21,34 +21,35 @@ __all__ = ["Denoised", "EventDenoiser"]
 RATE_WINDOW_US = 250_000
 """Interval in us after which the pixels' event rates are updated and compared."""
 RATE_SHARE = 0.25
-"""Weight of the last interval in the exponential mean of a pixel's rate, which so
-remembers about a second."""
+"""Weight of the last interval in the exponential mean of a pixel's rate, whose time
+constant is thus about a second."""
 HOT_FLOOR_HZ, HOT_FACTOR = 6.0, 4.0
 """A pixel is hot if its rate exceeds floor + factor x the median of its neighbours'.
 
-The floor keeps Poisson fluctuations from taking a pixel of a whole chip for hot in an
-hour (4.5 Hz are enough, studies/denoise.py); the factor leaves room for edges.
+The floor limits false detections by Poisson fluctuations to one pixel of a chip per
+hour (4.5 Hz are enough, studies/denoise.py); the factor allows for edges.
 """
 WINDOW_US = 50_000
 """How long an event supports its neighbours, us: a window twice as long would save less
 than .5 % of the events of a polarizer at 30 RPM (studies/denoise.py)."""
 SUPPORT = 2
-"""Neighbours of eight that an edge passes in any direction (studies/denoise.py)."""
+"""Number of the eight neighbours, at least, that an edge of any direction has passed
+before it reaches a pixel (studies/denoise.py)."""
 _NEIGHBOURS = 8
-"""Behind the same polarizer and two rows or columns away, by the layout."""
+"""Number of nearest pixels behind the same polarizer, two rows or columns away."""
 _NEVER = -(2**62)
 """A time in us before all stamps; differences to it fit 64 bits."""
 _FORGOTTEN = 64
-"""Intervals without an event after which rates are 0 to float32's accuracy."""
+"""Number of intervals without an event after which a rate is 0 in float32."""
 
 
 class EventDenoiser:
-    """Leaves out events that no neighbour behind the same polarizer supports.
+    """Background activity filter that compares pixels of the same polarizer.
 
-    Adjacent pixels look through other polarizers and so at other light; the eight
-    pixels two rows or columns away look through the same.  An event is kept if enough
-    of those had one of its polarity shortly before, and its pixel is not hot: does
-    not have far more events than they.
+    Adjacent pixels have other polarizers, so that their light changes differently; the
+    eight pixels two rows or columns away have the same one.  An event is kept if at
+    least `support` of them had an event of its polarity in the last `window_us`, and
+    its pixel is not hot, i.e. does not have far more events than they.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class EventDenoiser:
     window_us : int
         How long an event supports its neighbours.
     support : int
-        How many neighbours are needed, 1 to 8.
+        Number of neighbours that must support an event, 1 to 8.
 
     Raises
     ------
@@ -66,9 +67,9 @@ class EventDenoiser:
 
     Notes
     -----
-    Noise of n Hz per pixel is left at about n (8 n w)^2 / 8 for two supporters and a
-    window of w seconds; hot pixels are known after a quarter of a second.  The result
-    does not depend on how the stream is cut into packets.
+    Noise of n Hz per pixel is reduced to about n (8 n w)^2 / 8 for `support` 2 and a
+    window of w seconds; hot pixels are detected after a quarter of a second.  The
+    result does not depend on how the stream is cut into packets.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class EventDenoiser:
         self._counts = np.zeros(self.shape, np.int32)
         self._rates = np.zeros(self.shape, np.float32)
         self._hot = np.zeros(self.shape, np.uint8)
-        self._stop_us: int | None = None   # end of the window of rates
+        self._stop_us: int | None = None   # end of the present interval of rates
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -98,7 +99,7 @@ class EventDenoiser:
         return self._hot.astype(np.bool_)
 
     def keep(self, events: Any) -> NDArray[np.bool_]:
-        """Take events and tell which are kept.
+        """Process events and return which are kept.
 
         Parameters
         ----------
@@ -130,19 +131,19 @@ class EventDenoiser:
                 break
             last = int(events["t"][at - 1]) if at > before else last
             if int(events["t"][at]) < max(self._stop_us, last):
-                break           # this one is to be named
+                break           # it lies off the sensor or is late: `took` raises
             self._end_windows(int(events["t"][at]))
         self._clock.took(events, at)
         return keep.view(np.bool_)
 
     def filter(self, events: Any) -> NDArray[Any]:
-        """Take events and return those that are kept (see `keep`)."""
+        """Process events and return those that are kept (see `keep`)."""
         events = as_events(events)
         kept: NDArray[Any] = events[self.keep(events)]
         return kept
 
     def _end_windows(self, t_us: int) -> None:
-        """End the windows of rates before the one that t_us lies in."""
+        """Update the rates for all intervals that end at or before t_us."""
         assert self._stop_us is not None
         passed = (t_us - self._stop_us) // RATE_WINDOW_US + 1
         self._stop_us += passed * RATE_WINDOW_US
@@ -165,14 +166,14 @@ class EventDenoiser:
 
 
 class Denoised(Reconstructor):
-    """A method that is fed what an `EventDenoiser` keeps.
+    """A method whose events pass an `EventDenoiser` first.
 
     Parameters
     ----------
     method : Reconstructor
-        Fresh; nobody else may feed it.
+        A new method, fed by this object only.
     **parameters
-        Of `EventDenoiser`.
+        Parameters of `EventDenoiser`.
     """
 
     def __init__(self, method: Reconstructor, **parameters: Any) -> None:
@@ -180,7 +181,7 @@ class Denoised(Reconstructor):
         self._denoiser = EventDenoiser(method.shape, **parameters)
         self.method, self.shape = method.method, method.shape
         self.lookahead_us = method.lookahead_us
-        # A pixel's supporters may be hot by what their own neighbours do.
+        # Neighbours are two pixels away, and whether they are hot depends on theirs.
         self.margin = method.margin + 4
         self.needs = method.needs
         self.causal_parameters = method.causal_parameters
@@ -194,7 +195,7 @@ class Denoised(Reconstructor):
 
     @property
     def workers(self) -> Workers:
-        """Those of the method."""
+        """Threads of the method (see `Reconstructor`)."""
         return self._inner.workers
 
     @workers.setter
@@ -203,11 +204,11 @@ class Denoised(Reconstructor):
 
     @property
     def quality(self) -> NDArray[np.float32] | None:
-        """That of the method."""
+        """Quality of the method's estimate (see `Reconstructor`)."""
         return self._inner.quality
 
     def add_events(self, events: NDArray[Any]) -> None:
-        """Feed what is kept of the events (see `Reconstructor.add_events`)."""
+        """Feed the events that are kept (see `Reconstructor.add_events`)."""
         self._inner.add_events(self._denoiser.filter(events))
 
     def add_frame(self, frame: ApsFrame) -> None:
@@ -215,19 +216,19 @@ class Denoised(Reconstructor):
         self._inner.add_frame(frame)
 
     def add_wave(self, wave: Wave) -> None:
-        """Tell how the lamp flickers."""
+        """Feed the lamp's flicker."""
         self._inner.add_wave(wave)
 
     def retune(self, **learned: Any) -> None:
-        """Go on with other parameters of the method."""
+        """Continue with other parameters of the method."""
         self._inner.retune(**learned)
 
     def settle(self, t_us: int) -> None:
-        """Let the method do what is due."""
+        """Let the method do its pending work (see `Reconstructor.settle`)."""
         self._inner.settle(t_us)
 
     def shows(self, t_us: int) -> object | None:
-        """Return what stands for what the method shows."""
+        """Identify the method's estimate (see `Reconstructor.shows`)."""
         return self._inner.shows(t_us)
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:

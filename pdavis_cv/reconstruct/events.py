@@ -31,11 +31,11 @@ class EventHighPass(Reconstructor):
 
     Each event decays the value dL of its pixel with time constant
     1 / (2 pi cutoff_hz) and adds ``theta_on`` or subtracts ``theta_off``.  Frames are
-    ignored.  As in the paper, 1 + dL stands for the intensity divided by its mean over
-    the last moments, so the angle of polarization that is formed of it is right only
-    while the means of the four channels are equal, as before a rotating polarizer;
-    with unequal means (a wave plate, partly polarized light) it is biased by
-    construction.  The degree of polarization is not measured at all.
+    ignored.  As in the paper, 1 + dL is taken as the intensity divided by its recent
+    mean, so the angle of polarization is correct only while the means of the four
+    channels are equal, as behind a rotating polarizer; with unequal means (a wave
+    plate, partly polarized light) it is biased.  The degree of polarization is not
+    measured.
 
     Parameters
     ----------
@@ -46,20 +46,18 @@ class EventHighPass(Reconstructor):
     cutoff_hz : float
         Corner frequency f3dB.
     radius : int
-        Each event counts in the macropixels within this distance, in macropixels, in
-        the pixel of the same polarizer; a pixel shows the mean over them.  0 keeps
-        pixels apart.
+        Radius of a spatial mean in macropixels: a pixel shows the mean over the pixels
+        of the same polarizer within it.  0: its own value.
     hold : bool
-        Show each pixel as its last event left it, which is the paper's equation;
-        otherwise decayed up to the time of the image, so that still parts fade.
-        Default: unless ``correct_phase``.
+        Show each pixel's value after its last event, which is the paper's equation;
+        otherwise the value decayed to the time of the image, so that static parts
+        fade.  Default: unless ``correct_phase``.
     correct_phase : bool
-        Estimate each macropixel's signed rate of rotation, over about two time
-        constants, and turn its angle back by what the high pass turned it ahead;
-        excludes ``hold``.
+        Correct the high pass's phase lead by each macropixel's signed rate of rotation,
+        estimated over about two time constants; excludes ``hold``.
     response : array_like of shape (2, 2, 3) or (H, W, 3), optional
-        Response of each pixel (of the cell) to S0, S1, S2: which polarizer is where.
-        Needed for ``correct_phase``.
+        Response of each pixel (of the cell) to S0, S1, S2, which gives the layout.
+        Required by ``correct_phase``.
 
     Raises
     ------
@@ -69,14 +67,14 @@ class EventHighPass(Reconstructor):
 
     Notes
     -----
-    Haessig et al., supplement "Reconstructing AoP from PDAVIS events only".  Averaging
-    is done when reading.  A pixel is valid once any pixel that counts in it has had an
+    Haessig et al., supplement "Reconstructing AoP from PDAVIS events only".  The mean
+    is computed at each read.  A pixel is valid once any pixel in its mean has had an
     event.
 
-    The high pass turns the angle ahead of the truth in the sense of its rotation: by
-    ``atan(cutoff_hz / f) / 2`` when decayed up to the image, f being the frequency of
-    the intensity, twice that of the light's rotation: 45 degrees far below the cutoff,
-    13 at 30 RPM, 7 at 60 RPM.  Holding shortens it to 9 and 4 degrees.
+    The high pass has a phase lead: AoP is ahead of the truth, in the sense of its
+    rotation, by ``atan(cutoff_hz / f) / 2`` if decayed to the time of the image.  f is
+    the frequency of the intensity, twice that of the rotation of the light: 45 degrees
+    far below the cutoff, 13 at 30 RPM, 7 at 60 RPM.  With ``hold`` it is 9 and 4.
     """
 
     method = "events"
@@ -115,10 +113,10 @@ class EventHighPass(Reconstructor):
         self._base = np.zeros(self.shape, np.float32)
         self._neighbours = _neighbours(self._radius)
         ones = np.ones(self.shape, np.float32)
-        self._count = np.empty(self.shape, np.float32)   # pixels that count, by pixel
+        self._count = np.empty(self.shape, np.float32)   # pixels in each pixel's mean
         _kernels.mean_around(ones, ones, self._neighbours, self._count)
-        # Of the cells: their values as the last events left them, and whether there was
-        # one; what a read writes to on its way, and what it found last (`_around`).
+        # Each pixel's value after its last event, and whether it had one; scratch space
+        # of `read`; cache of `_around`: its input and its result.
         self._held = np.zeros(self.shape, np.float32)
         self._seen = np.zeros(self.shape, np.bool_)
         self._decayed = np.empty(self.shape, np.float32)
@@ -144,7 +142,7 @@ class EventHighPass(Reconstructor):
         clock.took(events, taken)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Check the frame and note its time."""
+        """Check the frame and record its time."""
         self._clock.check_frame(frame)
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
@@ -165,7 +163,7 @@ class EventHighPass(Reconstructor):
         return Estimate(log, None, seen)
 
     def _around(self) -> NDArray[np.bool_]:
-        """Return where a pixel that counts has had an event."""
+        """Return where any pixel of the mean has had an event, bool (H, W)."""
         seen = self._seen
         if self._known is None or not np.array_equal(self._known[0], seen):
             around = seen.copy()
@@ -179,7 +177,7 @@ class EventHighPass(Reconstructor):
     def _turn_back(
         self, log: NDArray[np.float32], turn: NDArray[np.float64]
     ) -> None:
-        """Turn the doubled angles of macropixels by -turn; their sums stay."""
+        """Rotate (S1, S2) of macropixels by -turn; sums of orthogonal channels stay."""
         rows, columns = (side // 2 for side in self.shape)
         part = [log[i // 2:2 * rows:2, i % 2:2 * columns:2] for i in range(4)]
         s1, s2 = (sum(self._axes[i, j] * part[i] for i in range(4)) for j in (0, 1))
@@ -206,7 +204,7 @@ class EventHighPass(Reconstructor):
 
 
 def _neighbours(radius: int) -> NDArray[np.intp]:
-    """Return rows and columns to the macropixels within the radius, (n, 2)."""
+    """Return offsets, rows and columns, of the macropixels within a radius, (n, 2)."""
     reach = range(-radius, radius + 1)
     return np.array([(2 * dy, 2 * dx) for dy in reach for dx in reach
                      if 0 < dy * dy + dx * dx <= radius * radius],
@@ -214,6 +212,6 @@ def _neighbours(radius: int) -> NDArray[np.intp]:
 
 
 def _shifted(by: int, side: int) -> tuple[slice, slice]:
-    """Return the places that have a neighbour `by` further on, and the neighbours."""
+    """Return the slices of all i, and of i + by, that both lie in 0..side - 1."""
     lo, hi = min(max(-by, 0), side), max(side - max(by, 0), 0)
     return slice(lo, max(hi, lo)), slice(lo + by, max(hi, lo) + by)

@@ -31,37 +31,37 @@ from pdavis_cv.recording.base import ApsFrame
 __all__ = ["SCALINGS", "FireNet", "Joint", "response_table"]
 
 SCALINGS = ("minimum", "normalise", "table")
-"""The paper's calibrations of a network's output."""
+"""The paper's calibrations of a network's output, in `FireNet`'s ``scaling``."""
 
 IDLE = 64
-"""Windows without an event after which a network is not run until the next one."""
+"""Number of windows without an event after which a network is not run until one."""
 
-# (row, column) in the cell of the planes: the kernel's order.
+# Row and column in the cell, by plane, in the order of `voxel_planes`.
 PLACES = ((1, 0), (1, 1), (0, 1), (0, 0))
 
 _SHORTEST_US, _LONGEST_US = 1_000, 1_000_000
-_SMALLEST = 1e-3  # intensity that a network may give; the logarithm needs one
+_SMALLEST = 1e-3  # lower bound of the intensity, so that its logarithm is finite
 
 Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class _State:
-    """What a network remembers after a window; its arrays are never written to."""
+    """State of a network after a window; its arrays are never written to."""
 
-    h1: Array
+    h1: Array      # hidden states
     h2: Array
-    memory: Array  # (4, 2, h, w), leaky integrals
-    light: Array   # (4, h, w), intensity by place
+    memory: Array  # (4, 2, h, w), leaky integrals of the events
+    light: Array   # (4, h, w), intensity by place in the cell
     low: Array     # (4, h, w), smallest and largest intensity so far
     high: Array
-    quiet: int     # windows without an event, up to the last one
+    quiet: int     # number of windows since the last one with an event
 
 
 class _Recurrent(Reconstructor):
-    """What the two methods share: windows, states, reading."""
+    """Base of both methods: windows, states, reading."""
 
-    margin = WHOLE_SENSOR  # states spread from pixel to pixel
+    margin = WHOLE_SENSOR  # convolutions spread the states from pixel to pixel
     _network: str
 
     def __init__(
@@ -106,7 +106,7 @@ class _Recurrent(Reconstructor):
         shapes = model_shapes(self._weights, *self._planes)
         state = np.zeros(shapes["h1"], np.float32)
         light = np.zeros((4, *self._planes), np.float32)
-        self._window: int | None = None   # the one that events go into
+        self._window: int | None = None   # index of the window being filled
         self._state_now = _State(
             state, state, np.zeros((4, 2, *self._planes), np.float32), light,
             np.full_like(light, np.inf), np.full_like(light, -np.inf), 0)
@@ -114,6 +114,7 @@ class _Recurrent(Reconstructor):
         self._grid = np.zeros((4, BINS, *self._planes), np.float32)
         self._seen = np.zeros(self._planes, np.uint8)
         self._filled = False              # whether the window has events
+        # Cache of `_reached`: its argument and its result.
         self._ahead: tuple[int, _State] | None = None
 
     @property
@@ -127,7 +128,7 @@ class _Recurrent(Reconstructor):
     # ---- feeding -------------------------------------------------------------
 
     def add_events(self, events: NDArray[Any]) -> None:
-        """Collect events; run the network for each window that they end."""
+        """Bin events; run the network for each window that they end."""
         events = timed_events(events)
         clock, first = self._clock, 0
         height, width = self.shape
@@ -150,11 +151,11 @@ class _Recurrent(Reconstructor):
                 self._advance(t // self._window_us)
 
     def add_frame(self, frame: ApsFrame) -> None:
-        """Check the frame and note its time."""
+        """Check the frame and record its time."""
         self._clock.check_frame(frame)
 
     def _advance(self, window: int) -> None:
-        """Run all windows before this one, and make it the one to fill."""
+        """Run the network on all windows before this one, and begin to fill it."""
         assert self._window is not None
         self._state_now = self._reached(window)
         if self._turns.exceed(window - self._window):
@@ -167,7 +168,7 @@ class _Recurrent(Reconstructor):
         self._filled, self._ahead = False, None
 
     def _reached(self, window: int) -> _State:
-        """Return the state after all windows before this one, as things are."""
+        """Return the state after all windows before this one, by the events so far."""
         assert self._window is not None
         at, state = self._window, self._state_now
         grid, filled = self._grid, self._filled
@@ -209,9 +210,9 @@ class _Recurrent(Reconstructor):
     # ---- reading -------------------------------------------------------------
 
     def read(self, t_us: int, out: Array | None = None) -> Estimate:
-        """Return log intensity, up to one gain, at the end of the last window.
+        """Return log intensity, up to a common constant, at the end of the last window.
 
-        A pixel is valid once its cell has had an event and a window has ended.
+        A pixel is valid once its macropixel has had an event and a window has ended.
         """
         t = self._clock.check_read(t_us)
         log = output(out, self.shape, np.float32)
@@ -264,12 +265,12 @@ class _Recurrent(Reconstructor):
 
 
 class FireNet(_Recurrent):
-    """The paper's network: each channel on its own, the same weights for all.
+    """The paper's network: each channel separately, with the same weights.
 
-    Events of a channel are summed into 5 bins over windows that lie at multiples of
-    ``window_us`` for all channels; a recurrent network of 37,777 weights turns them
-    into intensity.  Each channel has an offset of its own making, so DoLP is too low
-    unless ``scaling`` calibrates it.  Frames are ignored.
+    Events of a channel are summed into 5 bins per window, windows being aligned to
+    multiples of ``window_us``; a recurrent network of 37,777 weights maps them to
+    intensity.  It adds an offset to each channel, so DoLP is too low unless ``scaling``
+    calibrates it.  Frames are ignored.
 
     Parameters
     ----------
@@ -283,13 +284,13 @@ class FireNet(_Recurrent):
     weights : path or Weights, optional
         Default: those that come with the package.
     backend : {"auto", "onnxruntime", "cv2"}
-        What runs the network.
+        Library that runs the network.
     scaling : {None, "minimum", "normalise", "table"}
         The paper's calibrations of intensity, per pixel: subtract the smallest value
-        so far; also divide by the range so far; pass it through ``table``.
+        so far; also divide by the range so far; interpolate in ``table``.
     table : array_like of shape (4, 2, K), optional
-        Per place in the cell, anticlockwise from the bottom left: intensity given,
-        increasing, and the light that it stands for; see `response_table`.
+        Per place in the cell, anticlockwise from the bottom left: output of the
+        network, increasing, and the corresponding light; see `response_table`.
 
     Raises
     ------
@@ -302,9 +303,9 @@ class FireNet(_Recurrent):
 
     Notes
     -----
-    Event at t in a window [a, b): place 4 (t - a)/(b - a) among the bins, shared
-    between the two nearest.  After 64 windows without any event the state stays as
-    it is until the next one.  Scheerlinck et al., WACV 2020; Haessig et al.
+    An event at t in a window [a, b) is divided linearly between the two bins nearest to
+    4 (t - a)/(b - a).  After 64 windows without any event the state is kept until the
+    next one.  Scheerlinck et al., WACV 2020; Haessig et al.
     """
 
     method = "firenet"
@@ -319,11 +320,11 @@ class FireNet(_Recurrent):
 
 
 class Joint(_Recurrent):
-    """One network over all four channels; the default of the two.
+    """One network for all four channels, at about a quarter of the cost of `FireNet`.
 
-    It sees the 20 bins and two leaky integrals (8 and 64 windows) of each channel,
-    gives S0 before each pixel of a cell and the cell's S1/S0 and S2/S0, and costs
-    about a quarter.  Errors and windows are those of `FireNet`.
+    Inputs are 5 bins and two leaky integrals (8 and 64 windows) of each channel;
+    outputs are S0 in front of each pixel of a cell and the cell's S1/S0 and S2/S0.
+    Errors and windows are as for `FireNet`.
 
     Parameters
     ----------
@@ -337,7 +338,7 @@ class Joint(_Recurrent):
     weights : path or Weights, optional
         Default: those that come with the package.
     backend : {"auto", "onnxruntime", "cv2"}
-        What runs the network.
+        Library that runs the network.
     scaling : {None, "minimum", "normalise", "table"}
         As for `FireNet`, though it is not needed here.
     table : array_like of shape (4, 2, K), optional
@@ -350,7 +351,7 @@ class Joint(_Recurrent):
 
     def _inputs(self, grid: Array, memory: Array) -> Array:
         height, width = self._planes
-        if self._input is None:  # memory that is new each time costs more than the copy
+        if self._input is None:  # allocated once: new memory costs more than the copy
             self._input = np.empty((1, 4 * BINS + 8, height, width), np.float32)
         self._input[0, :4 * BINS] = grid.reshape(-1, height, width)
         self._input[0, 4 * BINS:] = memory.reshape(-1, height, width)
@@ -367,15 +368,15 @@ class Joint(_Recurrent):
 
 
 def response_table(given: ArrayLike, light: ArrayLike, knots: int = 33) -> Array:
-    """Make the table that takes a network's intensity to light, monotone by channel.
+    """Fit the table from a network's output to the light, monotone, by channel.
 
     Parameters
     ----------
     given, light : array_like of shape (4, N)
-        Intensity that the network gave, and the light, over one cycle, by place in
-        the cell (see `FireNet`).
+        Output of the network, and the light, over one period, by place in the cell (see
+        `FireNet`).
     knots : int
-        Points of each curve.
+        Number of points of each curve.
 
     Returns
     -------
@@ -404,7 +405,7 @@ def response_table(given: ArrayLike, light: ArrayLike, knots: int = 33) -> Array
 
 
 def _monotone(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the closest increasing sequence: pool adjacent violators."""
+    """Return the least-squares increasing sequence: pool adjacent violators."""
     blocks: list[tuple[float, int]] = []
     for value in values.tolist():
         mean, n = value, 1

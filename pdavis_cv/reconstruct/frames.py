@@ -66,8 +66,8 @@ class FrameHold(Reconstructor):
     shape : (int, int)
         (height, width).
     hold : {"readout", "mid"}
-        From when on a frame is shown: the end of its readout (``available_us``), or
-        its mid-exposure.  Before the first one nothing is valid.
+        Time from which on a frame is shown: the end of its readout (``available_us``),
+        or its mid-exposure.  Before the first frame no pixel is valid.
 
     Raises
     ------
@@ -96,7 +96,7 @@ class FrameHold(Reconstructor):
         return {"hold": self._hold}
 
     def add_events(self, events: NDArray[Any]) -> None:
-        """Check the events and note their time."""
+        """Check the events and record their time."""
         self._clock.check_events(events)
 
     def add_frame(self, frame: ApsFrame) -> None:
@@ -109,7 +109,7 @@ class FrameHold(Reconstructor):
         self._frames = (*shown, *coming, (start, log, valid))
 
     def shows(self, t_us: int) -> object | None:
-        """Return what stands for the frame that is held (see `Reconstructor.shows`)."""
+        """Identify the frame that is held (see `Reconstructor.shows`)."""
         t = self._clock.check_read(t_us)
         held = [frame for frame in self._frames if frame[0] <= t]
         return held[-1] if held else None

@@ -1,4 +1,4 @@
-"""What method="events" makes, by where it takes the channels' offsets from."""
+"""The ``events`` method: a high-pass filter, or the channels' redundancy."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -36,21 +36,21 @@ def from_events(
     Parameters
     ----------
     shape, theta_on, theta_off, cutoff_hz
-        Of both.
+        As for both classes.
     offsets : {"mean", "redundancy"}
         "mean": the channels' means are taken to be equal, as in the paper;
         "redundancy": they follow from I0 + I90 = I45 + I135, and DoLP with them.
     radius, hold, correct_phase
-        Of `EventHighPass`; default: its own.
+        As for `EventHighPass`, with its defaults.
     lookahead_us, bandwidth
-        Of `EventRedundancy`; default: its own.
+        As for `EventRedundancy`, with its defaults.
     response
-        Of both.
+        As for both classes.
 
     Raises
     ------
     TypeError
-        If a parameter is given that the other one has.
+        If a parameter of the other class is given.
     ValueError
         If ``offsets`` is another word, or a parameter out of range.
     """

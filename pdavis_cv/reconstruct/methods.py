@@ -1,4 +1,4 @@
-"""The methods by name, and how one is made."""
+"""The reconstruction methods by name, and their factories."""
 from __future__ import annotations
 
 import importlib
@@ -16,7 +16,7 @@ from pdavis_cv.recording.base import RecordingInfo
 __all__ = ["CHEAPER", "DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
            "make_reconstructor", "method_parameters"]
 
-# Method -> (module, what makes it).
+# Method -> (module, its class or function that makes a Reconstructor).
 _MAKERS = {
     "frames": ("frames", "FrameHold"),
     "events": ("from_events", "from_events"),
@@ -29,24 +29,25 @@ METHODS = tuple(_MAKERS)
 """Names that ``fuse(method=...)`` takes."""
 
 DEFAULT_METHOD = "kalman"
-"""What ``fuse(method=None)`` takes for a recording with both events and frames."""
+"""Method of ``fuse(method=None)`` for a recording with both events and frames."""
 
 CHEAPER = {"joint": "kalman", "firenet": "events", "kalman": "cf"}
-"""What a live source goes on with where a method cannot follow: it costs less, and
-uses what the method uses."""
+"""Method that needs less processor time, by the one that it replaces: where `fuse`
+cannot keep up with a live source, it continues with it."""
 
+# Parameters of a method that are not its user's: the caller of the factory has them.
 _GIVEN = ("theta_on", "theta_off", "response")
 
 
 def default_method(info: RecordingInfo) -> str:
-    """Return the method that fits what a recording holds."""
+    """Return the default method for a recording's kinds of data."""
     if info.event_count == 0:
         return "frames"
     return "events" if info.frame_count == 0 else DEFAULT_METHOD
 
 
 def factory_of(method: str | Factory) -> Factory:
-    """Return what makes a method's Reconstructor.
+    """Return the factory of a method's Reconstructor.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def make_reconstructor(
     response : ndarray of float64, shape (2, 2, 3) or (H, W, 3), optional
         Response of the pixels (of the cell) to S0, S1, S2, for methods that take it.
     denoise : mapping of str to object, optional
-        Parameters of an `EventDenoiser` to put before it.
+        Parameters of an `EventDenoiser` that the events pass first; default: none.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""ONNX bytes of the recurrent networks, written without the onnx package.
+"""ONNX models of the recurrent networks, written without the onnx package.
 
-A message is a row of fields: a key, 8 * number + 2, a length, and the contents; or 8 *
-number and a varint.  Numbers are those of onnx.proto.
+A protobuf message is a sequence of fields: a key, 8 * number + 2, a length, and the
+contents; or 8 * number and a varint.  Field numbers are those of onnx.proto.
 """
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OUTPUTS = ("y", "g1", "g2")
 _IR_VERSION, _OPSET = 8, 13
 _FLOAT, _INT, _INTS = 1, 2, 7
 
-# OpenCV 5 says that tanh is NaN beyond 44; at 16 float32 already rounds it to 1.
+# The argument of tanh is clipped: OpenCV 5 gives NaN beyond 44; from 16 on it is 1.
 _LIMITS = {"least": -16.0, "most": 16.0}
 
 
@@ -90,10 +90,10 @@ class _Graph:
 
 
 def network_onnx(weights: Weights, height: int, width: int) -> bytes:
-    """Return the model of one step of a network for planes of one size.
+    """Return the ONNX model of one step of a network for planes of one size.
 
-    Inputs ``x`` (planes of events), ``h1`` and ``h2`` (states), outputs ``y``, ``g1``
-    and ``g2``; shapes are fixed, because OpenCV 4 needs them to be.
+    Inputs ``x`` (planes of events), ``h1`` and ``h2`` (hidden states), outputs ``y``,
+    ``g1`` and ``g2``; shapes are fixed, as OpenCV 4 requires.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def network_onnx(weights: Weights, height: int, width: int) -> bytes:
 def model_shapes(weights: Weights, height: int, width: int) -> dict[str, Any]:
     """Return the shape of each input and output of `network_onnx`.
 
-    ``firenet`` sees the four channels as a batch, ``joint`` as planes of one picture.
+    The four channels are a batch for ``firenet``, planes of one image for ``joint``.
     """
     n = 4 if weights.network == "firenet" else 1
     inputs = weights.arrays["head.weight"].shape[1]

@@ -1,4 +1,4 @@
-"""Running a network's ONNX bytes by whichever library is there."""
+"""Inference of a recurrent network by onnxruntime or OpenCV."""
 from __future__ import annotations
 
 import importlib.util
@@ -15,9 +15,9 @@ from pdavis_cv.reconstruct.weights import Weights
 __all__ = ["BACKENDS", "chosen_backend", "make_runner"]
 
 BACKENDS = ("onnxruntime", "cv2")
-"""Runners of a network, the quicker one first."""
+"""Libraries that run a network, the faster one first."""
 
-_SMALL = 4096  # cells that are not worth a second thread
+_SMALL = 4096  # macropixels below which a second thread does not pay
 
 Array = NDArray[np.float32]
 Runner = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
@@ -53,12 +53,15 @@ def chosen_backend(backend: str = "auto") -> str:
 def _installed(name: str) -> bool:
     try:
         return importlib.util.find_spec(name) is not None
-    except ValueError:  # sys.modules says that it is not to be had
+    except ValueError:  # sys.modules holds a placeholder without a spec
         return False
 
 
 def make_runner(weights: Weights, height: int, width: int, backend: str) -> Runner:
-    """Return a function from (x, h1, h2) to (y, g1, g2).
+    """Return a function that runs one step of a network.
+
+    It maps input planes and both hidden states, (x, h1, h2), to output planes and the
+    new states, (y, g1, g2), of the shapes that `model_shapes` gives.
 
     Parameters
     ----------
@@ -70,7 +73,7 @@ def make_runner(weights: Weights, height: int, width: int, backend: str) -> Runn
     Returns
     -------
     callable
-        Takes and returns float32 arrays; those returned are the caller's.
+        Takes and returns float32 arrays; those returned are new.
     """
     model = network_onnx(weights, height, width)
     if backend == "onnxruntime":
@@ -79,7 +82,7 @@ def make_runner(weights: Weights, height: int, width: int, backend: str) -> Runn
 
 
 def _onnxruntime(model: bytes, threads: int) -> Runner:
-    # Some builds report home from import on: nothing here is to leave the machine.
+    # Some builds send telemetry from their import on.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     runtime: Any = importlib.import_module("onnxruntime")
     options = runtime.SessionOptions()
@@ -104,7 +107,7 @@ def _cv2(model: bytes) -> Runner:
     def run(x: Array, h1: Array, h2: Array) -> tuple[Array, Array, Array]:
         for name, value in zip(INPUTS, (x, h1, h2), strict=True):
             net.setInput(value, name)
-        # What forward returns may be the network's own memory.
+        # Copies: forward may return views of buffers that the next call overwrites.
         y, g1, g2 = (np.array(out, np.float32) for out in net.forward(list(OUTPUTS)))
         return y, g1, g2
 

@@ -1,4 +1,4 @@
-"""What every method checks about what it is fed: order in time and shape."""
+"""Checks that all methods share: order in time, shape, and their parameters."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -17,18 +17,18 @@ __all__ = ["BANDWIDTH_SIGMA", "NEVER", "StreamClock", "checked_bandwidth",
            "checked_threshold_sigma", "steps"]
 
 BANDWIDTH_SIGMA = 0.03
-"""Relative error of a bandwidth that says nothing of its own."""
+"""Relative standard error of a bandwidth that is stated without one."""
 
 NEVER = int(np.iinfo(np.int64).min)
 
 
 class StreamClock:
-    """The last time that a Reconstructor has seen.
+    """The time up to which a Reconstructor has been fed, and checks of its inputs.
 
     Parameters
     ----------
     shape : (int, int)
-        (height, width) of what it is fed.
+        (height, width) of the sensor.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class StreamClock:
         self.last_us = NEVER
 
     def took(self, events: NDArray[Any], taken: int) -> None:
-        """Note that a kernel took so many events; raise ValueError if not all.
+        """Record that a kernel processed so many events; raise ValueError if not all.
 
         Raises
         ------
         ValueError
-            Names the first event that was not taken, and why.
+            Names the first event that was not processed, and the reason.
         """
         before = self.last_us
         if taken:
@@ -57,7 +57,7 @@ class StreamClock:
             raise bad_event(events, taken, self.shape, before)
 
     def check_events(self, events: Any) -> NDArray[Any]:
-        """Check events that are not otherwise looked at.
+        """Check events that the method ignores, and return them.
 
         Raises
         ------
@@ -70,14 +70,14 @@ class StreamClock:
         return checked
 
     def check_frame(self, frame: ApsFrame, after_us: int | None = None) -> int:
-        """Return the time of a frame, its mid-exposure, and note it.
+        """Return the time of a frame, its mid-exposure, and record it.
 
         Parameters
         ----------
         frame : ApsFrame
         after_us : int, optional
-            Time of the frame before, where frames may be late; default: none may lie
-            before the last time seen.
+            Time of the last frame, if frames may be late; default: a frame must not lie
+            before the last event or frame.
 
         Raises
         ------
@@ -125,7 +125,7 @@ def steps(
 
 
 def checked_bandwidth(value: Sequence[float] | None) -> tuple[float, float, float]:
-    """Return (hz, hz_per_intensity, sigma), zeros for None; refuse what cannot be."""
+    """Return (hz, hz_per_intensity, sigma), checked; zeros for None."""
     if value is None:
         return 0.0, 0.0, 0.0
     if isinstance(value, str) or len(value) not in (2, 3):
@@ -144,7 +144,7 @@ def checked_bandwidth(value: Sequence[float] | None) -> tuple[float, float, floa
 def checked_threshold_sigma(
     value: ArrayLike, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """Return a pixel's prior standard deviations, ON and OFF, checked."""
+    """Return the prior sigmas (ON, OFF), shape (2,) or (2, H, W), checked."""
     sigma = np.array(value, np.float64)
     if sigma.shape not in ((), (2,), (2, *shape)):
         raise ValueError(
@@ -156,7 +156,7 @@ def checked_threshold_sigma(
 
 
 def checked_noise(value: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return a Kalman filter's noise, checked; without its last part, all of it."""
+    """Return `noise` of `KalmanFilter`, checked; its fourth number defaults to 1."""
     parts = [float(part) for part in value]
     if len(parts) not in (3, 4) or not all(np.isfinite(x) and x >= 0 for x in parts):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""How often light turns from brighter to darker, told by events."""
+"""Detection of windows that are too long, from the reversals of events' polarity."""
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 __all__ = ["Turns"]
 
-_WINDOWS = 32
-_LEAST_EVENTS = 8
-_PER_WINDOW = 0.25
-_MOST_EVENTS = 200_000
+_WINDOWS = 32           # windows per test
+_LEAST_EVENTS = 8       # of a pixel that takes part in the test
+_PER_WINDOW = 0.25      # reversals at a period of eight windows
+_MOST_EVENTS = 200_000  # kept per test; with more, the test is left out
 
 
 class Turns:
-    """Tells when windows exceed an eighth of the period of what pixels see.
+    """Test whether windows exceed an eighth of the period of the light on pixels.
 
-    A pixel whose light swings once per period turns twice: from ON to OFF events and
-    back.  More than a quarter of a turn per window, as the median over pixels with
-    events enough, is a period below eight windows.
+    The events of a pixel reverse their polarity twice per period.  More than a quarter
+    of a reversal per window, as the median over pixels with enough events, means that
+    the period is shorter than eight windows.
     """
 
     def __init__(self) -> None:
@@ -30,16 +30,16 @@ class Turns:
         self._told = False
 
     def add(self, events: NDArray[Any]) -> None:
-        """Take events of the window that is being filled."""
+        """Add events of the current window."""
         if self._told or self._kept > _MOST_EVENTS:
             return
         x, y = events["x"].astype(np.int64), events["y"]
-        # One pixel in each cell says as much as four, and on a sensor some cells do.
+        # One pixel per macropixel is enough, and costs a quarter.
         self._parts.append(((x << 16 | y) << 1 | events["p"])[(x & 1 | y & 1) == 0])
         self._kept += len(self._parts[-1])
 
     def exceed(self, windows: int) -> bool:
-        """Note that so many windows ended; True once, when they are too long."""
+        """Count windows that ended; return True at the first test they fail, once."""
         self._windows += windows
         if self._told or self._windows < _WINDOWS or not self._parts:
             return False

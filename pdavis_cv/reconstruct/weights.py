@@ -26,7 +26,7 @@ WIDTH = 16
 MEMORY = (8.0, 64.0)
 """Time constants of the two leaky integrals of ``joint``, in windows."""
 
-# What goes in and out of each network, and how many planes go in directly at the end.
+# Numbers of planes by network: inputs, outputs, and inputs that skip to the last layer.
 _ENDS = {"firenet": (BINS, 1, 0), "joint": (4 * BINS + 8, 6, 8)}
 _META = "about"
 _MOST_BYTES = 1 << 24
@@ -55,19 +55,19 @@ def expected_shapes(network: str) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """The weights of one network, and what it takes and gives.
+    """The weights of one network, and the scale of its input.
 
     Parameters
     ----------
     network : {"firenet", "joint"}
         Its architecture.
     arrays : mapping of str to ndarray of float32
-        As `expected_shapes` has them.
+        Arrays of the names and shapes of `expected_shapes`.
     unit : float or None
-        Log intensity that counts as 1 in its input; None: an event counts as 1,
+        Change of log intensity per unit of the input; None: an event is one unit,
         whatever its threshold.
     about : mapping of str to object
-        Where it comes from; kept in the file.
+        Provenance, which the file contains.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class Weights:
 
     @property
     def digest(self) -> str:
-        """First 16 hex digits of a hash over the weights and how they are used."""
+        """First 16 hex digits of a hash over weights, network and unit."""
         seen = hashlib.sha256(f"{self.network} {self.unit}".encode())
         for name in sorted(self.arrays):
             seen.update(np.ascontiguousarray(self.arrays[name]).tobytes())

@@ -226,7 +226,7 @@ def _between(known: Sequence[_Minimum], share: float) -> float:
 
 
 def _is_usual(ln_hz: float) -> bool:
-    """Return whether a bright pixel's corner frequency is within 3 usual sigmas."""
+    """Return whether a bright pixel's corner frequency is within 3 prior sigmas."""
     hz, _, sigma = TYPICAL_BANDWIDTH
     return abs(ln_hz - math.log(hz)) < _MAX_SIGMAS_APART * sigma
 

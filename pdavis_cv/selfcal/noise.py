@@ -15,10 +15,9 @@ LEAST_NOISE = 0.1
 _GRID = (LEAST_NOISE, 0.4, 1.5, 5.0, 15.0)
 """Process noise: variance per second of the sum of a pixel's events, thresholds^2.
 
-It reaches from leak alone to pixels with 15 noise events per second, in factors of 3.5,
-within which the filter's result changes little.
+From leak alone to pixels with 15 noise events per second, in factors of 3.5, within
+which the filter's result changes little.
 """
-
 
 _NOISE = (0.02, LEAST_NOISE, 0.0003)
 """Noise of the candidates, as `FILTER_NOISE`: of frames (ln units), and of events per

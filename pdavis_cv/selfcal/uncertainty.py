@@ -22,7 +22,7 @@ _OFFSET_SHARES = (0.7, 0.2)
 ``Sensor.offset_dn``."""
 
 _DARK_OFFSET_DN = (0.2, 0.1)
-"""The same after a dark frame was subtracted: what it leaves, in DN."""
+"""The same in DN, for the residual after subtraction of a dark frame."""
 
 FRAME_CORRELATION, _DARK_FRAME_CORRELATION = 0.45, 0.25
 """Share of the frames' assumed variance that is common to all frames of a pixel,
@@ -70,7 +70,7 @@ class FrameSystematics:
 
 
 def frame_systematics(sensor: Sensor | None, dark: bool) -> FrameSystematics:
-    """Return the errors that double sampling, or a dark frame if `dark`, leaves."""
+    """Return the residual errors of double sampling, or of a dark frame if `dark`."""
     if dark:
         return FrameSystematics(_DARK_OFFSET_DN, _DARK_FRAME_CORRELATION)
     sigma = (sensor or Sensor.PDAVIS).offset_dn

@@ -431,7 +431,7 @@ class KalmanFilter(Reconstructor):
         keep.keep_us = needed if first else max(keep.keep_us, needed)
 
     def add_wave(self, wave: Wave) -> None:
-        """Tell how the lamp flickers (see `Reconstructor.add_wave`)."""
+        """Take the lamp's flicker in a block (see `Reconstructor.add_wave`)."""
         self._fed += 1
         self._lamp.add(wave)
 

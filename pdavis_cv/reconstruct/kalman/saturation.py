@@ -163,7 +163,7 @@ class Saturated:
             self._method.add_events(mine)
 
     def settle(self, t_us: int) -> None:
-        """Do what is due (see `Reconstructor.settle`)."""
+        """Do pending work (see `Reconstructor.settle`)."""
         if self._method is not None:
             self._method.settle(t_us)
 
