@@ -25,11 +25,13 @@ from pdavis_cv.recording.base import (
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import (
+    LOOK_AHEAD,
     NEVER,
     SPIKE_US,
     Clock,
     Marks,
     Timeline,
+    possible_range,
     spikes,
 )
 from pdavis_cv.sensor import Layout, Sensor
@@ -358,37 +360,23 @@ def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
           ahead: Iterable[Decoded]) -> NDArray[np.bool_]:
     """Return which times come from damaged words.
 
-    Such a time lies far from its neighbours, on the same side of both, while these are
-    in order.  If the middle time of a packet does, all times of the packet are wrong,
-    as each packet has its own count of overflows.  Packets of one kind are in time
-    order, packets of different kinds nearly so.  The first packet of a kind is checked
-    against the next two.
+    Each packet has its own count of overflows, so all times of one may be wrong.
+    Packets of one kind are in time order, packets of different kinds nearly so.
     """
-    # The median of the first three times of a packet, as one may be damaged.
-    nexts = [_middle(one[3][:3]) for one in ahead if one[1] == kind][:2]
-    limit = SPIKE_US
-    if not nexts or (kind not in before and len(nexts) < 2):
-        # Samples before `promised` are dropped, so times that are accepted must not
-        # advance it by the whole horizon.
-        kind, limit = _ANY, HORIZON_US // 2
-        nexts = nexts or [_middle(one[3][:3]) for one in ahead][:1]
-    if not nexts:
-        return np.zeros(len(times), np.bool_)
-    first = before.get(kind, min(*nexts, int(times[0])))
-    if spikes(np.array([first, _middle(times), nexts[0]]), limit)[0]:
-        return np.ones(len(times), np.bool_)
-    wild = spikes(np.concatenate(([first], times, nexts[:1])), limit)
+    following = [one[3] for one in ahead if one[1] == kind][:LOOK_AHEAD]
+    others = [one[3] for one in ahead if one[1] != kind]
+    # Samples before `promised` are dropped, so times that are accepted must not advance
+    # it by the whole horizon.
+    slack = HORIZON_US // 2
+    following += [one + slack for one in others[:LOOK_AHEAD - len(following)]]
+    first, last = possible_range(
+        times, following, before.get(kind, before.get(_ANY, NEVER + slack) - slack))
+    wild = (times < first) | (times > last)
     wild[1:-1] |= spikes(times, SPIKE_US)
-    if max(nexts) >= first:     # at most one of the next two lies before it
-        wild |= times > max(nexts) + limit
     # A time that its successors precede, if they follow its predecessor.
     earlier = np.concatenate(([first], times))[:len(times) - 1]
     wild[:-1] |= (times[:-1] > times[1:]) & (earlier <= times[1:])
     return wild
-
-
-def _middle(times: NDArray[np.int64]) -> int:
-    return int(np.sort(times)[len(times) // 2])
 
 
 def _polarity(data: bytes, base: int) -> NDArray[Any]:

@@ -6,7 +6,8 @@ object for each event would take a hundred times as long.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from itertools import count, islice
 from typing import Any
@@ -21,7 +22,15 @@ from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.recording.prophesee import WordStream
 from pdavis_cv.recording.scratch import Gathering, Scratch
-from pdavis_cv.recording.timeline import LAST, NEVER, OFFSET, Clock, Timeline
+from pdavis_cv.recording.timeline import (
+    LAST,
+    LOOK_AHEAD,
+    NEVER,
+    OFFSET,
+    Clock,
+    Timeline,
+    possible_range,
+)
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["RosRecording"]
@@ -110,18 +119,18 @@ class _Message:
             raise ValueError(f"{count} events in a message of {len(data)} bytes")
         return np.frombuffer(data, np.uint8), at, size, count, places, shift
 
-    def first_time(self) -> int:
-        """Return the time of the first event of a dvs_msgs/EventArray in us."""
+    def times(self, most: int) -> NDArray[np.int64]:
+        """Return the times of the first events of a dvs_msgs/EventArray in us."""
         self.header()
         self.size()
-        _, at, _, count, places, _ = self.events()
-        if not count:
-            raise ValueError("no events")
+        data, at, stride, count, places, _ = self.events()
         seconds, nanoseconds = (
-            struct.unpack_from("<" + code, self.data, at + int(places[i]))[0]
-            for code, i in (("i", 2), ("I", 3)))
-        time: int = seconds * 1_000_000 + nanoseconds // 1000
-        return time
+            np.ndarray((min(count, most),), code, data, at + int(places[i]), (stride,))
+            for code, i in (("<i4", 2), ("<u4", 3)))
+        found: NDArray[np.int64] = seconds.astype(np.int64)
+        found *= 1_000_000
+        found += nanoseconds // 1000
+        return found
 
 
 class RosRecording(FileRecording):
@@ -243,11 +252,12 @@ class RosRecording(FileRecording):
         promised = NEVER
         both = len(self._topics) > 1
         messages = self._messages()
-        ahead = next(messages, None)
+        ahead = deque(islice(messages, LOOK_AHEAD))
         for number in count():
-            if ahead is None:
+            if not ahead:
                 return
-            (topic, kind, data), ahead = ahead, next(messages, None)
+            topic, kind, data = ahead.popleft()
+            ahead.extend(islice(messages, 1))
             batch = Batch()
             try:
                 message = _Message(data, self._cdr)
@@ -329,24 +339,34 @@ class RosRecording(FileRecording):
         return [ApsFrame(image, int(t[0]), int(t[0]), full_scale_dn=full)]
 
     def _array(self, message: _Message, clock: Clock, memory: Scratch, number: int,
-               ahead: tuple[str, str, bytes] | None) -> NDArray[Any]:
-        """Return the events of a dvs_msgs/EventArray; ahead is the next message."""
+               ahead: Iterable[tuple[str, str, bytes]]) -> NDArray[Any]:
+        """Return the events of a dvs_msgs/EventArray; ahead are the next messages."""
         where, before = message.events(), clock.last
         events = self._taken(
             lambda done, out: _kernels.ros_events(
                 *where, done, *self._info.sensor_size, clock.state, out),
             where[3], clock, number, memory, unit="message")
-        if len(events) and ahead is not None and ahead[1] == EVENT_ARRAYS:
-            # A last event that is later than both its neighbours, as in the kernel.
-            before = int(events["t"][-2]) if len(events) > 1 else before
-            with suppress(ValueError, struct.error):
-                following = _Message(ahead[2], self._cdr).first_time()
-                if before <= following + int(clock.state[OFFSET]) < clock.last:
-                    self._count(number, "backward time", 1, "events were dropped "
-                                "because time ran backward", unit="message")
-                    clock.state[LAST] = before
-                    events = events[:-1]
-        return events
+        following = list(self._following(ahead, 1, clock))
+        if not len(events) or (following and events["t"][-1] <= following[0][0]):
+            return events
+        following = list(self._following(ahead, MAX_MESSAGE, clock))
+        _, last = possible_range(events["t"].astype(np.int64), following, before)
+        good = events[:np.searchsorted(events["t"], last, "right")]
+        if len(good) < len(events):
+            self._count(number, "backward time", len(events) - len(good), "events were "
+                        "dropped because time ran backward", unit="message")
+            clock.state[LAST] = good["t"][-1] if len(good) else before
+        return good
+
+    def _following(self, ahead: Iterable[tuple[str, str, bytes]], most: int,
+                   clock: Clock) -> Iterator[NDArray[np.int64]]:
+        """Yield the first times of each message of events among the next ones."""
+        for _, kind, data in ahead:
+            if kind == EVENT_ARRAYS:
+                with suppress(ValueError, struct.error):
+                    times = _Message(data, self._cdr).times(most)
+                    if len(times):
+                        yield times + int(clock.state[OFFSET])
 
     def _packet(self, message: _Message, clock: Clock, words: WordStream,
                 memory: Scratch, number: int) -> NDArray[Any]:

@@ -7,8 +7,10 @@ caught up.
 from __future__ import annotations
 
 import copy
+import itertools
 import threading
 from bisect import bisect_left
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv.events import FAR
 
-__all__ = ["NEVER", "SEGMENT_US", "SPIKE_US", "Clock", "Marks", "Timeline", "spikes"]
+__all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "SPIKE_US", "Clock", "Marks",
+           "Timeline", "possible_range", "spikes"]
 
 NEVER = -FAR
 """A time before any that a file may hold, us."""
@@ -24,6 +27,9 @@ SEGMENT_US = 1_000_000
 SPIKE_US = 1_000
 WRAP_US = 1 << 32
 """Jump backward of a 32-bit microsecond counter that overflows, us."""
+LOOK_AHEAD = 3
+"""Number of packets that follow from which `possible_range` is found: of three, one may
+be damaged."""
 
 # Indices into the state of a Clock.
 FILLED, LAST, OFFSET, OUTSIDE, BACKWARD, BEFORE = 0, 1, 2, 3, 4, 6
@@ -47,11 +53,9 @@ class Timeline:
             Size of the jump backward.
         """
         if jump == len(self._moves):
-            wraps = round(back_us / WRAP_US)
-            if wraps and abs(back_us - wraps * WRAP_US) < SEGMENT_US:
-                self._moves.append(wraps * WRAP_US)
-            else:
-                self._moves.append(back_us + 1)
+            # A counter of 32 bits cannot fall by several of its periods.
+            wraps = abs(back_us - WRAP_US) < SEGMENT_US
+            self._moves.append(WRAP_US if wraps else back_us + 1)
         return self._moves[jump]
 
 
@@ -166,6 +170,65 @@ class Marks:
         with self._lock:
             i = bisect_left(self._newest, t_us)
             return copy.deepcopy(self._states[i - 1]) if i else None
+
+
+def possible_range(
+    times: NDArray[np.int64], following: Sequence[NDArray[np.int64]],
+    before: int = NEVER,
+) -> tuple[int, int]:
+    """Return the first and last time that samples of a packet may have.
+
+    They are found from the packets around it, of which some may be damaged too.  A
+    packet is doubted if its own times run backward or span more than a segment's
+    limit, or if its median does not fit those around it.  Among the packets that are
+    left, the border between this one and the next is where the fewest times lie on the
+    wrong side.  (NEVER, -NEVER) is returned if a new segment may begin.
+
+    Parameters
+    ----------
+    times : ndarray of int64, shape (N,)
+        At least one.
+    following : sequence of ndarray of int64
+        Times of the next `LOOK_AHEAD` packets of the stream that have any.
+    before : int, optional
+        Time of the last sample before; default: there is none.
+    """
+    ends = [before, *(int(t) for one in (times, *following[:2]) for t in one[[0, -1]])]
+    if all(a <= b for a, b in itertools.pairwise(ends)):
+        return before, ends[3] if following else -NEVER
+    middle = _median(times)
+    trusted = [one for one in following if _in_order(one)]
+    if not trusted:
+        if _in_order(times):
+            return before if before <= middle else NEVER, -NEVER
+        trusted = list(following)
+    later = [one for one in trusted if _median(one) >= before]
+    if 2 * len(later) < len(trusted) or not later:
+        return NEVER, -NEVER
+    medians = [_median(one) for one in later]
+    passed = [one for one, its in zip(later, medians, strict=True) if its < middle]
+    if len(passed) > 1 and 2 * len(passed) > len(later):
+        return before, min(int(one[0]) for one in passed)
+    if len(later) == 1 and before == NEVER and middle - medians[0] > SEGMENT_US:
+        return NEVER, -NEVER
+    own = np.unique(times[times >= before])
+    own = own[own <= min((its for its in medians if its >= middle),
+                         default=medians[0] + SEGMENT_US)]
+    # Of each border: own times beyond it, and times of the others that do not reach it.
+    wrong = np.arange(len(own), -1, -1)
+    wrong[1:] += np.searchsorted(np.unique(np.concatenate(later)), own)
+    best = len(own) - int(np.argmin(wrong[::-1]))
+    return before, int(own[best - 1]) if best else before - 1
+
+
+def _in_order(times: NDArray[np.int64]) -> bool:
+    return bool(np.all(times[1:] >= times[:-1])) and (
+        int(times[-1]) - int(times[0]) <= SEGMENT_US)
+
+
+def _median(times: NDArray[np.int64]) -> int:
+    """Return a median that is one of the times."""
+    return int(np.sort(times)[len(times) // 2])
 
 
 def spikes(times: NDArray[np.int64], limit_us: int) -> NDArray[np.bool_]:

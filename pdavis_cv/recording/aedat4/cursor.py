@@ -15,16 +15,20 @@ from pdavis_cv.recording.aedat4.container import Aedat4File, Entry
 from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table
 from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.recording.timeline import (
+    LOOK_AHEAD,
     NEVER,
     SEGMENT_US,
     SPIKE_US,
     Clock,
     Timeline,
+    possible_range,
     spikes,
 )
 
 __all__ = ["Cursor"]
 
+KEPT_BYTES = 1 << 22
+"""Packets that were examined ahead are kept up to this size, larger ones read again."""
 MANY = 5
 """From this number of times in a packet on, several outliers are not damage."""
 
@@ -63,7 +67,7 @@ class Cursor:
         self._size, self._scale, self._strict = size, scale, strict
         self._jaer = jaer
         self._last_mid = NEVER
-        self._ahead: tuple[Entry, tuple[bytes, Table]] | None = None
+        self._ahead: dict[int, tuple[bytes, Table]] = {}
         self._read = {"EVTS": self._events, "FRME": self._frames,
                       "IMUS": self._samples, "TRIG": self._samples}[kind]
 
@@ -117,10 +121,8 @@ class Cursor:
         return out[:int(state[0])]
 
     def _table(self, entry: Entry) -> tuple[bytes, Table]:
-        """Return a packet of events, from the cache if it was examined before."""
-        if self._ahead is not None and self._ahead[0] is entry:
-            return self._ahead[1]
-        return self._file.table(entry)
+        """Return a packet of events, which may have been examined before."""
+        return self._ahead.pop(entry.offset, None) or self._file.table(entry)
 
     def _events(self, entry: Entry) -> NDArray[Any]:
         data, table = self._table(entry)
@@ -157,18 +159,14 @@ class Cursor:
         """Return the range of times that events of this packet may have.
 
         It follows from the index, where two wrong entries would be needed to spoil it;
-        without an index, from the packets before and after.
+        without an index, from the packets around it.
         """
         if not self._file.indexed:
             if not count:
                 return NEVER, -NEVER
-            begun = self.clock.last > NEVER
-            before = self.clock.last - int(self.clock.state[2]) if begun else (
-                int.from_bytes(data[at:at + 8], "little", signed=True))
-            after = self._next_time()
-            if after is None or after < before:
-                return NEVER, -NEVER
-            return before if begun else NEVER, after
+            before = NEVER if self.clock.last == NEVER else (
+                self.clock.last - int(self.clock.state[2]))
+            return possible_range(_times(data, at, count), self._following(), before)
         i, entries = self._next - 1, self._entries
         here = entries[i]
         first, last = [here.start_us], [here.stop_us]
@@ -179,20 +177,20 @@ class Cursor:
         return (min((t for t in first if t is not None), default=NEVER),
                 max((t for t in last if t is not None), default=-NEVER))
 
-    def _next_time(self) -> int | None:
-        """Return the time at which the next readable packet begins.
-
-        It is the median of its first three times, as one may be damaged.
-        """
-        for entry in self._entries[self._next:self._next + 2]:
+    def _following(self) -> list[NDArray[np.int64]]:
+        """Return the times of the next readable packets of events."""
+        found: list[NDArray[np.int64]] = []
+        for entry in self._entries[self._next:self._next + 2 * LOOK_AHEAD]:
             with contextlib.suppress(PayloadError):
-                self._ahead = entry, self._table(entry)
-                data, table = self._ahead[1]
+                data, table = self._table(entry)
+                if len(data) <= KEPT_BYTES:
+                    self._ahead[entry.offset] = data, table
                 at, count = samples.event_vector(table)
                 if count:
-                    first = np.ndarray((min(count, 3),), "<i8", data, at, (16,))
-                    return int(np.sort(first)[len(first) // 2])
-        return None
+                    found.append(_times(data, at, count))
+            if len(found) == LOOK_AHEAD:
+                break
+        return found
 
     def _frames(self, entry: Entry) -> list[ApsFrame]:
         data, table = self._file.table(entry)
@@ -295,6 +293,11 @@ def _wild(times: NDArray[np.int64]) -> NDArray[np.bool_]:
     wild[-1] = (min(t[-2], t[-3]) - t[-1] > SPIKE_US
                 or t[-1] - max(t[-2], t[-3]) > SEGMENT_US)
     return wild & (np.count_nonzero(wild) * MANY <= len(times))
+
+
+def _times(data: bytes, at: int, count: int) -> NDArray[np.int64]:
+    """Return the times in the file of the events of the vector at byte at."""
+    return np.ndarray((count,), "<i8", data, at, (16,))
 
 
 def _time(data: bytes, at: int, i: int) -> int:
