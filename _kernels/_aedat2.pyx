@@ -8,13 +8,13 @@ from libc.stdint cimport (
 from _kernels._check cimport SEGMENT_US
 from _kernels._types cimport event_t
 
-# Places in the state of time and of the sample streams.
+# Indices in the state of time and of the sample streams.
 cdef enum:
     BASE = 0            # added to the 32-bit time of the file
     LAST = 1            # time of the last word taken
     BACKWARD = 2        # words dropped because their time runs backward
     OUTSIDE = 3         # words dropped because they lie outside the sensor
-    UNKNOWN = 4         # words of a kind that means nothing
+    UNKNOWN = 4         # words of an undefined kind
     EVENTS = 5          # taken into the outputs so far
     SAMPLES = 6
     TRIGGERS = 7
@@ -23,10 +23,10 @@ cdef enum:
     CODE = 10           # next IMU code expected, 0 = none begun
     STATE = 11
 
-# Places in the state of the frame that is being put together.
+# Indices in the state of the frame that is being assembled.
 cdef enum:
-    RESETS = 0          # pixels whose reset is there
-    SIGNALS = 1
+    RESETS = 0          # number of pixels whose reset was read
+    SIGNALS = 1         # likewise of signals
     COLUMN = 2          # column of the last reset, -1 before the first
     FIRST_RESET = 3     # times
     LAST_RESET = 4
@@ -53,7 +53,7 @@ cdef inline uint32_t big_endian(const uint8_t* at) noexcept nogil:
 
 
 cdef inline uint64_t word(const uint8_t* at) noexcept nogil:
-    """Return address << 32 | time; compilers know this as one swapped load."""
+    """Return address << 32 | time; compilers make one byte-swapped load of it."""
     return (<uint64_t>at[0] << 56 | <uint64_t>at[1] << 48 | <uint64_t>at[2] << 40
             | <uint64_t>at[3] << 32 | <uint64_t>at[4] << 24 | <uint64_t>at[5] << 16
             | <uint64_t>at[6] << 8 | <uint64_t>at[7])
@@ -64,7 +64,7 @@ cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t base,
                              event_t* out) noexcept nogil:
     """Decode words while they are events in order, inside; return how many.
 
-    Looks one word further than it takes: source holds n + 1.
+    It reads one word beyond the last that it decodes: source holds n + 1.
     """
     cdef Py_ssize_t i
     cdef uint32_t address, x, y
@@ -78,7 +78,7 @@ cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t base,
         t = <int32_t>here
         here = word(source + 8 * (i + 1))
         following = <int32_t>here
-        # Unsigned: what lies outside, or is no event, becomes large.
+        # Unsigned: coordinates off the sensor, and words of other kinds, become large.
         x = right - (address >> 12 & 0x3FF)
         y = bottom - (address >> 22)
         if (following < t) | (x > right) | (y > bottom) | (address >> 10 & 1):
@@ -94,7 +94,7 @@ cdef inline int aps(Py_ssize_t column, Py_ssize_t row, uint32_t address, int64_t
                     int64_t* frame, uint16_t[:, ::1] reset,
                     uint16_t[:, ::1] signal, uint8_t[:, ::1] seen,
                     int64_t[:, ::1] times) noexcept nogil:
-    """Put one sample of a frame into its place; END, WHOLE or NEXT."""
+    """Store one sample of a frame; return END, WHOLE or NEXT."""
     cdef Py_ssize_t width = seen.shape[1]
     if address & 0x400:
         # A signal for the second time: the next frame's resets were lost.
@@ -112,9 +112,9 @@ cdef inline int aps(Py_ssize_t column, Py_ssize_t row, uint32_t address, int64_t
         if frame[SIGNALS] == seen.shape[0] * width:
             return WHOLE
         return END
-    # Cameras send columns, converters rows: no order of samples is a frame's.  A
-    # pixel's second reset belongs to the next one, and so does a reset after signals
-    # that had none: the file began inside a frame.
+    # Cameras send columns, converters of files rows, so that the order of samples does
+    # not delimit frames.  A pixel's second reset belongs to the next frame, and so does
+    # a reset after signals without one, where the file begins inside a frame.
     if seen[row, column] & RESET_SEEN or (
             frame[RESETS] == 0 and frame[SIGNALS] > 0):
         return NEXT
@@ -140,11 +140,11 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
                  event_t[::1] events not None, int64_t[::1] imu_t not None,
                  int16_t[:, ::1] imu not None, int64_t[::1] trigger_t not None,
                  uint8_t[::1] trigger not None):
-    """Decode words begin .. n, looking one word further; return (how far, why).
+    """Decode words begin .. n, reading one word further; return (index, reason).
 
-    Why is 0 at the end, 1 before a jump back in time by more than a second, 2 after
-    a whole frame, 3 before a word that belongs to the next frame.  reset, signal,
-    seen and times hold the frame that is being put together, rows from the top.
+    The reason to stop is 0 at the end, 1 before a jump back in time by more than a
+    second, 2 after a whole frame, 3 before a word that belongs to the next frame.
+    reset, signal, seen and times hold the frame being assembled, rows from the top.
     """
     cdef Py_ssize_t height = seen.shape[0], width = seen.shape[1]
     cdef Py_ssize_t i, x, y
@@ -198,10 +198,10 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
             if i + 1 < words.shape[0]:
                 following = <int32_t>big_endian(source + 8 * i + 12) + s[BASE]
             if t < last or following < t:
-                # Rare: one of the two is wrong, or the counter began anew.
+                # Rare: one of the two is damaged, or the counter was reset.
                 if t < last:
                     if last - t > (<int64_t>1 << 31) and following < last:
-                        # The counter's 32 bits ran over.
+                        # The 32-bit counter overflowed.
                         s[BASE] += <int64_t>1 << 32
                         continue
                     if last - t > SEGMENT_US and (
@@ -209,8 +209,8 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
                         why = JUMP
                         break
                 if t < last or (following < t and following >= last):
-                    # One word ahead of both its neighbours is damage, and must not make
-                    # all that follow look late.
+                    # A word later than both its neighbours is damaged: as in
+                    # _check.pxd, `take`.
                     s[BACKWARD] += 1
                     if s[FIRST_BAD] < 0:
                         s[FIRST_BAD] = i

@@ -15,7 +15,7 @@ cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t height
                              int64_t offset, event_t* out) noexcept nogil:
     """Decode events while they are inside, and in order from least on; return how many.
 
-    Looks one event further than it takes: source holds n + 1.
+    It reads one event beyond the last that it decodes: source holds n + 1.
     """
     cdef Py_ssize_t i
     cdef int64_t t, following
@@ -47,7 +47,7 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t be
                   Py_ssize_t n, Py_ssize_t height, Py_ssize_t width, bint flip,
                   int64_t first, int64_t last, int64_t[::1] state not None,
                   event_t[::1] out not None):
-    """Decode events begin .. n of the vector at byte at into out; return how far.
+    """Decode events begin .. n of the vector at byte at into out; return an index.
 
     Returns n, or the index of an event before which time jumped back by more than
     a second.  state is as in _check.pxd.  flip turns rows upside down.  Events
@@ -110,7 +110,7 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t be
 
 cdef inline Py_ssize_t field_at(const uint8_t* data, Py_ssize_t size,
                                 Py_ssize_t place, int field, int width) noexcept nogil:
-    """Return where a field of the table that place points to lies, 0 = default.
+    """Return the byte index of a field in the table that place points to; 0 = default.
 
     place holds an offset relative to itself.  -1 if anything lies outside data.
     """

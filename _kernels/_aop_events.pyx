@@ -1,7 +1,7 @@
 """Stokes parameters of log intensity, event by event, for the AoP of each.
 
-The high pass decays all alike, and an angle does not depend on scale: so sums are kept
-as of an epoch, each event weighted by exp(rate (t - epoch)), and nothing decays.
+All sums of the high pass decay at one rate, and an angle does not depend on their
+scale.  So the sums are not decayed; events are weighted by exp(rate (t - epoch)).
 """
 from libc.math cimport fabs
 from libc.stdint cimport int64_t
@@ -10,10 +10,10 @@ from _kernels._math cimport exp_f
 from _kernels._types cimport event_t
 
 cdef packed struct turn_t:
-    double s1           # sums of the log changes, as of the epoch
+    double s1           # weighted sums of the changes of log intensity
     double s2
-    double swept        # of the doubled angle, weighted by the square of s, leaky
-    double energy       # integral of the square of s, with the same weights
+    double swept        # leaky integral of s1 ds2 - s2 ds1 = |s|^2 d(2 AoP)
+    double energy       # leaky integral of |s|^2 dt
     double t            # last update, us
 
 
@@ -27,7 +27,7 @@ cdef inline void move(turn_t* m, double t, double d1, double d2,
 
 
 cdef void new_epoch(turn_t[:, ::1] turns, float s, float leaky) noexcept nogil:
-    """Refer the sums to a later epoch."""
+    """Rescale the sums to a later epoch."""
     cdef Py_ssize_t r, c
     for r in range(turns.shape[0]):
         for c in range(turns.shape[1]):
@@ -45,11 +45,11 @@ def aop_event_stokes(const event_t[::1] events not None,
                      float[:, ::1] out not None):
     """Write S1 and S2, times a common factor, of each event's macropixel after it.
 
-    axes is (2 (y % 2) + x % 2, (S1, S2)): what the places of the cell count for.  An
-    event counts in the macropixels within radius.  rate is 1 / tau per us; sums are
-    referred to epoch[0], which moves on by span us at a time.  correct takes out the
-    high pass's turn by the rate of rotation, a mean over 2 tau.  Returns how many
-    events were taken: all, or those before the first that is outside or late.
+    axes holds the coefficients of place 2 (y % 2) + x % 2 of the cell in S1 and S2.  An
+    event acts on the macropixels within radius.  rate is 1 / tau per us; the weights
+    refer to epoch[0], which advances in steps of span us.  correct: correct the phase
+    lead by the rate of rotation, a mean over 2 tau.  Returns how many events were
+    taken: all, or those before the first that is outside or late.
     """
     cdef Py_ssize_t n = events.shape[0], rows = turns.shape[0], columns = turns.shape[1]
     cdef Py_ssize_t i, y, x, p, r, c, a, b, reach, place
@@ -73,7 +73,7 @@ def aop_event_stokes(const event_t[::1] events not None,
                 break
             last = events[i].t
             t = <double>last
-            # Span by span, so that the bits do not depend on who else had events.
+            # In steps of span, so that rounding does not depend on other events.
             while t - epoch[0] > span:
                 if t - epoch[0] > 64.0 * span:
                     new_epoch(turns, 0.0, 0.0)
@@ -100,7 +100,7 @@ def aop_event_stokes(const event_t[::1] events not None,
             u = turns[r, c].s1
             v = turns[r, c].s2
             if correct:
-                # Turn by -atan(rate / w), w the signed rate of the doubled angle.
+                # Rotate by -atan(rate / w), w the signed rate of the doubled angle.
                 w = turns[r, c].swept
                 k = rate * turns[r, c].energy
                 scale = fabs(w) + k

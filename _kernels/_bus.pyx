@@ -1,4 +1,4 @@
-"""Events on their way out of the sensor: order in time, and the read-out bus."""
+"""Read-out of a sensor's events: order in time, and the bus."""
 from libc.math cimport floor
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t
 
@@ -44,8 +44,8 @@ def read_out(const event_t[::1] events not None, double until_us, double event_u
              event_t[::1] out not None):
     """Pass events through the arbiter: one row at a time, round robin.
 
-    A row's requests leave together with the time at which the row was taken, and keep
-    the bus for row_us + n event_us.  A pixel that still waits loses its next event.
+    All n requests of a row get the time at which the row is served, and occupy the bus
+    for row_us + n event_us.  An event of a pixel whose request is pending is lost.
     clock (3,): time at which the bus is free, row served last, requests waiting.
     waiting (H,), queue and pending (H, W): requests per row, their columns in the
     order of arrival, and 1 + polarity of each.  Returns (events read out, lost, events

@@ -1,16 +1,17 @@
-/* What is done to the four channels before Stokes parameters, a row at a time. */
+/* Variance by mismatch, and reconciliation, of the four channels, row by row. */
 #ifndef PDAVIS_CV_CHANNELS_H
 #define PDAVIS_CV_CHANNELS_H
 
 #include "_clones.h"
 
-/* Intensities below this share of the macropixel's squared sum count as it. */
+/* Lower bound of a squared intensity, relative to the macropixel's squared sum. */
 #define DIM_SHARE 1e-4f
-/* The relative variance of a pixel's response is at most this. */
+/* Upper bound of the relative variance by errors of angle and contrast. */
 #define MISMATCH_MOST 1.0f
-#define NO_LIGHT 1e-30f         /* keeps 0 / 0 from being nothing */
+#define NO_LIGHT 1e-30f         /* keeps 0 / 0 from being NaN */
 
-/* Variances of gain, angle (rad^2) and contrast, to those of ln I of four channels. */
+/* Add to the variances of ln I those by mismatch.  gain, angle (rad^2) and contrast are
+   variances, the last divided by 4. */
 PDAVIS_CLONES PDAVIS_UNUSED static void mismatch_row(
     const float *restrict q0, const float *restrict q1, const float *restrict q2,
     const float *restrict q3, float gain, float angle, float contrast, ptrdiff_t n,
@@ -37,8 +38,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void mismatch_row(
     }
 }
 
-/* Move four channels onto null . q = 0, each by its share of the variance; the nulls
-   of the row step by `step`: 0, one for all pixels. */
+/* Project four channels onto null . q = 0, weighted by their inverse variances; step is
+   the stride of the null vectors, 0 if all pixels have one. */
 PDAVIS_INLINE void reconcile_each(
     float *restrict q0, float *restrict q1, float *restrict q2, float *restrict q3,
     const float *restrict v0, const float *restrict v1, const float *restrict v2,

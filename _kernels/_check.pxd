@@ -1,9 +1,9 @@
-"""What a reader does with each event that it decodes.  Inline only."""
+"""Checks of each event that a reader decodes.  Inline only."""
 from libc.stdint cimport int64_t
 
 from _kernels._types cimport event_t
 
-# Places in the state that a reader keeps between calls.
+# Indices in the state that a reader keeps between calls.
 cdef enum:
     FILLED = 0      # events taken into the output so far
     LAST = 1        # time of the last event taken
@@ -32,8 +32,8 @@ cdef inline int take(event_t* out, Py_ssize_t i, int64_t t, int64_t following,
                      int64_t* state) noexcept nogil:
     """Append one event, drop it, or report that time jumped back before it.
 
-    following is the time of the next event: one that is ahead of both its
-    neighbours is damage, and must not make all that follow look late.
+    following is the time of the next event.  An event later than both its neighbours is
+    damaged and is dropped; otherwise all later events would seem to run backward.
     """
     cdef int64_t last = state[LAST]
     if (x < 0 or x >= width or y < 0 or y >= height or p < 0 or p > 1 or far(t)):
@@ -67,9 +67,9 @@ cdef inline int add(event_t* out, Py_ssize_t i, int64_t t, int64_t x, int64_t y,
                     int64_t* state) noexcept nogil:
     """Append one event behind those in out, drop it, or report a jump before it.
 
-    As take, for formats where reading the next event first costs much: if this one
-    is earlier than the last, but not than the one before, the last was ahead of both
-    and is taken back.  A word of time may have put up to group events there.
+    As take, for formats in which it is expensive to read the next event first: if this
+    one is earlier than the last, but not than the one before, the last was damaged and
+    is removed, with up to `group` events that share its damaged word of time.
     """
     cdef Py_ssize_t n = state[FILLED], k = n
     cdef int64_t last = state[LAST], before

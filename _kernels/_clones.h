@@ -1,4 +1,4 @@
-/* What the row functions in C share: versions per instruction set, and bits of floats.
+/* Common to the row functions in C: versions per instruction set, and bits of floats.
 
    gcc under glibc compiles a row function three times and picks one at load time.  The
    bits are the same in every version: no contraction, no libm, and sqrtf is exact by

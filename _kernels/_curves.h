@@ -1,11 +1,11 @@
-/* exp of a row, and a row of leaky pixels. */
+/* exp of a row, and rows of leaky integrators. */
 #ifndef PDAVIS_CV_CURVES_H
 #define PDAVIS_CV_CURVES_H
 
 #include "_clones.h"
 #include "_math.h"
 
-/* Pixels that are taken apart at once: what follows then fills whole vectors. */
+/* Cells per block: a multiple of the floats in a vector. */
 #define PDAVIS_LEAKS 32
 
 PDAVIS_CLONES PDAVIS_UNUSED static void exp_row(
@@ -16,9 +16,9 @@ PDAVIS_CLONES PDAVIS_UNUSED static void exp_row(
         out[i] = pd_exp(x[i]);
 }
 
-/* Take m leaky pixels apart.  A cell (cell_t in _leaky.pyx) is three 64-bit words: time,
-   value, and the rate in the lower half of the third; loads by words are what the
-   compiler turns into shuffles instead of one load per field. */
+/* Unpack m cells (cell_t in _leaky.pyx) of three 64-bit words: time, value, and in the
+   lower half of the third the rate.  From loads of words the compiler makes shuffles,
+   from loads of fields it does not. */
 PDAVIS_INLINE void take_apart(
     const int64_t *restrict word, ptrdiff_t m, double *restrict t,
     double *restrict value, float *restrict rate)
@@ -52,7 +52,7 @@ PDAVIS_INLINE void leak_block(
         out[i] = (float)(base[i] + (value[i] + value[i] * fall[i]));
 }
 
-/* base + value decayed to now, of pixels that stay as they are. */
+/* base + value decayed to now; the cells are not updated. */
 PDAVIS_CLONES PDAVIS_UNUSED static void leak_row(
     const int64_t *restrict word, const float *restrict base, double now, ptrdiff_t n,
     float *restrict out)
@@ -64,7 +64,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void leak_row(
         leak_block(word + 3 * at, base + at, now, n - at, out + at);
 }
 
-/* Values as the last events left them, and 1 where there was one. */
+/* Values after the last events, and 1 where there was an event. */
 PDAVIS_CLONES PDAVIS_UNUSED static void held_row(
     const int64_t *restrict word, ptrdiff_t n, float *restrict out,
     uint8_t *restrict seen)

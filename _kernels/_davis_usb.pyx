@@ -39,7 +39,7 @@ cdef enum:
     GENERATOR_FALLING = 16
     GENERATOR_RISING = 17
 
-# Places in the state of a stream; negative is none.
+# Indices in the state of a stream; a negative value is none.
 cdef enum:
     EVENTS = 0          # in the output, as are the next two
     IMU_SAMPLES = 1
@@ -48,19 +48,19 @@ cdef enum:
     TIME = 4            # us
     ROW = 5
     SHUTTER = 6         # of the frame that is read: 0 global, 1 rolling
-    EXPOSED_FROM = 7    # us, as the camera marks it, and the next
-    EXPOSED_UNTIL = 8
+    EXPOSED_FROM = 7    # us, beginning of the exposure as the camera marks it
+    EXPOSED_UNTIL = 8   # us, its end
     RESET_DONE = 9      # us, end of the last reset column
-    RESETS = 10         # columns that were read whole or not, and the next
-    SIGNALS = 11
-    READ = 12           # what is being read: 0 reset, 1 signal
-    PLACE = 13          # of the next sample in its column
-    IMU_BYTES = 14      # places of bytes of a sample that have passed
-    IMU_SCALE = 15      # of ranges and of what is measured
+    RESETS = 10         # number of reset columns so far, complete or not
+    SIGNALS = 11        # number of signal columns
+    READ = 12           # kind of column being read: 0 reset, 1 signal
+    PLACE = 13          # index of the next sample in its column
+    IMU_BYTES = 14      # index of the next byte of a sample
+    IMU_SCALE = 15      # byte of the ranges and of the sensors that are on
     IMU_VALUES = 16     # seven
     OUTSIDE = 23        # counts: events and rows outside the sensor
-    BACKWARD = 24       # times before the one before
-    UNKNOWN = 25        # words of no known meaning
+    BACKWARD = 24       # times that run backward
+    UNKNOWN = 25        # words of an undefined kind
     CUT_COLUMNS = 26    # with too few or too many samples
     CUT_FRAMES = 27     # with too few columns, or without an end
     CUT_IMU = 28
@@ -70,11 +70,11 @@ cdef enum:
     IMU_ROW = 9         # time, scale, seven values
     MISSING = 65535     # no sample
 
-# Why the kernel returns.
+# Reason for which the kernel returns.
 cdef enum:
-    FULL = 0            # the words, or the room for samples, are at their end
+    FULL = 0            # all words are decoded, or an output is full
     FRAME = 1           # a frame has ended
-    RESET = 2           # the camera's clock has begun at 0
+    RESET = 2           # the camera's clock was reset to 0
 
 
 cdef inline void start_frame(int64_t* s, int64_t shutter) noexcept nogil:
@@ -89,7 +89,7 @@ cdef inline void start_frame(int64_t* s, int64_t shutter) noexcept nogil:
 cdef inline void end_column(int64_t* s, uint16_t* reads, Py_ssize_t plane,
                             Py_ssize_t rows, Py_ssize_t origin, Py_ssize_t right,
                             Py_ssize_t down) noexcept nogil:
-    """Count a column; one with a sample too few or too many is shifted: forget it."""
+    """Count a column; one with too few or too many samples is shifted: discard it."""
     cdef Py_ssize_t k, at, column
     if s[READ] < 0:
         return
@@ -123,7 +123,7 @@ cdef inline void begin_column(int64_t* s, int read, int64_t* times,
 
 
 cdef inline int64_t after_byte(int64_t place, int64_t scale) noexcept nogil:
-    """Return where the next byte belongs: what is not measured is not sent."""
+    """Return the index of the next byte, which skips sensors that are off."""
     if place == 0 and not scale & 0x80:     # accelerations
         place = 6
     if place == 6 and not scale & 0x20:     # temperature
@@ -161,15 +161,14 @@ def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turne
                 int64_t[::1] state not None, uint16_t[:, :, ::1] reads not None,
                 int64_t[:, ::1] times not None, event_t[::1] out not None,
                 int64_t[:, ::1] imu not None, int64_t[:, ::1] triggers not None):
-    """Decode words from begin on while there is room; return (how far, why).
+    """Decode words from begin on while there is room; return (index, reason).
 
-    reads (2, H, W) takes resets and signals: the first sample of the first column
-    goes to place origin of a plane, that of the next column to right beyond it, the
-    next sample of the column to down beyond it.  times (2, columns) takes the times at
-    which columns began.  turned says that addresses of rows are columns.  Why is 1
-    after the end of a whole frame, 2 after the word that says that the clock began at
-    0: the caller decides what BASE that is.  state
-    goes on from call to call.
+    reads (2, H, W) receives resets and signals: the first sample of the first column at
+    the flat index `origin` of a plane; `right` is the stride from column to column,
+    `down` that from sample to sample.  times (2, columns) receives the times at which
+    columns began.  turned: addresses of rows are columns.  The reason is 1 after the
+    end of a complete frame, 2 after a reset of the clock, to which the caller adapts
+    BASE.  state is kept from call to call.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0]
     cdef Py_ssize_t height = reads.shape[1], width = reads.shape[2]
@@ -216,7 +215,7 @@ def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turne
             code = word >> 12
             data = word & 0xFFF
             i += 1
-            # Of a busy sensor nearly all words are of these three kinds.
+            # Nearly all words of a busy sensor are of these three kinds.
             if word & 0x8000:
                 candidate = base + (word & 0x7FFF)
                 if candidate >= t:

@@ -110,7 +110,7 @@ def binned(const pixel_t[:, ::1] mosaic not None,
 cdef inline void variance_row(
         const float* variance, Py_ssize_t y, Py_ssize_t h, Py_ssize_t w, float* own,
         float* other, float** to) noexcept nogil:
-    """As bilinear_row, but a missing neighbour is as the opposite one.
+    """As bilinear_row, but mirrored at the borders instead of extrapolated.
 
     Linear extrapolation of variances could be negative.
     """
@@ -131,8 +131,7 @@ def bilinear_variance(const float[:, ::1] variance not None,
                       float[::1] scratch not None, float[:, :, ::1] out not None):
     """Interpolate the variances of each channel's samples (h, w) into out (4, h, w).
 
-    Within the image as `bilinear`; beyond a border stands what is opposite.  scratch is
-    2 * (w + 32) + 32 floats.
+    As `bilinear`, but mirrored at the borders.  scratch is 2 * (w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = variance.shape[0], w = variance.shape[1], y, c
     cdef Py_ssize_t plane[4]
@@ -164,10 +163,10 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
                       float[:, :, ::1] out not None):
     """Interpolate mosaic into quad, its variance (of ln I) into out; reconcile them.
 
-    The same bits as `bilinear`, `bilinear_variance`, `mismatch` with the three of
-    spread (none: not done) and `reconcile` with null, but row by row: what they hand on
-    stays in the cache.  Only rows (first, last) are written; scratch is
-    2 * (w + 32) + 32 floats.
+    The same bits as `bilinear`, `bilinear_variance`, `mismatch` with the three numbers
+    of spread (empty: without it) and `reconcile` with null, but row by row, so that
+    intermediate results stay in the cache.  Only rows (first, last) are written;
+    scratch is 2 * (w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], first, last, y, at, c
     cdef bint one = null.shape[1] == 1 and null.shape[2] == 1
@@ -230,7 +229,7 @@ cdef inline void keep_row(uint8_t* to, const uint8_t* of, Py_ssize_t n) noexcept
 
 def reached(const uint8_t[:, ::1] valid not None, rows not None,
             uint8_t[::1] scratch not None, uint8_t[:, ::1] out not None):
-    """Write to rows (first, last) of out where all samples that `bilinear` takes are 1.
+    """Write to rows (first, last) of out where all samples that `bilinear` uses are 1.
 
     These are the 3x3 around a pixel, and at a border those that it extrapolates from.
     scratch is w bytes; sides are at least 2.

@@ -1,4 +1,4 @@
-"""Noise among events: neighbours behind the same polarizer, and rates of hot pixels."""
+"""Denoising of events: support by neighbours behind the same polarizer, hot pixels."""
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._types cimport event_t
@@ -20,9 +20,10 @@ def denoise_events(const event_t[::1] events not None, Py_ssize_t start, int64_t
     """Set keep for the events from index start on that lie before the time stop.
 
     An event is kept if at least `needed` of the eight pixels two rows or columns away
-    had one of its polarity at most window us ago, and it is not of a hot pixel.  times
-    is (row, column, polarity), counts the events by pixel.  Returns the index of the
-    first event that was not taken: of the time stop, late, or outside.
+    had an event of its polarity at most window us before, and its pixel is not hot.
+    times (row, column, polarity) holds the last events, counts their number by pixel.
+    Returns the index of the first event that was not taken: not before stop, late, or
+    off the sensor.
     """
     cdef Py_ssize_t n = events.shape[0], h = counts.shape[0], w = counts.shape[1]
     cdef Py_ssize_t i, y, x, p, a, b, seen
@@ -60,10 +61,10 @@ def denoise_events(const event_t[::1] events not None, Py_ssize_t start, int64_t
 def denoise_rates(int32_t[:, ::1] counts not None, float[:, ::1] rates not None,
                   uint8_t[:, ::1] hot not None, float share, float per_count,
                   float floor, float factor):
-    """End a window: rates move by share to counts * per_count; mark hot pixels.
+    """Update the mean rates by counts * per_count of weight share; mark hot pixels.
 
-    A pixel is hot whose rate exceeds floor + factor times the median of the pixels two
-    rows or columns away; with fewer than three of them none is.  counts become 0.
+    A pixel is hot if its rate exceeds floor + factor times the median of the pixels two
+    rows or columns away, and there are at least three of these.  counts become 0.
     """
     cdef Py_ssize_t h = counts.shape[0], w = counts.shape[1], y, x, a, b, n, k
     cdef float near[8]

@@ -1,4 +1,4 @@
-"""Functions of each element, the same bits on every CPU."""
+"""Functions of each pixel, with the same bits on every CPU."""
 cdef extern from "_curves.h" nogil:
     void exp_row(const float*, Py_ssize_t, float*)
 
@@ -26,7 +26,7 @@ def exp(const float[:, ::1] x not None, float[:, ::1] out not None):
 
 def mismatch(const float[:, :, ::1] quad not None, float gain, float angle,
              float contrast, float[:, :, ::1] variance not None):
-    """Add to variance (of ln I) what pixels differ by from their nominal response.
+    """Add to variance (of ln I) that of the mismatch of the pixels' responses.
 
     quad and variance are (4, row, column).  gain is the standard deviation of a
     pixel's relative sensitivity, angle that of its polarizer's angle in radians,
@@ -52,12 +52,12 @@ def mismatch(const float[:, :, ::1] quad not None, float gain, float angle,
 
 def reconcile(float[:, :, ::1] quad not None, const float[:, :, ::1] variance not None,
               const float[:, :, ::1] null not None):
-    """Move quad, in place, onto the intensities that Stokes parameters can give.
+    """Project quad, in place, onto the intensities that Stokes parameters can produce.
 
-    null . quad = 0 there.  quad and variance (of ln I) are (4, row, column); null is
-    (4, row, column) or (4, 1, 1).  Each channel takes its share by the variance of its
-    intensity, (I^2 variance); a later least-squares solution is then the one weighted
-    so, whatever its own weights.
+    These satisfy null . quad = 0.  quad and variance (of ln I) are (4, row, column);
+    null is (4, row, column) or (4, 1, 1).  The projection is weighted by the inverse
+    variances of the intensities, I^2 variance: a later least-squares solution is then
+    the weighted one, whatever its own weights.
     """
     cdef Py_ssize_t height = quad.shape[1], width = quad.shape[2]
     cdef Py_ssize_t row, at

@@ -1,4 +1,4 @@
-"""Events as others store them: Prophesee's EVT2 and EVT3, lines of text, columns.
+"""Events in foreign formats: Prophesee's EVT2 and EVT3, lines of text, columns.
 
 Facts: the formats as Prophesee documents them.  State of time and checks of events are
 as in _check.pxd.
@@ -10,11 +10,11 @@ from _kernels._check cimport (
     BACKWARD, FILLED, FIRST_BAD, JUMP as FALLS, LAST, OFFSET, STATE, add, far)
 from _kernels._types cimport event_t
 
-# Places in the state of a stream of words.
+# Indices in the state of a stream of words.
 cdef enum:
     HIGH = 0        # last word of the upper bits of time, -1 before the first
     TIME = 1        # in us, upper and lower bits
-    LOOPS = 2       # added because the upper bits began anew
+    LOOPS = 2       # added for overflows of the upper bits, us
     ROW = 3
     COLUMN = 4      # where the next vector of EVT3 begins
     POLARITY = 5
@@ -22,12 +22,12 @@ cdef enum:
     WORD_STATE = 7
 
 cdef enum:
-    NEAR = 4096     # words among which the next upper bits of time are looked for,
-    HIGHS = 3       # and so many of those, of which one may be damaged too
-    GROUP = 64      # events of one time that one damaged word of EVT3 may have put off
+    NEAR = 4096     # words that are searched for the next upper bits of time
+    HIGHS = 3       # number of these that are compared: one may be damaged too
+    GROUP = 64      # most events that share a damaged word of time in EVT3
 
 cdef enum:
-    FULL = 0        # the words, or the room for events, are at their end
+    FULL = 0        # all words are decoded, or the output is full
     JUMP = 1        # time falls by more than a second before this word
 
 
@@ -38,10 +38,10 @@ ctypedef fused word_t:
 
 cdef inline Py_ssize_t after_wrong_time(const word_t* words, Py_ssize_t i, Py_ssize_t n,
                                         int64_t before) noexcept nogil:
-    """Return where upper bits of time come next if those at i are damaged, else 0.
+    """Return the index of the next upper bits of time if those at i are damaged, or 0.
 
-    They fall, or rise by more than 1, and most of the next ones go on from those
-    before.
+    They are if they fall, or rise by more than 1, and most of the next ones continue
+    from those before.
     """
     cdef int shift = 12 if word_t is uint16_t else 28
     cdef word_t mask = (<word_t>1 << shift) - 1
@@ -66,10 +66,10 @@ cdef inline Py_ssize_t after_wrong_time(const word_t* words, Py_ssize_t i, Py_ss
 def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
                int64_t[::1] state not None, event_t[::1] out not None):
-    """Decode EVT2 words from begin on while out has room; return (how far, why).
+    """Decode EVT2 words from begin on while out has room; return (index, reason).
 
-    Why is 1 before a word whose time, stream[1], lies more than a second before the
-    last.  stream and state go on from call to call.
+    The reason is 1 before a word whose time, stream[1], lies more than a second before
+    the last.  stream and state are kept from call to call.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0], after
     cdef uint32_t word, kind
@@ -116,7 +116,7 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
 def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
                int64_t[::1] state not None, event_t[::1] out not None):
-    """Decode EVT3 words from begin on while out has room for 12; return (how far, why).
+    """Decode EVT3 words while out has room for 12 events; return (index, reason).
 
     As `evt2_words`.
     """
@@ -191,7 +191,7 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
 
 # ---- lines of text ---------------------------------------------------------------
 
-# What the whole numbers of times are.
+# Units of the integer part of times.
 cdef enum:
     MICROSECONDS = 0
     SECONDS = 1

@@ -7,7 +7,7 @@ from _kernels._types cimport event_t
 
 def count(const event_t[::1] events not None, int64_t start, int64_t stop,
           int32_t[:, :, ::1] out not None):
-    """Add the events of [start, stop) to out (polarity, y, x); return how many it saw.
+    """Add the events of [start, stop) to out (polarity, y, x); return how many it read.
 
     Stops at the first event outside out, so the caller can name it.
     """
@@ -30,7 +30,7 @@ def count(const event_t[::1] events not None, int64_t start, int64_t stop,
 
 def voxel(const event_t[::1] events not None, int64_t start, int64_t stop,
           float[:, :, ::1] out not None):
-    """Share +1 or -1 per event of [start, stop) between its two bins (bin, y, x)."""
+    """Divide +1 or -1 per event of [start, stop) between two bins of (bin, y, x)."""
     cdef Py_ssize_t n = events.shape[0], bins = out.shape[0], h = out.shape[1]
     cdef Py_ssize_t w = out.shape[2], i, y, x, p, k
     cdef double per_us, place
@@ -49,7 +49,7 @@ def voxel(const event_t[::1] events not None, int64_t start, int64_t stop,
                 continue
             place = <double>(events[i].t - start) * per_us
             k = <Py_ssize_t>place
-            if k >= bins:                 # cannot be, but never trust a division
+            if k >= bins:                 # only if the division rounds up
                 k = bins - 1
             late = <float>(place - k)
             sign = 2 * p - 1

@@ -1,4 +1,4 @@
-"""The fixed floor that `pdavis bench` judges event kernels by; never tuned."""
+"""The reference that `pdavis bench` compares event kernels with; never optimised."""
 from _kernels._types cimport event_t
 
 

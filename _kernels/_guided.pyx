@@ -185,7 +185,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
                                  row[TERM + 1])
                     sum_along(row + TERM, w, row + WINDOWED + 10 * k, f % 5)
             f = i - 4
-            if 0 <= f < h:  # parts of row f, and the terms of what they leave
+            if 0 <= f < h:  # first fits of row f, and the terms of their residuals
                 noise = &variance[f, 0] if known else row[VARIANCE]
                 for k in range(3):
                     five_of(row + WINDOWED + 10 * k, f, h, product, other)

@@ -2,7 +2,7 @@
 
 Of three successive events of a pixel, the middle one lies on a straight line between
 the others if the light changes linearly.  Its deviation is a linear function of the
-cosine and sine amplitudes of the ripple, whatever the pixel sees, so that least squares
+cosine and sine amplitudes of the ripple, whatever that change is, so that least squares
 gives them (docs/theory/lamp.md).
 """
 from libc.stdint cimport int64_t

@@ -1,4 +1,4 @@
-"""Leaky pixels: state that decays between events.
+"""Leaky integrators: a value per pixel that decays between events.
 
 Each pixel holds the time of its last update, a value that decays towards 0, and its
 rate in 1/us.  For the complementary filter the value is L - L_F, for the printed
@@ -30,7 +30,7 @@ cdef packed struct cell_t:
 
 cdef inline void ask(const event_t[::1] events, Py_ssize_t i,
                      cell_t[:, ::1] cells) noexcept nogil:
-    """Ask for the cell of an event to come, if there is one."""
+    """Prefetch the cell of event i, if there is one."""
     if (i < events.shape[0] and events[i].y < cells.shape[0]
             and events[i].x < cells.shape[1]):
         prefetch(&cells[events[i].y, events[i].x])
@@ -125,7 +125,7 @@ def leak_events_map(const event_t[::1] events not None,
 
 def leak_read(const cell_t[:, ::1] cells not None, const float[:, ::1] base not None,
               double t, float[:, ::1] out not None):
-    """Write base + value decayed to t; cells stay as they are."""
+    """Write base + value decayed to t; the cells are not updated."""
     cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y
     if cells.shape[0] != h or base.shape[0] != h:
         raise ValueError("leak_read: cells, base and out must have one shape")
@@ -140,7 +140,7 @@ def leak_read(const cell_t[:, ::1] cells not None, const float[:, ::1] base not 
 
 def leak_held(const cell_t[:, ::1] cells not None, float[:, ::1] out not None,
               uint8_t[:, ::1] seen not None):
-    """Write each cell's value as its last event left it, and 1 where there was one."""
+    """Write each cell's value after its last event, and 1 where there was an event."""
     cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y
     if (cells.shape[0] != h or seen.shape[0] != h or cells.shape[1] != w
             or seen.shape[1] != w):
@@ -154,7 +154,7 @@ def leak_held(const cell_t[:, ::1] cells not None, float[:, ::1] out not None,
 
 def leak_shown(const event_t[::1] events not None, const cell_t[:, ::1] cells not None,
                float[:, ::1] out not None, uint8_t[:, ::1] seen not None):
-    """As leak_held, of the cells that events lie in; out and seen hold the others.
+    """Update the result of leak_held for the cells of some events.
 
     Stops at the first event outside.
     """
@@ -175,10 +175,10 @@ def leak_shown(const event_t[::1] events not None, const cell_t[:, ::1] cells no
 def mean_around(const float[:, ::1] own not None, const float[:, ::1] count not None,
                 const Py_ssize_t[:, ::1] offsets not None,
                 float[:, ::1] out not None):
-    """Write the sum of own over a neighbourhood by the number of those in it.
+    """Write the mean of own over each pixel and those of its neighbours in the image.
 
-    offsets, (n, 2), are rows and columns to the neighbours, which are added in this
-    order to the pixel itself, where they lie in the image.
+    offsets, (n, 2), are rows and columns to the neighbours, in the order of addition;
+    count is the number of pixels in each mean.
     """
     cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, x, k, dy, dx, n
     if (own.shape[0] != h or count.shape[0] != h or own.shape[1] != w
@@ -218,7 +218,7 @@ def log_frame(const float[:, ::1] dn not None, const uint8_t[:, ::1] usable not 
             for x in range(w):
                 v = dn[y, x]
                 valid[y, x] = (usable[y, x] != 0) & (v >= one)
-                v = v if v >= one else one       # a NaN counts as the floor
+                v = v if v >= one else one       # a NaN becomes the floor
                 out[y, x] = log_f(v) - log_exposure[x]
 
 
@@ -239,10 +239,10 @@ def cf_frame(const float[:, ::1] sample not None, const uint8_t[:, ::1] valid no
              const float[::1] log_8bit not None, const float[::1] age not None,
              double t, float rate, float floor, float[:, ::1] held not None,
              cell_t[:, ::1] cells not None):
-    """Complementary filter: take a frame at time t.
+    """Complementary filter: update by a frame at time t.
 
-    sample is ln F; log_8bit[column] turns it into ln of the 8-bit value; age[column]
-    is how long ago (us, may be negative) the column was exposed; rate is 1/tau per
+    sample is ln F; log_8bit[column] is added to give ln of the 8-bit value; age[column]
+    is the time since the column's mid-exposure (us, may be negative); rate is 1/tau per
     us, floor the adaptive gain's lambda (1 = no adaptive gain).  held is L_F.
     """
     cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1]
@@ -258,8 +258,8 @@ def cf_frame(const float[:, ::1] sample not None, const uint8_t[:, ::1] valid no
                 leak(&cells[y, x], t)
                 r = gain_of(sample[y, x] + log_8bit[x], floor) if valid[y, x] else floor
                 r *= rate
-                # As if L_F had changed when the column was exposed: the rest of
-                # the jump has decayed since (or will, up to then).
+                # L_F changed when the column was exposed: the jump of L - L_F has
+                # decayed since (if age < 0, it is extrapolated backward).
                 jump = held[y, x] - sample[y, x]
                 cells[y, x].value += jump + jump * expm1_f(-(r * age[x]))
                 cells[y, x].rate = r

@@ -38,7 +38,7 @@ static inline float pd_exp(float x) {
     return scale + scale * p;
 }
 
-/* exp(x) - 1, accurate near 0: what a leak does between close events. */
+/* exp(x) - 1, accurate near 0, as needed for the decay between close events. */
 static inline float pd_expm1(float x) {
     float p, scale = pd_exp_parts(x, &p);
     return scale * p + (scale - 1.0f);

@@ -8,11 +8,11 @@ def voxel_planes(const event_t[::1] events not None, int64_t last, int64_t start
                  int64_t stop, const float[:, :, ::1] steps not None,
                  Py_ssize_t height, Py_ssize_t width,
                  float[:, :, :, ::1] out not None, uint8_t[:, ::1] seen not None):
-    """Share each event's step between two bins of its place; return how many it took.
+    """Divide each event's step between two bins of its place; return how many it took.
 
-    steps is (height, width, 2) or (1, 1, 2): what OFF and ON add.  out is (place, bin,
-    y, x) with places anticlockwise from the bottom left of the cell.  Stops at the
-    first event outside the sensor, before last, or not before stop.
+    steps is (height, width, 2) or (1, 1, 2): the steps of OFF and ON events.  out is
+    (place, bin, y, x) with places anticlockwise from the bottom left of the cell.
+    Stops at the first event outside the sensor, before last, or not before stop.
     """
     cdef Py_ssize_t n = events.shape[0], bins = out.shape[1]
     cdef Py_ssize_t h = out.shape[2], w = out.shape[3], i, y, x, p, k, place
@@ -41,7 +41,7 @@ def voxel_planes(const event_t[::1] events not None, int64_t last, int64_t start
             last = events[i].t
             at = <double>(last - start) * per_us
             k = <Py_ssize_t>at
-            if k > bins - 2:              # cannot be, but never trust a division
+            if k > bins - 2:              # only if the division rounds up
                 k = bins - 2
             late = <float>(at - k)
             step = steps[y * by_row, x * by_column, p]

@@ -2,8 +2,8 @@
 
    A block of values first becomes indices, without branches so that it fills vectors;
    then each pixel is one load and one store of four bytes, of which the next pixel
-   overwrites the fourth.  The table has `size` colours and two more: of a value without
-   colour, and of one that is not valid. */
+   overwrites the fourth.  The table has `size` colours and two more: of a value that is
+   not finite, and of one that is not valid. */
 #ifndef PDAVIS_CV_PICTURE_H
 #define PDAVIS_CV_PICTURE_H
 
@@ -11,7 +11,7 @@
 
 #define PDAVIS_PIXELS 256
 
-/* An angle that is not within the first turn: rare, and NaN. */
+/* Index of an angle outside the first turn, which is rare, or of NaN. */
 static int32_t far_hue(double value, int32_t size)
 {
     if (value - value != 0)
@@ -32,7 +32,7 @@ static int32_t far_hue(double value, int32_t size)
     double root = sqrt(value > 0 ? value : 0);                                       \
     int32_t line = (int32_t)(value == value ? (root > top ? top : root) + 0.5 : size);
 
-/* valid may be NULL; what is not valid and below least has the colour of its value. */
+/* valid may be NULL; a value below least keeps its colour even if it is not valid. */
 #define PDAVIS_PAINT(NAME, T, INDEX)                                                 \
     PDAVIS_CLONES PDAVIS_UNUSED static void NAME(                                    \
         const T *restrict row, const uint8_t *restrict valid, ptrdiff_t n,           \
@@ -77,7 +77,7 @@ PDAVIS_PAINT(tone_row_f32, float, PDAVIS_TONE)
 PDAVIS_PAINT(tone_row_f64, double, PDAVIS_TONE)
 
 /* Fade the colours of a row towards a grey: weight * scale, clamped to 0..1, in 256
-   steps is the colour's share; NaN is 0.  valid may be NULL; what is not valid stays. */
+   steps is the colour's share; NaN is 0.  valid may be NULL; where it is 0, out stays. */
 PDAVIS_CLONES PDAVIS_UNUSED static void fade_row(
     const float *restrict weight, const uint8_t *restrict valid, ptrdiff_t n,
     float scale, int32_t ground, uint8_t *restrict out)

@@ -1,4 +1,4 @@
-"""Pictures for people: values through a table of colours to 8-bit BGR."""
+"""Planes of values as 8-bit BGR pictures, by tables of colours."""
 from libc.math cimport INFINITY
 from libc.stdint cimport int32_t, uint8_t
 
@@ -50,7 +50,7 @@ cdef inline const uint8_t* row_of(const uint8_t[:, ::1] valid,
 cdef int draw(const plane_t[:, ::1] plane, const uint8_t[:, ::1] valid, double scale,
               double least, const uint8_t[:, ::1] table, uint8_t[:, :, :] out,
               row_f32_t row_f32, row_f64_t row_f64) except -1:
-    """Draw plane by rows, with the one of both that is for its numbers."""
+    """Draw plane by rows, with the row function of its dtype."""
     cdef Py_ssize_t h = plane.shape[0], w = plane.shape[1], y
     check(h, w, valid, table, out)
     if w == 0:
@@ -72,9 +72,9 @@ def hue_bgr(const plane_t[:, ::1] plane not None,
             uint8_t[:, :, :] out not None):
     """Write table[round(plane * scale) modulo n] to out (h, w, 3), rows contiguous.
 
-    table is (n + 2, 4): B, G, R and a byte that is not used.  A value that is not
-    finite gets table[n]; one from least on gets table[n + 1] where valid (if not empty)
-    is 0.
+    table is (n + 2, 4): B, G, R and an unused byte.  A value that is not finite gets
+    table[n]; where valid (if not empty) is 0, a value of at least `least` gets
+    table[n + 1].
     """
     draw(plane, valid, scale, least, table, out, hue_row_f32, hue_row_f64)
 
@@ -89,7 +89,7 @@ def ramp_bgr(const plane_t[:, ::1] plane not None,
 def tone_bgr(const plane_t[:, ::1] plane not None,
              const uint8_t[:, ::1] valid not None, double scale, double least,
              const uint8_t[:, ::1] table not None, uint8_t[:, :, :] out not None):
-    """As ramp_bgr, but of sqrt(plane * scale): fine steps where the light is dim."""
+    """As ramp_bgr of sqrt(plane * scale), which resolves dim light better."""
     draw(plane, valid, scale, least, table, out, tone_row_f32, tone_row_f64)
 
 
@@ -126,10 +126,10 @@ def polar_bgr(const float[:, :, ::1] quad not None,
               const uint8_t[:, ::1] aop_table not None, double dolp_scale,
               const uint8_t[:, ::1] dolp_table not None, uint8_t[:, :, :] s0 not None,
               uint8_t[:, :, :] aop not None, uint8_t[:, :, :] dolp not None):
-    """Draw S0, angle and degree of quad (4, h, w) row by row; an empty out is left.
+    """Draw S0, angle and degree of quad (4, h, w) row by row; skip empty outputs.
 
-    The same bits as `stokes`, `aop`, `dolp` and then ramp_bgr, hue_bgr, ramp_bgr, with
-    S0 > 0 and valid (if not empty); least is that of S0.  scratch is
+    The same bits as `stokes`, `aop`, `dolp` and then ramp_bgr, hue_bgr, ramp_bgr, valid
+    where S0 > 0 and valid (if not empty) is 1; `least` applies to S0.  scratch is
     6 * (w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = quad.shape[1], w = quad.shape[2], c, x, y

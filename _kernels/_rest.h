@@ -4,7 +4,8 @@
 
 #include "_clones.h"
 
-/* dt seconds after the epoch of `at_epoch`; a negative variance there is none. */
+/* Variance and validity dt seconds after the epoch; at_epoch is the variance there, < 0
+   for a pixel without a sample. */
 PDAVIS_CLONES PDAVIS_UNUSED static void rest_row(
     const float *restrict at_epoch, const float *restrict per_s,
     const float *restrict offset, float dt, float least, float most, ptrdiff_t n,
@@ -20,7 +21,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void rest_row(
     }
 }
 
-/* The same where later samples count too: see _smoothed.pxd, show_resting. */
+/* The same and log intensity for the smoother: see _smoothed.pxd, show_resting. */
 PDAVIS_CLONES PDAVIS_UNUSED static void smooth_row(
     const float *restrict level, const float *restrict slope, const float *restrict v0,
     const float *restrict v1, const float *restrict v2, const float *restrict offset,

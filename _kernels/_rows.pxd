@@ -1,4 +1,4 @@
-"""Row functions of _stencil.h, and what the image kernels share around them."""
+"""Row functions of _stencil.h, and helpers that the image kernels share."""
 from libc.stdint cimport uint8_t, uint16_t, uintptr_t
 
 from _kernels._types cimport pixel_t
@@ -39,15 +39,15 @@ cdef inline int check_places(const Py_ssize_t[::1] places) except -1:
 
 
 cdef inline Py_ssize_t row_stride(Py_ssize_t w) noexcept nogil:
-    """Floats from a scratch row to the next: room for w + 4, whole cache lines."""
+    """Stride of scratch rows in floats: w + 4 or more, a multiple of cache lines."""
     return (w + 32) // 16 * 16
 
 
 cdef inline float* scratch_row(
         float* scratch, Py_ssize_t row, Py_ssize_t w) noexcept nogil:
-    """Row of a scratch of rows * row_stride(w) + 32 floats, on a cache line.
+    """Row of a scratch of rows * row_stride(w) + 32 floats, aligned to a cache line.
 
-    Two floats before it and two after w are its own too.
+    Two floats before it, and two after its w, belong to it too.
     """
     cdef uintptr_t first = (<uintptr_t>scratch + 127) // 64 * 64
     return <float*>first + row * row_stride(w)

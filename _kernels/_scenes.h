@@ -1,6 +1,6 @@
-/* Light of scenes with structure, by rows of doubles.
+/* Light of scenes that are not uniform, by rows of doubles.
 
-   The same bits on every CPU, where those of NumPy's sine and exponential depend on it. */
+   The same bits on every CPU, on which those of NumPy's sine and exponential depend. */
 #ifndef PDAVIS_CV_SCENES_H
 #define PDAVIS_CV_SCENES_H
 
@@ -30,7 +30,7 @@ PDAVIS_INLINE double scene_exp(double x)
     x = x > 700.0 ? 700.0 : x;
     x = x < -700.0 ? -700.0 : x;
     k = x * 1.44269504088896338700 + SCENE_ROUND;
-    bits = bits64_of(k);                    /* the last ones are k */
+    bits = bits64_of(k);                    /* the lowest bits are those of k */
     k -= SCENE_ROUND;
     hi = x - k * 6.93147180369123816490e-01;
     lo = k * 1.90821492927058770002e-10;
@@ -71,8 +71,8 @@ PDAVIS_INLINE void scene_sincos(double x, double *sine, double *cosine)
     *cosine = double_of(((odd & bits64_of(s)) | (~odd & bits64_of(c))) ^ sign_c);
 }
 
-/* Add to out a plane wave after the other: down_c cos - down_s sin, n places each;
-   waves lie `apart` in down and n apart in cos and sin. */
+/* Write to out, n columns, the sum over waves of down_c cos - down_s sin, in the order
+   of the waves; their stride is `apart` in down_c and down_s, n in cos and sin. */
 PDAVIS_CLONES PDAVIS_UNUSED static void waves_row(
     ptrdiff_t waves, ptrdiff_t n, ptrdiff_t apart, const double *restrict down_c,
     const double *restrict down_s, const double *restrict cos,
@@ -91,7 +91,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void waves_row(
     }
 }
 
-/* Stokes components of a texture, in place of three of its fields. */
+/* Replace three fields of a texture by its Stokes components. */
 PDAVIS_CLONES PDAVIS_UNUSED static void texture_row(
     ptrdiff_t n, double s0, double contrast, double dolp, double dolp_spread,
     double aop, double aop_spread, double *restrict first, double *restrict second,
@@ -109,9 +109,9 @@ PDAVIS_CLONES PDAVIS_UNUSED static void texture_row(
     }
 }
 
-/* S1 and S2 of a wheel of sectors: place in sectors at rest less the turn, -9..3;
-   steep: sectors per width of an edge there.  cosines and sines: of sectors from
-   -12 on. */
+/* S1 and S2 of a wheel of sectors.  rest: azimuth in sectors; minus turn it is that on
+   the wheel, -9..3; steep: width of a sector over that of an edge there; cosines and
+   sines: of twice the polarizers' angles, from sector -12 on. */
 PDAVIS_CLONES PDAVIS_UNUSED static void fan_row(
     ptrdiff_t n, double turn, const double *restrict cosines,
     const double *restrict sines, const double *restrict rest,
@@ -138,7 +138,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void fan_row(
     }
 }
 
-/* What pixels see of Stokes components. */
+/* Light on pixels of responses a0, a1, a2 to Stokes components. */
 PDAVIS_CLONES PDAVIS_UNUSED static void analysed_row(
     ptrdiff_t n, const double *restrict a0, const double *restrict a1,
     const double *restrict a2, const double *restrict s0, const double *restrict s1,
@@ -149,7 +149,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void analysed_row(
         out[i] = a0[i] * s0[i] + a1[i] * s1[i] + a2[i] * s2[i];
 }
 
-/* Slopes of smooth light between five nodes, per interval. */
+/* Five-point slopes, per interval, of smooth light at nodes. */
 PDAVIS_CLONES PDAVIS_UNUSED static void slopes_row(
     ptrdiff_t n, const double *restrict a, const double *restrict b,
     const double *restrict c, const double *restrict d, double *restrict out)

@@ -1,4 +1,4 @@
-"""Light of scenes with structure: at many times, on every pixel."""
+"""Light of scenes that are not uniform, at many times on all pixels."""
 
 cdef extern from "_scenes.h" nogil:
     void waves_row(Py_ssize_t, Py_ssize_t, Py_ssize_t, const double*, const double*,
@@ -46,8 +46,8 @@ def texture_stokes(double[::1] first not None, double[::1] second not None,
                    double dolp_spread, double aop, double aop_spread):
     """Replace fields of ln intensity, DoLP and AoP by S0, S1 and S2.
 
-    s0 exp(contrast first); dolp + dolp_spread sin(second); aop + aop_spread third, in
-    radians.  Fields are up to 1e5 in size.
+    S0 is s0 exp(contrast first), DoLP dolp + dolp_spread sin(second), and AoP
+    aop + aop_spread third, radians.  Fields lie in -1e5..1e5.
     """
     cdef Py_ssize_t n = first.shape[0]
     if second.shape[0] != n or third.shape[0] != n:
@@ -65,10 +65,10 @@ def fan_stokes(const double[::1] turns not None, const double[:, ::1] cosines no
                double[:, ::1] s1 not None, double[:, ::1] s2 not None):
     """Write S1 and S2 (time, place) of a wheel of six polarizers.
 
-    turns: by how many sectors the wheel has turned, 0 to 6; cosines and sines
-    (time, 18): of twice the polarizers' angles in sectors -12 to 5.  rest: places at
-    rest, in sectors, -3 to 3; steep: sectors per width of an edge there; light: S0
-    behind the wheel.
+    turns: turn of the wheel in sectors, 0 to 6; cosines and sines (time, 18): of twice
+    the polarizers' angles in sectors -12 to 5.  By place: rest, the azimuth in sectors,
+    -3 to 3; steep, the width of a sector over that of an edge; light, S0 behind the
+    wheel.
     """
     cdef Py_ssize_t times = turns.shape[0], n = rest.shape[0], k
     if (cosines.shape[0] != times or sines.shape[0] != times
@@ -93,7 +93,7 @@ def fan_stokes(const double[::1] turns not None, const double[:, ::1] cosines no
 def analysed(const double[:, ::1] analyser not None, const double[:, ::1] s0 not None,
              const double[:, ::1] s1 not None, const double[:, ::1] s2 not None,
              double[:, ::1] out not None):
-    """Write to out (time, pixel) what pixels see of Stokes components (time, pixel).
+    """Write to out (time, pixel) the light on pixels from Stokes images (time, pixel).
 
     analyser is (3, pixel): the response to S0, S1, S2.  s0 (1, pixel) is constant.
     """

@@ -1,4 +1,4 @@
-"""Events of simulated pixels over intervals of light; the model is in _pixel.pxd."""
+"""Events of simulated pixels over intervals of time; the model is in _pixel.pxd."""
 from libc.math cimport INFINITY
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t
 
@@ -241,7 +241,7 @@ def pixel_events(const double[:, ::1] light not None,
                     continue
                 if light1 == p.light and d0 == 0 and d1 == 0 and still and (
                         p.level == p.v and not direct):
-                    # Constant light, to which the filter has settled: the leak is all.
+                    # Constant light, filter in steady state: only the leak changes.
                     c.drift = cfg.h * (p.leak + cfg.leak_slope * p.on * light1)
                     if p.ref - p.off < p.level + c.drift < p.ref + p.on:
                         p.ref -= c.drift

@@ -14,18 +14,18 @@ typedef struct {                /* samples of one frame: a row per quantity of n
     int64_t t[SIDE];
 } nodes_t;
 
-typedef struct {                /* what samples on one side say, as past_t */
+typedef struct {                /* estimate by the samples on one side, as past_t */
     double base[SIDE], var[SIDE], n_on[SIDE], n_off[SIDE];
     int64_t t[SIDE];
-    double drift[SIDE];         /* since the sample before the first of them */
+    double drift[SIDE];         /* process noise before the last sample taken in */
 } side_t;
 
 typedef struct {
     double on[SIDE], off[SIDE]; /* thresholds */
 } pair_t;
 
-/* Take in a sample, the next (way 1) or the one before (way -1); gap is the drift
-   between it and those taken in before. */
+/* Update the filter of one side by its next sample in its direction of time; gap is
+   the process noise between this and the samples taken in before. */
 PDAVIS_INLINE void take_in(side_t *restrict s, const nodes_t *restrict f,
                            const pair_t *restrict theta, const double *restrict gap,
                            ptrdiff_t n)

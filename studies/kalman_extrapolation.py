@@ -145,7 +145,7 @@ def header(values: np.ndarray) -> str:
             for kind in values for node in kind]
     half = len(NODES)
     return "\n".join([
-        "/* What is crossed of a threshold since a pixel's last event: see `ahead`.",
+        "/* Part of a threshold crossed since a pixel's last event: see `ahead`.",
         "",
         "   Made by studies/kalman_extrapolation.py; not to be edited.  By kind (the",
         "   last two events of one sign; of two) and node (u = time since the last",
