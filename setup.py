@@ -77,6 +77,7 @@ SHARED = (
     "_picture.h",
     "_pixel.pxd",
     "_prefetch.h",
+    "_redundancy.h",
     "_rest.h",
     "_rows.pxd",
     "_scenes.h",

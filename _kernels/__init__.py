@@ -55,6 +55,7 @@ from ._redundancy import (
     redundancy_sample,
     redundancy_shown,
     redundancy_solve,
+    saturated_events,
     saturated_fill,
 )
 from ._scenes import (
@@ -134,6 +135,7 @@ __all__ = [
     "redundancy_solve",
     "ros_events",
     "sample_innovations",
+    "saturated_events",
     "saturated_fill",
     "smooth_gap",
     "smooth_past",

@@ -12,4 +12,14 @@
 #define PDAVIS_PREFETCH(at) ((void)(at))
 #endif
 
+/* All cache lines of some bytes.  A macro: gcc drops calls of a function that does
+   nothing else. */
+#define PDAVIS_PREFETCH_ALL(at, size) \
+    do { \
+        const char *pd_at = (const char *)(at), *pd_end = pd_at + (size) - 1; \
+        for (; pd_at < pd_end; pd_at += 64) \
+            PDAVIS_PREFETCH(pd_at); \
+        PDAVIS_PREFETCH(pd_end); \
+    } while (0)
+
 #endif

@@ -5,8 +5,8 @@ I_i = a_i exp(E_i), where E_i is the sum of events, this is linear in the unknow
 a.  For equal relative errors the solution is the eigenvector of the smallest eigenvalue
 of the moments of n_i exp(E_i).  See docs/theory/events.md.
 """
-from libc.math cimport fabs, sqrt
-from libc.stdint cimport int64_t, uint8_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t
+from libc.string cimport memset
 
 from _kernels._estimate cimport read_level, reading_t, walk_to
 from _kernels._lamp cimport lamp_of, lamp_t
@@ -14,6 +14,10 @@ from _kernels._listing cimport CHANGED
 from _kernels._math cimport exp_f, log_f
 from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
+from _kernels._types cimport event_t
+
+cdef extern from "_prefetch.h" nogil:
+    void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, Py_ssize_t)
 
 cdef packed struct policy_t:
     double keep             # decay factor of the moments, per comparison
@@ -50,21 +54,26 @@ cdef extern from *:
        outlier: two sigma of the errors that light with fast and slow motion causes in
        its first period (studies/redundancy_far.py). */
     #define FAR_ERRORS 1.7
+    /* Events ahead of which a macropixel's records, 20 cache lines, are prefetched. */
+    #define CELLS_AHEAD 6
     #define PART_LEAST 0.05         /* bounds the fraction of ON, and of OFF, events */
-    #define GAIN_LEAST 0.02         /* least gain of a unit vector that counts as > 0 */
-    #define ROUNDED 1e-14           /* an off-diagonal element below this is 0 */
-    #define DEAD 1e-12              /* a pixel below this share of moments is dark */
-    #define SWEEPS 6                /* Jacobi sweeps, after which 4x4 has converged */
-    #define RATIO_LEAST 1e-6        /* lower bound of an eigenvalue, by rounding */
     """
+    const Py_ssize_t CELLS_AHEAD
     const double LINE_ERROR
     const double FAR_ERRORS
     const double PART_LEAST
-    const double GAIN_LEAST
-    const double ROUNDED
-    const double DEAD
-    const int SWEEPS
-    const double RATIO_LEAST
+
+cdef extern from "_redundancy.h" nogil:
+    enum:
+        CELLS
+        PRODUCTS
+    ctypedef struct cells_t:
+        double product[PRODUCTS][CELLS]
+        double weight[CELLS]
+        double shift[4][CELLS]
+        double ratio[CELLS]
+        double smallest[CELLS]
+    void solve_cells(cells_t*, double)
 
 
 cdef inline void remember(balance_t* m, double n_on, double n_off,
@@ -154,7 +163,7 @@ def redundancy_sample(int64_t t, int64_t known, chain not None,
     cdef state_t[:, ::1] states
     cdef balance_t[:, ::1] balance
     cdef moments_t[:, ::1] moments
-    cdef Py_ssize_t h, w, i
+    cdef Py_ssize_t h, w, i, y, x, k
     cdef lamp_t lamp
     check_given((*chain, *model, *cells))
     store, tracks = chain
@@ -172,6 +181,15 @@ def redundancy_sample(int64_t t, int64_t known, chain not None,
     lamp = lamp_of(waves)
     with nogil:
         for i in range(events.shape[0]):
+            if i + CELLS_AHEAD < events.shape[0]:
+                y = events[i + CELLS_AHEAD].y // 2 * 2
+                x = events[i + CELLS_AHEAD].x // 2 * 2
+                if y + 1 < h and x + 1 < w:
+                    prefetch_all(&moments[y // 2, x // 2], sizeof(moments_t))
+                    for k in range(2):
+                        prefetch_all(&tracks[y + k, x], 2 * sizeof(track_t))
+                        prefetch_all(&states[y + k, x], 2 * sizeof(state_t))
+                        prefetch_all(&balance[y + k, x], 2 * sizeof(balance_t))
             if events[i].y < h // 2 * 2 and events[i].x < w // 2 * 2:
                 sample_cell(t, known, &store[0], events[i].y // 2 * 2,
                             events[i].x // 2 * 2, &tuning[0], &policy[0], &lamp, tracks,
@@ -226,81 +244,6 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
     add_moments(&moments[y0 // 2, x0 // 2], value, policy.keep)
 
 
-cdef inline void rotate(double* a, double* v, int p, int q) noexcept nogil:
-    """Apply a Jacobi rotation to the symmetric matrix a (4x4) and to eigenvectors v."""
-    cdef double theta, t, c, s, x, y
-    cdef int k
-    if fabs(a[4 * p + q]) < ROUNDED:
-        return
-    theta = 0.5 * (a[5 * q] - a[5 * p]) / a[4 * p + q]
-    t = 1.0 / (fabs(theta) + sqrt(theta * theta + 1.0))
-    t = t if theta >= 0.0 else -t
-    c = 1.0 / sqrt(t * t + 1.0)
-    s = t * c
-    for k in range(4):
-        x = a[4 * k + p]
-        y = a[4 * k + q]
-        a[4 * k + p] = c * x - s * y
-        a[4 * k + q] = s * x + c * y
-    for k in range(4):
-        x = a[4 * p + k]
-        y = a[4 * q + k]
-        a[4 * p + k] = c * x - s * y
-        a[4 * q + k] = s * x + c * y
-        x = v[4 * k + p]
-        y = v[4 * k + q]
-        v[4 * k + p] = c * x - s * y
-        v[4 * k + q] = s * x + c * y
-
-
-cdef inline double smallest(const moments_t* m, double pull, double* gain,
-                            double* least) noexcept nogil:
-    """Set the gains; return the ratio of the two smallest eigenvalues, 1 if none fits.
-
-    least is set to the smallest eigenvalue, a relative variance, if there are gains.
-    """
-    cdef double a[16]
-    cdef double v[16]
-    cdef double scale[4]
-    cdef double low, other, sign = 0.0
-    cdef int i, j, k = 0, at = 0
-    for i in range(4):
-        k = (4 * i) - (i * (i - 1)) // 2
-        if m.product[k] <= DEAD * m.weight:
-            return 1.0
-        scale[i] = 1.0 / sqrt(m.product[k])
-    k = 0
-    for i in range(4):
-        for j in range(i, 4):
-            a[4 * i + j] = m.product[k] * scale[i] * scale[j] - 0.25 * pull
-            a[4 * j + i] = a[4 * i + j]
-            k += 1
-        a[5 * i] += pull
-        for j in range(4):
-            v[4 * i + j] = 1.0 if i == j else 0.0
-    for _ in range(SWEEPS):
-        for i in range(3):
-            for j in range(i + 1, 4):
-                rotate(a, v, i, j)
-    for i in range(1, 4):
-        if a[5 * i] < a[5 * at]:
-            at = i
-    low = a[5 * at]
-    other = a[5 * (0 if at else 1)]
-    for i in range(4):
-        if i != at and a[5 * i] < other:
-            other = a[5 * i]
-        sign += v[4 * i + at]
-    for i in range(4):
-        gain[i] = v[4 * i + at] if sign > 0.0 else -v[4 * i + at]
-        if gain[i] < GAIN_LEAST:
-            return 1.0
-        gain[i] *= scale[i]
-    least[0] = low if low > RATIO_LEAST else RATIO_LEAST
-    other -= pull              # without the ridge
-    return least[0] / other if other > least[0] else 1.0
-
-
 def redundancy_solve(const policy_t[::1] policy not None,
                      moments_t[:, ::1] moments not None,
                      state_t[:, ::1] states not None, uint8_t[:, ::1] listed not None):
@@ -309,10 +252,10 @@ def redundancy_solve(const policy_t[::1] policy not None,
     Macropixels without a new comparison, or with too few in total, are left unchanged.
     Pixels whose bases change are flagged in listed (see _listing.pxd).
     """
-    cdef Py_ssize_t rows = moments.shape[0], columns = moments.shape[1], r, c
-    cdef double gain[4]
-    cdef double mean, rest
-    cdef int i, j, k
+    cdef Py_ssize_t rows = moments.shape[0], columns = moments.shape[1], r, c, i
+    cdef Py_ssize_t[CELLS] row, column
+    cdef cells_t cells
+    cdef Py_ssize_t n = 0
     cdef moments_t* m
     if (states.shape[0] // 2 != rows or states.shape[1] // 2 != columns
             or listed.shape[0] != states.shape[0]
@@ -320,6 +263,7 @@ def redundancy_solve(const policy_t[::1] policy not None,
         raise ValueError("redundancy_solve: all images must have one shape")
     if policy.shape[0] != 1:
         raise ValueError("redundancy_solve: policy must be one record")
+    memset(&cells, 0, sizeof(cells))    # all lanes are computed, also unused ones
     with nogil:
         for r in range(rows):
             for c in range(columns):
@@ -327,25 +271,42 @@ def redundancy_solve(const policy_t[::1] policy not None,
                 if m.since == 0.0 or m.weight < policy[0].least:
                     continue
                 m.since = 0.0
-                rest = 1.0
-                m.ratio = <float>smallest(m, policy[0].pull, gain, &rest)
-                m.smallest = <float>rest
-                if rest >= 1.0:
-                    continue
-                mean = 0.0
-                for i in range(4):
-                    gain[i] = log_f(<float>gain[i])
-                    mean += 0.25 * gain[i]
-                for i in range(4):
-                    gain[i] -= mean
-                    states[2 * r + i // 2, 2 * c + i % 2].base += gain[i]
-                    listed[2 * r + i // 2, 2 * c + i % 2] |= CHANGED
-                    gain[i] = exp_f(<float>gain[i])
-                k = 0
-                for i in range(4):
-                    for j in range(i, 4):
-                        m.product[k] *= gain[i] * gain[j]
-                        k += 1
+                row[n] = r
+                column[n] = c
+                for i in range(PRODUCTS):
+                    cells.product[i][n] = m.product[i]
+                cells.weight[n] = m.weight
+                n += 1
+                if n == CELLS:
+                    solve_cells(&cells, policy[0].pull)
+                    apply_gains(&cells, row, column, n, moments, states, listed)
+                    n = 0
+        if n > 0:
+            solve_cells(&cells, policy[0].pull)
+            apply_gains(&cells, row, column, n, moments, states, listed)
+
+
+cdef inline void apply_gains(const cells_t* cells, const Py_ssize_t* row,
+                             const Py_ssize_t* column, Py_ssize_t n,
+                             moments_t[:, ::1] moments, state_t[:, ::1] states,
+                             uint8_t[:, ::1] listed) noexcept nogil:
+    """Write what solve_cells found of the first n macropixels."""
+    cdef Py_ssize_t k, y, x
+    cdef int i
+    cdef moments_t* m
+    for k in range(n):
+        m = &moments[row[k], column[k]]
+        m.ratio = <float>cells.ratio[k]
+        m.smallest = <float>cells.smallest[k]
+        if cells.smallest[k] >= 1.0:
+            continue
+        for i in range(4):
+            y = 2 * row[k] + i // 2
+            x = 2 * column[k] + i % 2
+            states[y, x].base += cells.shift[i][k]
+            listed[y, x] |= CHANGED
+        for i in range(PRODUCTS):
+            m.product[i] = cells.product[i][k]
 
 
 def redundancy_shown(const moments_t[:, ::1] moments not None,
@@ -375,48 +336,76 @@ def redundancy_shown(const moments_t[:, ::1] moments not None,
                 smallest[y, x] = 1.0
 
 
+def saturated_events(const event_t[::1] events not None,
+                     const int32_t[:, ::1] cell_of not None, Py_ssize_t columns,
+                     event_t[::1] out not None):
+    """Write the events of some macropixels, moved to the sensor that they make up.
+
+    cell_of holds the number of each macropixel, or a negative one; that sensor has
+    `columns` macropixels in a row.  Returns the number of events written.
+    """
+    cdef Py_ssize_t i, n = 0, rows = cell_of.shape[0], width = cell_of.shape[1]
+    cdef Py_ssize_t y, x, cell
+    if columns < 1:
+        raise ValueError("saturated_events: columns must be positive")
+    if out.shape[0] < events.shape[0]:
+        raise ValueError("saturated_events: out is too short")
+    with nogil:
+        for i in range(events.shape[0]):
+            y = events[i].y
+            x = events[i].x
+            if y // 2 >= rows or x // 2 >= width:
+                continue
+            cell = cell_of[y // 2, x // 2]
+            if cell < 0:
+                continue
+            out[n].t = events[i].t
+            out[n].y = <uint16_t>(cell // columns * 2 + y % 2)
+            out[n].x = <uint16_t>(cell % columns * 2 + x % 2)
+            out[n].p = events[i].p
+            n += 1
+    return n
+
+
 def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not None,
                    float prior, float excess, float valid_variance, shown not None):
     """Weigh an estimate of frames and what events tell of the same macropixels.
 
-    cells is (pixels, missing, columns): by place in the cell and macropixel its index
-    on the sensor and whether it is not known; and the first column of the macropixel
-    in the planes that events tell, seen (log intensity, variance, enough, quality),
-    two rows high.  bound holds the last samples; prior is the variance where the mean
-    squares of the four are taken equal, excess what that of the events is multiplied
-    by; shown is (log intensity, variance, valid).
+    cells is (pixels, missing): by place in the cell and macropixel its index on the
+    sensor and whether it is not known.  seen (log intensity, variance, enough, quality)
+    is what events tell, in planes of the sensor that the macropixels make up row by
+    row.  bound holds the last samples, which stand for pixels that are not known; prior
+    is the variance where the mean squares of the four are taken equal, excess what that
+    of the events is multiplied by; shown is (log intensity, variance, valid).
     """
     cdef const Py_ssize_t[:, ::1] pixels
     cdef const uint8_t[:, ::1] missing
-    cdef const Py_ssize_t[::1] columns
     cdef const float[:, ::1] seen_log, seen_variance, quality
     cdef const uint8_t[:, ::1] enough
     cdef float[:, ::1] log, variance
     cdef uint8_t[:, ::1] valid
-    cdef Py_ssize_t n, width, size, i, k, at, x
+    cdef Py_ssize_t n, columns, size, i, k, at, y0, x0, y, x
     cdef double apart, level, total, offset, weight, told
     cdef bint known
     check_given((*cells, *seen, *shown))
-    pixels, missing, columns = cells
+    pixels, missing = cells
     seen_log, seen_variance, enough, quality = seen
     log, variance, valid = shown
-    n = columns.shape[0]
-    width = seen_log.shape[1]
+    n = pixels.shape[1]
+    columns = seen_log.shape[1] // 2
     size = log.shape[0] * log.shape[1]
-    if (pixels.shape[0] != 4 or pixels.shape[1] != n or missing.shape[0] != 4
-            or missing.shape[1] != n):
+    if pixels.shape[0] != 4 or missing.shape[0] != 4 or missing.shape[1] != n:
         raise ValueError("saturated_fill: pixels and missing must be (4, n)")
-    if (seen_log.shape[0] != 2 or seen_variance.shape[0] != 2 or enough.shape[0] != 2
-            or quality.shape[0] != 2 or seen_variance.shape[1] != width
-            or enough.shape[1] != width or quality.shape[1] != width):
-        raise ValueError("saturated_fill: seen must be planes of one shape, two rows")
+    for plane in seen[1:]:
+        if plane.shape[0] != seen_log.shape[0] or plane.shape[1] != seen_log.shape[1]:
+            raise ValueError("saturated_fill: seen must be planes of one shape")
+    if seen_log.shape[0] // 2 * columns < n:
+        raise ValueError("saturated_fill: seen must hold all macropixels")
     if (bound.shape[0] != log.shape[0] or bound.shape[1] != log.shape[1]
             or variance.shape[0] != log.shape[0] or variance.shape[1] != log.shape[1]
             or valid.shape[0] != log.shape[0] or valid.shape[1] != log.shape[1]):
         raise ValueError("saturated_fill: all images must have one shape")
     for i in range(n):
-        if columns[i] < 0 or columns[i] + 2 > width:
-            raise ValueError("saturated_fill: columns must lie in seen")
         for k in range(4):
             if pixels[k, i] < 0 or pixels[k, i] >= size:
                 raise ValueError("saturated_fill: pixels must lie in the image")
@@ -424,29 +413,35 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
         for i in range(n):
             # The offset of a macropixel: from pixels that are known, else the bound.
             apart = level = total = 0.0
+            y0 = i // columns * 2
+            x0 = i % columns * 2
             for k in range(4):
                 at = pixels[k, i]
-                x = columns[i] + k % 2
+                y = y0 + k // 2
+                x = x0 + k % 2
                 level += 0.25 * (&bound[0, 0])[at]
                 if not missing[k, i]:
                     weight = 1.0 / ((&variance[0, 0])[at] + excess * (
-                        seen_variance[k // 2, x] + prior * quality[k // 2, x]))
+                        seen_variance[y, x] + prior * quality[y, x]))
                     total += weight
-                    apart += weight * ((&log[0, 0])[at] - seen_log[k // 2, x])
+                    apart += weight * ((&log[0, 0])[at] - seen_log[y, x])
             offset = apart / total if total > 0.0 else level
             for k in range(4):
                 at = pixels[k, i]
-                x = columns[i] + k % 2
+                y = y0 + k // 2
+                x = x0 + k % 2
                 known = not missing[k, i]
-                if not enough[k // 2, x]:
+                if not known:
+                    (&log[0, 0])[at] = (&bound[0, 0])[at]
+                if not enough[y, x]:
                     continue
-                told = excess * (seen_variance[k // 2, x] + prior * quality[k // 2, x])
+                told = excess * (seen_variance[y, x] + prior * quality[y, x])
                 if total > 0.0:
                     told += 1.0 / total     # of the offset
                 weight = (&variance[0, 0])[at] / ((&variance[0, 0])[at] + told) if (
                     known) else 1.0
                 (&log[0, 0])[at] += <float>(weight * (
-                    seen_log[k // 2, x] + offset - (&log[0, 0])[at]))
+                    seen_log[y, x] + offset - (&log[0, 0])[at]))
                 (&variance[0, 0])[at] = <float>(
                     (1.0 - weight) * (&variance[0, 0])[at] if known else told)
                 (&valid[0, 0])[at] = (&variance[0, 0])[at] <= valid_variance

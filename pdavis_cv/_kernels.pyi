@@ -72,6 +72,7 @@ __all__ = [
     "redundancy_shown",
     "redundancy_solve",
     "sample_innovations",
+    "saturated_events",
     "saturated_fill",
     "smooth_gap",
     "smooth_past",
@@ -313,8 +314,11 @@ def redundancy_shown(moments: NDArray[Any], ratio: _F32, smallest: _F32) -> None
 def redundancy_solve(
     policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any], listed: _U8
 ) -> None: ...
+def saturated_events(
+    events: NDArray[Any], cell_of: NDArray[np.int32], columns: int, out: NDArray[Any]
+) -> int: ...
 def saturated_fill(
-    cells: tuple[NDArray[np.intp], _U8, NDArray[np.intp]],
+    cells: tuple[NDArray[np.intp], _U8],
     seen: tuple[_F32, _F32, _U8, _F32], bound: _F32, prior: float, excess: float,
     valid_variance: float, shown: tuple[_F32, _F32, _U8],
 ) -> None: ...

@@ -76,12 +76,27 @@ class Macropixel:
         self.M *= np.exp(np.add.outer(shift, shift))
 
 
+def saturated_events(events, cell_of, columns):
+    """Events of the numbered macropixels, on a sensor of `columns` of them in a row."""
+    rows, wide = cell_of.shape
+    y, x = events["y"].astype(int), events["x"].astype(int)
+    cell = np.full(len(events), -1)
+    inside = (y < 2 * rows) & (x < 2 * wide)
+    cell[inside] = cell_of[y[inside] // 2, x[inside] // 2]
+    moved = events.copy()
+    moved["y"], moved["x"] = cell // columns * 2 + y % 2, cell % columns * 2 + x % 2
+    return moved[cell >= 0]
+
+
 def saturated_fill(cells, seen, bound, prior, excess, valid_variance, shown):
     """Weigh (log, variance, valid) and what events tell, by their variances."""
-    pixels, missing, columns = cells
+    pixels, missing = cells
+    columns = seen[0].shape[1] // 2
     log, variance, valid = (plane.copy() for plane in shown)
-    for at, gone, column in zip(pixels.T, missing.T.astype(bool), columns, strict=True):
-        of = tuple(np.array([(k // 2, column + k % 2) for k in range(4)]).T)
+    for i, (at, gone) in enumerate(zip(pixels.T, missing.T.astype(bool), strict=True)):
+        row, column = i // columns * 2, i % columns * 2
+        of = tuple(np.array([(row + k // 2, column + k % 2) for k in range(4)]).T)
+        log.ravel()[at[gone]] = bound.ravel()[at[gone]]
         told, rest, enough, quality = (plane[of] for plane in seen)
         spread = excess * (rest + prior * quality).astype(float)
         weight = np.where(gone, 0, 1 / (variance.ravel()[at] + spread))

@@ -80,7 +80,7 @@ def test_it_equals_float64_evaluation_of_the_equations(
     mine = make(on=on, off=off, mode=mode, threshold_sigma=sigma, bandwidth=bandwidth,
                 offset_dn=offset, refractory_us=refractory, **offline)
     # What the channels' redundancy adds where frames are poor is another matter.
-    mine._saturated.add_events = lambda events: None
+    mine._saturated.add_events = lambda events, workers: None
     for wave in waves:
         mine.add_wave(wave)
     feed(mine, events, frames)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference_redundancy import Macropixel, saturated_fill
+from reference_redundancy import Macropixel, saturated_events, saturated_fill
 from streams import random_events
 
 from pdavis_cv import (
@@ -53,7 +53,7 @@ def make(shape=(6, 8), on=0.16, off=0.18, **options):
 
 
 @settings(max_examples=20)
-@given(st.integers(0, 10**6), st.sampled_from([(2, 2), (5, 4), (4, 7)]),
+@given(st.integers(0, 10**6), st.sampled_from([(2, 2), (5, 4), (4, 7), (8, 10)]),
        st.integers(0, 60), st.sampled_from([0.0, 0.02, 0.5]))
 def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
     rng = np.random.default_rng(seed)
@@ -182,19 +182,82 @@ def test_each_pixel_shows_what_is_known_of_its_macropixel(shape):
         _kernels.redundancy_shown(moments, ratio, np.zeros((9, 9), np.float32))
 
 
+def test_macropixels_that_are_solved_together_do_not_depend_on_each_other():
+    """More than one group, with ones that are dark or have nothing new in between."""
+    rng = np.random.default_rng(5)
+    shape = (10, 26)
+    states, _, _, moments = arrays(shape)
+    upper = np.triu_indices(4)
+    places = np.array([0, 1, 3, 2]) * np.pi / 2
+    for cell in moments.ravel():
+        turns = rng.uniform(0, 2 * np.pi, (rng.integers(2, 40), 1))
+        seen = (1 + 0.8 * np.cos(turns + places)) * rng.uniform(0.3, 3, 4)
+        seen = seen * [1, -1, -1, 1] + rng.normal(0, 0.1, seen.shape)
+        cell["product"] = (seen.T @ seen)[upper]
+        cell["weight"], cell["since"] = rng.uniform(LEAST - 2, 40), rng.integers(0, 3)
+        if rng.random() < 0.2:
+            cell["product"][[1, 4, 5, 6]] = 0
+    states["base"] = rng.normal(size=shape)
+    alone = [one.copy() for one in (moments, states, np.zeros(shape, np.uint8))]
+    for r, c in np.ndindex(moments.shape):
+        parts = [alone[0][r:r + 1, c:c + 1].copy(), *(
+            one[2 * r:2 * r + 2, 2 * c:2 * c + 2].copy() for one in alone[1:])]
+        _kernels.redundancy_solve(POLICY, *parts)
+        alone[0][r:r + 1, c:c + 1] = parts[0]
+        for whole, part in zip(alone[1:], parts[1:], strict=True):
+            whole[2 * r:2 * r + 2, 2 * c:2 * c + 2] = part
+    before, flags = moments.copy(), np.zeros(shape, np.uint8)
+    _kernels.redundancy_solve(POLICY, moments, states, flags)
+    for got, want in zip((moments, states, flags), alone, strict=True):
+        assert got.tobytes() == want.tobytes()
+    due = (before["since"] > 0) & (before["weight"] >= LEAST)
+    np.testing.assert_array_equal(moments[~due], before[~due])
+    solved = moments["smallest"] < 1
+    assert solved.sum() > 16
+    assert (due & ~solved).sum() > 5        # dark, or gains of both signs
+
+
+@pytest.mark.parametrize("columns", [1, 3, 128])
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (7, 9)])
+def test_events_of_macropixels_move_to_the_sensor_that_they_make_up(shape, columns):
+    rng = np.random.default_rng(columns)
+    rows, wide = (side // 2 for side in shape)
+    cell_of = rng.permutation(rows * wide).reshape(rows, wide).astype(np.int32)
+    cell_of[rng.random(cell_of.shape) < 0.4] = -1
+    events = random_events(300, shape, stop_us=9_000)
+    out = np.zeros(len(events), EVENT_DTYPE)
+    n = _kernels.saturated_events(events, cell_of, columns, out)
+    np.testing.assert_array_equal(out[:n], saturated_events(events, cell_of, columns))
+    assert _kernels.saturated_events(events[:0], cell_of, columns, out) == 0
+    with pytest.raises(ValueError, match="saturated_events: out is too short"):
+        _kernels.saturated_events(events, cell_of, columns, out[:-1])
+    with pytest.raises(ValueError, match="saturated_events: columns must be positive"):
+        _kernels.saturated_events(events, cell_of, 0, out)
+
+
+def test_more_macropixels_may_saturate_than_a_sensor_has_columns():
+    shape = (260, 510)      # 33150 macropixels
+    method = KalmanFilter(shape, theta_on=0.2, theta_off=0.2, mode="causal")
+    full = np.full(shape, 1023, np.float32)
+    method.add_frame(ApsFrame(full, 0, 4000, valid=np.zeros(shape, bool)))
+    method.add_events(random_events(100, shape, start_us=5_000, stop_us=9_000))
+    log = method.read(10_000).log_intensity
+    np.testing.assert_allclose(log, np.log(1023 / 4), rtol=1e-6)
+
+
 def saturated(seed=0, shape=(6, 8)):
-    """Arguments of saturated_fill: three macropixels, of which it is told two."""
+    """Arguments of saturated_fill: three macropixels in two rows."""
     rng = np.random.default_rng(seed)
     grid = np.arange(shape[0] * shape[1]).reshape(shape)
-    pixels = np.stack([grid[i // 2::2, i % 2::2].ravel()[[1, 6]] for i in range(4)])
+    pixels = np.stack([grid[i // 2::2, i % 2::2].ravel()[[1, 6, 9]] for i in range(4)])
     missing = (rng.random(pixels.shape) < 0.6).astype(np.uint8)
     missing[:, 0] = 1
-    seen = [rng.normal(size=(2, 6)).astype(np.float32) for _ in range(4)]
-    seen[2] = (rng.random((2, 6)) < 0.7).astype(np.uint8)
+    seen = [rng.normal(size=(4, 4)).astype(np.float32) for _ in range(4)]
+    seen[2] = (rng.random((4, 4)) < 0.7).astype(np.uint8)
     seen[1], seen[3] = abs(seen[1]), abs(seen[3])
     shown = [rng.normal(size=shape).astype(np.float32),
              rng.uniform(0.01, 1, shape).astype(np.float32), np.zeros(shape, "u1")]
-    return [(pixels.astype(np.intp), missing, np.array([0, 4], np.intp)), tuple(seen),
+    return [(pixels.astype(np.intp), missing), tuple(seen),
             rng.normal(size=shape).astype(np.float32), 0.09, 1.2, 0.25, tuple(shown)]
 
 
@@ -209,12 +272,14 @@ def test_frames_and_events_are_weighed_as_the_definition_says(seed):
 
 def test_filling_refuses_what_does_not_fit():
     cells, seen, bound, *_, shown = saturated()
-    pixels, missing, columns = cells
+    pixels, missing = cells
     for at, wrong, message in (
-            (0, (pixels[:3], missing, columns), "must be"),
-            (0, (pixels + 99, missing, columns), "pixels must lie"),
-            (0, (pixels, missing, columns + 2), "columns"),
-            (1, (*seen[:3], seen[3][:1]), "seen"), (2, bound[:1], "one shape"),
+            (0, (pixels[:3], missing), "must be"),
+            (0, (pixels, missing[:, :1].copy()), "must be"),
+            (0, (pixels + 99, missing), "pixels must lie"),
+            (1, (*seen[:3], seen[3][:1]), "planes of one shape"),
+            (1, tuple(plane[:2].copy() for plane in seen), "all macropixels"),
+            (2, bound[:1], "one shape"),
             (6, (*shown[:2], shown[2][:1]), "one shape")):
         given = saturated()
         given[at] = wrong

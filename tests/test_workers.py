@@ -8,7 +8,7 @@ import pytest
 
 from pdavis_cv import FusionOptions, fuse
 from pdavis_cv._workers import HAND_OVER_NS, LEAST_ROWS, Workers, usable_cores
-from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.simulation import FULL, Camera, RotatingPolarizer
 
 OPTIONS = [{"method": "cf"}, {"method": "kalman"},
            {"method": "kalman", "mode": "offline"},
@@ -16,10 +16,11 @@ OPTIONS = [{"method": "cf"}, {"method": "kalman"},
            {"method": "kalman", "causal": True, "denoise": True}]
 
 
-@pytest.fixture(scope="module")
-def tall():
+@pytest.fixture(scope="module", params=[1, 300], ids=["moderate", "saturated"])
+def tall(request):
     camera = Camera.preset("nominal", size=(4 * LEAST_ROWS, 6))
-    recording, _ = camera.record(RotatingPolarizer(rpm=240), 0.3)
+    recording, _ = camera.record(
+        RotatingPolarizer(rpm=240, s0=request.param * FULL), 0.3)
     return recording
 
 
@@ -27,6 +28,7 @@ def tall():
 def test_images_have_the_same_bits_for_any_number_of_threads(
         tall, options, monkeypatch):
     monkeypatch.setattr("pdavis_cv._workers.HAND_OVER_NS", 0)   # share all there is
+    monkeypatch.setattr("pdavis_cv.reconstruct.kalman.saturation.COLUMNS", 3)
     want, *others = (
         list(fuse(tall, fps=150, thresholds=(0.15, 0.15), threads=n, **options))
         for n in (1, 2, 8))

@@ -404,7 +404,7 @@ class KalmanFilter(Reconstructor):
         events = timed_events(events)
         self._fed += 1
         taken = self._tracks.push(events, self._clock.last_us, self._reader)
-        self._saturated.add_events(events[:taken])
+        self._saturated.add_events(events[:taken], self.workers)
         try:
             self._clock.took(events, taken)
         finally:
@@ -422,7 +422,7 @@ class KalmanFilter(Reconstructor):
         waiting = WaitingFrame(frame, self._wait_us)
         self._frames = (*self._frames, waiting)
         self._saturated.add_frame(
-            frame, waiting.samples["log"], waiting.samples["variance"])
+            frame, waiting.samples["log"], waiting.samples["variance"], self.workers)
         longest = int(np.max(np.subtract(frame.exposure_end_us,
                                          frame.exposure_start_us)))
         delay = frame.available_us - int(np.min(frame.exposure_start_us))
@@ -446,7 +446,7 @@ class KalmanFilter(Reconstructor):
         due = sum(frame.known_us <= seen for frame in self._frames)
         one = self._ahead(due, seen) if due else self
         one._show(t, log, variance, valid.view(np.uint8))
-        self._saturated.fill(t, one._unknown, log, variance, valid)
+        self._saturated.fill(t, one._unknown, log, variance, valid, self.workers)
         return Estimate(log, variance, valid)
 
     def settle(self, t_us: int) -> None:
@@ -454,7 +454,7 @@ class KalmanFilter(Reconstructor):
         self._fed += 1
         self._clock.last_us = max(self._clock.last_us, t_us)
         self._settle(t_us)
-        self._saturated.settle(t_us)
+        self._saturated.settle(t_us, self.workers)
 
     @property
     def _unknown(self) -> NDArray[np.intp]:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._workers import Workers
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.frames import log_exposure
 from pdavis_cv.reconstruct.redundancy import EventRedundancy, null_of
 from pdavis_cv.recording.base import ApsFrame
@@ -36,13 +38,17 @@ PRIOR_SIGMA = 0.3
 """Prior sigma (ln) if a macropixel's four channels are assumed to have equal mean
 squares."""
 
+COLUMNS = 128
+"""Macropixels in a row of the virtual sensor, which threads share by rows: near the
+number in a row of the cameras' sensors."""
+
 
 class Saturated:
     """Estimates log intensity from events where frames measure it badly or not at all.
 
     The macropixels that have a saturated or dim pixel in the first frame are put side
-    by side, as the cells of a small virtual sensor, which `EventRedundancy` processes.
-    If there are none, it costs nothing.
+    by side, as the cells of a virtual sensor, which `EventRedundancy` processes.  If
+    there are none, it costs nothing.
 
     Parameters
     ----------
@@ -68,15 +74,15 @@ class Saturated:
         self._thresholds, self._lookahead_us = (theta_on, theta_off), lookahead_us
         # [place, i]: flat sensor index of the pixel at that place of macropixel i.
         self._pixels = np.empty((4, 0), np.intp)
-        # By sensor pixel: first column of its cell on the virtual sensor; -1: none.
-        self._column = np.empty((0, 0), np.int32)
+        # By macropixel of the sensor: its number i, -1: none.
+        self._cell_of = np.empty((0, 0), np.int32)
         self._bound = np.zeros(shape, np.float32)
         self._level: float | None = None    # log intensity that `_law` is evaluated at
         self._early: tuple[NDArray[Any], ...] = ()  # events before the first frame
         self._method: EventRedundancy | None = None
-        # Cache of `_cells_of`: its last argument and its result.
+        # Cache of `_missing_of`: its last argument and its result.
         self._filled: tuple[NDArray[np.intp], tuple[
-            NDArray[np.intp], NDArray[np.uint8], NDArray[np.intp]]] | None = None
+            NDArray[np.uint8], NDArray[np.intp]]] | None = None
         null_of(self.response, shape)  # refuses an impossible response
 
     def _make(self, pixels: NDArray[np.intp], level: float) -> None:
@@ -92,22 +98,27 @@ class Saturated:
         self._pixels, self._level = pixels, level
         self._filled = None
         count = pixels.shape[1]
-        self._column = np.full(self._shape, -1, np.int32)
-        self._column.ravel()[pixels] = 2 * np.arange(count)
+        columns = min(count, COLUMNS)
+        rows = -(-count // columns)
+        self._cell_of = np.full([side // 2 for side in self._shape], -1, np.int32)
+        y, x = np.unravel_index(pixels[0], self._shape)
+        self._cell_of[y // 2, x // 2] = np.arange(count)
+        # The last row is filled up with the last macropixel, without its events.
+        cells = np.minimum(np.arange(rows * columns), count - 1)
+        # (place, cell) to (row, column) of all pixels.
+        places = pixels[:, cells].reshape(2, 2, rows, columns)
+        grid = places.transpose(2, 0, 3, 1).reshape(2 * rows, 2 * columns)
 
         def gathered(values: ArrayLike) -> NDArray[np.float64]:
             by_pixel = np.broadcast_to(values, self._shape + np.shape(values)[2:])
-            flat = by_pixel.reshape(-1, *by_pixel.shape[2:])[pixels]
-            # (place, cell) to (row, cell, column) to (row, column of all cells).
-            cells = flat.reshape(2, 2, count, *flat.shape[2:]).swapaxes(1, 2)
-            return cells.reshape(2, 2 * count, *flat.shape[2:]).astype(np.float64)
+            return by_pixel.reshape(-1, *by_pixel.shape[2:])[grid].astype(np.float64)
 
         response = self.response
         if response is not None and response.shape != (2, 2, 3):
             response = gathered(response)
         on, off = (gathered(theta) for theta in self._thresholds)
         self._method = EventRedundancy(
-            (2, 2 * count), theta_on=on, theta_off=off, response=response,
+            grid.shape, theta_on=on, theta_off=off, response=response,
             lookahead_us=self._lookahead_us, bandwidth=self._law(level))
 
     def _law(self, level: float) -> tuple[float, float, float]:
@@ -122,7 +133,8 @@ class Saturated:
             self._method.retune(bandwidth=self._law(self._level))
 
     def add_frame(
-        self, frame: ApsFrame, sample: NDArray[np.float32], noise: NDArray[np.float32]
+        self, frame: ApsFrame, sample: NDArray[np.float32], noise: NDArray[np.float32],
+        workers: Workers,
     ) -> None:
         """Take a frame: its log samples and their variance, 0 where not usable."""
         # The sample of a saturated pixel is full scale, a lower bound of its light.
@@ -136,40 +148,40 @@ class Saturated:
                 self._make(pixels, min(level, float(np.median(sample[poor]))))
             else:
                 self._level = level
-            self._begin_with(frame.mid_us)
+            self._begin_with(frame.mid_us, workers)
 
-    def _begin_with(self, t_us: int) -> None:
+    def _begin_with(self, t_us: int, workers: Workers) -> None:
         """Feed the kept events since the first frame's mid-exposure: it may be late."""
         early, self._early = self._early, ()
         if early:
             since = max(t_us, int(early[-1]["t"][-1]) - EARLY_US)
             for events in early:
-                self.add_events(events[events["t"] > since])
+                self.add_events(events[events["t"] > since], workers)
 
-    def add_events(self, events: NDArray[Any]) -> None:
-        """Take events that follow everything fed before."""
+    def add_events(self, events: NDArray[Any], workers: Workers) -> None:
+        """Take events that follow everything fed before; threads share the work."""
         if self._level is None and len(events):
             since = int(events["t"][-1]) - EARLY_US
             kept = [each for each in self._early if each["t"][-1] >= since]
             self._early = (*kept, events.copy())
         if self._method is None:
             return
-        column = self._column[events["y"], events["x"]]
-        here = column >= 0
-        mine = events[here]
-        if len(mine):
-            mine["x"] = column[here] + mine["x"] % 2
-            mine["y"] %= 2
-            self._method.add_events(mine)
+        mine = np.empty(len(events), EVENT_DTYPE)
+        n = _kernels.saturated_events(
+            events, self._cell_of, self._method.shape[1] // 2, mine)
+        if n:
+            self._method.workers = workers
+            self._method.add_events(mine[:n])
 
-    def settle(self, t_us: int) -> None:
-        """Do pending work (see `Reconstructor.settle`)."""
+    def settle(self, t_us: int, workers: Workers) -> None:
+        """Do pending work (see `Reconstructor.settle`); threads share it."""
         if self._method is not None:
+            self._method.workers = workers
             self._method.settle(t_us)
 
     def fill(
         self, t_us: int, unknown: NDArray[np.intp], log: NDArray[np.float32],
-        variance: NDArray[np.float32], valid: NDArray[np.bool_],
+        variance: NDArray[np.float32], valid: NDArray[np.bool_], workers: Workers,
     ) -> None:
         """Combine the filter's estimate and that from events, weighted by variance.
 
@@ -188,33 +200,33 @@ class Saturated:
             Log intensity and its variance.
         valid : ndarray of bool, shape (H, W)
             Set where the resulting variance is at most `VALID_VARIANCE`.
+        workers : Workers
+            Threads that share the work.
         """
-        if not len(unknown) and self._method is None:
-            return
-        log.ravel()[unknown] = self._bound.ravel()[unknown]
         if self._method is None:
+            log.ravel()[unknown] = self._bound.ravel()[unknown]
             return
-        cells = self._cells_of(unknown)
-        if not len(cells[2]):
-            return
+        missing, others = self._missing_of(unknown)
+        log.ravel()[others] = self._bound.ravel()[others]
+        self._method.workers = workers
         estimate = self._method.read(t_us)
         assert estimate.variance is not None
         _kernels.saturated_fill(
-            cells, (estimate.log_intensity, estimate.variance,
-                    estimate.valid.view(np.uint8), self._method.quality),
-            self._bound, PRIOR_SIGMA**2, EXCESS, VALID_VARIANCE,
+            (self._pixels, missing),
+            (estimate.log_intensity, estimate.variance, estimate.valid.view(np.uint8),
+             self._method.quality), self._bound, PRIOR_SIGMA**2, EXCESS, VALID_VARIANCE,
             (log, variance, valid.view(np.uint8)))
 
-    def _cells_of(
+    def _missing_of(
         self, unknown: NDArray[np.intp]
-    ) -> tuple[NDArray[np.intp], NDArray[np.uint8], NDArray[np.intp]]:
-        """Return the macropixels and their unknown pixels, as the kernel takes them."""
+    ) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
+        """Return whether each pixel of the macropixels is unknown, and all others."""
         if self._filled is None or self._filled[0] is not unknown:
             missing = np.zeros(self._shape, np.uint8)
             missing.ravel()[unknown] = 1
-            missing = missing.ravel()[self._pixels]
-            cells = np.arange(missing.shape[1], dtype=np.intp)
-            self._filled = unknown, (self._pixels, missing, 2 * cells)
+            cells = missing.ravel()[self._pixels]
+            missing.ravel()[self._pixels] = 0
+            self._filled = unknown, (cells, np.flatnonzero(missing))
         return self._filled[1]
 
     def assign(self, other: Saturated) -> None:
