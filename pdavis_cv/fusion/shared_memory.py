@@ -2,35 +2,168 @@
 
 A process pool pickles a value into one block, sends the block through a pipe and
 unpickles it.  Each array is copied about five times, each time into newly mapped pages,
-which cost more than the copying itself.  Here, arrays are written to a file in memory
-(`/dev/shm`) whose pages are used again for the next value.  A state is written once and
-used where it lies (`share`, `load_shared`).  The planes of images, of which there are
-many, are written one by one and read straight to where they belong (`ArrayWriter`,
-`ArrayReader`).
+which cost more than the copying itself.  Here, arrays are written to files in memory.
+Every process maps them once and uses them as long as the pool exists, so that no new
+pages are needed.  A state, or the calls of a task, are used where they lie (`share`,
+`load_shared`).  The planes of images, of which there are many, are written one by one
+and copied straight to where they belong (`ArrayWriter`).
+
+The files have no name: workers open them through `/proc`.  So nothing is left of them
+when the processes end, however they end.
 """
 from __future__ import annotations
 
 import contextlib
+import itertools
 import mmap
 import os
 import pickle
-import shutil
-import tempfile
+import threading
+import weakref
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from pathlib import Path
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ArrayReader", "ArrayWriter", "SharedArray", "SharedValue", "load_shared",
-           "share", "shared_folder"]
+__all__ = ["ArrayWriter", "SharedFile", "SharedFiles", "SharedValue", "load_shared",
+           "share", "shared_files"]
 
-_MEMORY = Path("/dev/shm")     # Linux's file system in memory
-_PREFIX, _LOCK = "pdavis-", "lock"
+_KEPT = 192 << 20
+"""Most bytes that are kept for a pool between two recordings.  In two stripes of a
+DAVIS346, `frames` uses 32 MiB and `cf` 96; `kalman`, in one, 168."""
 
 _ALIGN = 64        # bytes: every array begins at a cache line
+_GROWTH = 8 << 20  # bytes by which a file grows: each time, it has to be mapped again
+
+_number = itertools.count()
+
+
+class SharedFile:
+    """A file in memory that this process has mapped, as others may.
+
+    Parameters
+    ----------
+    file : int
+        Its descriptor, which is closed when the object is gone.
+    key : str
+        What `open` in another process needs.
+    """
+
+    _opened: dict[str, SharedFile] = {}     # noqa: RUF012  # by this process, by key
+
+    def __init__(self, file: int, key: str) -> None:
+        self.key, self._file = key, file
+        self._bytes = memoryview(b"")
+        weakref.finalize(self, os.close, file)
+
+    @classmethod
+    def create(cls) -> SharedFile | None:
+        """Return a new, empty file; None where there is no such memory."""
+        folder = f"/proc/{os.getpid()}/fd"
+        try:
+            # After a change of user, a process's files are closed to its children.
+            if os.stat(folder).st_uid != os.geteuid():
+                return None
+            # Builds of Python for old systems lack memfd_create.
+            file = (os.memfd_create("pdavis_cv") if hasattr(os, "memfd_create") else
+                    os.open("/dev/shm", os.O_TMPFILE | os.O_RDWR, 0o600))
+        except (OSError, AttributeError):
+            return None
+        # A descriptor may be that of another file later: the number tells them apart.
+        return cls(file, f"{folder}/{file}#{next(_number)}")
+
+    @classmethod
+    def open(cls, key: str) -> SharedFile:
+        """Return a file that another process created; it is opened once."""
+        found = cls._opened.get(key)
+        if found is None:
+            path = key.rpartition("#")[0]
+            found = cls._opened[key] = cls(os.open(path, os.O_RDWR), key)
+        return found
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that it takes."""
+        return os.fstat(self._file).st_size
+
+    def reserve(self, stop: int) -> int:
+        """Make it hold at least `stop` bytes; return how many it holds then.
+
+        Raises
+        ------
+        OSError
+            If memory is full.
+        """
+        size = self.size
+        if stop > size:
+            more = stop - size + -(stop - size) % _GROWTH
+            # Not ftruncate: to write where no memory is left would end the process.
+            os.posix_fallocate(self._file, size, more)
+            size += more
+        return size
+
+    def empty(self) -> None:
+        """Give its memory back; it can be used again."""
+        os.ftruncate(self._file, 0)
+
+    def bytes_to(self, stop: int) -> memoryview:
+        """Return its bytes, writable, at least `stop` of them, which are reserved."""
+        if stop > len(self._bytes):
+            self._bytes = memoryview(mmap.mmap(self._file, 0))
+        return self._bytes
+
+
+class ArrayWriter:
+    """Write arrays to a file, one after the other.
+
+    Parameters
+    ----------
+    file : SharedFile or None
+        Nobody may still use what it holds after `end`.
+    end : int
+        The first byte to write to.
+    """
+
+    def __init__(self, file: SharedFile | None, end: int = 0) -> None:
+        self.file, self.end = file, end
+        self._reserved = 0
+
+    @property
+    def place(self) -> tuple[str | None, int]:
+        """Return what `at` in another process needs to go on."""
+        return None if self.file is None else self.file.key, self.end
+
+    @classmethod
+    def at(cls, key: str | None, end: int) -> ArrayWriter:
+        """Return a writer that continues what another one wrote."""
+        return cls(None if key is None else SharedFile.open(key), end)
+
+    def put(self, array: NDArray[Any]) -> int | NDArray[Any]:
+        """Write an array and return what to send in its place.
+
+        That is its first byte; or, without a file or where memory is full, the array.
+        """
+        file, start = self.file, self.end
+        if file is None:
+            return array
+        stop = start + array.nbytes
+        if stop > self._reserved:
+            try:
+                self._reserved = file.reserve(stop)
+            except OSError:
+                return array
+        self.end = stop + -stop % _ALIGN
+        np.ndarray(array.shape, array.dtype, file.bytes_to(stop), start)[...] = array
+        return start
+
+    def read_into(self, out: NDArray[Any], sent: int | NDArray[Any]) -> None:
+        """Copy what `put` returned to an array of the same shape and dtype."""
+        if self.file is not None and isinstance(sent, int):
+            there = self.file.bytes_to(sent + out.nbytes)
+            sent = np.ndarray(out.shape, out.dtype, there, sent)
+        out[...] = sent
 
 
 class SharedValue(NamedTuple):
@@ -38,123 +171,120 @@ class SharedValue(NamedTuple):
 
     Parameters
     ----------
-    path : str
-        The file that holds the arrays.
+    key : str
+        That of the file.
     spans : tuple of (int, int)
         First byte and size in bytes of each array.
     pickled : bytes
         The value without its arrays (pickle protocol 5, out-of-band buffers).
     """
 
-    path: str
+    key: str
     spans: tuple[tuple[int, int], ...]
     pickled: bytes
 
 
-class SharedArray(NamedTuple):
-    """The location of an array in a file; made by `ArrayWriter.put`.
+def share(value: Any, writer: ArrayWriter) -> Any:
+    """Write the arrays of a picklable value; return what to send instead.
+
+    That is a SharedValue, or the value itself where `writer` has no file or memory is
+    full.
+    """
+    if writer.file is None:
+        return value
+    arrays: list[pickle.PickleBuffer] = []
+    pickled = pickle.dumps(value, protocol=5, buffer_callback=arrays.append)
+    spans = []
+    for one in arrays:
+        raw = np.frombuffer(one.raw(), np.uint8)
+        start = writer.put(raw)
+        if not isinstance(start, int):
+            return value
+        spans.append((start, raw.nbytes))
+    return SharedValue(writer.file.key, tuple(spans), pickled)
+
+
+def load_shared(value: Any) -> Any:
+    """Return the value that `share` was given.
+
+    Its arrays lie in the file: they are read-only, and good until it is written again.
+    """
+    if not isinstance(value, SharedValue):
+        return value
+    file = SharedFile.open(value.key)
+    return pickle.loads(value.pickled, buffers=[
+        file.bytes_to(start + nbytes).toreadonly()[start:start + nbytes]
+        for start, nbytes in value.spans])
+
+
+class SharedFiles:
+    """Files for the tasks of one recording, then for those of another.
 
     Parameters
     ----------
-    path : str
-        The file.
-    start : int
-        First byte of the array in it.
-    shape : tuple of int
-    dtype : str
-    """
+    shares : bool
+        False where workers may be threads of this process or run on other machines:
+        there are no files then, and values are sent as the executor sends them.
 
-    path: str
-    start: int
-    shape: tuple[int, ...]
-    dtype: str
-
-
-class ArrayWriter:
-    """Write arrays to a file in memory, one after the other, for another process.
-
-    Parameters
+    Attributes
     ----------
-    path : str or None
-        As for `share`.
+    lent : bool
+        Whether they are in use.
     """
 
-    def __init__(self, path: str | None) -> None:
-        self._path, self._end = path, 0
-        self._file: int | None = None
-        if path is not None:
-            with contextlib.suppress(OSError):
-                self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o600)
+    def __init__(self, *, shares: bool) -> None:
+        self._shares, self.lent = shares, True
+        self._files: dict[int, SharedFile] = {}
+        self._tasks: set[Future[Any]] = set()
+        # Processes that were forked meanwhile have them mapped, too.
+        weakref.finalize(
+            self, _give_back, self._files, self._tasks, os.getpid()).atexit = False
 
-    def put(self, array: NDArray[Any]) -> SharedArray | NDArray[Any]:
-        """Write an array and return what to send in its place.
+    def writer(self, index: int) -> ArrayWriter:
+        """Return a writer to one of the files."""
+        file = self._files.get(index)
+        if file is None and self._shares:
+            file = SharedFile.create()
+            if file is not None:
+                self._files[index] = file
+        return ArrayWriter(file)
 
-        Without a file, or where memory is full, that is the array itself.
-        """
-        if self._file is None or self._path is None:
-            return array
-        start = self._end
-        raw = np.ascontiguousarray(array)
-        try:
-            if os.pwrite(self._file, raw.data, start) != raw.nbytes:
-                return array
-        except OSError:
-            return array
-        self._end = start + raw.nbytes + -raw.nbytes % _ALIGN
-        return SharedArray(self._path, start, raw.shape, raw.dtype.str)
+    def used_by(self, task: Future[Any]) -> None:
+        """Note that a task uses a file until it is done."""
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
-    def close(self) -> None:
-        """Close the file; later arrays are returned as they are."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+    @property
+    def idle(self) -> bool:
+        """Whether nobody uses them, not even a task that was left behind."""
+        return not (self.lent or self._tasks)
 
-
-class ArrayReader:
-    """Read arrays that an `ArrayWriter` of another process wrote.
-
-    Files stay open until the context is left.
-    """
-
-    def __init__(self) -> None:
-        self._files: dict[str, int] = {}
-
-    def __enter__(self) -> ArrayReader:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def trim(self, most: int) -> None:
+        """Keep so many bytes at most."""
         for file in self._files.values():
-            os.close(file)
-        self._files.clear()
+            most -= file.size
+            if most < 0:
+                file.empty()
 
-    def read_into(self, out: NDArray[Any], sent: SharedArray | NDArray[Any]) -> None:
-        """Copy an array that `ArrayWriter.put` returned.
 
-        Parameters
-        ----------
-        out : ndarray, C-contiguous
-            Destination, of the same shape and dtype.
-        sent : SharedArray or ndarray
+def _give_back(
+    files: dict[int, SharedFile], tasks: set[Future[Any]], process: int
+) -> None:
+    if not tasks and os.getpid() == process:
+        for file in files.values():
+            file.empty()
 
-        Raises
-        ------
-        OSError
-            If the file no longer holds the array.
-        """
-        if not isinstance(sent, SharedArray):
-            out[...] = sent
-            return
-        file = self._files.get(sent.path)
-        if file is None:
-            file = self._files[sent.path] = os.open(sent.path, os.O_RDONLY)
-        if os.preadv(file, [out.data], sent.start) != out.nbytes:
-            raise OSError(f"{sent.path} must hold {out.nbytes} bytes at {sent.start}, "
-                          "found fewer")
+
+_lock = threading.RLock()   # garbage collection may end a recording in between
+_known: weakref.WeakKeyDictionary[
+    Executor, list[SharedFiles]] = weakref.WeakKeyDictionary()
 
 
 @contextlib.contextmanager
-def shared_folder(executor: Executor) -> Iterator[str | None]:
-    """Make a folder in memory that this process shares with an executor's workers.
+def shared_files(executor: Executor) -> Iterator[SharedFiles]:
+    """Lend files that this process shares with an executor's workers.
+
+    They are kept for the next recording, until the executor is gone.
 
     Parameters
     ----------
@@ -162,71 +292,25 @@ def shared_folder(executor: Executor) -> Iterator[str | None]:
 
     Yields
     ------
-    str or None
-        None where there is no such memory, or where the workers may be threads of this
-        process or run on other machines: values are then sent as the executor sends
-        them.  The folder is removed on exit; if this process is killed before, the next
-        call removes it.
+    SharedFiles
     """
-    if not (isinstance(executor, ProcessPoolExecutor) and os.access(_MEMORY, os.W_OK)):
-        yield None
+    if not isinstance(executor, ProcessPoolExecutor):
+        yield SharedFiles(shares=False)
         return
-    import fcntl  # available wherever /dev/shm is
-    for left in _MEMORY.glob(f"{_PREFIX}*/{_LOCK}"):
-        with contextlib.suppress(OSError), left.open() as file:
-            # The lock can be had only if the process that owned the folder has ended.
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(left.parent, ignore_errors=True)
-    folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=_MEMORY))
+    with _lock:
+        known = _known.setdefault(executor, [])
+        mine = next((files for files in known if files.idle), None)
+        if mine is None:
+            mine = SharedFiles(shares=True)
+            known.append(mine)
+        mine.lent = True
     try:
-        with (folder / _LOCK).open("x") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield str(folder)
+        yield mine
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def share(value: Any, path: str | None) -> Any:
-    """Write the arrays of a value to a file in memory; return what to send instead.
-
-    Parameters
-    ----------
-    value : object
-        Picklable.
-    path : str or None
-        A file in the folder that `shared_folder` made.  It is overwritten in place, so
-        nobody may still use what it held before.
-
-    Returns
-    -------
-    SharedValue or object
-        The value itself where there is no path, or where memory is full.
-    """
-    if path is None:
-        return value
-    arrays: list[pickle.PickleBuffer] = []
-    pickled = pickle.dumps(value, protocol=5, buffer_callback=arrays.append)
-    spans = []
-    try:
-        with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b") as file:
-            for one in arrays:
-                file.seek(-file.tell() % _ALIGN, os.SEEK_CUR)
-                spans.append((file.tell(), file.write(one.raw())))
-    except OSError:
-        return value
-    return SharedValue(path, tuple(spans), pickled)
-
-
-def load_shared(value: Any) -> Any:
-    """Return the value that `share` was given; its arrays are mapped, not copied.
-
-    The mapping is private: arrays may be written to, which the file does not see.
-    """
-    if not isinstance(value, SharedValue):
-        return value
-    if not value.spans:
-        return pickle.loads(value.pickled)
-    with open(value.path, "rb") as file:
-        mapped = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY))
-    return pickle.loads(value.pickled, buffers=[
-        mapped[start:start + size] for start, size in value.spans])
+        with _lock:
+            for files in known:     # of recordings that were fused at the same time
+                if files.idle:
+                    files.trim(0)
+            mine.lent = False
+            if mine.idle:
+                mine.trim(_KEPT)

@@ -7,13 +7,10 @@ sensor or interval of time, and return the pixels that the images are made of.
 from __future__ import annotations
 
 import itertools
-import operator
-import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -26,13 +23,12 @@ from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.images import Samples, samples_of
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.shared_memory import (
-    ArrayReader,
     ArrayWriter,
-    SharedArray,
+    SharedFiles,
     SharedValue,
     load_shared,
     share,
-    shared_folder,
+    shared_files,
 )
 from pdavis_cv.fusion.states import (
     ArrivalState,
@@ -201,55 +197,59 @@ class _Task:
         The state to start from; None = the initial one.
     returns_state : bool
         Whether the next task needs the state at the end.
-    path : str or None
-        File in the shared folder for the samples; the state goes to `path` + ".state".
     """
 
     stripe: _Stripe
     calls: _Calls
     before: SharedValue | StateTransfer | None
     returns_state: bool
-    path: str | None
 
 
-class _SentSamples(NamedTuple):
-    """`Samples` of an image as they are sent between processes."""
+_Sent = int | NDArray[Any] | None
+"""A plane as `ArrayWriter.put` returned it; None if there is none."""
 
-    intensity: SharedArray | NDArray[np.float32]
-    variance: SharedArray | NDArray[np.float32] | None
-    valid: SharedArray | NDArray[np.bool_]
-    quality: SharedArray | NDArray[np.float32] | None
+_SentSamples = tuple[_Sent, _Sent, _Sent, _Sent]
+"""The planes of `Samples`; `valid` is None where it equals that of the image before."""
 
 
-class _SampleSender:
-    """Write samples for another process.
+class _Pending(NamedTuple):
+    """A task that a worker computes, and what it writes to."""
 
-    Parameters
-    ----------
-    writer : ArrayWriter
+    future: Future[tuple[list[_SentSamples | None], Any]]
+    writer: ArrayWriter
+
+
+class _Results(NamedTuple):
+    """The samples of a task's images, and what they were written to."""
+
+    samples: list[_SentSamples | None]
+    writer: ArrayWriter
+
+
+_FREED = 16 << 20
+"""Bytes: the most that tasks free at a time.  A batch holds about as much."""
+
+
+def _keep_freed_memory() -> None:
+    """Let this process use memory that it has freed again.
+
+    The C library returns large blocks to the system when they are freed, and takes new
+    pages for the next ones, unless it has seen blocks that are as large come and go
+    (glibc: mallopt(3), M_MMAP_THRESHOLD).  No page of this one is touched.
     """
-
-    def __init__(self, writer: ArrayWriter) -> None:
-        self._put = writer.put
-        self._valid: tuple[NDArray[np.bool_],
-                           SharedArray | NDArray[np.bool_]] | None = None
-
-    def __call__(self, samples: Samples) -> _SentSamples:
-        """Write the samples of one image; `valid` only where it has changed."""
-        intensity, variance, valid, quality = samples
-        if self._valid is None or not np.array_equal(valid, self._valid[0]):
-            self._valid = valid, self._put(valid)
-        return _SentSamples(
-            self._put(intensity), None if variance is None else self._put(variance),
-            self._valid[1], None if quality is None else self._put(quality))
+    np.empty(_FREED, np.uint8)
 
 
-def _run(sent: SharedValue | _Task) -> tuple[list[_SentSamples | None], Any]:
-    """Compute a task in a worker.
+def _run(
+    sent: SharedValue | _Task, place: tuple[str | None, int]
+) -> tuple[list[_SentSamples | None], Any]:
+    """Compute a task in a worker; write its results to a place in shared memory.
 
     Returns the samples of each image, None where they equal those of the image before,
     and the state at the end, if it is wanted.
     """
+    _keep_freed_memory()
+    writer = ArrayWriter.at(*place)
     task: _Task = load_shared(sent)
     state = task.stripe.make_state()
     before = load_shared(task.before)
@@ -257,21 +257,25 @@ def _run(sent: SharedValue | _Task) -> tuple[list[_SentSamples | None], Any]:
         state.import_state(before)
     found: list[_SentSamples | None] = []
     last: object | None = None
-    with closing(ArrayWriter(task.path)) as writer:
-        send = _SampleSender(writer)
-        for name, args in task.calls:
-            if name != _READ:
-                getattr(state, name)(*args)
-                continue
-            shown = state.method.shows(*args)
-            if shown is not None and shown is last:
-                found.append(None)
-                continue
-            samples = samples_of(state.method, *args)
-            found.append(send(samples.part(*task.stripe.part)))
-            last = shown
-    return found, (share(state.export_state(), task.path and f"{task.path}.state")
-                   if task.returns_state else None)
+    last_valid: NDArray[np.bool_] | None = None
+    put = writer.put
+    for name, args in task.calls:
+        if name != _READ:
+            getattr(state, name)(*args)
+            continue
+        shown = state.method.shows(*args)
+        if shown is not None and shown is last:
+            found.append(None)
+            continue
+        last = shown
+        intensity, variance, valid, quality = samples_of(
+            state.method, *args).part(*task.stripe.part)
+        changed = last_valid is None or not np.array_equal(valid, last_valid)
+        last_valid = valid
+        found.append((
+            put(intensity), None if variance is None else put(variance),
+            put(valid) if changed else None, None if quality is None else put(quality)))
+    return found, share(state.export_state(), writer) if task.returns_state else None
 
 
 class _Coordinator(Fusion):
@@ -375,32 +379,60 @@ def fuse_tiles(
 def _fused(
     coordinator: _Coordinator, executor: Executor, regions: Sequence[Roi]
 ) -> Iterator[PolarFrame]:
-    pending = deque[Future[Any]]()
-    count = itertools.count()
+    pending = deque[_Pending]()
+    _keep_freed_memory()
+    make = _by_time if coordinator.by_time else _by_stripes
+    with shared_files(executor) as files:
+        try:
+            yield from make(coordinator, regions, _Submitter(
+                executor, files, pending, 2 * len(regions)))
+        finally:
+            for task in pending:
+                task.future.cancel()
+
+
+@dataclass(frozen=True, eq=False)
+class _Submitter:
+    """Submits tasks and waits for them, in the same order.
+
+    Parameters
+    ----------
+    executor : Executor
+    files : SharedFiles
+    pending : deque of _Pending
+        Those submitted that were not waited for.
+    rounds : int
+        A file is used again after so many tasks.  While a round of tasks runs, the
+        results of the one before may still be in use: so two rounds.
+    """
+
+    executor: Executor
+    files: SharedFiles
+    pending: deque[_Pending]
+    rounds: int
+    _count: Iterator[int] = field(default_factory=itertools.count)
 
     def submit(
-        stripe: _Stripe, calls: _Calls,
-        before: SharedValue | StateTransfer | None, returns_state: bool,
+        self, stripe: _Stripe, calls: _Calls,
+        before: SharedValue | StateTransfer | None, *, returns_state: bool,
     ) -> None:
-        # A file is used again two rounds later: while a round runs, the results of the
-        # one before may still be in use.
-        path = folder and os.path.join(folder, str(next(count) % (2 * len(regions))))
-        pending.append(executor.submit(_run, share(
-            _Task(stripe, stripe.cropped(calls), before, returns_state, path),
-            path and f"{path}.calls")))
+        """Submit a task, its calls given for the whole sensor."""
+        writer = self.files.writer(next(self._count) % self.rounds)
+        sent = share(
+            _Task(stripe, stripe.cropped(calls), before, returns_state), writer)
+        future = self.executor.submit(_run, sent, writer.place)
+        self.files.used_by(future)
+        self.pending.append(_Pending(future, writer))
 
-    with shared_folder(executor) as folder:
-        make = _by_time if coordinator.by_time else _by_stripes
-        try:
-            yield from make(coordinator, regions, pending, submit)
-        finally:
-            for future in pending:
-                future.cancel()
+    def wait(self) -> tuple[_Results, Any]:
+        """Return the images of the next task, and its state."""
+        task = self.pending.popleft()
+        samples, state = task.future.result()
+        return _Results(samples, task.writer), state
 
 
 def _by_stripes(
-    coordinator: _Coordinator, regions: Sequence[Roi], pending: deque[Future[Any]],
-    submit: Callable[..., None],
+    coordinator: _Coordinator, regions: Sequence[Roi], tasks: _Submitter
 ) -> Iterator[PolarFrame]:
     stripes = [coordinator.stripe(region) for region in regions]
 
@@ -408,15 +440,15 @@ def _by_stripes(
         batch: _Batch, states: Sequence[SharedValue | StateTransfer | None]
     ) -> None:
         for stripe, before in zip(stripes, states, strict=True):
-            submit(stripe, batch.calls, before, True)
+            tasks.submit(stripe, batch.calls, before, returns_state=True)
 
-    join = _Joiner(coordinator)
+    join = _Joiner(coordinator, regions)
     batch = coordinator.next_batch()
     if batch.images:
         submit_all(batch, [None] * len(stripes))
     while batch.images:
         following = coordinator.next_batch()    # is read while the workers compute
-        results = [pending.popleft().result() for _ in stripes]
+        results = [tasks.wait() for _ in stripes]
         if following.images:    # the workers go on while images are made and used here
             submit_all(following, [state for _, state in results])
         yield from join(batch, [samples for samples, _ in results])
@@ -424,63 +456,72 @@ def _by_stripes(
 
 
 def _by_time(
-    coordinator: _Coordinator, regions: Sequence[Roi], pending: deque[Future[Any]],
-    submit: Callable[..., None],
+    coordinator: _Coordinator, regions: Sequence[Roi], tasks: _Submitter
 ) -> Iterator[PolarFrame]:
     rows, columns = coordinator.window.rows, coordinator.window.columns
-    stripe = coordinator.stripe((columns.start, rows.start,
-                                 columns.stop - columns.start, rows.stop - rows.start))
-    join, batches = _Joiner(coordinator), deque[_Batch]()
+    whole = (columns.start, rows.start,
+             columns.stop - columns.start, rows.stop - rows.start)
+    stripe = coordinator.stripe(whole)
+    join, batches = _Joiner(coordinator, [whole]), deque[_Batch]()
     while True:
-        while len(pending) < len(regions):
+        while len(tasks.pending) < len(regions):
             before = coordinator.export_state()
             batch = coordinator.next_batch()
             if not batch.images:
                 break
             batches.append(batch)
-            submit(stripe, batch.calls, before, False)
-        if not pending:
+            tasks.submit(stripe, batch.calls, before, returns_state=False)
+        if not tasks.pending:
             return
-        yield from join(batches.popleft(), [pending.popleft().result()[0]])
+        yield from join(batches.popleft(), [tasks.wait()[0]])
 
 
 class _Joiner:
-    """Join the samples of stripes and make images of them."""
+    """Join the samples of stripes and make images of them.
 
-    def __init__(self, fusion: Fusion) -> None:
+    Parameters
+    ----------
+    fusion : Fusion
+        Makes the images.
+    regions : sequence of (int, int, int, int)
+        The stripes, from top to bottom, which make up the window of `fusion`.
+    """
+
+    def __init__(self, fusion: Fusion, regions: Sequence[Roi]) -> None:
         self._fusion = fusion
+        edges = itertools.accumulate((height for *_, height in regions), initial=0)
+        self._rows = [slice(*edge) for edge in pairwise(edges)]
+        self._valid = np.empty(fusion.window.shape, np.bool_)
         self._image: PolarFrame | None = None
 
     def __call__(
-        self, batch: _Batch, stripes: Sequence[Sequence[_SentSamples | None]]
+        self, batch: _Batch, stripes: Sequence[_Results]
     ) -> Iterator[PolarFrame]:
         """Yield the images of a batch."""
-        with ArrayReader() as reader:
-            last_sent: Sequence[object] = ()     # what `valid` was read from
-            for about, *parts in zip(batch.images, *stripes, strict=True):
-                found = [part for part in parts if part is not None]
-                if found:
-                    intensity, variance, sent, quality = zip(*found, strict=True)
-                    if not last_sent or any(map(operator.is_not, sent, last_sent)):
-                        valid, last_sent = _stacked(reader, sent), sent
-                    self._image = self._fusion.made(Samples(
-                        _stacked(reader, intensity), _stacked(reader, variance),
-                        valid, _stacked(reader, quality)), *about)
-                else:
-                    assert self._image is not None
-                    self._image = self._image.retimed(*about)
-                yield self._image
+        writers = [stripe.writer for stripe in stripes]
+        for about, *sent in zip(
+                batch.images, *(stripe.samples for stripe in stripes), strict=True):
+            if None not in sent:
+                intensity, variance, valid, quality = zip(*sent, strict=True)
+                for writer, rows, part in zip(writers, self._rows, valid, strict=True):
+                    if part is not None:
+                        writer.read_into(self._valid[rows], part)
+                self._image = self._fusion.made(Samples(
+                    self._joined(writers, intensity), self._joined(writers, variance),
+                    self._valid, self._joined(writers, quality)), *about)
+            else:
+                assert self._image is not None
+                self._image = self._image.retimed(*about)
+            yield self._image
 
-
-def _stacked(
-    reader: ArrayReader, parts: Sequence[SharedArray | NDArray[Any] | None]
-) -> Any:
-    """Return the plane that consists of the given stripes, from top to bottom."""
-    sent = [part for part in parts if part is not None]
-    if not sent:
-        return None
-    edges = list(itertools.accumulate((part.shape[0] for part in sent), initial=0))
-    plane = np.empty((edges[-1], *sent[0].shape[1:]), sent[0].dtype)
-    for part, (first, last) in zip(sent, pairwise(edges), strict=True):
-        reader.read_into(plane[first:last], part)
-    return plane
+    def _joined(
+        self, writers: Sequence[ArrayWriter], parts: Sequence[_Sent]
+    ) -> Any:
+        """Return the plane that consists of the given stripes."""
+        if parts[0] is None:
+            return None
+        plane = np.empty(self._valid.shape, np.float32)
+        for writer, rows, part in zip(writers, self._rows, parts, strict=True):
+            assert part is not None
+            writer.read_into(plane[rows], part)
+        return plane

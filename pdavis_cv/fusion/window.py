@@ -76,6 +76,8 @@ class Window:
 
     def frame(self, frame: ApsFrame) -> ApsFrame:
         """Return the frame cropped to the window."""
+        if self.shape == self.size:
+            return frame
         return frame.cropped(self.rows, self.columns)
 
     def plane(self, value: Any) -> Any:
