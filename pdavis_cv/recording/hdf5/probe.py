@@ -21,7 +21,8 @@ LONGEST_S = 10
 WHOLE_BYTES = 32 << 20
 """Files up to this size are read completely; for larger ones that would cost as much as
 using them."""
-MOST_BYTES = 2 << 30
+MORE_BYTES = 384 << 20
+"""Limit of memory in addition to what the libraries take before the file is opened."""
 _WAIT = 12
 """Ratio of wall-clock limit to CPU limit: a busy machine gives a process at least one
 part in this of its time."""
@@ -31,10 +32,16 @@ import sys
 try:
     import resource
     resource.setrlimit(resource.RLIMIT_CPU, ({seconds}, {seconds} + 1))
-    resource.setrlimit(resource.RLIMIT_AS, ({bytes}, {bytes}))
 except (ImportError, ValueError):
     pass        # Windows: the clock alone; or a narrower limit holds already
-from pdavis_cv.recording.hdf5.reader import Hdf5Recording
+from pdavis_cv.recording.hdf5.reader import Hdf5Recording, h5py_module
+h5py_module()
+try:
+    with open("/proc/self/statm") as numbers:
+        most = int(numbers.read().split()[0]) * resource.getpagesize() + {bytes}
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+except (NameError, OSError, ValueError):
+    pass        # not Linux; or a narrower limit holds already
 try:
     with Hdf5Recording(sys.argv[1]) as recording:
         for _ in recording.packets():
@@ -75,7 +82,7 @@ def proved(
                 return
     except OSError:
         return
-    code = program.format(seconds=seconds, bytes=MOST_BYTES, whole=WHOLE_BYTES,
+    code = program.format(seconds=seconds, bytes=MORE_BYTES, whole=WHOLE_BYTES,
                           no_memory=_NO_MEMORY)
     try:
         done = subprocess.run(
@@ -90,4 +97,4 @@ def proved(
     if died:
         raise RecordingError(
             f"{path}: the HDF5 library hangs or dies on it (a helper process was given "
-            f"{seconds} s and {MOST_BYTES >> 30} GiB): the file is damaged")
+            f"{seconds} s and {MORE_BYTES >> 20} MiB): the file is damaged")
