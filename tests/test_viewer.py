@@ -395,6 +395,16 @@ def test_bodies_are_bounded_json(served):
     assert ask(served, "/status")[0] == 200
 
 
+def test_a_client_that_goes_on_sending_is_told_why_it_is_refused(served):
+    # A connection that is closed with bytes unread is reset.
+    size = 8 << 20
+    with socket.create_connection(("127.0.0.1", served.port), timeout=20) as link:
+        link.sendall(b"POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Type: "
+                     b"application/json\r\nContent-Length: %d\r\n\r\n" % size
+                     + bytes(size))
+        assert link.recv(100).startswith(b"HTTP/1.1 413")
+
+
 def test_every_answer_forbids_what_comes_from_elsewhere(served):
     link = http.client.HTTPConnection("127.0.0.1", served.port, timeout=PATIENCE_S)
     with contextlib.closing(link):

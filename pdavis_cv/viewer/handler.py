@@ -1,6 +1,7 @@
 """Handler of one connection: access checks, requests and time limits."""
 from __future__ import annotations
 
+import contextlib
 import hmac
 import io
 import json
@@ -29,6 +30,8 @@ _LOG = logging.getLogger(__name__)
 
 PATIENCE_S = 10.0
 """Longest time for a request to arrive, and for an answer to be received, s."""
+LINGER_S = 1.0
+"""Longest time for which a connection that is closed is still read, s."""
 POLL_S = 1.0
 """Longest wait for an image, s; after it a page gets an answer without one, and a
 stream repeats its last picture."""
@@ -111,6 +114,22 @@ class Handler(BaseHTTPRequestHandler):
         super().setup()
         self._deadline = _Deadline(self.connection)
         self.rfile = self._buffered = io.BufferedReader(self._deadline)
+
+    def finish(self) -> None:
+        """Send what is left, and receive what the client still sends.
+
+        The system resets a connection that is closed with bytes unread, and the client
+        may then lose the answer that tells it why.
+        """
+        super().finish()
+        until_s = time.monotonic() + LINGER_S
+        with contextlib.suppress(OSError, ValueError):
+            self.connection.shutdown(socket.SHUT_WR)
+            while not self._owner.closing.is_set() and (
+                    left := until_s - time.monotonic()) > 0:
+                self.connection.settimeout(left)
+                if not self.connection.recv(1 << 16):
+                    return
 
     def handle_one_request(self) -> None:
         """Answer the next request; close the connection if it is late."""
