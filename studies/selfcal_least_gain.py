@@ -40,7 +40,7 @@ def gain_of(preset, rpm, seed, lost=0.0):
     sample = select_busy_pixels(watch._window, nominal, LEAK_HZ)
     scale, _ = estimator._scale_and_clock(
         sample, fit_bandwidth(sample).law, fit_clock_offset(sample), None, True)
-    return scale.gain if scale.told and scale.differs else None
+    return scale.gain if scale.determined and scale.off_nominal else None
 
 
 def study(quick=False):

@@ -14,7 +14,7 @@ import sys
 import numpy as np
 from common import Found, main
 
-from pdavis_cv.fusion.learning import _look_on
+from pdavis_cv.fusion.learning import _feed_estimator
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.selfcal import SelfCalibration, pixel_sample
 from pdavis_cv.selfcal.estimator import _feed
@@ -40,7 +40,7 @@ def chip(seed, rpm, preset="nominal", seconds=2.0):
     scene = RotatingPolarizer(rpm=1.013 * rpm, start_angle=0.5 * seed)
     watch = SelfCalibration(camera.size, NOMINAL, every_pixel=True)
     recording = camera.record(scene, seconds)[0]
-    _look_on(watch, recording, recording.packets(), None, NOMINAL)
+    _feed_estimator(watch, recording, recording.packets(), None, NOMINAL)
     return np.stack([camera.maps["theta_on"], camera.maps["theta_off"]]), watch
 
 

@@ -95,9 +95,9 @@ def test_hot_pixels_are_no_busy_ones_however_many():
 
 def test_an_offset_known_no_better_than_before_does_not_count():
     """Of a prior of 5 ms.  Found in hot pixels: 15 ms, beyond what clocks differ by."""
-    assert not ClockOffset(11_300.0, 5_000.0).counts
-    assert ClockOffset(11_300.0, 3_700.0).counts
-    assert not ClockOffset(15_300.0, 4_000.0).counts
+    assert not ClockOffset(11_300.0, 5_000.0).significant
+    assert ClockOffset(11_300.0, 3_700.0).significant
+    assert not ClockOffset(15_300.0, 4_000.0).significant
 
 
 @pytest.mark.gate

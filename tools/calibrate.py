@@ -297,7 +297,7 @@ def _thresholds(
     if clock is not None:
         page.say("frames' stamps", f"off by {clock.us / 1000:+.2f} +- "
                  f"{clock.sigma_us / 1000:.2f} ms"
-                 + ("" if clock.counts else ": not told from 0"))
+                 + ("" if clock.significant else ": not significant"))
     return measured_parts(found), page
 
 

@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _clock(recording: Recording) -> list[Advice]:
     """Return advice if the clocks of frames and events differ."""
     found = clock_offset_in_situ(recording) if recording.info.frame_count != 0 else None
-    if found is None or not found.counts:
+    if found is None or not found.significant:
         return []
     return [Advice(
         "clocks", f"frames' stamps are {abs(found.us) / 1000:.1f} +- "

@@ -274,7 +274,7 @@ def measured_parts(found: CameraEstimate) -> dict[str, Any]:
         values["bandwidth_hz"] = hz if hz > 0 else None
         values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
         values["bandwidth_sigma"] = found.bandwidth.sigma
-    if found.clock_offset is not None and found.clock_offset.counts:
+    if found.clock_offset is not None and found.clock_offset.significant:
         values["clock_offset_us"] = found.clock_offset.us
     return values
 

@@ -51,7 +51,7 @@ FIRST_LOOK_S = 0.5
 """Time of the first estimate from a passing stream, in s of stream time after the first
 frame; the next ones follow at twice, four times ... that."""
 
-_TIME_TO_TELL = 8
+_DELAY_DIVISOR = 8
 """An estimate from the first T seconds is applied at T + T / 8, as it is computed while
 the stream goes on: at 1 Mev/s it takes 0.03 s of processor time for T = 0.5 s, and 0.2
 to 0.3 s from 2 s on.  Applied at T, it would predict the left-out frames of
@@ -193,8 +193,8 @@ class Learning:
         key = self._key()
         if key not in kept:
             camera = self.estimator()
-            _look_on(camera, source, packets, self._calibration,
-                     (self.prior.theta_on, self.prior.theta_off))
+            _feed_estimator(camera, source, packets, self._calibration,
+                            (self.prior.theta_on, self.prior.theta_off))
             # The calibration is kept too, as its identity is part of the key.
             kept[key] = self.estimate(camera), self._calibration
         return self.tuned(self.prior, kept[key][0])
@@ -286,7 +286,7 @@ class OnlineLearning:
         self.next_us: int | None = None
         self._start_us: int | None = None
         self._looks = 0
-        self._told: Future[CameraEstimate] | None = None
+        self._pending: Future[CameraEstimate] | None = None
 
     def saw_frame(self, mid_us: int, now_us: int) -> None:
         """Count the time of the looks from the first frame that passes."""
@@ -308,31 +308,31 @@ class OnlineLearning:
         assert self.next_us is not None
         assert self._start_us is not None
         before = self.tuning
-        if self._told is None:
-            self._told = self._begun()
-            self.next_us += (self.next_us - self._start_us) // _TIME_TO_TELL
+        if self._pending is None:
+            self._pending = self._started()
+            self.next_us += (self.next_us - self._start_us) // _DELAY_DIVISOR
             return {}
-        estimate, self._told = self._told.result(), None
+        estimate, self._pending = self._pending.result(), None
         clock = estimate.clock_offset
         if clock is not None and clock.ambiguous:
             estimate = dataclasses.replace(estimate, bandwidth=None)
         if clock is not None and clock.sigma_us > before.clock.sigma_us:
             estimate, clock = dataclasses.replace(estimate, clock_offset=None), None
-        if estimate.refractory is not None and not _is_other(
+        if estimate.refractory is not None and not _differs(
                 estimate.refractory, before.parameters.get("refractory_us", 0.0)):
             estimate = dataclasses.replace(estimate, refractory=None)
         moved = clock is not None and clock.applied_us != before.clock_us
         # A bandwidth that was estimated with other time stamps is outdated.
         known = before.parameters.get("bandwidth")
         if (estimate.bandwidth is not None and known is not None and not moved
-                and not _is_news(estimate.bandwidth, checked_bandwidth(known))):
+                and not _is_better(estimate.bandwidth, checked_bandwidth(known))):
             estimate = dataclasses.replace(estimate, bandwidth=None)
         self.tuning = self._learning.tuned(before, estimate)
         self._looks += 1
         self.next_us = self._look_us()
         return self.tuning.changes(before)
 
-    def _begun(self) -> Future[CameraEstimate]:
+    def _started(self) -> Future[CameraEstimate]:
         """Start an estimate from the data so far, in a thread."""
         passed = self.camera.state()
 
@@ -343,29 +343,29 @@ class OnlineLearning:
             return self._learning.estimate(camera)
 
         one = ThreadPoolExecutor(1, "pdavis-learning")
-        told = one.submit(estimated)
+        future = one.submit(estimated)
         one.shutdown(wait=False)
-        return told
+        return future
 
     def state(self) -> Mapping[str, Any]:
         """Return the state; its arrays are never changed in place."""
         return {"tuning": self.tuning, "next_us": self.next_us,
                 "start_us": self._start_us, "looks": self._looks,
-                "told": None if self._told is None else self._told.result(),
+                "pending": None if self._pending is None else self._pending.result(),
                 "camera": self.camera.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Return to what `state` returned."""
         self.tuning, self.next_us = state["tuning"], state["next_us"]
         self._start_us, self._looks = state["start_us"], state["looks"]
-        self._told = None
-        if state["told"] is not None:
-            self._told = Future()
-            self._told.set_result(state["told"])
+        self._pending = None
+        if state["pending"] is not None:
+            self._pending = Future()
+            self._pending.set_result(state["pending"])
         self.camera.restore(state["camera"])
 
 
-def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
+def _is_better(found: Bandwidth, known: Sequence[float]) -> bool:
     """Return whether a bandwidth is better known than before, and worth applying.
 
     It is if it differs by more than `_WORTHWHILE`, or halves the standard error.
@@ -379,7 +379,7 @@ def _is_news(found: Bandwidth, known: Sequence[float]) -> bool:
                 or found.sigma < known[2] / 2)
 
 
-def _is_other(found: Refractory, known_us: float) -> bool:
+def _differs(found: Refractory, known_us: float) -> bool:
     """Return whether a refractory period differs significantly from the known one."""
     return abs(found.us - known_us) > max(
         _SIGMAS * found.sigma_us if found.us else 0.0, _WORTHWHILE * known_us)
@@ -408,7 +408,7 @@ def _stated_bandwidth(
     return hz or 0.0, per_dn or 0.0, calibration.bandwidth_sigma
 
 
-def _look_on(
+def _feed_estimator(
     camera: SelfCalibration, source: Source, packets: Iterator[Packet],
     calibration: Calibration | None, thresholds: tuple[ArrayLike, ArrayLike],
     start_us: int | None = None, stop_us: int | None = None,
@@ -484,8 +484,8 @@ def thresholds_in_situ(
     if isinstance(bandwidth, str) and bandwidth != "in-situ":
         raise ValueError(
             f"bandwidth must be 'in-situ', a Bandwidth or None, got {bandwidth!r}")
-    camera = _that_looked_on(recording, nominal, calibration, start_us, stop_us,
-                             leak_hz=leak_hz, threshold_sigma=sigma)
+    camera = _fed_estimator(recording, nominal, calibration, start_us, stop_us,
+                            leak_hz=leak_hz, threshold_sigma=sigma)
     if isinstance(bandwidth, str):
         return camera.estimate(wanted=QUANTITIES)
     found = camera.estimate(wanted=QUANTITIES - {"bandwidth"}, bandwidth=(
@@ -523,7 +523,7 @@ def bandwidth_in_situ(
     Bandwidth or None
         None if there are too few frames or events for an estimate.
     """
-    return _that_looked_on(
+    return _fed_estimator(
         recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
             wanted={"bandwidth", "clock_offset"}).bandwidth
 
@@ -559,12 +559,12 @@ def clock_offset_in_situ(
         None if there are too few frames or events for an estimate, or if a lamp
         flickers, because its events hide the timing of the scene's.
     """
-    return _that_looked_on(
+    return _fed_estimator(
         recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
             wanted={"bandwidth", "scale", "clock_offset"}).clock_offset
 
 
-def _that_looked_on(
+def _fed_estimator(
     recording: Recording, nominal: tuple[ArrayLike, ArrayLike],
     calibration: Calibration | None, start_us: int | None, stop_us: int | None,
     **options: Any,
@@ -572,6 +572,6 @@ def _that_looked_on(
     camera = SelfCalibration(
         recording.info.sensor_size, nominal, sensor=recording.info.sensor,
         dark=calibration is not None and calibration.dark is not None, **options)
-    _look_on(camera, recording, recording.packets(start_us), calibration, nominal,
-             start_us, stop_us)
+    _feed_estimator(camera, recording, recording.packets(start_us), calibration,
+                    nominal, start_us, stop_us)
     return camera

@@ -120,7 +120,7 @@ class EventHighPass(Reconstructor):
         self._held = np.zeros(self.shape, np.float32)
         self._seen = np.zeros(self.shape, np.bool_)
         self._decayed = np.empty(self.shape, np.float32)
-        self._known: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
+        self._mean_cache: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -165,14 +165,14 @@ class EventHighPass(Reconstructor):
     def _around(self) -> NDArray[np.bool_]:
         """Return where any pixel of the mean has had an event, bool (H, W)."""
         seen = self._seen
-        if self._known is None or not np.array_equal(self._known[0], seen):
+        if self._mean_cache is None or not np.array_equal(self._mean_cache[0], seen):
             around = seen.copy()
             for dy, dx in self._neighbours.tolist():
                 to, of = zip(_shifted(dy, seen.shape[0]), _shifted(dx, seen.shape[1]),
                              strict=True)
                 around[to] |= seen[of]
-            self._known = seen.copy(), around
-        return self._known[1].copy()
+            self._mean_cache = seen.copy(), around
+        return self._mean_cache[1].copy()
 
     def _turn_back(
         self, log: NDArray[np.float32], turn: NDArray[np.float64]

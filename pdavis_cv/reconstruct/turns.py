@@ -27,11 +27,11 @@ class Turns:
         self._parts: list[NDArray[np.int64]] = []
         self._kept = 0
         self._windows = 0
-        self._told = False
+        self._warned = False
 
     def add(self, events: NDArray[Any]) -> None:
         """Add events of the current window."""
-        if self._told or self._kept > _MOST_EVENTS:
+        if self._warned or self._kept > _MOST_EVENTS:
             return
         x, y = events["x"].astype(np.int64), events["y"]
         # One pixel per macropixel is enough, and costs a quarter.
@@ -41,7 +41,7 @@ class Turns:
     def exceed(self, windows: int) -> bool:
         """Count windows that ended; return True at the first test they fail, once."""
         self._windows += windows
-        if self._told or self._windows < _WINDOWS or not self._parts:
+        if self._warned or self._windows < _WINDOWS or not self._parts:
             return False
         coded = np.concatenate(self._parts)
         pixel, p = coded >> 1, coded & 1
@@ -56,16 +56,16 @@ class Turns:
             return False
         sums = np.concatenate(([0], np.cumsum(np.append(turned, False))))
         turns = sums[first + count] - sums[first]
-        self._told = bool(np.median(turns[busy]) > _PER_WINDOW * span)
-        return self._told
+        self._warned = bool(np.median(turns[busy]) > _PER_WINDOW * span)
+        return self._warned
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
         return {"parts": [part.copy() for part in self._parts], "kept": self._kept,
-                "windows": self._windows, "told": self._told}
+                "windows": self._windows, "warned": self._warned}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over copies of what `state` returned."""
         self._parts = [part.copy() for part in state["parts"]]
         self._kept, self._windows = state["kept"], state["windows"]
-        self._told = state["told"]
+        self._warned = state["warned"]

@@ -318,17 +318,18 @@ class _Cost:
 
     def minimum(self, share: float, ln_hz: float) -> _Minimum:
         """Return the minimum near ln_hz at a share, from all pixels."""
-        told = 0.0
+        information = 0.0
         for step in _FINE_STEPS:
             x = ln_hz + step * np.array([-1.0, 0.0, 1.0])
             y = self(share, x)
             ln_hz = vertex(x, y)
             rise = y[0] + y[2] - 2 * y[1]
-            bend = rise / step**2
-            told = bend if rise > _ROUGH or told == 0.0 else told
-        fall = 0.5 * bend * (ln_hz - x[1])**2 if bend > 0 else 0.0
+            curvature = rise / step**2
+            if rise > _ROUGH or information == 0.0:
+                information = curvature
+        fall = 0.5 * curvature * (ln_hz - x[1])**2 if curvature > 0 else 0.0
         return _Minimum(share, ln_hz, float(min(y[1] - fall, y.min())),
-                        1 / math.sqrt(max(told, 1 / _LN_HZ_SIGMA**2)))
+                        1 / math.sqrt(max(information, 1 / _LN_HZ_SIGMA**2)))
 
 
 def _law(share: Any, ln_hz: Any, bright: float) -> tuple[Any, Any]:

@@ -99,7 +99,7 @@ class ClockOffset:
     or_lag: bool = False
 
     @property
-    def counts(self) -> bool:
+    def significant(self) -> bool:
         """Whether the offset is significant, and so is applied.
 
         It is if it was stated, or if it lies beyond 3 sigma and 1 ms but within 12 ms
@@ -112,12 +112,12 @@ class ClockOffset:
     @property
     def ambiguous(self) -> bool:
         """Whether a delay of more than 1 ms may be either an offset or a lag."""
-        return self.or_lag and not self.counts and abs(self.us) > _LEAST_US
+        return self.or_lag and not self.significant and abs(self.us) > _LEAST_US
 
     @property
     def applied_us(self) -> int:
         """Shift to add to the stamps, us: the offset if it is significant, else 0."""
-        return round(self.us) if self.counts else 0
+        return round(self.us) if self.significant else 0
 
 
 class _Fit(NamedTuple):
@@ -162,11 +162,11 @@ def fit_clock_offset(
     found = found._replace(sigma_us=math.hypot(found.sigma_us, ln_sigma * lag_us))
     delay_us = found.us + lag_us
     usual = delay_us > 0 and abs(math.log(delay_us / lag_us)) < _SIGMAS * ln_sigma
-    told = agree = False
+    light_dependent = agree = False
     if bandwidth is None:
         by_light, without = _in_proportion(steady, start)
-        told = by_light.cost < found.cost - _LAW_EVIDENCE
-        if told:
+        light_dependent = by_light.cost < found.cost - _LAW_EVIDENCE
+        if light_dependent:
             found = by_light._replace(sigma_us=math.hypot(
                 by_light.sigma_us, _LAG_SHARE * (delay_us - by_light.us)))
         agree = without < found.cost + _EVIDENCE or (
@@ -174,7 +174,7 @@ def fit_clock_offset(
                 whole.between_like_events(start + lag_us), found.cost, start, law))
     if usual or agree:
         found = found._replace(sigma_us=math.hypot(found.sigma_us, found.us))
-    return _offset(found, agree and not (told or usual))
+    return _offset(found, agree and not (light_dependent or usual))
 
 
 def _offset(found: _Fit, or_lag: bool = False) -> ClockOffset:

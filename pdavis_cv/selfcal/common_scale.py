@@ -67,7 +67,7 @@ _MODEL_SIGMA = 0.03
 """Error of the scale (ln) by the models of frames and interpolation: rms error where
 thresholds are stated correctly (studies/selfcal_common_scale.py)."""
 
-_LEAST_BEND = 1.0
+_LEAST_CURVATURE = 1.0
 """Least second derivative of -ln L by the ln of the scale, so that a flat minimum has a
 finite sigma, a factor of e; numerical."""
 
@@ -96,8 +96,8 @@ class CommonScale(NamedTuple):
     gain : float
         `evidence` per sample, relative to the squared ln of the scale and a quarter of
         that of the ratio.
-    counts : bool
-        Whether the evidence suffices to give up the nominal thresholds.
+    significant : bool
+        Whether the evidence suffices to reject the nominal thresholds.
     """
 
     on: float
@@ -105,7 +105,7 @@ class CommonScale(NamedTuple):
     sigma: float
     evidence: float
     gain: float
-    counts: bool
+    significant: bool
 
     @property
     def ln(self) -> tuple[float, float]:
@@ -113,12 +113,12 @@ class CommonScale(NamedTuple):
         return math.log(self.on * self.off) / 2, math.log(self.on / self.off)
 
     @property
-    def told(self) -> bool:
+    def determined(self) -> bool:
         """Whether -ln L is curved enough to determine the scale."""
         return self.sigma < math.hypot(_MAX_SIGMA, _MODEL_SIGMA)
 
     @property
-    def differs(self) -> bool:
+    def off_nominal(self) -> bool:
         """Whether the factors differ from 1 by more than errors of the models."""
         return max(map(abs, self.ln)) > _MIN_CHANGE
 
@@ -161,26 +161,26 @@ def fit_common_scale(
         if learn_bandwidth:
             cost = _Cost(steady, fit_bandwidth(
                 sample.with_thresholds_scaled(*_factors(scale, ratio))).law)
-        scale, ratio, bend = cost.minimum(scale, ratio, _STEPS[1:])
+        scale, ratio, curvature = cost.minimum(scale, ratio, _STEPS[1:])
         least = float(cost(np.array([scale]), np.array([ratio]))[0])
-        tried.append((least, scale, ratio, bend, cost))
-    found, scale, ratio, bend, cost = min(tried, key=lambda each: each[0])
+        tried.append((least, scale, ratio, curvature, cost))
+    found, scale, ratio, curvature, cost = min(tried, key=lambda each: each[0])
     without, = cost(np.array([_NO_EVENTS]), np.zeros(1))
     nominal, = _Cost(steady, law, clock_us)(np.zeros(1), np.zeros(1))
     on, off = _factors(scale, ratio)
     evidence = float(nominal - found)
     weight = steady.samples * (scale * scale + ratio * ratio / 4)
     result = CommonScale(
-        on, off, math.hypot(max(bend, _LEAST_BEND)**-0.5, _MODEL_SIGMA), evidence,
-        evidence / weight if weight else 0.0, False)
+        on, off, math.hypot(max(curvature, _LEAST_CURVATURE)**-0.5, _MODEL_SIGMA),
+        evidence, evidence / weight if weight else 0.0, False)
     if not (evidence > _EVIDENCE and without - found > _EVIDENCE
-            and result.gain > _LEAST_GAIN and result.told and result.differs):
+            and result.gain > _LEAST_GAIN and result.determined and result.off_nominal):
         return result
     noise = fit_event_noise(clean.with_thresholds_scaled(on, off), cost.law)
     share = noise / sample.events_per_s
     return result._replace(
         sigma=math.hypot(result.sigma, share),
-        counts=share <= max(_MAX_NOISE_SHARE, abs(scale) / _NOISE_SIGMAS))
+        significant=share <= max(_MAX_NOISE_SHARE, abs(scale) / _NOISE_SIGMAS))
 
 
 class _Cost:
@@ -211,14 +211,14 @@ class _Cost:
         self, scale: float, ratio: float, steps: tuple[float, ...]
     ) -> tuple[float, float, float]:
         """Return scale and ratio at the minimum nearby, and the curvature in scale."""
-        bend = 0.0
+        curvature = 0.0
         for step in steps:
             around = step * np.array([-1.0, 0.0, 1.0])
             ratio = vertex(ratio + around, self(np.full(3, scale), ratio + around))
             y = self(scale + around, np.full(3, ratio))
-            bend = float(y[0] + y[2] - 2 * y[1]) / step**2
+            curvature = float(y[0] + y[2] - 2 * y[1]) / step**2
             scale = vertex(scale + around, y)
-        return scale, ratio, bend
+        return scale, ratio, curvature
 
 
 def _factors(scale: float, ratio: float) -> tuple[float, float]:

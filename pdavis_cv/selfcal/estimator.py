@@ -255,8 +255,9 @@ class SelfCalibration:
             if not {"scale", "thresholds"}.isdisjoint(wanted):
                 likeliest, clock = _scale_and_clock(
                     stamped, law, clock, known, found is not None)
-                scale = likeliest if likeliest.counts else None
-                holds = scale is None and likeliest.told and not likeliest.differs
+                scale = likeliest if likeliest.significant else None
+                holds = (scale is None and likeliest.determined
+                         and not likeliest.off_nominal)
             if scale is not None:
                 stamped = stamped.with_thresholds_scaled(scale.on, scale.off)
                 sample = stamped
@@ -346,16 +347,16 @@ def _scale_and_clock(
     not used.  Without a significant scale the offset is that of nominal thresholds.
     """
     first_us = applied_us = 0 if clock is None else clock.applied_us
-    scale, there, counts = None, clock, False
+    scale, there, significant = None, clock, False
     for _ in range(_MOST_ROUNDS):
         again = fit_common_scale(
             stamped.with_frames_moved(applied_us), law, before=scale,
             learn_bandwidth=learn_bandwidth, clock_us=first_us - applied_us)
-        if scale is not None and not again.told:
+        if scale is not None and not again.determined:
             break
-        counts = counts or again.counts
-        scale = again._replace(counts=counts)
-        if clock is None or not scale.differs:
+        significant = significant or again.significant
+        scale = again._replace(significant=significant)
+        if clock is None or not scale.off_nominal:
             break
         there = fit_clock_offset(
             stamped.with_thresholds_scaled(scale.on, scale.off), known)
@@ -363,7 +364,7 @@ def _scale_and_clock(
         if abs(moved_us) <= _SAME_US:
             break
     assert scale is not None
-    return scale, there if counts else clock
+    return scale, there if significant else clock
 
 
 def _in_order(items: Sequence[Item], clock_us: int) -> Iterator[Item]:

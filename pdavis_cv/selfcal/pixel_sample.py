@@ -157,7 +157,7 @@ class PixelSample:
         # A frame is used once the events around its exposure have been fed.
         frames = [each for each in window.intervals if max(
             each.known_us, int(each.exposure_us[1].max()) + LOOKAHEAD_US
-        ) <= window.seen_us]
+        ) <= window.last_us]
         self._dn = np.array([each.dn[chosen] for each in frames], np.float32).reshape(
             len(frames), len(chosen))
         self._usable = np.array([each.usable[chosen] for each in frames], bool).reshape(
@@ -170,7 +170,7 @@ class PixelSample:
             row["known"] = max(
                 each.known_us, int(each.exposure_us[1].max()) + LOOKAHEAD_US)
         self._exposure_ms = (self._frames["end"] - self._frames["begin"]) / 1000
-        self._waves, self._seen_us = window.waves, window.seen_us
+        self._waves, self._last_us = window.waves, window.last_us
         self._read(self._dn, self._usable)
         bright = (np.quantile(self._dn / self._exposure_ms, _BRIGHT_QUANTILE)
                   if self._dn.size else 0.0)
@@ -244,7 +244,7 @@ class PixelSample:
 
     def that_may_move(self, us: int) -> PixelSample:
         """Return the sample without frames that lack events if shifted by up to us."""
-        return self._with_usable(self._frames["known"] + us <= self._seen_us)
+        return self._with_usable(self._frames["known"] + us <= self._last_us)
 
     def between_like_events(
         self, delay_us: float, or_in_exposure: int | None = None

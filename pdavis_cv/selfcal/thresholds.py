@@ -22,11 +22,11 @@ _Symmetric = tuple[
 
 # Bounds on the estimated pixel-to-pixel variance.  Upper: estimated again with sample
 # variances x 2.  Lower: half the usual mismatch variance.
-_CAUTIOUS_INFLATION, _MIN_MISMATCH_SHARE = 2.0, 0.5
+_CONSERVATIVE_INFLATION, _MIN_MISMATCH_SHARE = 2.0, 0.5
 
 _MAX_SPREAD_RATIO = 4.0
 """Errors are taken as correlated, and the rescaling of variances rejected, if it makes
-the pixel-to-pixel variance exceed the cautious one by this factor."""
+the pixel-to-pixel variance exceed the conservative one by this factor."""
 
 _MIN_PIXELS = 12
 """Minimum number of pixels for a variance estimate."""
@@ -91,38 +91,38 @@ def shrink_to_population(
     on, off = (np.asarray(value, np.float64) for value in nominal)
     precision = _inverse(covariance[..., 0, 0], covariance[..., 0, 1],
                          covariance[..., 1, 1])
-    # The samples' own precision, and precision times shift from nominal.
-    own = (precision[0] - 1 / sigma**2, precision[1], precision[2] - 1 / sigma**2)
-    pull = _times(precision, (theta[0] - on, theta[1] - off))
+    # Information matrix of the samples alone, and information vector about nominal.
+    matrix = (precision[0] - 1 / sigma**2, precision[1], precision[2] - 1 / sigma**2)
+    vector = _times(precision, (theta[0] - on, theta[1] - off))
     correlated = FRAME_CORRELATION
     if systematics is not None:
         correlated = systematics.frames.correlated
         leak = systematics.leak_hz[0] / 2 * systematics.log_ratio_per_leak
-        more = _times(own, (theta[0] * leak, -theta[1] * leak))
-        pull = pull[0] + more[0], pull[1] + more[1]
+        more = _times(matrix, (theta[0] * leak, -theta[1] * leak))
+        vector = vector[0] + more[0], vector[1] + more[1]
     means = np.array([on.mean(), off.mean()])
-    cautious = (max(inflation[0], _CAUTIOUS_INFLATION),
-                max(inflation[1], _CAUTIOUS_INFLATION))
+    conservative = (max(inflation[0], _CONSERVATIVE_INFLATION),
+                    max(inflation[1], _CONSERVATIVE_INFLATION))
     some = slice(None, None, max(theta[0].size // _SPREAD_PIXELS, 1))
-    a, b, c, first, second = (part.ravel()[some] for part in (*own, *pull))
+    a, b, c, first, second = (part.ravel()[some] for part in (*matrix, *vector))
     theta_some = theta.reshape(2, -1)[:, some]
     found, bound = (
         _population_variance(
             *_inflate((a, b, c), (first, second), theta_some, each, correlated),
             means, sigma)
-        for each in (inflation, cautious))
+        for each in (inflation, conservative))
     if np.sum(found / means**2) > _MAX_SPREAD_RATIO * np.sum(bound / means**2):
         inflation = (1.0, 1.0)
-    own, pull = _inflate(own, pull, theta, inflation, correlated)
-    posterior = _inverse(own[0] + 1 / bound[0], own[1], own[2] + 1 / bound[1])
-    shift = _times(posterior, pull)
+    matrix, vector = _inflate(matrix, vector, theta, inflation, correlated)
+    posterior = _inverse(matrix[0] + 1 / bound[0], matrix[1], matrix[2] + 1 / bound[1])
+    shift = _times(posterior, vector)
     out = np.stack([np.clip(center + by, _LEAST_OF_NOMINAL * center,
                             _MOST_OF_NOMINAL * center)
                     for center, by in zip((on, off), shift, strict=True)])
     ratio, scale, mixed = _log_ratio_and_scale(posterior, out)
     mixed /= np.sqrt(ratio)
     if systematics is not None:
-        # The leak counts by the share of the prior variance that the data removed.
+        # The leak is weighted by the fraction of the prior variance that data removed.
         prior = float(np.sum(bound / means**2))
         informed = np.clip(1 - ratio / prior, 0, 1)
         leak = systematics.leak_hz[1] * informed * systematics.log_ratio_per_leak
@@ -176,7 +176,7 @@ def variance_inflation(
 
 
 def _population_variance(
-    own: _Symmetric, pull: tuple[NDArray[np.float64], NDArray[np.float64]],
+    matrix: _Symmetric, vector: tuple[NDArray[np.float64], NDArray[np.float64]],
     means: NDArray[np.float64], sigma: float,
 ) -> NDArray[np.float64]:
     """Return the pixel-to-pixel variance of both thresholds (EM), shape (2,)."""
@@ -184,18 +184,19 @@ def _population_variance(
     variance = usual
     least = np.maximum((_LEAST_SPREAD * sigma) ** 2, _MIN_MISMATCH_SHARE * usual)
     for _ in range(_EM_STEPS):
-        posterior = _inverse(own[0] + 1 / variance[0], own[1], own[2] + 1 / variance[1])
-        first, second = _times(posterior, pull)
+        posterior = _inverse(
+            matrix[0] + 1 / variance[0], matrix[1], matrix[2] + 1 / variance[1])
+        first, second = _times(posterior, vector)
         variance = np.clip([np.mean(first**2 + posterior[0]),
                             np.mean(second**2 + posterior[2])], least, sigma**2)
     return variance
 
 
 def _inflate(
-    own: _Symmetric, pull: tuple[NDArray[np.float64], NDArray[np.float64]],
+    matrix: _Symmetric, vector: tuple[NDArray[np.float64], NDArray[np.float64]],
     theta: NDArray[np.float64], inflation: tuple[float, float], correlated: float,
 ) -> tuple[_Symmetric, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the samples' information with inflated variances.
+    """Return the samples' information matrix and vector with inflated variances.
 
     The factors multiply the relative variances of on - off and of on + off, the latter
     by at least `correlated`.  Pixels without information stay without.
@@ -203,9 +204,9 @@ def _inflate(
     for_ratio, for_scale = inflation[0]**-0.5, max(inflation[1], correlated)**-0.5
     same, other = (for_scale + for_ratio) / 2, (for_scale - for_ratio) / 2
     on, off = theta
-    least = _RIDGE * (own[0] + own[2]) + _LEAST_INFORMATION
-    shift = _times(_inverse(own[0] + least, own[1], own[2] + least), pull)
-    a, b, d = own[0] * on**2, own[1] * on * off, own[2] * off**2
+    least = _RIDGE * (matrix[0] + matrix[2]) + _LEAST_INFORMATION
+    shift = _times(_inverse(matrix[0] + least, matrix[1], matrix[2] + least), vector)
+    a, b, d = matrix[0] * on**2, matrix[1] * on * off, matrix[2] * off**2
     # M P M with M = (same, other; other, same), P the relative precision.
     inflated = (
         (same * same * a + 2 * same * other * b + other * other * d) / on**2,
@@ -217,7 +218,7 @@ def _inflate(
 def _log_ratio_and_scale(
     covariance: _Symmetric, theta: Sequence[NDArray[np.float64]] | NDArray[np.float64]
 ) -> _Symmetric:
-    """Return Var ln(on / off), Var ln(on off) / 2 and their covariance."""
+    """Return the variances of ln(on / off) and ln(on off) / 2, and their covariance."""
     first, last = covariance[0] / theta[0]**2, covariance[2] / theta[1]**2
     cross = 2 * covariance[1] / (theta[0] * theta[1])
     both = first + last

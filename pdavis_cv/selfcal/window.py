@@ -85,7 +85,7 @@ class PixelWindow:
         (height, width) of the sensor.
     pixels : ndarray of intp, shape (K,)
         Flat indices of the kept pixels on the sensor.
-    seen_us : int
+    last_us : int
         Time of the last item fed.
     full : bool
         Whether anything was dropped.
@@ -97,7 +97,7 @@ class PixelWindow:
         self.pixels = np.sort(np.random.default_rng(0).permutation(size)[:MAX_PIXELS])
         self._place = np.full(size, -1, np.int32)
         self._place[self.pixels] = np.arange(len(self.pixels))
-        self.seen_us, self.full = _EVER[0], False
+        self.last_us, self.full = _EVER[0], False
         self._intervals: deque[Interval] = deque()
         self._pending: list[NDArray[Any]] = []
         self._counts = np.zeros((2, 1, len(self.pixels)), np.int32)
@@ -108,7 +108,7 @@ class PixelWindow:
         """Take events of the whole sensor."""
         if not len(events):
             return
-        self.seen_us = int(events["t"][-1])
+        self.last_us = int(events["t"][-1])
         at = self._place.take(events["y"].astype(np.int32) * self.shape[1]
                               + events["x"])
         # If no frame comes, the first events since the last one are kept, a rule that
@@ -123,7 +123,7 @@ class PixelWindow:
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame of the whole sensor; it closes an interval."""
-        self.seen_us = max(self.seen_us, frame.mid_us)
+        self.last_us = max(self.last_us, frame.mid_us)
         exposure = np.empty((3, self.shape[1]), np.int64)
         exposure[0], exposure[2] = frame.exposure_start_us, frame.exposure_end_us
         exposure[1] = frame.column_mid_us
@@ -184,12 +184,12 @@ class PixelWindow:
     def state(self) -> tuple[Any, ...]:
         """Return what is kept; never changed later."""
         return (tuple(self._intervals), tuple(self._pending), self._counts.copy(),
-                self._events, self._pending_events, self.seen_us, self.full,
+                self._events, self._pending_events, self.last_us, self.full,
                 self._lamp.state())
 
     def restore(self, state: tuple[Any, ...]) -> None:
         """Take over what `state` returned."""
-        (intervals, pending, counts, self._events, self._pending_events, self.seen_us,
+        (intervals, pending, counts, self._events, self._pending_events, self.last_us,
          self.full, lamp) = state
         self._intervals, self._pending = deque(intervals), list(pending)
         self._counts = counts.copy()

@@ -74,15 +74,15 @@ class BusState:
             End of the chunk.
         """
         out = np.empty(len(events) + int(self._clock[2]), EVENT_DTYPE)
-        rows_before = 1e6 / self.bus.rate_hz
+        us_per_event = 1e6 / self.bus.rate_hz
         done, lost, _ = read_out(
-            events, until_us, rows_before, self.bus.row_us, self._clock,
+            events, until_us, us_per_event, self.bus.row_us, self._clock,
             self._waiting, self._queue, self._pending, out)
         self.lost += lost
         out = out[:done]
         bursts = int(np.count_nonzero(np.diff(out["t"]) | np.diff(
             out["y"].astype(np.int32)))) + 1 if done else 0
-        busy = done * rows_before + bursts * self.bus.row_us
+        busy = done * us_per_event + bursts * self.bus.row_us
         span = until_us - self._until
         self.load = min(1.0, busy / span) if span > 0 else 0.0
         self._until = until_us

@@ -188,7 +188,7 @@ class PixelArray:
         self._pixels[:, 1] = maps["theta_off"].ravel()
         self._cells: NDArray[Any] = np.empty(0, _CELL_DTYPE)     # see `settle_film`
         self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
-        self._usual = self._pixels.copy()
+        self._nominal = self._pixels.copy()
         index = noise.pixel_index(self.size, origin).ravel()
         self._keys = noise.keys(seed, "events", index)
         y, x = np.divmod(np.arange(n), self.size[1])
@@ -209,7 +209,7 @@ class PixelArray:
 
     def set_conditions(self, on: float, off: float, current: float = 1.0) -> None:
         """Scale the nominal thresholds, and leak and dark current, by these factors."""
-        self._pixels[:] = self._usual * (on, off, current)
+        self._pixels[:] = self._nominal * (on, off, current)
         self._settings[_DARK] = self.pixel.dark_dn_ms * current
         if len(self._cells):
             for column, name in enumerate(("on", "off", "leak")):

@@ -83,9 +83,9 @@ class EventFaults:
             kept = noise.uniform(self._seed, "lost", index) >= self.faults.lost
             events, index = events[kept], index[kept]
         if self.faults.jitter_us and len(events):
-            late = self.faults.jitter_us * noise.normal(self._seed, "jitter", index)
+            shift_us = self.faults.jitter_us * noise.normal(self._seed, "jitter", index)
             events = events.copy()
             events["t"] = np.clip(
-                events["t"] + np.rint(late).astype(np.int64), start_us, stop_us)
+                events["t"] + np.rint(shift_us).astype(np.int64), start_us, stop_us)
             events = events[np.argsort(events["t"], kind="stable")]
         return events

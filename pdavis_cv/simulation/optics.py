@@ -100,8 +100,8 @@ class Optics:
             return self._effective(near.uniform(), origin)
         angle, ratio, gain, x, y = self._pixels(seed, size, origin, full_size)
         if self.lens is not None:
-            seen = gain[..., None] * self.lens.seen(angle, ratio, x, y)
-            return self._effective(seen, origin)
+            response = gain[..., None] * self.lens.seen(angle, ratio, x, y)
+            return self._effective(response, origin)
         k = (ratio - 1) / (ratio + 1)
         analyser = gain[..., None] / 2 * np.stack(
             (np.ones(size), k * np.cos(2 * angle), k * np.sin(2 * angle)), axis=-1)
@@ -127,24 +127,25 @@ class Optics:
         angle, ratio, gain, x, y = self._pixels(
             seed, (last[0] - first[0], last[1] - first[1]), first, full_size)
         lens = Lens() if self.lens is None else self.lens
-        seen = gain[..., None] * lens.seen(angle, ratio, x, y)
+        response = gain[..., None] * lens.seen(angle, ratio, x, y)
         padded = np.zeros((size[0] + 2, size[1] + 2, 4))
         row, column = first[0] - origin[0] + 1, first[1] - origin[1] + 1
-        padded[row:row + seen.shape[0], column:column + seen.shape[1]] = seen
+        rows, columns = response.shape[:2]
+        padded[row:row + rows, column:column + columns] = response
         return Neighbours(self.crosstalk, padded)
 
     def _effective(
-        self, seen: FloatArray, origin: tuple[int, int]
+        self, response: FloatArray, origin: tuple[int, int]
     ) -> dict[str, FloatArray]:
         """Convert responses (H, W, 4) to S0..S3 into the maps of `maps`."""
-        s0, s1, s2, s3 = np.moveaxis(seen, -1, 0)
+        s0, s1, s2, s3 = np.moveaxis(response, -1, 0)
         contrast = np.hypot(s1, s2) / s0
-        nominal = self._nominal(seen.shape[:2], origin)
+        nominal = self._nominal(response.shape[:2], origin)
         turn = np.arctan2(s2, s1) - 2 * nominal
         maps = {
             "angle": nominal + np.arctan2(np.sin(turn), np.cos(turn)) / 2,
             "extinction_ratio": (1 + contrast) / (1 - contrast), "gain": 2 * s0,
-            "analyser": np.ascontiguousarray(seen[..., :3])}
+            "analyser": np.ascontiguousarray(response[..., :3])}
         return maps if self.lens is None else {**maps, "circular": s3.copy()}
 
     def _nominal(self, size: tuple[int, ...], origin: tuple[int, int]) -> FloatArray:

@@ -71,8 +71,8 @@ class Temperature:
 
     def current(self, t_us: float) -> float:
         """Return the factor on thermal currents at a time."""
-        warm, usual = self.at(t_us) + ZERO_C, self.reference_c + ZERO_C
-        return math.exp(self.activation_ev / BOLTZMANN_EV * (1 / usual - 1 / warm))
+        now, reference = self.at(t_us) + ZERO_C, self.reference_c + ZERO_C    # kelvin
+        return math.exp(self.activation_ev / BOLTZMANN_EV * (1 / reference - 1 / now))
 
     def conditions(self, t_us: float) -> Conditions:
         """Return the factors on ON and OFF thresholds and on thermal currents."""
