@@ -2,17 +2,140 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import functools
 import itertools
 import os
 import re
+import shutil
+import stat
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
-__all__ = ["Unfinished", "clear", "write_beside"]
+try:
+    import fcntl
+except ImportError:     # Windows
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["Place", "Unfinished", "clear", "sole", "takes_bytes", "write_beside"]
 
 _COUNT = itertools.count()
 """Makes temporary names unique, as two threads may write the same file."""
+
+
+class Place:
+    """The place of an output: a file, or a pipe or device that takes its bytes.
+
+    A symbolic link is followed: the file that it names is replaced, the link stays.
+    What is neither a file, a pipe nor a character device is not written to: a disk or
+    socket would be replaced by a file.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    path : Path
+        As given.
+    takes_bytes : bool
+        Whether it is a pipe or device.
+    beside : Path
+        Path of the output in a folder for temporary files: the file's own folder, or
+        for a pipe or device a new one, as nothing can be renamed to it.
+
+    Raises
+    ------
+    OSError
+        If it is a folder, a block device or a socket, or cannot be examined.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.takes_bytes = takes_bytes(self.path)
+        if self.takes_bytes:
+            self.beside = Path(tempfile.mkdtemp(prefix="pdavis-")) / self.path.name
+        else:
+            self.beside = Path(os.path.realpath(self.path)) if (
+                self.path.is_symlink()) else self.path
+
+    def put(self, part: Path) -> None:
+        """Rename a complete file in the folder of `beside` to the output, or copy it.
+
+        Raises
+        ------
+        OSError
+            If this fails; `part` remains.
+        """
+        if not self.takes_bytes:
+            os.replace(part, self.beside)
+            return
+        # Not truncated: a shell may append a command's output to it.
+        out = os.open(self.path, os.O_WRONLY | os.O_APPEND)
+        with open(out, "wb") as target, part.open("rb") as source:
+            shutil.copyfileobj(source, target)
+
+    def close(self) -> None:
+        """Remove the folder that was made for temporary files."""
+        if self.takes_bytes:
+            shutil.rmtree(self.beside.parent, ignore_errors=True)
+
+
+def takes_bytes(path: Path) -> bool:
+    """Return whether bytes are written to a path, not a file renamed to it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    OSError
+        As for `Place`.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
+        return True
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "a block device or socket is not written to",
+                      str(path))
+    # The output of a command that a shell redirects to a file.
+    folder = os.path.realpath(path.parent)
+    return folder.startswith("/proc/") or (
+        folder == "/dev" and path.name in ("stdout", "stderr"))
+
+
+def sole(file: BinaryIO, path: Path) -> None:
+    """Lock an open file, so that no other process writes the same output.
+
+    Parameters
+    ----------
+    file : binary file
+        The lock ends when it is closed.
+    path : Path
+        The output.
+
+    Raises
+    ------
+    OSError
+        If another process holds the lock.  Never on Windows or on a file system
+        without such locks.
+    """
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OSError(errno.EBUSY, "another process is writing it", str(path)) from None
+    except OSError:
+        return      # the file system has no locks
 
 
 class Unfinished:
@@ -21,7 +144,7 @@ class Unfinished:
     Parameters
     ----------
     path : path
-        Final name; a file that is there stays as it is until `finish`.
+        Final name; see `Place`.  A file that is there stays as it is until `finish`.
     suffix : str, optional
         Suffix of the name to write to, for a writer that needs it; default: `path`'s.
 
@@ -35,9 +158,11 @@ class Unfinished:
         self, path: str | os.PathLike[str], suffix: str | None = None
     ) -> None:
         self.path = Path(path)
+        self._place = Place(path)
+        beside = self._place.beside
         suffix = self.path.suffix if suffix is None else suffix
-        self.part = self.path.with_name(
-            f".{self.path.stem}.part{os.getpid()}-{next(_COUNT)}{suffix}")
+        self.part = beside.with_name(
+            f".{beside.stem}.part{os.getpid()}-{next(_COUNT)}{suffix}")
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
@@ -57,12 +182,14 @@ class Unfinished:
     def finish(self) -> None:
         """Give the file its final name."""
         with self.named():
-            self.part.replace(self.path)
+            self._place.put(self.part)
+        self._place.close()
 
     def discard(self) -> None:
         """Remove what was written, if it has not been renamed."""
         with contextlib.suppress(OSError):
             self.part.unlink()
+        self._place.close()
 
 
 def clear(path: str | os.PathLike[str]) -> None:
@@ -75,7 +202,7 @@ def clear(path: str | os.PathLike[str]) -> None:
     path : path
         Final name; its suffix does not count.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))
     for name in _left_behind(os.path.abspath(path.parent)).get(path.stem, ()):
         with contextlib.suppress(OSError):
             path.with_name(name).unlink()
@@ -119,7 +246,7 @@ def write_beside(
     Parameters
     ----------
     path : path
-        Final name; an existing file is replaced at the end.
+        Final name; see `Place`.  An existing file is replaced at the end.
     suffix : str, optional
         Suffix of the name to write to, for a writer that needs it; default: `path`'s.
 

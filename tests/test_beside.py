@@ -1,11 +1,21 @@
 """Files that appear under their name only when they are whole."""
 import os
+import socket
+import stat
 import subprocess
 import sys
+import threading
 
+import numpy as np
 import pytest
 
+from pdavis_cv import Aedat4Writer, PolarFrame
 from pdavis_cv._beside import Unfinished, write_beside
+from pdavis_cv.export import NpzFile
+from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.davis import Orientation
+from pdavis_cv.recording.davis_trace import TraceWriter, Transfer
+from pdavis_cv.tools.main import main
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path):
@@ -67,3 +77,154 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_stay
     with write_beside(tmp_path / "x.npy") as part:
         part.write_text("whole")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*stay, "x.npy"])
+
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="devices, pipes, locks")
+INFO = RecordingInfo(format="USB", sensor_size=(4, 6))
+ORIENTATION = Orientation()
+
+
+def by_block(path):
+    with write_beside(path) as part:
+        part.write_bytes(b"whole")
+
+
+def by_writer(path):
+    Aedat4Writer(path, sensor_size=(4, 6)).close()
+
+
+def by_stack(path):
+    with NpzFile(path, ("S0",), resume=True) as stack:
+        stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=5))
+
+
+def by_trace(path):
+    with TraceWriter(path, INFO, ORIENTATION) as trace:
+        trace.add(Transfer(b"1234", 0.5))
+
+
+WAYS = pytest.mark.parametrize("write", [by_block, by_writer, by_stack, by_trace])
+
+
+@POSIX
+@WAYS
+def test_the_file_that_a_link_names_is_replaced_and_the_link_stays(write, tmp_path):
+    (tmp_path / "there").mkdir()
+    real, link = tmp_path / "there" / "x.npz", tmp_path / "y.npz"
+    real.write_text("old")
+    link.symlink_to(real)
+    write(link)
+    assert link.is_symlink()
+    assert b"old" != real.read_bytes() == link.read_bytes()
+    assert [*(tmp_path / "there").iterdir()] == [real]
+    assert len(list(tmp_path.iterdir())) == 2
+    real.unlink()       # a link to what is to be made
+    write(link)
+    assert link.is_symlink()
+    assert real.is_file()
+
+
+@POSIX
+@WAYS
+def test_a_pipe_and_a_device_take_the_bytes_and_stay(write, tmp_path, monkeypatch):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(kept))
+    write(tmp_path / "x.npz")
+    wanted = (tmp_path / "x.npz").read_bytes()
+    pipe, read = tmp_path / "pipe.npz", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    write(pipe)
+    reader.join(20)
+    assert len(read[0]) == len(wanted) > 0
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    null = tmp_path / "null"        # by a link, as a mistake must not cost the device
+    null.symlink_to("/dev/null")
+    write(null)
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+    assert sorted(tmp_path.iterdir()) == sorted(
+        [kept, null, pipe, tmp_path / "x.npz"])
+    assert not list(kept.iterdir())
+
+
+@POSIX
+@WAYS
+def test_a_socket_and_a_folder_are_refused_and_stay(write, tmp_path):
+    place = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as one:
+        one.bind(str(place))
+        with pytest.raises(OSError, match="socket is not written to") as error:
+            write(place)
+    assert error.value.filename == str(place)
+    assert stat.S_ISSOCK(place.stat().st_mode)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(IsADirectoryError):
+        write(tmp_path / "folder")
+    assert len(list(tmp_path.iterdir())) == 2
+    assert not list((tmp_path / "folder").iterdir())
+
+
+@POSIX
+def test_what_a_shell_redirects_to_a_file_is_appended_to(tmp_path):
+    code = ("import sys\nfrom pdavis_cv._beside import write_beside\n"
+            "print('before', flush=True)\n"
+            "with write_beside('/dev/stdout') as part: part.write_text('whole')\n"
+            "print('after')")
+    with (tmp_path / "out").open("ab") as out:
+        subprocess.run([sys.executable, "-P", "-c", code], stdout=out, check=True)
+    assert (tmp_path / "out").read_text() == "before\nwholeafter\n"
+
+
+@POSIX
+def test_a_command_does_not_replace_a_device(tmp_path, capsys):
+    null = tmp_path / "null.aedat4"
+    null.symlink_to("/dev/null")
+    assert main(["simulate", "polarizer", "-o", str(null), "--seconds", ".01"]) == 0
+    assert null.is_symlink()
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+    place = tmp_path / "s.aedat4"
+    with socket.socket(socket.AF_UNIX) as one:
+        one.bind(str(place))
+    capsys.readouterr()
+    assert main(["simulate", "polarizer", "-o", str(place), "--seconds", ".01"]) == 2
+    assert capsys.readouterr().err.count("socket is not written to") == 1
+
+
+@POSIX
+def test_two_programs_do_not_write_the_same_stack_at_once(tmp_path):
+    path = tmp_path / "x.npz"
+    with NpzFile(path, ("S0",)) as stack:
+        stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=5))
+        with pytest.raises(OSError, match="another process is writing it"):
+            NpzFile(path, ("S0",))
+        stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=6))
+    with np.load(path) as whole:
+        assert len(whole["t_us"]) == 2
+    by_stack(path)
+
+
+def test_a_trace_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
+    path = tmp_path / "x.usb"
+    trace = TraceWriter(path, INFO, ORIENTATION)
+    trace.add(Transfer(b"1234", 0.5))
+    assert not path.exists()
+    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(
+        OSError(28, "No space left on device")))
+    with pytest.raises(OSError, match="No space") as error:
+        trace.close()
+    assert error.value.filename == str(path)
+    trace.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_trace_that_an_error_ends_is_kept(tmp_path):
+    def ended():
+        with TraceWriter(tmp_path / "x.usb", INFO, ORIENTATION) as trace:
+            trace.add(Transfer(b"1234", 0.5))
+            raise RuntimeError("unplugged")
+
+    with pytest.raises(RuntimeError):
+        ended()
+    assert (tmp_path / "x.usb").read_bytes().endswith(b"1234")

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
+from pdavis_cv._beside import takes_bytes
 from pdavis_cv.errors import PdavisError, PdavisWarning
 
 from ._progress import AlwaysProgress, own_progress, progress, progress_in_time, stage
@@ -312,6 +313,11 @@ def checked_out(
         raise UsageError(f"{path}: there is no folder {path.parent} to write to")
     if not path.exists():
         return
+    try:
+        if not path.is_dir() and takes_bytes(path):     # a folder may hold a stem
+            return
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from None
     if source is not None and os.path.exists(source) and path.samefile(source):
         raise UsageError(f"{path} is the recording that is read; write another file")
     if recording and not force:

@@ -40,7 +40,7 @@ class Hdf5File(StackFile):
         height, width = self.shape or (0, 0)
         stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", HEADER, (
             self.count, len(self.quantities), height, width))
-        part = self.path.with_name(f".{self.path.name}.part")
+        part = self.part
         try:
             # h5py raises again when it closes a file that it could not write.
             with contextlib.closing(_File(self._h5py, part)) as target:

@@ -24,7 +24,7 @@ class NpzFile(StackFile):
         height, width = self.shape or (0, 0)
         shape = (self.count, len(self.quantities), height, width)
         stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", HEADER, shape)
-        part = self.path.with_name(f".{self.path.name}.part")
+        part = self.part
         try:
             with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
                 for c, name in enumerate(self.quantities):

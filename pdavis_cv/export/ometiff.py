@@ -42,7 +42,7 @@ class OmeTiffFile(StackFile):
     def _finish(self) -> Path:
         shape = (self.count, len(self.quantities), *(self.shape or (0, 0)))
         stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", HEADER, shape)
-        part = self.path.with_name(f".{self.path.name}.part")
+        part = self.part
         try:
             with self._tifffile.TiffWriter(
                     part, bigtiff=stack.nbytes > _CLASSIC_END, byteorder="<",

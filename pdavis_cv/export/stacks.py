@@ -13,6 +13,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._beside import Place, sole
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.polarimetry import PolarFrame
 
@@ -121,25 +122,35 @@ class StackFile(ABC):
         self.quantities = names_of(quantities)
         if pixel_um is not None and not (np.isfinite(pixel_um) and pixel_um > 0):
             raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
-        self.pixel_um, self.resume = pixel_um, resume
+        self.pixel_um = pixel_um
         self.facts = {**(facts or {}), "units": {
             name: QUANTITIES[name] for name in self.quantities}}
         self.times_us: list[int] = []
         self.shape: tuple[int, int] | None = None
         self._closed = False
-        self.unfinished = self.path.with_name(f".{self.path.name}.unfinished")
-        self._log_path = self.path.with_name(f".{self.path.name}.unfinished.log")
+        self._place = Place(self.path)
+        self.resume = resume and not self._place.takes_bytes
+        beside = self._place.beside
+        self.part = beside.with_name(f".{beside.name}.part")
+        self.unfinished = beside.with_name(f".{beside.name}.unfinished")
+        self._log_path = beside.with_name(f".{beside.name}.unfinished.log")
         self._identity = hashlib.sha256(to_json(
             {**self.facts, "kind": type(self).__name__}).encode()).digest()
-        if not (resume and self._continue()):
-            self._data: BinaryIO = self.unfinished.open("wb")
-            try:
+        self._log: BinaryIO = self._log_path.open("ab", buffering=0)
+        try:
+            sole(self._log, self.path)
+        except BaseException:       # what the other process writes stays
+            self._log.close()
+            raise
+        try:
+            if not (self.resume and self._continue()):
+                self._data: BinaryIO = self.unfinished.open("wb")
                 self._data.write(bytes(HEADER))
-                self._log: BinaryIO = self._log_path.open("wb", buffering=0)
+                self._log.truncate(0)
                 self._log.write(self._identity)
-            except BaseException:
-                self.discard()
-                raise
+        except BaseException:
+            self.discard()
+            raise
 
     @property
     def count(self) -> int:
@@ -169,9 +180,7 @@ class StackFile(ABC):
         self._data = self.unfinished.open("r+b")
         self._data.truncate(HEADER + whole * self._image_bytes)
         self._data.seek(0, os.SEEK_END)
-        self._log = self._log_path.open("r+b", buffering=0)
         self._log.truncate(32 + 16 + 8 * whole)
-        self._log.seek(0, os.SEEK_END)
         return True
 
     @property
@@ -248,7 +257,7 @@ class StackFile(ABC):
             self._data.flush()
             whole = self._finish()
             try:
-                os.replace(whole, self.path)
+                self._place.put(whole)
             except BaseException as error:
                 if whole != self.unfinished:    # which --resume continues
                     whole.unlink(missing_ok=True)
@@ -262,6 +271,7 @@ class StackFile(ABC):
         self._release()
         self.unfinished.unlink(missing_ok=True)
         self._log_path.unlink(missing_ok=True)
+        self._place.close()
 
     def _release(self) -> None:
         self._closed = True

@@ -6,6 +6,7 @@ the number of bytes that follow (uint32), all little-endian, and the bytes.
 """
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
+from pdavis_cv._beside import Unfinished
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Packet, RecordingInfo
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
@@ -52,6 +54,9 @@ class Transfer:
 class TraceWriter:
     """Write transfers to a file; use as a context manager, or call `close`.
 
+    The file gets its name when the writer is closed, also by an exception, as it holds
+    what was sent until then; if it could not be written, no file remains.
+
     Parameters
     ----------
     path : path
@@ -68,17 +73,37 @@ class TraceWriter:
         head = {"camera": info.camera, "serial": info.serial,
                 "sensor_size": info.sensor_size, "header": dict(info.header),
                 "orientation": dataclasses.asdict(orientation)}
-        self._file = open(path, "wb")
-        self._file.write(MAGIC + json.dumps(head).encode() + b"\n")
+        self._unfinished = Unfinished(path)
+        with self._unfinished.named():
+            self._file = self._unfinished.part.open("wb")
+        with self._writing():
+            self._file.write(MAGIC + json.dumps(head).encode() + b"\n")
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Remove the file after an error in the block, which is of the system."""
+        try:
+            with self._unfinished.named():
+                yield
+        except OSError:
+            with contextlib.suppress(OSError):   # the disk may be too full to flush
+                self._file.close()
+            self._unfinished.discard()
+            raise
 
     def add(self, transfer: Transfer) -> None:
         """Write a transfer."""
-        self._file.write(_RECORD.pack(
-            transfer.host_s, transfer.lost, len(transfer.data)) + transfer.data)
+        with self._writing():
+            self._file.write(_RECORD.pack(
+                transfer.host_s, transfer.lost, len(transfer.data)) + transfer.data)
 
     def close(self) -> None:
-        """Finish the file."""
-        self._file.close()
+        """Finish the file and give it its name."""
+        if self._file.closed:
+            return
+        with self._writing():
+            self._file.close()
+            self._unfinished.finish()
 
     def __enter__(self) -> Self:
         return self
