@@ -108,3 +108,25 @@ def test_a_frame_is_copied_with_changes():
         frame.replace(available_us=19)
     with pytest.raises(TypeError, match="brightness"):
         frame.replace(brightness=1)
+
+
+def test_a_cropped_frame_is_the_one_that_the_parts_make():
+    rng = np.random.default_rng(0)
+    starts = np.arange(6)
+    planes = {"dn": rng.random((4, 6), np.float32), "valid": rng.random((4, 6)) > 0.5,
+              "reset": rng.integers(0, 9, (4, 6), np.uint16),
+              "signal": rng.integers(0, 9, (4, 6), np.uint16)}
+    rows, columns = slice(1, 3), slice(2, 5)
+
+    def made(planes, starts):
+        return ApsFrame(exposure_start_us=starts, exposure_end_us=starts + 7,
+                        available_us=20, full_scale_dn=255, **planes)
+
+    whole = made(planes, starts)
+    got = whole.cropped(rows, columns)
+    wanted = made({name: plane[rows, columns] for name, plane in planes.items()},
+                  starts[columns])
+    for name in ApsFrame.__slots__:
+        np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
+    assert got.dn.flags.c_contiguous
+    assert whole.shape == (4, 6)

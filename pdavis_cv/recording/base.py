@@ -1,6 +1,7 @@
 """Source, Recording, Packet, ApsFrame and the facts about a recording."""
 from __future__ import annotations
 
+import copy
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -203,11 +204,13 @@ class ApsFrame:
         def times(value: int | NDArray[np.int64]) -> int | NDArray[np.int64]:
             return value if isinstance(value, int) else value[columns]
 
-        return self.replace(
-            dn=self.dn[rows, columns],
-            exposure_start_us=times(self.exposure_start_us),
-            exposure_end_us=times(self.exposure_end_us), valid=part(self.valid),
-            reset=part(self.reset), signal=part(self.signal))
+        frame = copy.copy(self)     # what the constructor checks holds for a part, too
+        frame.dn = np.ascontiguousarray(self.dn[rows, columns])
+        frame.exposure_start_us = times(self.exposure_start_us)
+        frame.exposure_end_us = times(self.exposure_end_us)
+        frame.valid, frame.reset, frame.signal = map(
+            part, (self.valid, self.reset, self.signal))
+        return frame
 
     def __repr__(self) -> str:
         height, width = self.dn.shape
