@@ -7,7 +7,7 @@ from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport (
     REST_VARIANCE, ahead, at_rest, between, drift, moving, never, part_t,
-    quiet, silence, start, step, still, walk_t)
+    quiet, p_rest, start, step, still, walk_t)
 
 cdef extern from *:
     """
@@ -22,7 +22,7 @@ cdef struct reading_t:
     double n_off
     double level            # log intensity behind the photoreceptor's lag
     double lag              # true log intensity minus level
-    double doubt            # probability that the last event is noise
+    double p_noise          # probability that the last event is noise
 
 cdef struct rest_t:
     # A pixel at rest: log intensity, its variance at an epoch (< 0: no sample was
@@ -71,7 +71,7 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
             part = ahead(walk, on, off, lamp, hz, tuning.refractory_us, t)
     if tuning.still_us <= 0.0 or lamp.blocks > 0:
         return part
-    rest = silence(gap, tuning.still_us)
+    rest = p_rest(gap, tuning.still_us)
     part.var = (1.0 - rest) * (part.var + rest * part.fraction * part.fraction)
     part.rate_var = (1.0 - rest) * (part.rate_var + rest * part.rate * part.rate)
     part.fraction *= 1.0 - rest
@@ -85,28 +85,30 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
     return part
 
 
-cdef inline double unheard(const walk_t* walk, int64_t sampled,
-                           const tuning_t* tuning) noexcept nogil:
+cdef inline double noise_if_silent(const walk_t* walk, int64_t sampled,
+                                   const tuning_t* tuning) noexcept nogil:
     """Probability that the last event passed is noise, given that silence follows."""
-    if tuning.doubt <= 0.0 or walk.t <= sampled:
+    if tuning.p_noise <= 0.0 or walk.t <= sampled:
         return 0.0
-    return tuning.doubt * silence(<double>(walk.t - walk.t_prev), tuning.still_us)
+    return tuning.p_noise * p_rest(<double>(walk.t - walk.t_prev), tuning.still_us)
 
 
-cdef inline double doubted(const walk_t* walk, const stored_t* store, int64_t known,
-                           int64_t sampled, const tuning_t* tuning) noexcept nogil:
+cdef inline double noise_probability(const walk_t* walk, const stored_t* store,
+                                     int64_t known, int64_t sampled,
+                                     const tuning_t* tuning) noexcept nogil:
     """Probability that the last event passed is noise; 0 once a sample followed it.
 
-    Only isolated events are doubted, with silence before and after.
+    It is not 0 only for isolated events, without others shortly before and after.
     """
-    cdef double doubt = unheard(walk, sampled, tuning)
-    if doubt > 0.0 and walk.next >= 0 and store[walk.next].t <= known:
-        doubt *= silence(<double>(store[walk.next].t - walk.t), tuning.still_us)
-    return doubt
+    cdef double p_noise = noise_if_silent(walk, sampled, tuning)
+    if p_noise > 0.0 and walk.next >= 0 and store[walk.next].t <= known:
+        p_noise *= p_rest(<double>(store[walk.next].t - walk.t), tuning.still_us)
+    return p_noise
 
 
-cdef inline double moved(const walk_t* walk, const stored_t* store, int64_t known,
-                         int64_t sampled, const tuning_t* tuning) noexcept nogil:
+cdef inline double motion_noise(const walk_t* walk, const stored_t* store,
+                                int64_t known, int64_t sampled,
+                                const tuning_t* tuning) noexcept nogil:
     """Variance (theta^2) due to motion, as in the update by the next sample.
 
     One motion_variance for the sum of events if there were any since the last sample,
@@ -140,11 +142,11 @@ cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
         hz = corner(tuning, s.base + s.theta_on * r.n_on - s.theta_off * r.n_off)
     r.part = part_at(&r.walk, store, known, s.theta_on, s.theta_off, lamp, hz,
                      tuning, s, <double>t)
-    r.doubt = doubted(&r.walk, store, known, s.sampled_us, tuning)
+    r.p_noise = noise_probability(&r.walk, store, known, s.sampled_us, tuning)
     if r.walk.p:
-        r.n_on -= r.doubt
+        r.n_on -= r.p_noise
     else:
-        r.n_off -= r.doubt
+        r.n_off -= r.p_noise
     if r.part.p:
         r.n_on += r.part.fraction
         theta = s.theta_on
@@ -155,8 +157,8 @@ cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
     r.lag = lead(theta * r.part.rate + r.part.ripple_rate, r.level, tuning)
 
 
-cdef inline double counted(const state_t* s, double n_on,
-                           double n_off) noexcept nogil:
+cdef inline double counts_variance(const state_t* s, double n_on,
+                                   double n_off) noexcept nogil:
     """Variance of base + theta_on n_on - theta_off n_off."""
     return (s.var_base + n_on * n_on * s.var_on + n_off * n_off * s.var_off
             + 2.0 * (n_on * s.cov_base_on - n_off * s.cov_base_off
@@ -182,15 +184,15 @@ cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
     """Return the estimate of a pixel at rest; walk has passed its last event."""
     cdef rest_t rest
     cdef double theta2 = theta_squared(s), v, n_on = walk.n_on, n_off = walk.n_off
-    cdef double doubt = unheard(walk, s.sampled_us, tuning)
+    cdef double p_noise = noise_if_silent(walk, s.sampled_us, tuning)
     if is_hot(s):
         n_on = 0.0
         n_off = 0.0
-        doubt = 0.0
+        p_noise = 0.0
     elif walk.p:
-        n_on -= doubt
+        n_on -= p_noise
     else:
-        n_off -= doubt
+        n_off -= p_noise
     if not is_hot(s) and holds(s, walk, tuning):
         if walk.p:
             n_on += s.part
@@ -201,13 +203,13 @@ cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
     rest.per_s = 0.0
     rest.offset = 0.0
     if s.samples > 0:
-        v = counted(s, n_on, n_off) + theta2 * drift(
+        v = counts_variance(s, n_on, n_off) + theta2 * drift(
             epoch - s.sampled_us, walk.n_on + walk.n_off, tuning)
         v += part_variance(s, s.sampled_us, walk.t)
         if is_hot(s):
             v += s.moves
         elif walk.t > s.sampled_us:
-            v += theta2 * (doubt * (1.0 - doubt) + 2.0 * tuning.motion_variance)
+            v += theta2 * (p_noise * (1.0 - p_noise) + 2.0 * tuning.motion_variance)
         rest.variance = <float>(v if v > 0.0 else 0.0)
         rest.per_s = <float>(theta2 * tuning.leak_per_s)
         v = tuning.offset_dn * s.pull
@@ -270,9 +272,9 @@ cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
         valid[0] = 0
         return
     theta2 = theta_squared(s)
-    r.part.var += r.doubt * (1.0 - r.doubt) + moved(
+    r.part.var += r.p_noise * (1.0 - r.p_noise) + motion_noise(
         &r.walk, store, known, s.sampled_us, tuning)
-    v = (theta2 * r.part.var + counted(s, r.n_on, r.n_off)
+    v = (theta2 * r.part.var + counts_variance(s, r.n_on, r.n_off)
          + theta2 * drift(t - s.sampled_us, r.walk.n_on + r.walk.n_off, tuning))
     v = v if v > LEAST_VARIANCE else LEAST_VARIANCE
     valid[0] = v <= tuning.valid_variance

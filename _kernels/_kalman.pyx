@@ -8,7 +8,7 @@ the base.  docs/theory/kalman.md derives it.
 """
 from libc.stdint cimport int32_t, int64_t
 
-from _kernels._estimate cimport doubted, holds, part_at, theta_squared
+from _kernels._estimate cimport holds, noise_probability, part_at, theta_squared
 from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
 from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t
@@ -198,9 +198,9 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     group.rests[i] = 0.0
     group.unit[i] = 0.0
     group.events[i] = 0.0
-    group.doubt[i] = 0.0
-    group.worth[i] = 1.0
-    group.noted[i] = 0.0
+    group.p_noise[i] = 0.0
+    group.event_step[i] = 1.0
+    group.included[i] = 0.0
 
 
 cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t known,
@@ -211,7 +211,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     """Propagate the state to a sample, de-blur the sample, add both to the group."""
     cdef walk_t walk, at_mid, later
     cdef sum_t total
-    cdef double doubt = 0.0, motion = 0.0, unit = 0.0, worth = 1.0, events = 0.0
+    cdef double p_noise = 0.0, motion = 0.0, unit = 0.0, event_step = 1.0, events = 0.0
     cdef double theta2 = theta_squared(s)
     cdef double at_on, at_off, all_on, all_off
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
@@ -256,9 +256,9 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         return
     if not fresh:
         learn = n_on + n_off >= LEARN_EVENTS
-        doubt = doubted(&at_mid, store, known, s.sampled_us, tuning)
+        p_noise = noise_probability(&at_mid, store, known, s.sampled_us, tuning)
         added = theta2 * (drift(mid - s.sampled_us, n_on + n_off, tuning)
-                          + doubt * (1.0 - doubt))
+                          + p_noise * (1.0 - p_noise))
         motion = theta2 * tuning.motion_variance
         events = theta2 * (n_on + n_off)
         if n_on + n_off > 0.5:      # less than that is no event, up to rounding
@@ -269,11 +269,11 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
             unit = theta2
             noise += motion
         if at_mid.p:
-            n_on -= doubt
-            worth = s.theta_on
+            n_on -= p_noise
+            event_step = s.theta_on
         else:
-            n_off -= doubt
-            worth = -s.theta_off
+            n_off -= p_noise
+            event_step = -s.theta_off
         if learn:
             s.var_on += tuning.threshold_drift * s.theta_on * s.theta_on
             s.var_off += tuning.threshold_drift * s.theta_off * s.theta_off
@@ -328,9 +328,9 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     group.rests[i] = not fresh and unit == 0.0
     group.unit[i] = unit
     group.events[i] = events
-    group.doubt[i] = doubt
-    group.worth[i] = worth
-    group.noted[i] = 1.0
+    group.p_noise[i] = p_noise
+    group.event_step[i] = event_step
+    group.included[i] = 1.0
     s.samples += 1
     s.sampled_us = mid
 
@@ -338,11 +338,11 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
 cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
                         state_t* s) noexcept nogil:
     """Copy the updated state from the group, and complete the smoother's node."""
-    cdef double doubt = group.doubt[i]
+    cdef double p_noise = group.p_noise[i]
     slot.node.noise = <float>group.noise[i]
-    # The smoother counts a doubted event in full, so its squared bias is added.
+    # The smoother counts a possible noise event in full: its squared bias is added.
     slot.node.drift = <float>(
-        slot.added + group.jump[i] + slot.theta2 * doubt * doubt)
+        slot.added + group.jump[i] + slot.theta2 * p_noise * p_noise)
     s.base = group.base[i]
     s.theta_on = group.theta_on[i]
     s.theta_off = group.theta_off[i]

@@ -60,7 +60,7 @@ typedef struct {
 } shown_t;
 
 /* Probability that a pixel without an event for a gap is at rest: see _tracks.pxd. */
-PDAVIS_INLINE double silence_of(double gap, double still_us)
+PDAVIS_INLINE double p_rest_of(double gap, double still_us)
 {
     if (still_us <= 0.0)
         return 0.0;
@@ -78,10 +78,10 @@ PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
     const double *restrict table = AHEAD[0];
     ptrdiff_t i;
     for (i = from; i < n; i++) {
-        double gap = l->before[i] - refractory, heard = g->since[i] - refractory;
+        double gap = l->before[i] - refractory, active_us = g->since[i] - refractory;
         double u, fine, coarse, near, w, node;
         gap = gap > AHEAD_LEAST_US ? gap : AHEAD_LEAST_US;
-        u = (heard > 0.0 ? heard : 0.0) / gap;
+        u = (active_us > 0.0 ? active_us : 0.0) / gap;
         fine = u / AHEAD_FINE;
         coarse = u / AHEAD_COARSE - knee / AHEAD_COARSE;
         near = u < knee ? 1.0 : 0.0;
@@ -119,20 +119,20 @@ PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
     look_up(l, g, refractory, from, n);
     for (i = from; i < n; i++) {
         double before = l->before[i], since = g->since[i], gap = g->gap[i];
-        double over = g->over[i], deaf = since < refractory ? since : refractory;
-        double moving = 1.0 - over, hears = since < refractory ? 0.0 : 1.0;
+        double over = g->over[i], reset = since < refractory ? since : refractory;
+        double moving = 1.0 - over, active = since < refractory ? 0.0 : 1.0;
         double first = AHEAD[0][1], per_s = 1e6 / gap, rest;
-        double part = moving * hears * g->part[i], rate = moving * hears * g->rate[i];
+        double part = moving * active * g->part[i], rate = moving * active * g->rate[i];
         double var = moving * g->v[i] + over * REST_VARIANCE;
         double rate_var = moving * g->rate_var[i];
         first += (1.0 - l->same[i]) * (AHEAD[AHEAD_NODES][1] - AHEAD[0][1]);
         first *= moving;
-        rate = per_s * (rate + (1.0 - hears) * first);
-        part += first * deaf / gap;
+        rate = per_s * (rate + (1.0 - active) * first);
+        part += first * reset / gap;
         rate_var *= PER_S2 / (gap * gap);
         g->fall[i] = (l->theta[i] < 0.0 ? -l->theta[i] : 0.0)
             * (moving * l->same[i] * per_s);
-        rest = silence_of(before > since ? before : since, r->still_us);
+        rest = p_rest_of(before > since ? before : since, r->still_us);
         g->v[i] = (1.0 - rest) * (var + rest * part * part);
         g->rate_var[i] = (1.0 - rest) * (rate_var + rest * rate * rate);
         g->part[i] = (1.0 - rest) * part
@@ -152,13 +152,13 @@ PDAVIS_INLINE void expect_quiet(const lanes_t *restrict l, shown_t *restrict g,
     for (i = from; i < n; i++) {
         double since = g->since[i], gap = r->known - l->last[i], s = since / gap;
         double first = l->before[i] - refractory, per_s = 1e6 / gap;
-        double deaf = since < refractory ? since : refractory;
+        double reset = since < refractory ? since : refractory;
         double part = 2.0 * s * (1.0 - s), rate = (2.0 - 4.0 * s) * per_s, rest;
         double rate_var = QUIET_RATE_VARIANCE * PER_S2 / (gap * gap);
         first = first > GAP_LEAST_US ? first : GAP_LEAST_US;
-        part += deaf / first;
+        part += reset / first;
         rate += since < refractory ? 1e6 / first : 0.0;
-        rest = silence_of(l->before[i] > gap ? l->before[i] : gap, r->still_us);
+        rest = p_rest_of(l->before[i] > gap ? l->before[i] : gap, r->still_us);
         g->fall[i] = 0.0;
         g->v[i] = (1.0 - rest) * (QUIET_VARIANCE + rest * part * part);
         g->rate_var[i] = (1.0 - rest) * (rate_var + rest * rate * rate);

@@ -6,7 +6,7 @@ constants, which `enter` computes and _lanes.h evaluates for a group of pixels a
 from libc.stdint cimport int64_t
 
 from _kernels._estimate cimport (
-    LEAST_VARIANCE, counted, holds, theta_squared, unheard)
+    LEAST_VARIANCE, counts_variance, holds, noise_if_silent, theta_squared)
 from _kernels._lag cimport PER_TURN     # with the constants that _lanes.h shares
 from _kernels._model cimport state_t, tuning_t
 from _kernels._tracks cimport drift, walk_t
@@ -83,17 +83,17 @@ cdef inline void enter(lanes_t* lanes, Py_ssize_t i, const walk_t* walk,
     event: v0 + part (v1 + part v2), from the covariance of (base, theta_on, theta_off).
     """
     cdef double n_on = walk.n_on, n_off = walk.n_off, theta2 = theta_squared(s), u, v
-    cdef double doubt = unheard(walk, s.sampled_us, tuning)
-    v = doubt * (1.0 - doubt) + drift(epoch - s.sampled_us, n_on + n_off, tuning)
+    cdef double p_noise = noise_if_silent(walk, s.sampled_us, tuning)
+    v = p_noise * (1.0 - p_noise) + drift(epoch - s.sampled_us, n_on + n_off, tuning)
     if walk.t > s.sampled_us:
         v += 2.0 * tuning.motion_variance
     if walk.p:
-        n_on -= doubt
+        n_on -= p_noise
         lanes.theta[i] = s.theta_on
         lanes.v1[i] = 2.0 * (n_on * s.var_on + s.cov_base_on - n_off * s.cov_on_off)
         lanes.v2[i] = s.var_on
     else:
-        n_off -= doubt
+        n_off -= p_noise
         lanes.theta[i] = -s.theta_off
         lanes.v1[i] = 2.0 * (n_off * s.var_off - s.cov_base_off - n_on * s.cov_on_off)
         lanes.v2[i] = s.var_off
@@ -103,7 +103,7 @@ cdef inline void enter(lanes_t* lanes, Py_ssize_t i, const walk_t* walk,
     lanes.level[i] = s.base + s.theta_on * n_on - s.theta_off * n_off
     lanes.theta2[i] = theta2
     lanes.held[i] = s.part if holds(s, walk, tuning) else 0.0
-    lanes.v0[i] = theta2 * v + counted(s, n_on, n_off)
+    lanes.v0[i] = theta2 * v + counts_variance(s, n_on, n_off)
     u = tuning.offset_dn * s.pull
     lanes.offset[i] = u * u
     lanes.measured[i] = s.samples > 0

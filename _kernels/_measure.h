@@ -15,11 +15,11 @@ enum {
     TOGETHER = 64,              /* pixels per call of measure */
     LANES = 8,                  /* number of partial sums, the same on every CPU */
     /* Rows of `terms`, the contributions of a sample to the sums over all samples:
-       e^2 / v; ln v; 1; evidence against a doubted event, and weight of that; normal
+       e^2 / v; ln v; 1; noise events that frames show, and the number expected; normal
        equations of e^2 for the noise of motion and per event, relative to v without
        both; of e^2 for read and shot noise, if there is no event; of e for the relative
        changes of both thresholds since the sample before. */
-    RATIO = 0, LOG, COUNT, DENIED, DOUBTED,
+    RATIO = 0, LOG, COUNT, NOISE_COUNT, NOISE_WEIGHT,
     MOTION, EVENTS, MOTION_MOTION, MOTION_EVENTS, EVENTS_EVENTS,
     READ, SHOT, READ_READ, READ_SHOT, SHOT_SHOT,
     ON, OFF, ON_ON, ON_OFF, OFF_OFF, TERMS
@@ -49,9 +49,9 @@ typedef struct {
     double rests[TOGETHER];     /* 1 if no event indicates motion, else 0 */
     double unit[TOGETHER];      /* derivative of v by motion_variance */
     double events[TOGETHER];    /* derivative of v by noise_per_event */
-    double doubt[TOGETHER];     /* probability that the last event is noise */
-    double worth[TOGETHER];     /* change of the base by that event */
-    double noted[TOGETHER];     /* 1, or 0: left out of the sums */
+    double p_noise[TOGETHER];   /* probability that the last event is noise */
+    double event_step[TOGETHER];        /* change of the base by that event */
+    double included[TOGETHER];  /* 1, or 0: left out of the sums */
     /* Variance of the innovation; that of a jump of the base; see RATIO ... */
     double v[TOGETHER], jump[TOGETHER];
     double terms[TERMS][TOGETHER];
@@ -103,7 +103,8 @@ PDAVIS_INLINE void linearize(group_t *restrict g, const policy_t *restrict p,
 }
 
 /* Set the samples' contributions to the sums that the noise is estimated from. */
-PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff_t n)
+PDAVIS_INLINE void set_terms(group_t *restrict g, const policy_t *restrict p,
+                             ptrdiff_t n)
 {
     ptrdiff_t i;
     for (i = 0; i < n; i++)
@@ -112,24 +113,24 @@ PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff
         double ratio = g->terms[RATIO][i], v = g->v[i], offset = g->spread[i];
         /* The weights exclude both noises: otherwise the first samples, before the
            noises are known, would outweigh all later ones. */
-        double calm = v - g->unit[i] * p->motion_variance
-                      - g->events[i] * p->noise_per_event + offset * offset;
-        double unit = g->unit[i] / calm, events = g->events[i] / calm;
-        double excess = ratio * v / calm - 1.0;
-        double denied = g->doubt[i] - g->innovation[i] / g->worth[i];
-        int doubted = g->doubt[i] > 0.0;
-        denied = denied > 0.0 ? denied : 0.0;
-        denied = g->doubt[i] * (denied < 1.0 ? denied : 1.0);
-        int noted = g->noted[i] > 0.0;
-        g->terms[LOG][i] = noted ? g->narrow[i] : 0.0;
-        g->terms[COUNT][i] = g->noted[i];
+        double plain_v = v - g->unit[i] * p->motion_variance
+                         - g->events[i] * p->noise_per_event + offset * offset;
+        double unit = g->unit[i] / plain_v, events = g->events[i] / plain_v;
+        double excess = ratio * v / plain_v - 1.0;
+        double noise = g->p_noise[i] - g->innovation[i] / g->event_step[i];
+        int noisy = g->p_noise[i] > 0.0;
+        noise = noise > 0.0 ? noise : 0.0;
+        noise = g->p_noise[i] * (noise < 1.0 ? noise : 1.0);
+        int included = g->included[i] > 0.0;
+        g->terms[LOG][i] = included ? g->narrow[i] : 0.0;
+        g->terms[COUNT][i] = g->included[i];
         g->terms[MOTION][i] = unit * excess;
         g->terms[EVENTS][i] = events * excess;
         g->terms[MOTION_MOTION][i] = unit * unit;
         g->terms[MOTION_EVENTS][i] = unit * events;
         g->terms[EVENTS_EVENTS][i] = events * events;
-        g->terms[DENIED][i] = doubted ? denied : 0.0;
-        g->terms[DOUBTED][i] = doubted ? g->doubt[i] : 0.0;
+        g->terms[NOISE_COUNT][i] = noisy ? noise : 0.0;
+        g->terms[NOISE_WEIGHT][i] = noisy ? g->p_noise[i] : 0.0;
     }
     for (i = 0; i < n; i++) {
         /* Relative derivatives of v by the variances of read and shot noise. */
@@ -137,10 +138,10 @@ PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff
         double read = shot * g->per_dn[i];
         double excess = g->terms[RATIO][i] - 1.0 + read * p->read_variance
                         + shot * p->shot_variance;
-        int told = (g->rests[i] > 0.0) & (g->noise[i] <= LINEAR_VARIANCE);
-        read = told ? read : 0.0;
-        shot = told ? shot : 0.0;
-        excess = told ? excess : 0.0;
+        int usable = (g->rests[i] > 0.0) & (g->noise[i] <= LINEAR_VARIANCE);
+        read = usable ? read : 0.0;
+        shot = usable ? shot : 0.0;
+        excess = usable ? excess : 0.0;
         g->terms[READ][i] = read * excess;
         g->terms[SHOT][i] = shot * excess;
         g->terms[READ_READ][i] = read * read;
@@ -148,7 +149,7 @@ PDAVIS_INLINE void note(group_t *restrict g, const policy_t *restrict p, ptrdiff
         g->terms[SHOT_SHOT][i] = shot * shot;
     }
     for (i = 0; i < n; i++)
-        g->terms[RATIO][i] = g->noted[i] > 0.0 ? g->terms[RATIO][i] : 0.0;
+        g->terms[RATIO][i] = g->included[i] > 0.0 ? g->terms[RATIO][i] : 0.0;
 }
 
 PDAVIS_INLINE double limited(double theta, double prior, const policy_t *p)
@@ -188,17 +189,17 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         double g1 = g->cov_base_on[i] + on * g->var_on[i] + off * g->cov_on_off[i];
         double g2 = g->cov_base_off[i] + on * g->cov_on_off[i] + off * g->var_off[i];
         double v = g0 + on * g1 + off * g2 + g->noise[i], ratio = e * e / v, jump;
-        double k0, k1, k2, learn = g->learn[i], told;
+        double k0, k1, k2, learn = g->learn[i], weight;
         double by_on = g->theta_on[i] * (g->n_on[i] + on);
         double by_off = g->theta_off[i] * (off - g->n_off[i]);
         /* Lost events or a wrong sample make the base jump, but not the thresholds. */
         jump = ratio > most ? e * e : 0.0;
-        told = ratio > most ? 0.0 : learn / v;
-        g->terms[ON][i] = told * by_on * e;
-        g->terms[OFF][i] = told * by_off * e;
-        g->terms[ON_ON][i] = told * by_on * by_on;
-        g->terms[ON_OFF][i] = told * by_on * by_off;
-        g->terms[OFF_OFF][i] = told * by_off * by_off;
+        weight = ratio > most ? 0.0 : learn / v;
+        g->terms[ON][i] = weight * by_on * e;
+        g->terms[OFF][i] = weight * by_off * e;
+        g->terms[ON_ON][i] = weight * by_on * by_on;
+        g->terms[ON_OFF][i] = weight * by_on * by_off;
+        g->terms[OFF_OFF][i] = weight * by_off * by_off;
         g->v[i] = v;
         g->narrow[i] = (float)v;
         g->jump[i] = jump;
@@ -221,7 +222,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         g->cov_on_off[i] -= k1 * g2;
         g->var_off[i] -= k2 * g2;
     }
-    note(g, p, n);
+    set_terms(g, p, n);
     add_up(g, n, sums);
 }
 

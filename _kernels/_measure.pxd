@@ -43,9 +43,9 @@ cdef extern from "_measure.h" nogil:
         double rests[TOGETHER]
         double unit[TOGETHER]
         double events[TOGETHER]
-        double doubt[TOGETHER]
-        double worth[TOGETHER]
-        double noted[TOGETHER]
+        double p_noise[TOGETHER]
+        double event_step[TOGETHER]
+        double included[TOGETHER]
         double jump[TOGETHER]
     void measure(group_t*, const policy_t*, Py_ssize_t, double* sums)
 

@@ -55,7 +55,7 @@ cdef packed struct tuning_t:
     double offset_dn
     double valid_variance
     double motion_variance
-    double doubt
+    double p_noise
     double still_us
     double refractory_us
     double threshold_drift  # variance of the relative change from frame to frame

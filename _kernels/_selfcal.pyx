@@ -2,7 +2,7 @@
 
 For each candidate (bandwidth and noise) and each pixel a Kalman filter of (base,
 theta_on, theta_off) runs over the pixel's frames: the model and the equations are
-those of kalman_frame, without its noise of motion, doubted events and rest.  The sums
+those of kalman_frame, without its noise of motion, noise at rest, and rest.  The sums
 of e^2 / v, |e / sqrt(v)|^1.5 and ln v are returned per candidate.
 A pixel's events are contiguous in memory, so that no store of recent events is needed.
 """

@@ -122,7 +122,7 @@ cdef inline bint at_rest(int64_t last, int64_t t) noexcept nogil:
     return never(last) or t - last >= REST_US
 
 
-cdef inline double silence(double gap, double still_us) noexcept nogil:
+cdef inline double p_rest(double gap, double still_us) noexcept nogil:
     """Probability that a pixel without an event for a gap is at rest."""
     gap /= still_us
     gap *= gap
@@ -130,7 +130,8 @@ cdef inline double silence(double gap, double still_us) noexcept nogil:
     return gap / (1.0 + gap)
 
 
-cdef inline double audible(int64_t t0, int64_t t1, double refractory) noexcept nogil:
+cdef inline double sensitive_us(int64_t t0, int64_t t1,
+                                double refractory) noexcept nogil:
     """Return how long a pixel was sensitive between two events, us."""
     cdef double gap = <double>(t1 - t0) - refractory
     return gap if gap > GAP_LEAST_US else GAP_LEAST_US
@@ -149,11 +150,11 @@ cdef inline loss_t lost(int64_t before, int64_t t, int64_t next,
     loss.after = 0.0
     if refractory <= 0.0 or never(t):
         return loss
-    second = audible(t, next, refractory)
+    second = sensitive_us(t, next, refractory)
     if never(before):
         loss.after = refractory / second
         return loss
-    first = audible(before, t, refractory)
+    first = sensitive_us(before, t, refractory)
     whole = first + 2.0 * refractory + second
     loss.before = refractory * (refractory + second) / (first * whole)
     loss.after = refractory * (first + refractory) / (second * whole)
@@ -301,7 +302,7 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
         q = <double>(walk.t - walk.t_prev)
         q = q if q > GAP_LEAST_US else GAP_LEAST_US
         # The slope before the last event, extrapolated over the gap before it.
-        last *= q / audible(walk.t_prev, walk.t, refractory) / (next + TINY)
+        last *= q / sensitive_us(walk.t_prev, walk.t, refractory) / (next + TINY)
         part.fall = 1e6 / q if p1 else 0.0
         q /= gap
         beyond = TURN_MOST + loss.before
@@ -327,8 +328,8 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     return part
 
 
-cdef inline void add_deaf(part_t* part, double since, double gap, double first,
-                          double refractory) noexcept nogil:
+cdef inline void add_in_reset(part_t* part, double since, double gap, double first,
+                              double refractory) noexcept nogil:
     """Add the change of light while the pixel is held in reset after its last event.
 
     The light continues at `first` thresholds per gap (us); since: time since the event.
@@ -392,7 +393,7 @@ cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
     part.fraction = 2.0 * s * (1.0 - s)
     part.rate = (2.0 - 4.0 * s) * 1e6 / gap
     if refractory > 0.0 and not never(walk.t_prev):
-        add_deaf(&part, t - <double>walk.t, audible(
+        add_in_reset(&part, t - <double>walk.t, sensitive_us(
             walk.t_prev, walk.t, refractory), 1.0, refractory)
     add_ripple(&part, lamp, hz, walk.t, t)
     return part
@@ -472,6 +473,7 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         if since < refractory:
             part.fraction = 0.0
             part.rate = 0.0
-        add_deaf(&part, since, gap, AHEAD[0 if same else AHEAD_NODES][1], refractory)
+        add_in_reset(&part, since, gap, AHEAD[0 if same else AHEAD_NODES][1],
+                     refractory)
     add_ripple(&part, lamp, hz, walk.t, t)
     return part

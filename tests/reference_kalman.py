@@ -26,30 +26,30 @@ FRAME_SIGMA, LEAK, PER_EVENT = 0.01, 0.02, 0.0003
 
 @dataclass
 class Noise:
-    """What innovations say of doubted events, of motion and of the noise of frames."""
+    """Noise of events at rest, of motion and of frames, estimated from innovations."""
 
-    doubt: float = 0.5
+    p_noise: float = 0.5
     motion: float = 0.002
-    denied: float = 0.0
-    doubted: float = 0.0
+    noise_count: float = 0.0
+    noise_weight: float = 0.0
     per_event: float = PER_EVENT
     matrix: np.ndarray = 0.0    # of motion and events, normal equations
     product: np.ndarray = 0.0
     of_frames: np.ndarray = field(default_factory=lambda: np.array([4.0, 0.1]))
-    known: np.ndarray = 0.0     # of both, normal equations: matrix and right-hand side
-    told: np.ndarray = 0.0
+    normal: np.ndarray = 0.0    # of both, normal equations: matrix and right-hand side
+    right: np.ndarray = 0.0
     drift: float = 0.0          # variance of thresholds from frame to frame, relative
     product_of_drift: float = 0.0
     weight_of_drift: float = 0.0
-    change: tuple = ()          # what the frame before said
+    change: tuple = ()          # of the frame before, and its variance
 
     def follow(self, sums):
         """Drift by what two frames say of a common change of the thresholds."""
-        known, told = np.eye(2) / 0.1**2, np.zeros(2)
+        normal, right = np.eye(2) / 0.1**2, np.zeros(2)
         for _, _, _, _, (by, e, v), *_ in sums:
-            known, told = known + np.outer(by, by) / v, told + by * e / v
-        change = np.linalg.solve(known, told)
-        spread = np.trace(np.linalg.inv(known)) + 2 * 0.002**2
+            normal, right = normal + np.outer(by, by) / v, right + by * e / v
+        change = np.linalg.solve(normal, right)
+        spread = np.trace(np.linalg.inv(normal)) + 2 * 0.002**2
         if self.change:
             weight = 1 / (spread * self.change[1])
             self.product_of_drift += weight * change @ self.change[0]
@@ -64,34 +64,34 @@ class Noise:
 
     def adapt(self, sums):
         for *_, w, excess in sums:
-            self.known = self.known + np.outer(w, w)
-            self.told = self.told + w * (excess + w @ self.of_frames)
+            self.normal = self.normal + np.outer(w, w)
+            self.right = self.right + w * (excess + w @ self.of_frames)
         prior = np.diag([2 / 4.0**2, 2 / 0.1**2])
-        known, told = self.known + prior, self.told + prior @ (4.0, 0.1)
+        normal, right = self.normal + prior, self.right + prior @ (4.0, 0.1)
         x = np.array([4.0, 0.1])
         for k in (0, 1) * 20:
-            x[k] = np.clip((told[k] - known[k, 1 - k] * x[1 - k]) / known[k, k],
+            x[k] = np.clip((right[k] - normal[k, 1 - k] * x[1 - k]) / normal[k, k],
                            (1, 0.005)[k], (400, 1)[k])
         self.of_frames = x
-        denied, doubted = np.sum(
+        noise_count, noise_weight = np.sum(
             [each[:2] for each in sums], axis=0) if sums else np.zeros(2)
-        self.denied += denied
-        self.doubted += doubted
-        self.doubt = (25 + self.denied) / (50 + self.doubted)
+        self.noise_count += noise_count
+        self.noise_weight += noise_weight
+        self.p_noise = (25 + self.noise_count) / (50 + self.noise_weight)
         u = np.array([each[2] for each in sums]).reshape(-1, 2)
         weight = 1 / (u[:, 0] @ u[:, 0] + 2 / 0.05**2)
         self.matrix = self.matrix + weight * u.T @ u
         self.product = self.product + weight * u.T @ [each[3] for each in sums]
         x = np.array([0.002, PER_EVENT])
-        known = self.matrix + np.diag([1, 400])
-        told = self.product + np.array([1, 400]) * x
+        normal = self.matrix + np.diag([1, 400])
+        right = self.product + np.array([1, 400]) * x
         for k in (0, 1) * 20:
-            x[k] = np.clip((told[k] - known[k, 1 - k] * x[1 - k]) / known[k, k],
+            x[k] = np.clip((right[k] - normal[k, 1 - k] * x[1 - k]) / normal[k, k],
                            (0, PER_EVENT)[k], (1, 0.5)[k])
         self.motion, self.per_event = x
         self.follow(sums)
-        for name in ("denied", "doubted", "matrix", "product", "known", "told",
-                     "product_of_drift", "weight_of_drift"):
+        for name in ("noise_count", "noise_weight", "matrix", "product", "normal",
+                     "right", "product_of_drift", "weight_of_drift"):
             setattr(self, name, getattr(self, name) * np.exp(-1 / 20))
 
 
@@ -168,17 +168,17 @@ class Pixel:
             return self.held
         return None
 
-    def doubt(self, i, known):
+    def p_noise(self, i, known):
         """Probability that the event before i is noise."""
         if not i or self.events[i - 1][0] <= self.sampled:
             return 0.0
         t = self.events[i - 1][0]
-        doubt = self.learned.doubt
+        p_noise = self.learned.p_noise
         if i > 1:
-            doubt *= silence(t - self.events[i - 2][0])
+            p_noise *= silence(t - self.events[i - 2][0])
         if i < len(self.events) and self.events[i][0] <= known:
-            doubt *= silence(self.events[i][0] - t)
-        return doubt
+            p_noise *= silence(self.events[i][0] - t)
+        return p_noise
 
     @property
     def sampled(self):
@@ -206,15 +206,15 @@ class Pixel:
                     n[0 if p else 1] += part
         return n
 
-    def value(self, t, known, since, level, doubt=0.0):
+    def value(self, t, known, since, level, p_noise=0.0):
         i = self.next(t)
         n = (self.counts(since, i) if i >= since else -self.counts(i, since))
         _, on, off = self.x
         p, fraction, rate, *spread, ripple, slope = self.part(
             i, t, known, level + on * n[0] - off * n[1])
         n[0 if p else 1] += fraction
-        if doubt:
-            n[0 if self.events[i - 1][1] else 1] -= doubt
+        if p_noise:
+            n[0 if self.events[i - 1][1] else 1] -= p_noise
         y = on * n[0] - off * n[1] + ripple
         return n, y, *self.lag(p, rate, slope, spread, level + y)
 
@@ -287,13 +287,13 @@ class Pixel:
         if self.hot:
             return self.alone(sample, mid, at, per_dn)
         learn = not fresh and self.counts(self.since, at).sum() >= 3
-        added = doubt = unit = motion = 0.0
-        worth, theta2 = 1.0, self.x[1:].mean() ** 2
+        added = p_noise = unit = motion = 0.0
+        event_step, theta2 = 1.0, self.x[1:].mean() ** 2
         if not fresh:
             n = self.counts(self.since, at)
             drift = (LEAK * US * (mid - self.reference)
                      + self.learned.per_event * n.sum())
-            doubt = self.doubt(at, known)
+            p_noise = self.p_noise(at, known)
             motion = theta2 * self.learned.motion
             if n.sum():
                 drift += self.learned.motion
@@ -302,8 +302,8 @@ class Pixel:
             motion = motion if unit else 0
             if at:
                 last = 0 if self.events[at - 1][1] else 1
-                n[last] -= doubt
-                worth = self.x[1 + last] * (-1 if last else 1)
+                n[last] -= p_noise
+                event_step = self.x[1 + last] * (-1 if last else 1)
             n_on, n_off = n
             F = np.eye(3)
             F[0, 1:] = n_on, -n_off
@@ -311,7 +311,7 @@ class Pixel:
                 self.P[[1, 2], [1, 2]] += self.learned.drift * self.x[1:]**2
             self.x = F @ self.x
             self.P = F @ self.P @ F.T
-            added = theta2 * (drift + doubt * (1 - doubt))
+            added = theta2 * (drift + p_noise * (1 - p_noise))
             self.P[0, 0] += added
         level = sample if fresh else self.x[0]
         inner = sorted({t for t, _ in self.events if begin < t < end})
@@ -343,7 +343,7 @@ class Pixel:
             self.offset_dn * (per_dn - self.pull)) ** 2
         events = 0 if fresh else theta2 * self.counts(self.since, at).sum()
         still -= events * self.learned.per_event
-        sums = (doubt * np.clip(doubt - error / worth, 0, 1), doubt,
+        sums = (p_noise * np.clip(p_noise - error / event_step, 0, 1), p_noise,
                 np.array([unit, events]) / still, min(error**2, 16 * v) / still - 1,
                 (learn * (error**2 <= 16 * v) * self.x[1:] * (
                     H[1:] + (0 if fresh else n * (1, -1))), error, v),
@@ -354,7 +354,7 @@ class Pixel:
             self.P[0, 0] += error**2
             added += error**2
         self.nodes.append(Node(mid, at, sample - blur + H[1:] @ self.x[1:], H[1:],
-                               noise, added + theta2 * doubt**2))
+                               noise, added + theta2 * p_noise**2))
         PH = self.P @ H
         v = H @ PH + noise
         K = PH / v
@@ -373,8 +373,8 @@ class Pixel:
         if self.hot:
             v = self.P[0, 0] + self.x[1:].mean()**2 * LEAK * US * (t - self.reference)
             return self.x[0], v + self.moves, v <= 0.25
-        doubt = self.doubt(i, known)
-        n, y, u, spread, lag = self.value(t, known, self.since, self.x[0], doubt)
+        p_noise = self.p_noise(i, known)
+        n, y, u, spread, lag = self.value(t, known, self.since, self.x[0], p_noise)
         F = np.array([1.0, n[0], -n[1]])
         theta2 = self.x[1:].mean() ** 2
         if self.reference is not None and self.settled(i, t, known, self.reference):
@@ -382,7 +382,7 @@ class Pixel:
         variance = F @ self.P @ F + spread + theta2 * (
             LEAK * US * (t - (self.reference or 0))
             + self.learned.per_event * self.counts(self.since, i).sum()
-            + doubt * (1 - doubt)
+            + p_noise * (1 - p_noise)
             + self.motion(i, known, self.sampled))
         fresh = self.reference is None
         variance = max(variance, 1e-8)

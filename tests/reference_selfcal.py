@@ -12,9 +12,9 @@ def innovations(events, readings, theta, sigma, camera, deaf=0.0):
     events are (t, p), readings rows of (log, variance, begin, middle, end, known).
     """
     theta = np.multiply(theta, (camera["scale_on"], camera["scale_off"]))
-    # Pixels of a sample are busy: none is doubted or fades to rest, which Pixel takes
-    # for granted of a light with any ripple.
-    nothing = SimpleNamespace(doubt=0.0, motion=0.0)
+    # Pixels of a sample are busy: no event may be noise and no pixel fades to rest,
+    # which Pixel takes for granted of a light with any ripple.
+    nothing = SimpleNamespace(p_noise=0.0, motion=0.0)
     pixel = Pixel(*theta, sigma, (camera["hz"], camera["hz_per_intensity"], 0),
                   lambda t, hz: steady(t, hz), nothing, 0.0, deaf)
     pixel.events = events

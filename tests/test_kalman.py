@@ -506,11 +506,11 @@ def test_sigmas_follow_what_innovations_show(spread):
 
 
 @pytest.mark.parametrize(("worth", "low", "high"), [(0.0, 0.85, 1.0), (1.0, 0.0, 0.2)])
-def test_lone_events_are_doubted_as_far_as_frames_deny_them(worth, low, high):
+def test_the_noise_probability_of_lone_events_follows_frames(worth, low, high):
     shape, events, frames = steps_and_frames(worth, 0.02, per_frame=0.1)
     method = make(shape, 0.2, 0.2, mode="causal", threshold_sigma=0.0)
     coverage_before_frames(method, events, frames)
-    assert low < method._tuning["doubt"][0] < high
+    assert low < method._tuning["p_noise"][0] < high
 
 
 @pytest.mark.parametrize("read_dn", [3.0, 6.0])

@@ -95,7 +95,7 @@ def test_a_recording_at_1000_rpm_is_fused(true_us, aop_deg, dolp):
     assert np.mean([score.dolp_error for score in scores]) < dolp
 
 
-def test_bases_are_doubted_by_what_their_sums_lost():
+def test_variances_of_bases_grow_by_what_their_sums_lost():
     """From when a period is known, and what innovations said before is forgotten."""
     recording, _ = recorded(200.0, 3000.0, seconds=0.6)
     fusion = fuse(recording, method="kalman", causal=True, nominal_thresholds=NOMINAL,

@@ -48,7 +48,7 @@ TUNING_DTYPE = np.dtype([
     ("bandwidth_hz_per_intensity", "<f8"), ("bandwidth_sigma", "<f8"),
     ("frame_sigma", "<f8"), ("shot_share", "<f8"), ("read_variance", "<f8"),
     ("shot_variance", "<f8"), ("offset_dn", "<f8"), ("valid_variance", "<f8"),
-    ("motion_variance", "<f8"), ("doubt", "<f8"), ("still_us", "<f8"),
+    ("motion_variance", "<f8"), ("p_noise", "<f8"), ("still_us", "<f8"),
     ("refractory_us", "<f8"), ("threshold_drift", "<f8"),
     ("holds_part", "<f8")])
 """Parameters of the filter, in the order of the fields.

@@ -15,12 +15,11 @@ from pdavis_cv.reconstruct.kalman.threshold_drift import (
     frame_drift,
 )
 
-__all__ = ["ADAPT_FRAMES", "DOUBT", "KEPT", "MISFIT", "SUMS", "adapt"]
+__all__ = ["ADAPT_FRAMES", "KEPT", "MISFIT", "SUMS", "adapt"]
 
-DOUBT = (0.5, 50.0)
-"""Prior probability that an event of a pixel at rest is noise, and its weight in events
-(as many as frames have confirmed or denied count the same).  Engineering choice: even
-odds."""
+P_NOISE = (0.5, 50.0)
+"""Prior probability that an event of a pixel at rest is noise, and its weight, that of
+as many events that frames have tested.  Engineering choice: even odds."""
 ADAPT_FRAMES = 20.0
 """Memory of the innovation statistics: their weight decays by 1/e in so many frames.
 Engineering choice: a second of the paper's cameras."""
@@ -31,7 +30,7 @@ Engineering choice: a second of the paper's cameras."""
 # last the drift found in the frame before.
 SUMS, MISFIT, _OF_EVENTS, _OF_DRIFT, _LAST = 20, 3, 5, 2, 5
 KEPT = SUMS + _OF_EVENTS + _OF_DRIFT + _LAST
-# Where the remembered statistics are split: doubted events; motion and events, noise
+# Where the remembered statistics are split: noise at rest; motion and events, noise
 # of frames, and drift of the present frame; then motion and events, and drift, summed
 # over frames.
 _ENDS = 2, 7, 12, 17, 22
@@ -53,9 +52,9 @@ def adapt(
         Stated process noise per event, thresholds^2: the lower bound of its estimate.
     """
     kept, before = np.split(innovations[MISFIT:], [-_LAST])
-    (denied, doubted), frame, normal, drift, frames, drifts = np.split(kept, _ENDS)
-    share, weight = DOUBT
-    tuning["doubt"] = (share * weight + denied) / (weight + doubted)
+    noise, frame, normal, drift, frames, drifts = np.split(kept, _ENDS)
+    (noise_count, noise_weight), (share, weight) = noise, P_NOISE
+    tuning["p_noise"] = (share * weight + noise_count) / (weight + noise_weight)
     # Each frame's normal equations are scaled to a weight of at most 1: the first
     # frames, before thresholds and bandwidth are known, must not outweigh the rest.
     least = 2 / MOTION[1]**2     # e^2 / v of a Gaussian innovation has variance 2

@@ -19,7 +19,7 @@ from pdavis_cv.reconstruct.base import (
     Needs,
     Reconstructor,
 )
-from pdavis_cv.reconstruct.kalman.adaptation import DOUBT, KEPT, MISFIT, SUMS, adapt
+from pdavis_cv.reconstruct.kalman.adaptation import KEPT, MISFIT, P_NOISE, SUMS, adapt
 from pdavis_cv.reconstruct.kalman.event_noise import MOTION
 from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
@@ -56,7 +56,7 @@ NOISE = (0.01, 0.02, 0.0003)
 process noise per second (leak) and per event (variances in thresholds^2).
 
 Chosen on pixels without events: 68 to 77 % of the innovations of the real DAVIS346 are
-then within one sigma.  Noise of events and of motion is learned (`DOUBT`, `MOTION`);
+then within one sigma.  Noise of events and of motion is learned (`P_NOISE`, `MOTION`);
 differences between pixels (gains, polarizer angles) are added to the images' sigma.
 """
 
@@ -193,7 +193,7 @@ class KalmanFilter(Reconstructor):
         self._tuning["valid_variance"] = VALID_VARIANCE
         self._tuning["read_variance"] = READ_NOISE_DN**2
         self._tuning["shot_variance"] = 1 / DN_PER_SHOT
-        self._tuning["doubt"], self._tuning["motion_variance"] = DOUBT[0], MOTION[0]
+        self._tuning["p_noise"], self._tuning["motion_variance"] = P_NOISE[0], MOTION[0]
         self._tuning["still_us"] = STILL_US
         self._tuning["holds_part"] = mode == "causal"   # images see no later events
         self._saturated = Saturated(
@@ -238,7 +238,7 @@ class KalmanFilter(Reconstructor):
         """Reset the thresholds of all states, and their covariance, to the prior."""
         on, off, *sigmas = (np.broadcast_to(each, self.shape) for each in (
             self._theta_on, self._theta_off, *self._sigma))
-        for first in range(0, self.shape[0], _BAND):    # as in `_give_up`
+        for first in range(0, self.shape[0], _BAND):    # as in `_inflate_for_lag`
             rows = slice(first, first + _BAND)
             states = self._states[rows]
             for part, theta, sigma in zip(
@@ -272,14 +272,14 @@ class KalmanFilter(Reconstructor):
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
         if moved_us or "bandwidth" in learned:
-            self._give_up(np.abs(self._lags() - before + 1e-6 * moved_us))
+            self._inflate_for_lag(np.abs(self._lags() - before + 1e-6 * moved_us))
         if moved_us:
-            self._doubt_bases(1e-6 * moved_us)
+            self._inflate_for_stamps(1e-6 * moved_us)
             self._frames = ()   # waiting frames still have the old time stamps
         if "refractory_us" in learned:
             before_us, self._refractory_us = self._refractory_us, checked_refractory(
                 learned["refractory_us"])
-            self._doubt_sums(abs(self._refractory_us - before_us))
+            self._inflate_for_resets(abs(self._refractory_us - before_us))
         if moved_us or "refractory_us" in learned:
             self._innovations[MISFIT:] = 0
             self._adapt()
@@ -303,7 +303,7 @@ class KalmanFilter(Reconstructor):
         hz = self._bandwidth[0] + self._bandwidth[1] * _DIM_SHARE * light.astype(float)
         return np.divide(1 / math.tau, hz, out=np.zeros(self.shape), where=hz > 0)
 
-    def _give_up(self, lag_error_s: NDArray[np.float64]) -> None:
+    def _inflate_for_lag(self, lag_error_s: NDArray[np.float64]) -> None:
         """Inflate the thresholds' covariance by the error that a wrong lag caused.
 
         A lag wrong by dt shifts a sample by dt times the slope of log intensity.
@@ -334,7 +334,7 @@ class KalmanFilter(Reconstructor):
                 states[f"cov_base_{name}"] *= kept
                 states["cov_on_off"] *= kept
 
-    def _doubt_bases(self, error_s: float) -> None:
+    def _inflate_for_stamps(self, error_s: float) -> None:
         """Inflate the variance of the bases for frames whose stamps were wrong.
 
         Their error is the time error times the slope of log intensity, which is taken
@@ -348,7 +348,7 @@ class KalmanFilter(Reconstructor):
             states["var_base"] += (
                 1e6 * error_s / self._interval_us * events * theta)**2
 
-    def _doubt_sums(self, lost_us: float) -> None:
+    def _inflate_for_resets(self, lost_us: float) -> None:
         """Inflate the variance of the bases for a wrong refractory period.
 
         After each event the light changes unseen for that time.  The sum of these
