@@ -40,11 +40,14 @@ cdef extern from *:
     /* Penalty of a frequency at the end of the grid, relative to what its wave
        explains, so that equally good fits give the nominal frequency. */
     #define NOMINAL_PREFERENCE 0.002
+    /* Ridge of the normal equations, so that they can be solved without data. */
+    #define RIDGE 1e-6
     """
     const double MAINS_50
     const double MAINS_60
     const double BELOW
     const double NOMINAL_PREFERENCE
+    const double RIDGE
 
 cdef struct normal_t:
     # Normal equations of (cosine, sine): three elements of the matrix, two of the right
@@ -167,7 +170,7 @@ cdef inline void add_equation(double turns, int64_t a, int64_t b, int64_t c, dou
 
 cdef inline double explained(const normal_t* m, double* c, double* s) noexcept nogil:
     """Solve the normal equations; return the sum of squares that the wave explains."""
-    cdef double cc = m.cc + 1e-6, ss = m.ss + 1e-6
+    cdef double cc = m.cc + RIDGE, ss = m.ss + RIDGE
     cdef double det = cc * ss - m.cs * m.cs
     c[0] = (ss * m.c - m.cs * m.s) / det
     s[0] = (cc * m.s - m.cs * m.c) / det

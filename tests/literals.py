@@ -10,8 +10,12 @@ import tokenize
 from pathlib import Path
 from typing import NamedTuple
 
-TRIVIAL = {0.0, 1.0, 2.0, 3.0, 4.0, 0.5, 0.25, 1e-6, 1e-3, 1e3, 1e6}
-"""Counts of dimensions and channels, halves, quarters, and factors between units."""
+TRIVIAL = {0.0, 1.0, 2.0, 3.0, 4.0, 0.5, 0.25}
+"""Counts of dimensions and channels, halves and quarters; not as bounds."""
+UNITS = {1e-6, 1e-3, 1e3, 1e6}
+"""Factors between units, which stand beside a sign of multiplication or division."""
+BOUNDING = {"max", "min", "maximum", "minimum", "fmax", "fmin", "clip"}
+"""Functions whose arguments are bounds, of which only 0 and 1 need no name."""
 LARGEST_INDEX = 16
 """Integers up to it, of four channels squared, may be an index or a length."""
 
@@ -28,7 +32,7 @@ INDEX = re.compile(r"\[[^\]]*\]|\.shape\b.*")
 
 
 class Literal(NamedTuple):
-    """One number: where, its text, its line, and what its name says ('' without)."""
+    """One number: where, its text, its line, what its name says ('' without), use."""
 
     path: Path
     line: int
@@ -36,6 +40,7 @@ class Literal(NamedTuple):
     source: str
     name: str
     said: str
+    bound: bool = False
 
     def __str__(self):
         return f"{self.path}:{self.line}: {self.text}   {self.source.strip()}"
@@ -45,7 +50,17 @@ def literals(path):
     """Return the literals of a file that are not trivial."""
     text = Path(path).read_text()
     found = python(path, text) if Path(path).suffix == ".py" else kernel(path, text)
-    return [one for one in found if value(one.text) not in TRIVIAL]
+    return [one for one in found if not trivial(one)]
+
+
+def trivial(one):
+    """Return whether a number needs no name."""
+    number = value(one.text)
+    if one.bound:
+        return number in (0, 1)
+    text = re.escape(one.text)
+    return number in TRIVIAL or (number in UNITS and re.search(
+        rf"[*/]\s*{text}(?![\w.])|(?<![\w.]){text}\s*[*/]", one.source) is not None)
 
 
 def value(text):
@@ -64,6 +79,9 @@ def python(path, text):
     indices = {id(number) for node in ast.walk(tree) if isinstance(node, ast.Subscript)
                for number in ast.walk(node.slice) if isinstance(number, ast.Constant)
                and isinstance(number.value, int) and number.value <= LARGEST_INDEX}
+    bounds = {id(number) for node in ast.walk(tree) if isinstance(node, ast.Call)
+              and getattr(node.func, "id", getattr(node.func, "attr", "")) in BOUNDING
+              for number in node.args}
     named = {}
     for body in [tree.body, *(node.body for node in ast.walk(tree)
                               if isinstance(node, ast.ClassDef))]:
@@ -84,7 +102,8 @@ def python(path, text):
                 said.append(about)
                 named[number] = name, " ".join(filter(None, said))
     return sorted(Literal(path, node.lineno, ast.get_source_segment(text, node),
-                    lines[node.lineno - 1], *named.get(id(node), ("", "")))
+                    lines[node.lineno - 1], *named.get(id(node), ("", "")),
+                    id(node) in bounds)
             for node in ast.walk(tree)
             if isinstance(node, ast.Constant) and type(node.value) in (int, float)
             and id(node) not in indices)
@@ -93,8 +112,8 @@ def python(path, text):
 def doc_of(body):
     """Return the docstring of a class, which describes its fields."""
     first = body[0]
-    told = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
-    return str(first.value.value) if told else ""
+    documented = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
+    return str(first.value.value) if documented else ""
 
 
 def constants(node):

@@ -9,11 +9,11 @@ ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("pdavis_cv/selfcal/*.py", "pdavis_cv/reconstruct/kalman/*.py",
          *(f"pdavis_cv/reconstruct/{name}.py" for name in (
              "cf", "denoise", "events", "lamp", "model", "redundancy", "tracks")),
-         "pdavis_cv/recording/advice.py",
+         "pdavis_cv/recording/advice.py", "pdavis_cv/fusion/learning.py",
          *(f"_kernels/_{name}.*" for name in (
-             "estimate", "kalman", "lag", "lamp", "lanes", "leaky", "listing", "model",
-             "reading", "redundancy", "rest", "selfcal", "smooth", "smoothed", "store",
-             "tracks")))
+             "estimate", "hot", "kalman", "lag", "lamp", "lanes", "leaky", "listing",
+             "measure", "model", "reading", "redundancy", "rest", "selfcal", "smooth",
+             "smoothed", "store", "tracks", "update")))
 FILES = sorted(path.relative_to(ROOT).as_posix() for room in ROOMS
                for path in ROOT.glob(room)
                if path.suffix in (".py", ".pyx", ".pxd", ".h"))
@@ -31,7 +31,7 @@ SAID = {
         """Corner frequency in Hz, v2e's default."""
 
         def half(x, sigma=SIGMA):
-            return 0.5 * x[7] + 1e-6 * 4
+            return 0.5 * max(x[7], 0) + 1e-6 * 4
         ''',
     "x.pyx": '''
         """A docstring with 17 numbers in 3.5 lines."""
@@ -56,9 +56,9 @@ BARE = {
         SIGMA = 0.035
 
         def f(x, share=0.7):
-            y = 12
+            y = max(12, 0.5) + 1e-3
             return x ** 0.33  # a power of it
-        ''', ["0.035", "0.7", "12", "0.33"]),
+        ''', ["0.035", "0.7", "0.5", "12", "1e-3", "0.33"]),
     "x.pyx": ('''
         cdef extern from *:
             """
@@ -69,10 +69,10 @@ BARE = {
 
         def f(double x):
             # a share of all
-            cdef double y = 0.15 * x + 7e-2, z = 1e12
+            cdef double y = 0.15 * x + 7e-2, z = 1e12 + 1e-6
             y += 0x1f   # thirty one of them
             return y
-        ''', ["0.33", "19", "0.15", "7e-2", "1e12", "0x1f"])}
+        ''', ["0.33", "19", "0.15", "7e-2", "1e12", "1e-6", "0x1f"])}
 
 
 def written(path, text):
@@ -96,7 +96,8 @@ def test_other_numbers_are_found(tmp_path, name):
 def test_the_rooms_are_where_they_are_looked_for():
     rooms = {name.rsplit("/", 1)[0] for name in FILES}
     assert rooms == {"pdavis_cv/selfcal", "pdavis_cv/reconstruct/kalman",
-                     "pdavis_cv/reconstruct", "pdavis_cv/recording", "_kernels"}
+                     "pdavis_cv/reconstruct", "pdavis_cv/recording",
+                     "pdavis_cv/fusion", "_kernels"}
     assert set(OPEN) <= set(FILES)
 
 

@@ -61,6 +61,10 @@ _WORTHWHILE = 0.05
 """Least change of a parameter that is applied: of the ln of the corner frequency, or
 relative to the refractory period."""
 
+_LEVELS = np.array([1.0, 10.0])
+"""Intensities at which bandwidths are compared, relative to `Bandwidth.at_intensity`:
+dim light, and a bright pixel's."""
+
 _SIGMAS = 3.0
 """Least change of the refractory period that is applied, in standard errors."""
 
@@ -372,7 +376,7 @@ def _is_better(found: Bandwidth, known: Sequence[float]) -> bool:
     """
     if found.sigma > known[2]:
         return False
-    level = found.at_intensity * np.array([1.0, 10.0])
+    level = found.at_intensity * _LEVELS
     change = np.log((found.hz + found.hz_per_intensity * level)
                     / (known[0] + known[1] * level))
     return bool(np.abs(change).max() > _WORTHWHILE
@@ -433,7 +437,7 @@ def _feed_estimator(
 def thresholds_in_situ(
     recording: Recording,
     *,
-    nominal: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
     sigma: float = THRESHOLD_SIGMA,
     bandwidth: Bandwidth | str | None = "in-situ",
     calibration: Calibration | None = None,
@@ -496,7 +500,7 @@ def thresholds_in_situ(
 def bandwidth_in_situ(
     recording: Recording,
     *,
-    nominal: tuple[ArrayLike, ArrayLike] = (0.2, 0.2),
+    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
     calibration: Calibration | None = None,
     start_us: int | None = None,
     stop_us: int | None = None,

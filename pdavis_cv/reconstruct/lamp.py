@@ -36,6 +36,8 @@ _EVEN_US, _ENOUGH = np.array([1000.0, 4000.0, 15000.0]), 4000.0
 # studies/lamp_detection.py.
 _EVIDENCE, _APART, _LEAST = 200.0, 0.5, 0.02
 
+_LEAST_EXPOSURE_MS = 1e-3
+"""Lower bound of an exposure as a divisor, ms; numerical."""
 _LONG_AGO = -(2**62)
 """A time in us before all stamps; differences to it fit into 64 bits."""
 _STAMP = 2 * _LONG_AGO
@@ -179,7 +181,8 @@ class LampTracker:
         cells = 1 << self._shift
         rows, columns = (
             np.flatnonzero(np.arange(side) // 2 % cells == 0) for side in self._shape)
-        bright = frame.dn[np.ix_(rows, columns)] / max(frame.exposure_ms, 1e-3)
+        bright = frame.dn[np.ix_(rows, columns)] / max(
+            frame.exposure_ms, _LEAST_EXPOSURE_MS)
         self._corners[:len(rows), :len(columns)] = self._hz + self._slope * bright
 
     def retune(self, bandwidth: Sequence[float] | None) -> None:

@@ -52,6 +52,8 @@ PULL = 1e-3
 VALID_QUALITY = 0.3
 """Ratio of the two smallest eigenvalues below which a pixel is valid.  It is far from
 1, the ratio where the data do not determine the gains; chosen on `nominal`."""
+SINGULAR = 1e-6
+"""Largest minor of a macropixel's response below which it is singular; numerical."""
 
 POLICY_DTYPE = np.dtype([
     (name, "<f8") for name in (
@@ -382,7 +384,7 @@ def null_of(
             sign * np.linalg.det(np.stack([part[j] for j in range(4) if j != i], -1))
             for i, sign in enumerate((1, -1, 1, -1))]
         largest = np.max(np.abs(minors), axis=0)
-        if not np.all(largest > 1e-6):
+        if not np.all(largest > SINGULAR):
             raise ValueError("response must tell the four channels apart, but it does "
                              "not in some macropixel")
         for i, minor in enumerate(minors):

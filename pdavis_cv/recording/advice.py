@@ -22,7 +22,9 @@ HOT_TIMES_MEDIAN, LEAST_HOT_EVENTS = 50, 100
 with events, and 100.  A convention: moving edges stay within 50 times the median."""
 FLICKER_HZ = (100, 120)
 """Flicker of lamps on mains of 50 and 60 Hz."""
-FLICKER_BIN_US = 1000
+FLICKER_BIN_US, FLICKER_BINS = 1000, 1000
+"""Bin of the event rate, us, and bins per interval of the averaged spectra: one second,
+so that lines are 1 Hz wide."""
 FLICKER_LONGEST_BINS = 1 << 17
 """Bound on the memory of the spectrum: 131 s."""
 FLICKER_POWER = 10.0
@@ -203,18 +205,18 @@ class _Facts:
     def _about_flicker(self) -> list[Advice]:
         first, last = min(self._bins), max(self._bins)
         n = min(last - first + 1, FLICKER_LONGEST_BINS)
-        if n < 1000:
+        if n < FLICKER_BINS:
             return []
         rate = np.zeros(n)
         for i, count in self._bins.items():
             if i - first < n:
                 rate[i - first] = count
-        # Average the spectra of intervals of 1 s, so that each line is 1 Hz wide.
         if np.mean(rate == 0) > MOST_EMPTY and rate.mean() > 1:
             return []  # simulated from images: events come in bursts
-        pieces = rate[:n // 1000 * 1000].reshape(-1, 1000)
+        pieces = rate[:n // FLICKER_BINS * FLICKER_BINS].reshape(-1, FLICKER_BINS)
+        window = np.hanning(FLICKER_BINS)
         power = np.mean(np.abs(np.fft.rfft(
-            (pieces - pieces.mean(1, keepdims=True)) * np.hanning(1000))) ** 2, axis=0)
+            (pieces - pieces.mean(1, keepdims=True)) * window)) ** 2, axis=0)
         found = []
         for hz in FLICKER_HZ:
             line = float(power[hz - 1:hz + 2].max())

@@ -103,8 +103,8 @@ _GRID_HZ = (30.0, 80.0, 160.0, 300.0, 600.0, 2000.0)
 _CURVATURE_INFLATION, _MODEL_SIGMA = 1.2, 0.016
 
 # Bias where the light turns: interpolation over the gap between two events looks like
-# a lag of dt = 0.3 ms * (72 Hz / r)^4, r = events per second and pixel.
-_TURN_LAG_S, _TURN_RATE_HZ, _TURN_POWER = 0.3e-3, 72.0, 4
+# a lag of dt = 0.3 ms * (72 Hz / r)^4, r = events per second and pixel, at least 1.
+_TURN_LAG_S, _TURN_RATE_HZ, _TURN_POWER, _LEAST_RATE_HZ = 0.3e-3, 72.0, 4, 1.0
 
 _LAW_EVIDENCE = 8.0
 """Gain of ln L that a bandwidth that depends on the light must have over a constant one
@@ -164,7 +164,8 @@ def fit_bandwidth(sample: PixelSample) -> Bandwidth:
             cost.with_mean_share(least))
     hz, slope = _law(best.share, best.ln_hz, sample.bright)
     at = _DIM * sample.bright
-    lag_s = _TURN_LAG_S * (_TURN_RATE_HZ / max(sample.events_per_s, 1.0)) ** _TURN_POWER
+    rate_hz = max(sample.events_per_s, _LEAST_RATE_HZ)
+    lag_s = _TURN_LAG_S * (_TURN_RATE_HZ / rate_hz) ** _TURN_POWER
     sigma = math.hypot(_CURVATURE_INFLATION * best.sigma, _MODEL_SIGMA,
                        2 * np.pi * (hz + slope * at) * lag_s)
     return Bandwidth(float(hz), float(slope), at, min(sigma, _LN_HZ_SIGMA))

@@ -50,6 +50,9 @@ _LAG_SHARE = 0.2
 """Relative error of the lag that such a fit separates from the delay: 1.3 to 1.8 ms of
 7 at 30 RPM where the clocks agree (studies/selfcal_clock_offset.py)."""
 
+_LAG_LIGHT = 0.5
+"""Intensity at which the lag is evaluated, relative to a bright pixel's."""
+
 _EVIDENCE = 8.0
 """Fall of -ln L required against a camera whose clocks agree and whose lag is
 proportional to 1 / light, which in dim light reaches milliseconds."""
@@ -150,7 +153,8 @@ def fit_clock_offset(
     clean = whole.with_leak_in_frames()
     hz, per_intensity, ln_sigma = bandwidth or TYPICAL_BANDWIDTH
     law = hz, per_intensity
-    lag_us = 1e6 / (2 * math.pi * (hz + per_intensity * sample.bright / 2))
+    lag_us = 1e6 / (
+        2 * math.pi * (hz + per_intensity * sample.bright * _LAG_LIGHT))
     grid = np.arange(-_REACH_US, _REACH_US + 1, _COARSE_STEP_US, dtype=np.float64)
     every = max(len(sample.pixels) // _COARSE_PIXELS, 1)
     start = vertex(grid, _costs(clean, grid, law, every)

@@ -68,12 +68,14 @@ _HOT_SHARE = 0.5
 events.  It is not a fraction of the intervals that pass the test of a claim: a
 pixel with an unusual ratio of thresholds has few, but is contradicted in all."""
 
-_MAX_BALANCE = 0.5
+_MAX_BALANCE, _LEAST_COUNT = 0.5, 0.5
 """Greatest distance of ln(OFF / ON events) from the median.  A pixel with thresholds
-far from the others' fits no bandwidth, and would dominate the fit."""
+far from the others' fits no bandwidth, and would dominate the fit.  A count of 0 events
+is taken as half an event, so that its ln exists."""
 
-_BRIGHT_QUANTILE = 0.9
-"""Quantile of the frames' intensity that is taken as a bright pixel's."""
+_BRIGHT_QUANTILE, _LEAST_BRIGHT = 0.9, 1e-3
+"""Quantile of the frames' intensity that is taken as a bright pixel's, and its lower
+bound, DN/ms, so that it can be a divisor; numerical."""
 
 PIXEL_DTYPE = np.dtype([
     ("start", "<i4"), ("stop", "<i4"), ("first", "<i4"), ("last", "<i4"),
@@ -174,7 +176,7 @@ class PixelSample:
         self._read(self._dn, self._usable)
         bright = (np.quantile(self._dn / self._exposure_ms, _BRIGHT_QUANTILE)
                   if self._dn.size else 0.0)
-        self.bright = max(float(bright), 1e-3)
+        self.bright = max(float(bright), _LEAST_BRIGHT)
 
     def _read(self, dn: NDArray[np.float32], usable: NDArray[np.bool_]) -> None:
         """Set log intensity and variance from the DN of frames, shape (F, N)."""
@@ -460,7 +462,7 @@ def select_busy_pixels(
     level = np.quantile(busy[busy > 0], _BUSY_QUANTILE, method="nearest")
     chosen = np.flatnonzero(
         (busy >= level / _BUSY_FACTOR) & (busy <= level * _BUSY_FACTOR))
-    off, on = np.log(np.maximum(total[:, chosen], 0.5))
+    off, on = np.log(np.maximum(total[:, chosen], _LEAST_COUNT))
     balance = off - on
     typical = np.quantile(balance, 0.5, method="nearest")
     chosen = chosen[np.abs(balance - typical) <= _MAX_BALANCE]

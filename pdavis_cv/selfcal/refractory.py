@@ -23,6 +23,9 @@ this fraction plus so many sigmas: they differ by 12 % at most on `nominal` came
 Light that turns causes no short gaps, so without noise the second edge is far larger:
 2.7 times on the real DAVIS346."""
 
+_STAMP_US = 1.0
+"""Resolution of the stamps, us, a part of the edge's standard error."""
+
 _LEAST_US = 50.0
 """Shortest period, us, that differs from the resolution of stamps and bus delays."""
 
@@ -80,7 +83,7 @@ def edge_of(gaps_us: NDArray[np.int64]) -> tuple[float, float]:
     n = min(_GAPS, len(gaps_us))
     shortest = np.sort(np.partition(gaps_us, n - 1)[:n])
     step = float(shortest[-1] - shortest[0]) / (n - 1)
-    return float(shortest[0]) - step, math.hypot(step, 1.0)
+    return float(shortest[0]) - step, math.hypot(step, _STAMP_US)
 
 
 def fit_refractory(sample: PixelSample) -> Refractory | None:

@@ -45,8 +45,9 @@ _LEAST_OF_NOMINAL, _MOST_OF_NOMINAL = 0.3, 3.0
 """Bounds of an estimated threshold relative to the prior mean: a factor of 3 covers the
 thresholds of DAVIS cameras, between 0.14 and about 0.4."""
 
-_MAD_PER_SIGMA = 0.6745
-"""Median of the absolute value of a standard normal number."""
+_MAD_PER_SIGMA, _CLIP_SIGMAS = 0.6745, 3
+"""Median of the absolute value of a standard normal number; bound on normalised
+differences in `variance_inflation`, in robust standard deviations, against outliers."""
 
 _LEAST_SPREAD = 0.01
 """Numerical floor of the pixel-to-pixel sigma, as a share of the prior sigma."""
@@ -172,7 +173,8 @@ def variance_inflation(
         v_early[informed] - v_late[informed])
     # The part common to all pixels is the leak, which `SystematicErrors` includes.
     z = np.abs(z - np.median(z))
-    return float(np.mean(np.minimum(z, 3 * np.median(z) / _MAD_PER_SIGMA) ** 2))
+    return float(np.mean(np.minimum(
+        z, _CLIP_SIGMAS * np.median(z) / _MAD_PER_SIGMA) ** 2))
 
 
 def _population_variance(
