@@ -1,4 +1,5 @@
 """The benchmark runs, checks before it times, and judges as it says; no times here."""
+import dataclasses
 import json
 import sys
 
@@ -9,7 +10,7 @@ from streams import random_events
 
 from pdavis_cv import open_recording
 from pdavis_cv.tools import bench
-from pdavis_cv.tools.bench import event_files
+from pdavis_cv.tools.bench import event_files, picture
 from pdavis_cv.tools.bench.cases import CASES, Case, Comparison, event_input
 
 
@@ -146,6 +147,39 @@ def test_the_exit_code_tells_whether_goals_are_reached(
     assert word in capsys.readouterr().out
 
 
+def test_results_and_a_picture_are_written(monkeypatch, tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    of = case_of([1.0] * 3)
+
+    def comparisons():
+        for x in (10.0, 100.0):
+            comparison, = of.comparisons()
+            yield dataclasses.replace(
+                comparison, candidate=lambda x=x: 2e-3 * x, at=("pixels", x))
+
+    monkeypatch.setitem(CASES, "fake", dataclasses.replace(of, comparisons=comparisons))
+    assert bench.main(["fake", "--pairs", "2", "-o", str(tmp_path / "x.y")]) == 0
+    assert f"wrote {tmp_path / 'x.y.json'} {tmp_path / 'x.y.png'}" in (
+        capsys.readouterr().out)
+    report = json.loads((tmp_path / "x.y.json").read_text())
+    assert [r["at"] for r in report["results"]] == [["pixels", 10], ["pixels", 100]]
+    assert (tmp_path / "x.y.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_picture_shows_time_against_each_axis():
+    pytest.importorskip("matplotlib")
+    panels = picture.draw({
+        "pixels": {"image": [(10.0, 1.0), (100.0, 5.0)]},
+        "events per second": {"cf": [(1e3, 2.0)], "kalman": [(1e3, 3.0), (1e6, 9.0)]},
+    }).axes
+    assert [axes.get_xlabel() for axes in panels] == ["pixels", "events per second"]
+    time, proportional = panels[0].get_lines()
+    np.testing.assert_allclose(time.get_ydata(), [1, 5])
+    np.testing.assert_allclose(proportional.get_ydata(), [0.5, 5])
+    assert [text.get_text() for text in panels[1].get_legend().get_texts()] == [
+        "cf", "kalman"]
+
+
 def test_a_case_without_its_package_is_skipped(monkeypatch, capsys):
     def check():
         raise ImportError("needs cv2")
@@ -182,10 +216,13 @@ def test_files_of_events_that_are_timed_hold_the_events(name, tmp_path):
 def test_streams_are_timed_by_packets_threads_and_pixels(monkeypatch, capsys):
     monkeypatch.setattr("pdavis_cv.tools.bench.streams.SIZES", ((16, 16),))
     monkeypatch.setattr("pdavis_cv.tools.bench.streams.STREAM_RATE", 1e5)
-    assert bench.main(["image-pixels", "latency", "--pairs", "2", "--json"]) in (0, 1)
+    monkeypatch.setattr("pdavis_cv.tools.bench.streams.MEMORY_PARTS", 2)
+    assert bench.main(
+        ["image-pixels", "latency", "memory", "--pairs", "2", "--json"]) in (0, 1)
     report = json.loads(capsys.readouterr().out)
-    assert [(r["case"], r["goal"]) for r in report["results"]] == [
-        ("image-pixels", 10), ("latency", 40), ("latency", 40)]
+    assert [(r["case"], r["goal"], r["at"]) for r in report["results"]] == [
+        ("image-pixels", 10, ["pixels", 256]), ("latency", 40, None),
+        ("latency", 40, None), ("memory", 10, None)]
     assert all(r["candidate"] > r["floor"] > 0 for r in report["results"])
 
 

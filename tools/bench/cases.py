@@ -46,6 +46,8 @@ class Comparison:
         Of what is printed.
     judged : bool
         Whether the case's goal applies.
+    at : (str, float), optional
+        Name of an axis and the input's position on it, for the picture.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Comparison:
     figure: Callable[[float], float]
     unit: str
     judged: bool = True
+    at: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)

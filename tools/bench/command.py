@@ -13,9 +13,12 @@ import os
 import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
-from .._common import Parser, UsageError, command
+from pdavis_cv.export import write_beside
+
+from .._common import Parser, UsageError, can_draw, command
 from .._values import within
 from . import (  # noqa: F401  # they register their cases
     demosaic,
@@ -30,6 +33,7 @@ from . import (  # noqa: F401  # they register their cases
     usb,
 )
 from .cases import CASES, Case, Comparison
+from .picture import Curve, draw
 
 __all__ = ["Result", "main", "measure"]
 
@@ -56,6 +60,8 @@ class Result:
     candidate, floor : float
         Median figures in ``unit``.
     unit : str
+    at : (str, float) or None
+        Name of an axis and the input's position on it.
     """
 
     case: str
@@ -67,6 +73,7 @@ class Result:
     candidate: float
     floor: float
     unit: str
+    at: tuple[str, float] | None
 
 
 def measure(case: Case, pairs: int = PAIRS) -> list[Result]:
@@ -96,7 +103,8 @@ def _measure(case: Case, comparison: Comparison, pairs: int) -> Result:
     reached = ratio <= case.goal if case.by_time else ratio >= case.goal
     return Result(
         case.name, comparison.name, ratio, (low, high), case.goal,
-        reached if comparison.judged else None, candidate, floor, comparison.unit)
+        reached if comparison.judged else None, candidate, floor, comparison.unit,
+        comparison.at)
 
 
 @contextlib.contextmanager
@@ -124,15 +132,39 @@ def _line(result: Result) -> str:
         f"{verdict}")
 
 
+def _write(
+    stem: Path, summary: dict[str, Any], results: Sequence[Result],
+) -> list[Path]:
+    """Write STEM.json and, if there is something to draw, STEM.png; return which."""
+    written = [stem.with_name(stem.name + ".json")]
+    with write_beside(written[0]) as part:
+        part.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    curves: dict[str, dict[str, Curve]] = {}
+    for result in results:
+        if result.at is not None:
+            axis, x = result.at
+            curves.setdefault(axis, {}).setdefault(result.case, []).append(
+                (x, result.candidate))
+    if curves and can_draw():
+        written.append(stem.with_name(stem.name + ".png"))
+        with write_beside(written[1]) as part:
+            draw(curves).savefig(part, format="png", dpi=110)
+    return written
+
+
 @command
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; return 0 if every goal is reached, 1 if not."""
-    parser = Parser("bench", __doc__ or "", "pdavis bench --pairs 5")
+    parser = Parser("bench", __doc__ or "", "pdavis bench --pairs 5 -o bench")
     parser.add_argument("cases", nargs="*", metavar="CASE",
                         help=f"which to run (default all): {', '.join(CASES)}")
     parser.add_argument("--pairs", type=within(0, 10_000), default=PAIRS,
                         help=f"interleaved pairs per input (default {PAIRS})")
     parser.add_argument("--json", action="store_true", help="print JSON instead")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="STEM",
+        help="write STEM.json and, with matplotlib, STEM.png: time against events per "
+             "second and against pixels, of the cases that have several")
     args = parser.parse_args(argv)
     unknown = [name for name in args.cases if name not in CASES]
     if unknown:
@@ -155,9 +187,12 @@ def main(argv: Sequence[str] | None = None) -> int:
                 print(CASES[name].title)
                 print(f"  {'':<28} {'this':>9} {'floor':>9} {'':<5}  ratio (quartiles)")
                 print("\n".join(map(_line, found)), flush=True)
+    summary: dict[str, Any] = {
+        "pairs": args.pairs, "results": [asdict(result) for result in results],
+        "skipped": skipped}
+    written = [] if args.out is None else _write(args.out, summary, results)
     if args.json:
-        summary: dict[str, Any] = {
-            "pairs": args.pairs, "results": [asdict(result) for result in results],
-            "skipped": skipped}
-        print(json.dumps(summary, indent=2))
+        print(json.dumps({**summary, "wrote": list(map(str, written))}, indent=2))
+    elif written:
+        print("wrote", *written)
     return 0 if all(r.reached is not False for r in results) else 1

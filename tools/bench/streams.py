@@ -31,6 +31,10 @@ SIZES = ((64, 64), (128, 128), SHAPE, (480, 640), (720, 1280))
 EVENTS_PER_PIXEL = 33e3 / (SHAPE[0] * SHAPE[1])
 """Per second: those of the slow scene that images are judged by."""
 
+STATE_BYTES, MEMORY_PARTS = 100, 16
+"""Bytes that an image reads of a pixel's state and writes, about; and how many images'
+worth is copied: 144 MB, more than caches hold."""
+
 STREAM_RATE = 1e6
 """Events per second of the stream whose images must not be late."""
 
@@ -89,7 +93,33 @@ def _by_pixels() -> Iterator[Comparison]:
 
         yield Comparison(
             f"{shape[1]}x{shape[0]}", partial(_same, make, make), candidate,
-            _chain(shape), _milliseconds, "ms", judged=shape == SHAPE)
+            _chain(shape), _milliseconds, "ms", judged=shape == SHAPE,
+            at=("pixels", float(shape[0] * shape[1])))
+
+
+@case("memory", "an image of kalman, CPU, against copying 100 bytes per pixel", 10,
+      by_time=True)
+def _memory() -> Iterator[Comparison]:
+    # The source is larger than the caches: each copy reads a part that is not in them.
+    source = np.ones((MEMORY_PARTS, STATE_BYTES * SHAPE[0] * SHAPE[1]), np.uint8)
+    copy = np.empty_like(source[0])
+    make = partial(_fusion, "kalman", 33e3, 1e3)
+    fusion = make()
+
+    def candidate() -> float:
+        start = thread_time()
+        for _ in range(40):     # a whole period of frames
+            shown(next(fusion))
+        return (thread_time() - start) / 40
+
+    def floor() -> float:
+        start = thread_time()
+        for part in source:
+            np.copyto(copy, part)
+        return (thread_time() - start) / len(source)
+
+    yield Comparison("33 kev/s", partial(_same, make, make), candidate, floor,
+                     _milliseconds, "ms", judged=False)
 
 
 @case("latency", "a causal image after a packet's last event, CPU, against the chain",
