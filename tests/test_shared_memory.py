@@ -70,6 +70,18 @@ def full(monkeypatch):
     monkeypatch.setattr(os, "posix_fallocate", fail)
 
 
+@pytest.fixture
+def received(monkeypatch):
+    """Return the types of what workers sent in place of planes."""
+    found, read_into = set(), ArrayWriter.read_into
+
+    def seen(self, out, sent):
+        found.add(type(sent))
+        read_into(self, out, sent)
+    monkeypatch.setattr(ArrayWriter, "read_into", seen)
+    return found
+
+
 def spawned(**more):
     return ProcessPoolExecutor(
         2, mp_context=multiprocessing.get_context("spawn"), **more)
@@ -159,6 +171,15 @@ def test_a_file_that_grows_keeps_what_it_holds(writer):
     assert writer.file.size == 16 << 20
 
 
+def test_where_a_file_cannot_be_mapped_the_array_itself_is_sent(writer, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.EMFILE, "Too many open files")
+    monkeypatch.setattr(shared_memory.mmap, "mmap", fail)
+    plane = planes()[0]
+    assert writer.put(plane) is plane
+    assert writer.place[1] == 0
+
+
 @pytest.mark.usefixtures("full")
 def test_arrays_themselves_are_sent_where_there_is_no_room(writer):
     for to in (writer, ArrayWriter(None)):
@@ -206,6 +227,18 @@ def test_files_are_used_again_by_one_recording_at_a_time():
                 assert others.writer(0).place != first
         with shared_files(pool) as files:
             assert files.writer(0).place == first
+
+
+@pytest.mark.usefixtures("short_tasks")
+def test_further_stripes_do_without_a_file(recording, received, monkeypatch):
+    monkeypatch.setattr(shared_memory, "_MOST_FILES", 2)
+    with InProcessPool(1) as pool:
+        assert_same_images(
+            fuse(recording, executor=pool, tiles=3, **FRAMES), recording, **FRAMES)
+        with shared_files(pool) as files:
+            assert [files.writer(index).file is None for index in range(3)] == [
+                False, False, True]
+    assert received == {int, np.ndarray}
 
 
 def test_files_of_a_task_that_was_left_behind_are_not_lent():
@@ -292,18 +325,6 @@ def test_processes_make_the_same_bits_and_leave_nothing(start, recording):
     del pool, both
     assert mapped() == before
     assert len(os.listdir("/proc/self/fd")) == open_before
-
-
-@pytest.fixture
-def received(monkeypatch):
-    """Return the types of what workers sent in place of planes."""
-    found, read_into = set(), ArrayWriter.read_into
-
-    def seen(self, out, sent):
-        found.add(type(sent))
-        read_into(self, out, sent)
-    monkeypatch.setattr(ArrayWriter, "read_into", seen)
-    return found
 
 
 @pytest.mark.usefixtures("short_tasks")

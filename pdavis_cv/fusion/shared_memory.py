@@ -34,6 +34,10 @@ _KEPT = 192 << 20
 """Most bytes that are kept for a pool between two recordings.  In two stripes of a
 DAVIS346, `frames` uses 32 MiB and `cf` 96; `kalman`, in one, 168."""
 
+_MOST_FILES = 128
+"""For one recording.  A file takes two of a process's descriptors, of which there often
+are 1024, and a stripe two files; what further stripes need is sent by the executor."""
+
 _ALIGN = 64        # bytes: every array begins at a cache line
 _GROWTH = 8 << 20  # bytes by which a file grows: each time, it has to be mapped again
 
@@ -149,13 +153,14 @@ class ArrayWriter:
         if file is None:
             return array
         stop = start + array.nbytes
-        if stop > self._reserved:
-            try:
+        try:
+            if stop > self._reserved:
                 self._reserved = file.reserve(stop)
-            except OSError:
-                return array
+            there = file.bytes_to(stop)
+        except OSError:
+            return array
         self.end = stop + -stop % _ALIGN
-        np.ndarray(array.shape, array.dtype, file.bytes_to(stop), start)[...] = array
+        np.ndarray(array.shape, array.dtype, there, start)[...] = array
         return start
 
     def read_into(self, out: NDArray[Any], sent: int | NDArray[Any]) -> None:
@@ -243,7 +248,7 @@ class SharedFiles:
     def writer(self, index: int) -> ArrayWriter:
         """Return a writer to one of the files."""
         file = self._files.get(index)
-        if file is None and self._shares:
+        if file is None and self._shares and len(self._files) < _MOST_FILES:
             file = SharedFile.create()
             if file is not None:
                 self._files[index] = file
