@@ -4,6 +4,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import sys
 import warnings
 import zipfile
 from pathlib import Path
@@ -87,4 +88,7 @@ def _array(data: bytes) -> NDArray[Any]:
     file = io.BytesIO(data)
     shape, fortran, dtype = array_header(file, len(data))
     found: NDArray[Any] = np.frombuffer(data, dtype, math.prod(shape), file.tell())
+    if dtype.kind == "U" and np.any(
+            found.view(np.dtype("u4").newbyteorder(dtype.byteorder)) > sys.maxunicode):
+        raise ValueError("a text with characters that there are not")
     return found.reshape(shape, order="F" if fortran else "C")

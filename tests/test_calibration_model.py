@@ -101,6 +101,15 @@ def test_damaged_foreign_and_newer_files_are_refused_by_name(tmp_path):
         Calibration.load(tmp_path / "missing.npz")
 
 
+def test_a_text_with_characters_that_there_are_not_is_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    text = np.array(["{}" + " " * 8])
+    text.view("u4")[3] = 0x7FFFFFFF
+    np.savez(path, head=text.reshape(()))
+    with pytest.raises(CalibrationError, match="characters that there are not"):
+        Calibration.load(path)
+
+
 def test_fuse_takes_dark_gain_and_unusable_pixels_out():
     dn = np.full(SIZE, 220.0, np.float32)
     recording = record(None, [ApsFrame(dn, 0, 2_000)], sensor_size=SIZE)

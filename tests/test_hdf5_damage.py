@@ -109,6 +109,31 @@ def test_times_that_are_no_times_are_dropped(tmp_path):
     assert not frame.valid.any()
 
 
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8"])
+@pytest.mark.parametrize("names", ["txyp", ("ts", "xs", "ys", "ps")])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_none_cost_their_events(names, value, dtype, tmp_path):
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        for column, name in enumerate(names):
+            values = np.array([1, 1, 1, 1, 1, 1], dtype)
+            values[column + 1] = value
+            file[f"events/{name}"] = values
+        file.attrs["sensor_size"] = (12, 16)
+    with open_recording(tmp_path / "x.h5") as recording:
+        # Less than nothing is OFF.
+        assert len(recording.events()) == 2 + (value == -np.inf)
+
+
+def test_a_frame_beyond_single_precision_is_not_valid(tmp_path):
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["events"] = np.array([[1, 1, 1, 1]])
+        file["frame"] = np.full((1, 12, 16), 1e300)
+        file["frame_ts"] = np.array([600_000])
+    with open_recording(tmp_path / "x.h5") as recording:
+        _, [frame], *_ = joined(recording.packets())
+    assert not frame.valid.any()
+
+
 def test_a_part_that_begins_on_a_whole_second_keeps_its_unit(tmp_path):
     # Seconds with fractions; the row that a search looks at has none.
     t = np.arange(200_000) / 65_536

@@ -56,6 +56,7 @@ def test_a_clock_that_is_reset_is_not_damage():
     assert limits(FIRST, SECOND, THIRD, FOURTH, before=9_000_100) == ANY  # behind it
     assert limits(FIRST, before=9_000_100) == ANY
     assert limits(late, FIRST) == ANY
+    assert limits([54, *late[::-1], 65_536], SECOND)[1] < SECOND[0]     # no clock's
 
 
 def test_a_counter_of_32_bits_falls_by_its_period_once():

@@ -288,7 +288,7 @@ def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, .
 def _whole(column: NDArray[Any]) -> NDArray[Any]:
     """Return coordinates or polarities as integers; NaN lies outside any sensor."""
     if column.dtype.kind == "f":
-        # fmax ignores NaN
-        near: NDArray[Any] = np.fmin(np.fmax(column, -1), MAX_SIDE)
+        # fmin ignores NaN
+        near: NDArray[Any] = np.fmax(np.fmin(column, MAX_SIDE), -1)
         return near.astype(np.int32)
     return column.view(np.uint8) if column.dtype.kind == "b" else column

@@ -396,7 +396,10 @@ class FileRecording(Recording):
 
 def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
     """Return integers as int32; clipped values lie outside any sensor."""
-    if column.dtype.kind == "u" and column.dtype.itemsize > 2:
+    if column.dtype.kind == "f":
+        # fmin ignores NaN
+        column = np.fmax(np.fmin(column.astype(np.float64), 1 << 30), -1)
+    elif column.dtype.kind == "u" and column.dtype.itemsize > 2:
         column = np.minimum(column, column.dtype.type(1 << 30))
     elif column.dtype.itemsize > 4:
         column = np.clip(column, -1, 1 << 30)

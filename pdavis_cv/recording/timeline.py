@@ -209,7 +209,8 @@ def possible_range(
     passed = [one for one, its in zip(later, medians, strict=True) if its < middle]
     if len(passed) > 1 and 2 * len(passed) > len(later):
         return before, min(int(one[0]) for one in passed)
-    if len(later) == 1 and before == NEVER and middle - medians[0] > SEGMENT_US:
+    if len(later) == 1 and before == NEVER and _in_order(times) and (
+            middle - medians[0] > SEGMENT_US):
         return NEVER, -NEVER
     own = np.unique(times[times >= before])
     own = own[own <= min((its for its in medians if its >= middle),

@@ -129,12 +129,13 @@ class Hdf5Recording(FileRecording):
         if isinstance(events, h5py_module().Group) and all(k in events for k in "txyp"):
             columns = [self._dataset(events, k, 1) for k in "txyp"]
             offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
+            offset = min(max(offset, -FAR // 2), FAR // 2)
             self._format, self._length = "HDF5 (DSEC)", min(map(len, columns))
             self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
 
             def read(rows: slice) -> tuple[NDArray[Any], ...]:
                 t, x, y, p = (column[rows] for column in columns)
-                return t.astype(np.int64) + offset, x, y, p
+                return _microseconds(t, 1.0) + offset, x, y, p
 
             return read
         if isinstance(events, h5py_module().Group) and all(
@@ -356,8 +357,7 @@ class Hdf5Recording(FileRecording):
         column = None if group is None else self._dataset(group, name, 1)
         if column is None or len(column) != len(default):
             return default
-        values: NDArray[Any] = column[()].astype(np.int64)
-        return values
+        return _microseconds(column[()], 1.0)
 
     def _frame(self, place: _Place) -> list[ApsFrame]:
         """Return a list of the frame, empty if it cannot be read."""
@@ -366,7 +366,8 @@ class Hdf5Recording(FileRecording):
                 image = self._frames[place.k]
                 eight = image.dtype == np.uint8
                 full = 1020 if eight else 1023
-                dn = image.astype(np.float32) * np.float32(4 if eight else 1)
+                with np.errstate(over="ignore"):    # what is not finite is not valid
+                    dn = image.astype(np.float32) * np.float32(4 if eight else 1)
                 valid = dn < full
                 group = self._file.get("pdavis")
                 known = None if group is None else self._dataset(group, "valid", 3)
