@@ -13,9 +13,18 @@ import numpy as np
 import pytest
 from streams import random_events
 
-from pdavis_cv import ApsFrame, DeviceError, Layout, open_source, recording_from_arrays
+from pdavis_cv import (
+    ApsFrame,
+    DeviceError,
+    Layout,
+    Packet,
+    open_source,
+    recording_from_arrays,
+)
 from pdavis_cv.live import DvServer
+from pdavis_cv.live.dv import DvSource
 from pdavis_cv.live.dv_server import MOST_BYTES, _Client
+from pdavis_cv.recording.aedat4.writer import EVENTS, StreamEncoder
 from pdavis_cv.tools.main import main
 
 SIZE = (12, 16)
@@ -101,6 +110,55 @@ def test_what_is_sent_arrives_to_the_bit(recording, compression):
     assert_frames_equal(frames, frames_of(recording))
     assert not source.problems
     assert server.dropped == 0
+
+
+@pytest.mark.parametrize("most", [1, 999, 1 << 20])
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_how_the_bytes_arrive_does_not_matter(compression, most):
+    """Byte by byte, many packets at once, and packets larger than the buffer."""
+    rng = np.random.default_rng(most)
+    sizes = [3, 200, 1, 0, 40] if most < 1000 else [200_000, 5, 90_000, *[50] * 2000]
+    events = random_events(sum(sizes), SIZE, stop_us=900_000)
+    info = recording_from_arrays(events, (), sensor_size=SIZE).info
+    encoder = StreamEncoder(EVENTS, info, compression)
+    data = encoder.head + b"".join(
+        part for batch in np.split(events, np.cumsum(sizes)[:-1])
+        for part in encoder.encoded(Packet(batch)))
+    theirs, ours = socket.socketpair()
+
+    def send():
+        at = 0
+        with theirs:
+            while at < len(data):
+                n = int(rng.integers(1, most + 1))
+                theirs.sendall(data[at:at + n])
+                at += n
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    got, _ = arrived(DvSource("pair", [ours], None))
+    thread.join(PATIENCE_S)
+    np.testing.assert_array_equal(got, events)
+
+
+def test_a_packet_that_stops_half_way_does_not_stop_time():
+    info = recording_from_arrays(
+        random_events(9, SIZE), (), sensor_size=SIZE).info
+    encoder = StreamEncoder(EVENTS, info, "none")
+    first, second = (b"".join(encoder.encoded(Packet(random_events(
+        9, SIZE, start_us=t, stop_us=t + 99)))) for t in (0, 500_000))
+    theirs, ours = socket.socketpair()
+    with theirs:
+        theirs.sendall(encoder.head + first + second[:50])
+        packets = DvSource("pair", [ours], None).packets()
+        assert len(next(packets).events) == 9
+        until = next(packets).until_us
+        assert until is not None
+        theirs.sendall(second[50:])
+        while not len((packet := next(packets)).events):
+            assert packet.until_us < 500_000
+        assert packet.start_us >= 500_000
+    ours.close()
 
 
 def test_a_socket_in_a_folder_is_this_users_only(recording, tmp_path):

@@ -50,7 +50,9 @@ CONNECT_S = 5.0
 MARGIN_US = 100_000
 """Assumed delay of the sender while nothing arrives, us: DV sends batches of 10 ms, and
 the network delays them.  The stream's time then follows the host's by this much."""
-_CHUNK = 1 << 20
+_CHUNK, _SMALL = 1 << 20, 1 << 16
+"""Bytes read at once: before a packet has begun, and at least, if the rest of one is
+smaller.  Where packets are large, nothing of the next one has to be moved then."""
 _PACKET = struct.Struct("<ii")
 
 
@@ -67,7 +69,9 @@ class _Connection:
 
     def __init__(self, link: socket.socket, name: str) -> None:
         self.link, self.name = link, name
-        self._held = bytearray()
+        # The bytes received and not yet taken: _buffer[_begin:_end].
+        self._buffer = bytearray(_CHUNK)
+        self._begin = self._end = 0
         self.ended = False
         size, = struct.unpack("<I", self._exactly(4))
         if not 16 <= size <= MAX_HEADER:
@@ -81,16 +85,29 @@ class _Connection:
         if not streams:
             raise DeviceError(f"{name}: the header names no stream")
         self.streams: dict[int, Stream] = streams
-        link.setblocking(False)
+        link.settimeout(HEARTBEAT_S)
 
     def _exactly(self, count: int) -> bytes:
-        while len(self._held) < count:
-            part = self.link.recv(_CHUNK)
-            if not part:
+        while self._end - self._begin < count:
+            received = self.link.recv_into(self._room(_CHUNK))
+            if not received:
                 raise DeviceError(f"{self.name}: the sender closed the connection")
-            self._held += part
-        taken_, self._held = bytes(self._held[:count]), self._held[count:]
-        return taken_
+            self._end += received
+        begin, self._begin = self._begin, self._begin + count
+        return bytes(self._buffer[begin:self._begin])
+
+    def _room(self, wanted: int) -> memoryview:
+        """Return free memory behind the bytes held, of up to `wanted` bytes.
+
+        It grows with the bytes that have arrived, not with what a sender announces.
+        """
+        held = self._end - self._begin
+        if self._begin and len(self._buffer) - self._end < min(wanted, _CHUNK):
+            self._buffer[:held] = self._buffer[self._begin:self._end]
+            self._begin, self._end = 0, held
+        if len(self._buffer) - self._end < min(wanted, _CHUNK):
+            self._buffer = self._buffer[:held] + bytearray(len(self._buffer))
+        return memoryview(self._buffer)[self._end:self._end + wanted]
 
     @property
     def pending(self) -> bool:
@@ -98,39 +115,52 @@ class _Connection:
         return isinstance(self.link, ssl.SSLSocket) and self.link.pending() > 0
 
     def receive(self) -> None:
-        """Read the bytes that have arrived, without waiting."""
-        left = _CHUNK
-        while left > 0:
+        """Read bytes that have arrived, and the rest of a packet that has begun.
+
+        The rest is waited for here, up to `HEARTBEAT_S`: a sender fills the socket's
+        small buffer again and again, and the packet cannot be used before it is whole.
+        """
+        until_s = time.monotonic() + HEARTBEAT_S
+        wanted = self._missing or _CHUNK
+        while wanted:
             try:
-                part = self.link.recv(left)
-            except (BlockingIOError, ssl.SSLWantReadError):
+                received = self.link.recv_into(self._room(max(wanted, _SMALL)))
+            except TimeoutError:
                 return
             except OSError as error:
                 raise DeviceError(
                     f"{self.name}: the connection broke: {error}") from error
-            self._held += part
-            self.ended = not part
-            # TLS returns one record of 16 kB at a time, and select does not see the
-            # bytes that it has buffered.
-            if self.ended or not isinstance(self.link, ssl.SSLSocket):
+            self._end += received
+            self.ended = not received
+            if self.ended or time.monotonic() > until_s:
                 return
-            left -= len(part)
+            wanted = self._missing
 
-    def payloads(self) -> Iterator[tuple[str, bytes]]:
-        """Yield the kind and the payload of each packet that is complete."""
-        at, held = 0, self._held
-        while len(held) - at >= _PACKET.size:
-            number, size = _PACKET.unpack_from(held, at)
+    @property
+    def _missing(self) -> int:
+        """Number of bytes that the first packet held lacks; 0 if none is held."""
+        held = self._end - self._begin
+        if held < _PACKET.size:
+            return _PACKET.size - held if held else 0
+        _, size = _PACKET.unpack_from(self._buffer, self._begin)
+        return max(_PACKET.size + int(size) - held, 0)
+
+    def payloads(self) -> Iterator[tuple[str, memoryview]]:
+        """Yield the kind and the payload of each packet that is complete.
+
+        A payload is valid until the next `receive`.
+        """
+        while self._end - self._begin >= _PACKET.size:
+            number, size = _PACKET.unpack_from(self._buffer, self._begin)
             if not 0 <= size <= MAX_PAYLOAD:
                 raise DeviceError(f"{self.name}: a packet cannot hold {size} bytes")
-            if len(held) - at - _PACKET.size < size:
-                break
+            if self._missing:
+                return
+            start = self._begin + _PACKET.size
+            self._begin = start + size
             stream = self.streams.get(number)
             if stream is not None:
-                start = at + _PACKET.size
-                yield stream.kind, bytes(held[start:start + size])
-            at += _PACKET.size + size
-        del held[:at]
+                yield stream.kind, memoryview(self._buffer)[start:self._begin]
 
 
 class DvSource(LiveSource):
@@ -198,17 +228,21 @@ class DvSource(LiveSource):
         open_ = list(self._connections)
         heard_s = time.monotonic()
         while open_ and not self._closed.is_set():
+            # The first packets may have come together with the header.
+            for one in [*open_]:
+                for kind, payload in one.payloads():
+                    heard_s = time.monotonic()
+                    yield from self._packets(kind, payload, one.compression)
+                if one.ended:
+                    open_.remove(one)
+            if not open_:
+                break
             known = [c.link for c in open_ if c.pending]
             ready, _, _ = select.select(
                 [c.link for c in open_], [], [], 0 if known else HEARTBEAT_S)
             ready += known
             for one in [c for c in open_ if c.link in ready]:
                 one.receive()
-                for kind, payload in one.payloads():
-                    heard_s = time.monotonic()
-                    yield from self._packets(kind, payload, one.compression)
-                if one.ended:
-                    open_.remove(one)
             if self._last_us is not None and not ready:
                 passed = int(1e6 * (time.monotonic() - heard_s)) - MARGIN_US
                 if passed > 0:
@@ -217,14 +251,19 @@ class DvSource(LiveSource):
         yield from self._released(None)
 
     def _packets(
-        self, kind: str, payload: bytes, compression: str
+        self, kind: str, payload: memoryview, compression: str
     ) -> Iterator[Packet]:
         try:
+            if kind == "EVTS":
+                # Without compression they are decoded from where they were received.
+                events = (payload if compression == "none"
+                          else decompressed(payload, compression))
+                yield from self._of_events(
+                    events, *samples.event_vector(root_table(events, b"EVTS")))
+                return
             data = decompressed(payload, compression)
             table = root_table(data, kind.encode())
-            if kind == "EVTS":
-                yield from self._of_events(data, *samples.event_vector(table))
-            elif kind == "FRME":
+            if kind == "FRME":
                 self._held.append(self._frame(data, table))
                 if self.info.event_count == 0:
                     yield from self._released(None)
@@ -236,7 +275,9 @@ class DvSource(LiveSource):
         except (PayloadError, FlatBufferError, samples.UnknownFrameError) as error:
             self._log.add("damage", None, f"a packet could not be read: {error}")
 
-    def _of_events(self, data: bytes, at: int, count: int) -> Iterator[Packet]:
+    def _of_events(
+        self, data: bytes | memoryview, at: int, count: int
+    ) -> Iterator[Packet]:
         raw, state = np.frombuffer(data, np.uint8), self._state
         done = 0
         while done < count:

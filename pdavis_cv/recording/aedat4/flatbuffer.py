@@ -31,7 +31,7 @@ class Table:
 
     __slots__ = ("_at", "_data", "_length", "_vtable")
 
-    def __init__(self, data: bytes, at: int) -> None:
+    def __init__(self, data: bytes | memoryview, at: int) -> None:
         self._data, self._at = data, at
         back = _get(_I32, data, at)
         self._vtable = at - back
@@ -73,10 +73,10 @@ class Table:
     def text(self, field: int) -> str:
         """Return a string field."""
         at, count = self.vector(field, 1)
-        return self._data[at:at + count].decode("utf-8", "replace")
+        return bytes(self._data[at:at + count]).decode("utf-8", "replace")
 
 
-def root_table(data: bytes, identifier: bytes) -> Table:
+def root_table(data: bytes | memoryview, identifier: bytes) -> Table:
     """Return the root of a size-prefixed buffer.
 
     Raises
@@ -89,11 +89,11 @@ def root_table(data: bytes, identifier: bytes) -> Table:
         raise FlatBufferError(f"it should hold {size + 4} bytes, but has {len(data)}")
     if data[8:12] != identifier:
         raise FlatBufferError(
-            f"it should be {identifier.decode()}, but is {data[8:12]!r}")
+            f"it should be {identifier.decode()}, but is {bytes(data[8:12])!r}")
     return Table(data, 4 + _get(_U32, data, 4))
 
 
-def _get(code: struct.Struct, data: bytes, at: int) -> int:
+def _get(code: struct.Struct, data: bytes | memoryview, at: int) -> int:
     if at < 0 or at + code.size > len(data):
         raise FlatBufferError(f"offset {at} points outside {len(data)} bytes")
     value: int = code.unpack_from(data, at)[0]
