@@ -8,17 +8,16 @@ import functools
 import json
 import os
 import re
-import signal
 import sys
-import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv._beside import takes_bytes
 from pdavis_cv.errors import PdavisError, PdavisWarning
 
+from ._interrupts import interruptible
 from ._progress import AlwaysProgress, own_progress, progress, progress_in_time, stage
 from ._values import (
     layout_option,
@@ -49,7 +48,6 @@ __all__ = [
     "checked_out",
     "command",
     "covered",
-    "ended_by_signals",
     "for_people",
     "fuse_options",
     "fusion_given",
@@ -137,7 +135,7 @@ def command(main: Main) -> Main:
             warnings.simplefilter("always", PdavisWarning)
             warnings.showwarning = _show_warning
             try:
-                with own_progress(), _terminated():
+                with own_progress(), interruptible():
                     code = _flushed(main, argv)
             except SystemExit as leave:  # argparse after --help
                 return leave.code if isinstance(leave.code, int) else 0
@@ -163,23 +161,6 @@ def command(main: Main) -> Main:
             return code
 
     return run
-
-
-@contextlib.contextmanager
-def _terminated() -> Iterator[None]:
-    """Let SIGTERM end the block like Ctrl-C, so that unfinished files are removed."""
-    def interrupt(*_: Any) -> NoReturn:
-        raise KeyboardInterrupt
-
-    if (threading.current_thread() is not threading.main_thread()
-            or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL):
-        yield   # not the main thread, or signals are handled by somebody else
-        return
-    signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _flushed(main: Main, argv: Sequence[str] | None) -> int:
@@ -266,21 +247,6 @@ def source_of(
     return open_source(
         where, layout=args.layout,
         camera=getattr(args, "camera", None))
-
-
-@contextlib.contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the block normally, as a live source has no end."""
-    def interrupt(*_: Any) -> NoReturn:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    except KeyboardInterrupt:
-        pass
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def checked_out(

@@ -12,7 +12,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ._common import Parser, command, ended_by_signals
+from ._common import Parser, command
+from ._interrupts import ended_by_signals
 from ._values import positive
 
 __all__ = ["main"]

@@ -15,12 +15,12 @@ from ._common import (
     add_json_option,
     add_layout_option,
     command,
-    ended_by_signals,
     progress_in_time,
     source_of,
     stage,
     tell_now,
 )
+from ._interrupts import ended_by_signals
 from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]

@@ -17,12 +17,12 @@ from ._common import (
     add_fuse_options,
     add_json_option,
     command,
-    ended_by_signals,
     fusion_given,
     source_of,
     start_of,
     tell_now,
 )
+from ._interrupts import ended_by_signals
 from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]
