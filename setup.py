@@ -49,6 +49,7 @@ KERNELS = (
     "_simulate",
     "_smooth",
     "_store",
+    "_weighted_polarization",
 )
 SOURCE_TREE_ONLY = ("_floor",)  # what `pdavis bench` compares with: no user needs it
 SHARED = (
@@ -87,6 +88,7 @@ SHARED = (
     "_tracks.pxd",
     "_types.pxd",
     "_update.pxd",
+    "_weighted.pxd",
 )
 UTILITY = "pdavis_cv._kernels._cyutility"  # Cython's shared code
 DEBUG = os.environ.get("PDAVIS_CV_DEBUG", "0") != "0"

@@ -69,9 +69,11 @@ from ._selfcal import sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
 from ._store import store_commit, store_link, store_mark, store_push, store_unlink
+from ._weighted_polarization import ImageQueue, polarize_weighted
 
 __all__ = [
     "DEBUG",
+    "ImageQueue",
     "aedat2_words",
     "aedat4_events",
     "aedat4_table_bytes",
@@ -126,6 +128,7 @@ __all__ = [
     "plane_waves",
     "polar_bgr",
     "polarize",
+    "polarize_weighted",
     "ramp_bgr",
     "reached",
     "read_out",

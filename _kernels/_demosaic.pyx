@@ -2,18 +2,9 @@
 from libc.stdint cimport uint8_t
 
 from _kernels._rows cimport (
-    bilinear_row, bilinear_row_f32, check_places, plane_of_place, row_stride,
-    scratch_row)
+    bilinear_row, check_places, plane_of_place, row_stride, scratch_row)
 from _kernels._types cimport pixel_t
-
-cdef extern from "_channels.h" nogil:
-    void mismatch_row(
-        const float*, const float*, const float*, const float*, float, float, float,
-        Py_ssize_t, float*, float*, float*, float*)
-    void reconcile_row(
-        float*, float*, float*, float*, const float*, const float*, const float*,
-        const float*, const float*, const float*, const float*, const float*, bint,
-        Py_ssize_t)
+from _kernels._weighted cimport check_weighted, variance_row, weighted_row, weighted_t
 
 
 def superpixel(const pixel_t[:, ::1] mosaic not None,
@@ -107,25 +98,6 @@ def binned(const pixel_t[:, ::1] mosaic not None,
                                        + (lower[k][2 * x] + lower[k][2 * x + 1]))
 
 
-cdef inline void variance_row(
-        const float* variance, Py_ssize_t y, Py_ssize_t h, Py_ssize_t w, float* own,
-        float* other, float** to) noexcept nogil:
-    """As bilinear_row, but mirrored at the borders instead of extrapolated.
-
-    Linear extrapolation of variances could be negative.
-    """
-    cdef Py_ssize_t up = y - 1 if y else 1, down = y + 1 if y + 1 < h else h - 2
-    cdef Py_ssize_t p = 2 * (y & 1), q = 2 - p, c, column
-    bilinear_row_f32(variance + y * w, variance + up * w, variance + down * w, 0, w,
-                     own, other, to[p], to[p + 1], to[q], to[q + 1])
-    for c in range(4):
-        column = c & 1
-        if column == 1:
-            to[c][0] = to[c][1]
-        if (w - 1) & 1 != column:
-            to[c][w - 1] = to[c][w - 2]
-
-
 def bilinear_variance(const float[:, ::1] variance not None,
                       const Py_ssize_t[::1] places not None,
                       float[::1] scratch not None, float[:, :, ::1] out not None):
@@ -168,57 +140,22 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
     intermediate results stay in the cache.  Only rows (first, last) are written;
     scratch is 2 * (w + 32) + 32 floats.
     """
-    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], first, last, y, at, c
-    cdef bint one = null.shape[1] == 1 and null.shape[2] == 1
-    cdef bint differ = spread.shape[0] == 3
-    cdef Py_ssize_t plane[4]
+    cdef weighted_t image
+    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], first, last, y, c
     cdef float* q[4]
     cdef float* v[4]
-    cdef float* to[4]
-    cdef float* own
-    cdef float* other
-    cdef float gain = 0, angle = 0, contrast = 0, quarter = 0.25
+    check_weighted(&image, mosaic, variance, places, spread, null, scratch, 2)
+    if (quad.shape[0] != 4 or quad.shape[1] != h or quad.shape[2] != w
+            or out.shape[0] != 4 or out.shape[1] != h or out.shape[2] != w):
+        raise ValueError("bilinear_weighted: quad and out must be (4, h, w)")
     first, last = rows
-    if (h < 2 or w < 2 or quad.shape[0] != 4 or quad.shape[1] != h
-            or quad.shape[2] != w or out.shape[0] != 4 or out.shape[1] != h
-            or out.shape[2] != w or variance.shape[0] != h or variance.shape[1] != w
-            or null.shape[0] != 4):
-        raise ValueError("bilinear_weighted: mosaic and variance must be (h, w), "
-                         "quad and out (4, h, w), sides >= 2")
-    if not one and (null.shape[1] != h or null.shape[2] != w):
-        raise ValueError("bilinear_weighted: null must be (4, h, w) or (4, 1, 1)")
-    if not differ and spread.shape[0] != 0:
-        raise ValueError("bilinear_weighted: spread must be three numbers or none")
     if first < 0 or last > h:
         raise ValueError("bilinear_weighted: rows must lie in the mosaic")
-    if scratch.shape[0] < 2 * row_stride(w) + 32:
-        raise ValueError("bilinear_weighted: scratch must be 2 * (w + 32) + 32 floats")
-    check_places(places)
-    plane_of_place(places, plane)
-    own = scratch_row(&scratch[0], 0, w)
-    other = scratch_row(&scratch[0], 1, w)
-    if differ:
-        gain = spread[0] * spread[0]
-        angle = spread[1] * spread[1]
-        contrast = spread[2] * (spread[2] * quarter)
     with nogil:
         for y in range(first, last):
-            at = 0 if one else y
             for c in range(4):
-                q[c] = &quad[c, y, 0]
-                v[c] = &out[c, y, 0]
-            for c in range(4):
-                to[c] = q[plane[c]]
-            bilinear_row(&mosaic[0, 0], y, h, w, own, other, to)
-            for c in range(4):
-                to[c] = v[plane[c]]
-            variance_row(&variance[0, 0], y, h, w, own, other, to)
-            if differ:
-                mismatch_row(q[0], q[1], q[2], q[3], gain, angle, contrast, w,
-                             v[0], v[1], v[2], v[3])
-            reconcile_row(q[0], q[1], q[2], q[3], v[0], v[1], v[2], v[3],
-                          &null[0, at, 0], &null[1, at, 0], &null[2, at, 0],
-                          &null[3, at, 0], one, w)
+                q[c], v[c] = &quad[c, y, 0], &out[c, y, 0]
+            weighted_row(&image, y, q, v)
 
 
 cdef inline void keep_row(uint8_t* to, const uint8_t* of, Py_ssize_t n) noexcept nogil:

@@ -83,7 +83,7 @@ _HOME = {
     "FusionOptions": "fusion.options",
     "bandwidth_in_situ": "fusion.learning",
     "clock_offset_in_situ": "fusion.learning",
-    "fuse": "fusion.engine",
+    "fuse": "fusion.iteration",
     "thresholds_in_situ": "fusion.learning",
     "LinkFaults": "live.faults",
     "LiveSource": "live.base",

@@ -14,6 +14,7 @@ _Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
 
 __all__ = [
     "DEBUG",
+    "ImageQueue",
     "aedat2_words",
     "aedat4_events",
     "aedat4_table_bytes",
@@ -64,6 +65,7 @@ __all__ = [
     "plane_waves",
     "polar_bgr",
     "polarize",
+    "polarize_weighted",
     "ramp_bgr",
     "reached",
     "read_out",
@@ -97,6 +99,16 @@ __all__ = [
 ]
 
 DEBUG: bool
+class ImageQueue:
+    def post(
+        self, log: _F32 | None, mosaic: _F32, variance: _F32, places: NDArray[np.intp],
+        spread: _F32, null: _F32, scratch: _F32, quad: _F32, out: _F32, gain: float,
+        aop: _F32, dolp: _F32,
+    ) -> int: ...
+    def wait(self, number: int) -> None: ...
+    def serve(self) -> None: ...
+    def end(self) -> None: ...
+    def finish_here(self) -> None: ...
 
 def aedat2_words(
     words: _U8, begin: int, n: int, state: _I64, frame: _I64,
@@ -247,6 +259,11 @@ def pack_aedat4_events(events: NDArray[Any], at: int, out: _U8) -> None: ...
 def polarize(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], gain: float, scratch: _F32,
     aop: _F32, dolp: _F32
+) -> None: ...
+def polarize_weighted(
+    mosaic: _F32, variance: _F32, places: NDArray[np.intp], spread: _F32, null: _F32,
+    rows: tuple[int, int], scratch: _F32, quad: _F32, out: _F32, gain: float,
+    aop: _F32, dolp: _F32,
 ) -> None: ...
 def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...

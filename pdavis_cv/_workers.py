@@ -7,14 +7,14 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
-__all__ = ["HAND_OVER_NS", "Workers", "usable_cores"]
+__all__ = ["LEAST_BAND_NS", "Workers", "usable_cores"]
 
 LEAST_ROWS = 16
 """Smallest band, in rows, of work whose cost depends on what the pixels see."""
 
-HAND_OVER_NS = 100_000
-"""Time until a waiting thread works and its end is noticed, ns: 65,000 to 130,000 were
-measured on two virtual cores.  A band that takes less is not worth the hand-over."""
+LEAST_BAND_NS = 300_000
+"""Least time of a band, ns: three times what passes until a waiting thread works and
+its end is noticed (65,000 to 130,000 were measured on two virtual cores)."""
 
 
 class Workers:
@@ -52,10 +52,10 @@ class Workers:
             Smallest number of rows per band.
         row_ns : float, optional
             Time that a row takes, ns, of work that costs the same whatever the pixels
-            see: bands then take at least as long as their hand-over.
+            see: bands then take `LEAST_BAND_NS` at least.
         """
         if row_ns is not None:
-            least = max(least, math.ceil(HAND_OVER_NS / row_ns))
+            least = max(least, math.ceil(LEAST_BAND_NS / row_ns))
         n = min(self.threads, height // least)
         if n < 2:
             work(0, height)

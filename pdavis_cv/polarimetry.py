@@ -136,12 +136,14 @@ class PolarFrame:
         provenance: Mapping[str, Any] | None = None,
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
+        aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
     ) -> Self:
         """Make a PolarFrame that takes ownership of the arrays without copying them.
 
-        The parameters are those of the class.  ``quad``, ``variance`` and ``quality``
-        must be C-contiguous float32, ``valid`` C-contiguous bool.  They become
-        read-only, and no other code may keep references to their memory.
+        The parameters are those of the class, and angle and degree if they are known
+        already.  ``quad``, ``variance`` and ``quality`` must be C-contiguous float32,
+        ``valid`` C-contiguous bool.  They become read-only, and no other code may keep
+        references to their memory.
         """
         for name, array, dtype in (("quad", quad, np.float32),
                                    ("valid", valid, np.bool_),
@@ -155,6 +157,8 @@ class PolarFrame:
         frame = cls.__new__(cls)
         frame._set(quad, valid, t_us, frame_us, extinction_ratio, analyser, variance,
                    provenance, quality=quality, reconciled=reconciled)
+        if aop_dolp is not None:
+            frame._aop_dolp = frozen(aop_dolp[0]), frozen(aop_dolp[1])
         return frame
 
     @classmethod

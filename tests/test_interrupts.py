@@ -27,12 +27,12 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
     program = (
         "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from pdavis_cv.fusion import Fusion\nfrom pdavis_cv.tools import main\n"
-        "following, told = Fusion.__next__, []\n"
+        "following, told = Fusion.advance, []\n"
         "def tell(self):\n"
-        "    image = following(self)\n"
-        "    told or told.append(print('works', flush=True))\n"
-        "    return image\n"
-        "Fusion.__next__ = tell\nraise SystemExit(main.main())")
+        "    if self.index and not told:\n"
+        "        told.append(print('works', flush=True))\n"
+        "    return following(self)\n"
+        "Fusion.advance = tell\nraise SystemExit(main.main())")
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", program, tool,
          str(example_recording()), *options, "--fps", "30000", "--layout", "pdavis"],

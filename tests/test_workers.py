@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pdavis_cv import FusionOptions, fuse
-from pdavis_cv._workers import HAND_OVER_NS, LEAST_ROWS, Workers, usable_cores
+from pdavis_cv._workers import LEAST_BAND_NS, LEAST_ROWS, Workers, usable_cores
 from pdavis_cv.simulation import FULL, Camera, RotatingPolarizer
 
 OPTIONS = [{"method": "cf"}, {"method": "kalman"},
@@ -27,7 +27,7 @@ def tall(request):
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
 def test_images_have_the_same_bits_for_any_number_of_threads(
         tall, options, monkeypatch):
-    monkeypatch.setattr("pdavis_cv._workers.HAND_OVER_NS", 0)   # share all there is
+    monkeypatch.setattr("pdavis_cv._workers.LEAST_BAND_NS", 0)   # share all there is
     monkeypatch.setattr("pdavis_cv.reconstruct.kalman.saturation.COLUMNS", 3)
     want, *others = (
         list(fuse(tall, fps=150, thresholds=(0.15, 0.15), threads=n, **options))
@@ -57,7 +57,7 @@ def test_bands_are_the_rows_of_the_image_in_as_many_threads_at_most(threads, hei
 
 
 @pytest.mark.parametrize(("row_ns", "bands"), [
-    (HAND_OVER_NS, 4), (HAND_OVER_NS / 50, 2), (HAND_OVER_NS / 51, 1)])
+    (LEAST_BAND_NS, 4), (LEAST_BAND_NS / 50, 2), (LEAST_BAND_NS / 51, 1)])
 def test_bands_take_as_long_as_their_hand_over(row_ns, bands):
     done = []
     Workers(4).rows(100, lambda first, last: done.append(last - first), row_ns=row_ns)

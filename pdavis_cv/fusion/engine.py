@@ -1,11 +1,10 @@
-"""fuse() and Fusion: make polarization images of a recording at any time."""
+"""Fusion: make polarization images of a recording at any time."""
 from __future__ import annotations
 
 import functools
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor
 from fractions import Fraction
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdavis_cv
-from pdavis_cv._workers import Workers, usable_cores
+from pdavis_cv._kernels import ImageQueue
+from pdavis_cv._workers import Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
@@ -26,7 +26,7 @@ from pdavis_cv.fusion.camera import (
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.images import ImageMaker, Samples
 from pdavis_cv.fusion.learning import Learning, OnlineLearning, Tuning
-from pdavis_cv.fusion.options import FusionOptions, takes_options
+from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
 from pdavis_cv.fusion.states import ArrivalState, CallRecorder, InOrderState, make_state
 from pdavis_cv.fusion.window import Window, checked_roi, window_of
@@ -38,73 +38,9 @@ from pdavis_cv.reconstruct.methods import default_method, factory_of, make_recon
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Fusion", "fuse"]
+__all__ = ["Fusion"]
 
 _AFTER = 2**62
-
-
-@takes_options
-def fuse(
-    recording: Source, options: FusionOptions | None = None, *,
-    executor: Executor | None = None, tiles: int | None = None, by_time: bool = False,
-    **changes: Any,
-) -> Iterator[PolarFrame]:
-    """Fuse a recording's frames and events into polarization images.
-
-    Reading begins when the first image is asked for.  Without `fps` and `times_us`
-    there is one image per frame, at its mid-exposure (100 per second if there are no
-    frames).  The recording is always processed from its beginning, whatever `start_us`
-    is, so an image does not depend on which other images are asked for.
-
-    Parameters
-    ----------
-    recording : Recording or Source
-        From `open_recording` or `recording_from_arrays`; or a source that can be read
-        only once, e.g. from `source_from_packets`, which is processed in one pass and
-        bounded memory.  Without `causal`, the first image of such a source may have to
-        wait for its first 10 s, from which parameters of the camera are estimated.
-    options : FusionOptions, optional
-        Options to start from; the keywords below override them.
-    executor : concurrent.futures.Executor, optional
-        Computes stripes of the sensor in parallel; the images have the same bits.  The
-        recording is read in this process.  Where each pixel depends on all others, as
-        with ``kalman``, a single worker computes the whole sensor.
-    tiles : int, optional
-        Number of stripes, or of intervals at a time; default one per core.
-    by_time : bool
-        Divide time instead; this process then computes the state as well.
-    {options}
-    **method_parameters
-        Parameters of the method, e.g. ``cutoff_hz`` for ``cf``.
-
-    Returns
-    -------
-    iterator of PolarFrame
-
-    Raises
-    ------
-    TypeError
-        If an argument has the wrong type or the method has no such parameter.
-    ValueError
-        If a value is out of range, e.g. a region that leaves the sensor.
-    LayoutError, CalibrationError
-        If layouts disagree, or the calibration belongs to another camera.
-
-    Examples
-    --------
-    >>> import pdavis_cv
-    >>> from pdavis_cv.data import example_recording
-    >>> options = pdavis_cv.FusionOptions(method="cf", layout=pdavis_cv.Layout.PDAVIS)
-    >>> with pdavis_cv.open_recording(example_recording()) as recording:
-    ...     image = next(pdavis_cv.fuse(recording, options, roi=(0, 0, 40, 30)))
-    >>> image.dolp.shape
-    (30, 40)
-    """
-    if executor is None:
-        return Fusion(recording, options, **changes)
-    from pdavis_cv.fusion.stripes import fuse_tiles
-    return fuse_tiles(recording, (options or FusionOptions()).replace(**changes),
-                      executor, tiles or usable_cores(), by_time)
 
 
 class Fusion:
@@ -264,6 +200,13 @@ class Fusion:
         return self._images.image(
             method, self._t, self._frame_us(method, self._t), self.provenance)
 
+    def image_from(self, queue: ImageQueue) -> Callable[[], PolarFrame]:
+        """Return a function that returns `image`, which a queue's thread finishes."""
+        assert self._t is not None and self._state is not None  # noqa: PT018
+        method = self._state.method
+        return self._images.image_from(
+            queue, method, self._t, self._frame_us(method, self._t), self.provenance)
+
     def made(
         self, samples: Samples, t_us: int, frame_us: int | None,
         provenance: Mapping[str, Any],
@@ -391,8 +334,7 @@ class Fusion:
         assert self._feed is not None
         if self._fps is not None:
             start = self._grid_start
-            t = None if start is None else start + round(
-                Fraction(self._index * 1_000_000) / self._fps)
+            t = None if start is None else start + _grid_us(self._index, self._fps)
         else:
             t = self._next_frame_mid(self._feed)
         stop = self.options.stop_us
@@ -586,6 +528,12 @@ class Fusion:
         arrived = self.options.causal or method.shows_at_readout
         return next((mid for mid, available in reversed(self._frames)
                      if (available if arrived else mid) <= t), None)
+
+
+def _grid_us(index: int, fps: Fraction) -> int:
+    """Return index / fps in us, rounded half to even as by round()."""
+    us, rest = divmod(index * 1_000_000 * fps.denominator, fps.numerator)
+    return us + (2 * rest + (us & 1) > fps.numerator)
 
 
 def _make_method(workers: Workers, *arguments: Any) -> Reconstructor:

@@ -1,15 +1,16 @@
 """From an estimate of log intensity to an image of polarization."""
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._kernels import ImageQueue
 from pdavis_cv._workers import Workers
-from pdavis_cv.analyser import Analyser
+from pdavis_cv.analyser import Analyser, stokes_gain
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.fusion.camera import analyser_of, gain_of, mismatch_of
 from pdavis_cv.fusion.window import Roi, Window
@@ -22,7 +23,7 @@ from pdavis_cv.mosaic import (
 )
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Reconstructor
+from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["ImageMaker", "Samples", "samples_of"]
@@ -57,7 +58,10 @@ class Samples(NamedTuple):
 
 def samples_of(method: Reconstructor, t_us: int) -> Samples:
     """Return the estimate of a method that has been fed as far as t_us needs."""
-    estimate = method.read(t_us)
+    return _samples(method, method.read(t_us))
+
+
+def _samples(method: Reconstructor, estimate: Estimate) -> Samples:
     return Samples(method.intensity(estimate.log_intensity), estimate.variance,
                    estimate.valid, method.quality)
 
@@ -132,6 +136,48 @@ class ImageMaker:
         self._last = None if shown is None else (shown, image)
         return image
 
+    def image_from(
+        self, queue: ImageQueue, method: Reconstructor, t_us: int,
+        frame_us: int | None, provenance: Mapping[str, Any],
+    ) -> Callable[[], PolarFrame]:
+        """Return a function that returns the image, which another thread may finish.
+
+        Parameters
+        ----------
+        queue : ImageQueue
+            Receives the image, if it is one that takes long to finish.
+        method, t_us, frame_us, provenance
+            As for `image`.
+        """
+        if (not self._whole or self._analyser is not None
+                or method.shows(t_us) is not None):
+            image = self.image(method, t_us, frame_us, provenance)
+            return lambda: image
+        estimate = method.read(t_us)
+        if estimate.variance is None:
+            made = self.made(_samples(method, estimate), t_us, frame_us, provenance)
+            return lambda: made
+        log: NDArray[np.float32] | None = estimate.log_intensity
+        if type(method).intensity is Reconstructor.intensity and self._gain is None:
+            intensity = np.empty_like(estimate.log_intensity)
+        else:
+            log, intensity = None, self._intensity(_samples(method, estimate))
+        quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
+        aop, dolp = np.empty((2, *intensity.shape), np.float32)
+        number = queue.post(
+            log, intensity, estimate.variance, places_of(self._layout), self._spread,
+            self._null, scratch_rows(2, intensity.shape[1]), quad, variance,
+            stokes_gain(self._ratio), aop, dolp)
+        about = self._about(
+            estimate.valid, method.quality, t_us, frame_us, provenance)
+
+        def finished() -> PolarFrame:
+            queue.wait(number)
+            return PolarFrame.adopt(
+                quad, variance=variance, reconciled=True, aop_dolp=(aop, dolp), **about)
+
+        return finished
+
     def made(
         self, samples: Samples, t_us: int, frame_us: int | None,
         provenance: Mapping[str, Any],
@@ -145,25 +191,36 @@ class ImageMaker:
         t_us, frame_us, provenance
             As for `image`.
         """
-        intensity, variance, usable, quality = samples
-        if self._gain is not None:
-            intensity /= self._gain
-        valid = self._valid(usable)
-        if quality is not None:
-            if self._demosaic in HALF_SIZE:
-                quality = quality[::2, ::2].copy()
-            quality = self._cropped(quality)
+        intensity = self._intensity(samples)
+        _, variance, usable, quality = samples
         # The arrays are new and nobody else's: the image takes them over.
-        about: dict[str, Any] = {
-            "valid": valid, "t_us": t_us, "frame_us": frame_us,
-            "extinction_ratio": self._ratio, "provenance": provenance,
-            "quality": quality}
+        about = self._about(usable, quality, t_us, frame_us, provenance)
         if variance is None and self._whole and self._analyser is None:
             return PolarFrame.adopt_mosaic(intensity, self._layout, **about)
         quad, variance = self._channels(intensity, variance, usable)
         return PolarFrame.adopt(
             quad, analyser=self._analyser, variance=variance,
             reconciled=variance is not None, **about)
+
+    def _intensity(self, samples: Samples) -> NDArray[np.float32]:
+        """Return the intensity of samples, corrected by the pixels' gains in place."""
+        intensity = samples.intensity
+        if self._gain is not None:
+            intensity /= self._gain
+        return intensity
+
+    def _about(
+        self, usable: NDArray[np.bool_], quality: NDArray[np.float32] | None,
+        t_us: int, frame_us: int | None, provenance: Mapping[str, Any],
+    ) -> dict[str, Any]:
+        """Return what an image is made with besides its channels."""
+        if quality is not None:
+            if self._demosaic in HALF_SIZE:
+                quality = quality[::2, ::2].copy()
+            quality = self._cropped(quality)
+        return {"valid": self._valid(usable), "t_us": t_us, "frame_us": frame_us,
+                "extinction_ratio": self._ratio, "provenance": provenance,
+                "quality": quality}
 
     def _valid(self, samples: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image is made of usable samples; cached, as rarely new."""

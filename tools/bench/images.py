@@ -13,13 +13,20 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import FusionOptions
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.polarimetry import PolarFrame, polarization
-from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
+from pdavis_cv.recording.base import (
+    ApsFrame,
+    Packet,
+    Problem,
+    Recording,
+    RecordingInfo,
+    Source,
+)
 from pdavis_cv.recording.stream import source_from_packets
 from pdavis_cv.sensor import Layout
 
 from .cases import CASES, SHAPE, Case, Comparison, mosaic_input
 
-__all__ = ["IMAGES", "endless", "shown"]
+__all__ = ["IMAGES", "Repeatable", "endless", "shown"]
 
 FRAME_US, EXPOSURE_US, READOUT_US = 40_000, 8_000, 12_000
 PACKET_EVENTS = 10_000
@@ -54,9 +61,44 @@ def endless(rate: float, shape: tuple[int, int] = SHAPE) -> Source:
     shape : (int, int)
         (height, width), both even.
     """
-    return source_from_packets(
-        RecordingInfo(format="bench", sensor_size=shape, layout=Layout.PDAVIS),
-        _packets(rate, shape))
+    return source_from_packets(_info(shape), _packets(rate, shape))
+
+
+class Repeatable(Recording):
+    """The same stream as a recording, of which `fuse` may read images ahead.
+
+    Parameters
+    ----------
+    rate, shape
+        As for `endless`.
+    """
+
+    def __init__(self, rate: float, shape: tuple[int, int] = SHAPE) -> None:
+        self._rate, self._shape = rate, shape
+
+    @property
+    def info(self) -> RecordingInfo:
+        """What is known before reading."""
+        return _info(self._shape)
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """None."""
+        return ()
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the packets, from the beginning only."""
+        assert start_us is None, "only the whole stream is read"
+        return _packets(self._rate, self._shape)
+
+    def close(self) -> None:
+        """Do nothing, as no file is open."""
+
+
+def _info(shape: tuple[int, int]) -> RecordingInfo:
+    return RecordingInfo(format="bench", sensor_size=shape, layout=Layout.PDAVIS)
 
 
 def _packets(rate: float, shape: tuple[int, int]) -> Iterator[Packet]:

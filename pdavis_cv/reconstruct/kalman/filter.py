@@ -520,7 +520,8 @@ class KalmanFilter(Reconstructor):
             self._epoch_us = max(self._epoch_us, middle)
             self._reader.forget()
             if self._unsampled is not None:     # pixels only ever leave this list
-                samples = self._states["samples"].reshape(-1).take(self._unsampled)
+                # Not by take(), which would copy the whole field first.
+                samples = self._states["samples"].reshape(-1)[self._unsampled]
                 self._unsampled = self._unsampled[samples == 0]
             if smoother is not None:
                 smoother.pass_until(

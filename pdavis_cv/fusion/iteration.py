@@ -1,0 +1,165 @@
+"""fuse(): iterate over the images of a recording, in one thread or in two."""
+from __future__ import annotations
+
+import os
+import threading
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from typing import Any
+
+from pdavis_cv._kernels import ImageQueue
+from pdavis_cv._workers import usable_cores
+from pdavis_cv.fusion.engine import Fusion
+from pdavis_cv.fusion.options import FusionOptions, takes_options
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.recording.base import Recording, Source
+
+__all__ = ["ReadAhead", "fuse"]
+
+DEPTH = 3
+"""Images that are read before the first of them is returned.
+
+One may be in work and one may wait while the next is read."""
+
+
+@takes_options
+def fuse(
+    recording: Source, options: FusionOptions | None = None, *,
+    executor: Executor | None = None, tiles: int | None = None, by_time: bool = False,
+    **changes: Any,
+) -> Iterator[PolarFrame]:
+    """Fuse a recording's frames and events into polarization images.
+
+    Reading begins when the first image is asked for.  Without `fps` and `times_us`
+    there is one image per frame, at its mid-exposure (100 per second if there are no
+    frames).  The recording is always processed from its beginning, whatever `start_us`
+    is, so an image does not depend on which other images are asked for.
+
+    Parameters
+    ----------
+    recording : Recording or Source
+        From `open_recording` or `recording_from_arrays`; or a source that can be read
+        only once, e.g. from `source_from_packets`, which is processed in one pass and
+        bounded memory.  Without `causal`, the first image of such a source may have to
+        wait for its first 10 s, from which parameters of the camera are estimated.
+    options : FusionOptions, optional
+        Options to start from; the keywords below override them.
+    executor : concurrent.futures.Executor, optional
+        Computes stripes of the sensor in parallel; the images have the same bits.  The
+        recording is read in this process.  Where each pixel depends on all others, as
+        with ``kalman``, a single worker computes the whole sensor.
+    tiles : int, optional
+        Number of stripes, or of intervals at a time; default one per core.
+    by_time : bool
+        Divide time instead; this process then computes the state as well.
+    {options}
+    **method_parameters
+        Parameters of the method, e.g. ``cutoff_hz`` for ``cf``.
+
+    Returns
+    -------
+    iterator of PolarFrame
+        With `threads` above 1, it reads a recording up to three images ahead.
+
+    Raises
+    ------
+    TypeError
+        If an argument has the wrong type or the method has no such parameter.
+    ValueError
+        If a value is out of range, e.g. a region that leaves the sensor.
+    LayoutError, CalibrationError
+        If layouts disagree, or the calibration belongs to another camera.
+
+    Examples
+    --------
+    >>> import pdavis_cv
+    >>> from pdavis_cv.data import example_recording
+    >>> options = pdavis_cv.FusionOptions(method="cf", layout=pdavis_cv.Layout.PDAVIS)
+    >>> with pdavis_cv.open_recording(example_recording()) as recording:
+    ...     image = next(pdavis_cv.fuse(recording, options, roi=(0, 0, 40, 30)))
+    >>> image.dolp.shape
+    (30, 40)
+    """
+    if executor is None:
+        fusion = Fusion(recording, options, **changes)
+        whole = fusion.options.threads > 1 and isinstance(recording, Recording)
+        return ReadAhead(fusion) if whole else fusion
+    from pdavis_cv.fusion.stripes import fuse_tiles
+    return fuse_tiles(recording, (options or FusionOptions()).replace(**changes),
+                      executor, tiles or usable_cores(), by_time)
+
+
+class ReadAhead(Iterator[PolarFrame]):
+    """Iterate over a Fusion's images, which are the same, but in two threads.
+
+    The calling thread brings the state to the times of the next images and reads it;
+    a second one interpolates the channels and computes angle and degree.  That thread
+    stays in compiled code: with one that runs Python, the two would wait for Python's
+    lock for longer than they gain.
+
+    Parameters
+    ----------
+    fusion : Fusion
+        Of a source that need not be shown without delay.
+    """
+
+    def __init__(self, fusion: Fusion) -> None:
+        self._fusion = fusion
+        self._lock = threading.Lock()       # an iterator may be shared by threads
+        self._waiting: deque[Callable[[], PolarFrame]] = deque()
+        self._depth = 0
+        self._error: Exception | None = None
+        self._queue: tuple[int, ImageQueue] | None = None
+        self._end: Callable[[], object] = _nothing
+
+    def __next__(self) -> PolarFrame:
+        with self._lock:
+            self._read_on()
+            if self._waiting:
+                return self._waiting.popleft()()
+            if self._error is not None:
+                error, self._error = self._error, None
+                raise error
+            self._end()
+            self._queue = None
+            raise StopIteration
+
+    def _read_on(self) -> None:
+        """Read images until enough wait, or until there is an error or the end."""
+        queue = self._started()
+        self._depth = min(self._depth + 1, DEPTH)   # the first one is not delayed
+        while len(self._waiting) < self._depth and self._error is None:
+            try:
+                if not self._fusion.advance():
+                    return
+                self._waiting.append(self._fusion.image_from(queue))
+            except Exception as error:  # raised after the images that precede it
+                self._error = error
+
+    def _started(self) -> ImageQueue:
+        """Return the queue, whose thread is started if there is none."""
+        # A forked child has the parent's objects, but not its threads.
+        if self._queue is not None and self._queue[0] != os.getpid():
+            self._queue[1].finish_here()
+            self._queue = None
+        if self._queue is None:
+            queue = ImageQueue()
+            thread = threading.Thread(
+                target=queue.serve, name="pdavis_cv-images", daemon=True)
+            thread.start()
+            self._queue = os.getpid(), queue
+            self._end = weakref.finalize(self, _end, queue, thread)
+        return self._queue[1]
+
+
+def _nothing() -> None:
+    """Do what there is to do before a thread has been started."""
+
+
+def _end(queue: ImageQueue, thread: threading.Thread) -> None:
+    """End a queue's thread; it may still finish images that nobody waits for."""
+    queue.end()
+    if thread is not threading.current_thread():
+        thread.join()
