@@ -1,17 +1,24 @@
 """Checks of arguments that several packages share."""
 from __future__ import annotations
 
+import math
+import numbers
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["MOST_SIDE", "checked_threshold", "output", "outputs", "plain",
-           "positive", "sensor_shape", "whole_number"]
+__all__ = ["MOST_ANGLE", "MOST_RPM", "MOST_SIDE", "checked_threshold", "output",
+           "outputs", "place", "plain", "positive", "real_number", "sensor_shape",
+           "whole_number"]
 
 MOST_SIDE = 65_536
 """Largest side of a sensor, pixels: coordinates of events have 16 bits."""
+MOST_ANGLE = 1e6
+"""Bound on angles, radians: rounding of a larger phase shifts threshold crossings."""
+MOST_RPM = 3e7
+"""Largest speed of what turns: half a turn per tick of the clock, a microsecond."""
 
 
 def output(
@@ -116,6 +123,28 @@ def positive(name: str, value: float) -> float:
     if not (np.isfinite(number) and number > 0):
         raise ValueError(f"{name} must be positive and finite, got {value!r}")
     return number
+
+
+def real_number(value: object) -> float:
+    """Return a real number as a float; NaN, which satisfies no rule, for the rest."""
+    if not isinstance(value, numbers.Real):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:       # an integer beyond the range of floats
+        return math.nan
+
+
+def place(name: str, value: Any, most: float = MOST_SIDE) -> tuple[float, float]:
+    """Return x and y as floats; raise ValueError unless both lie within most of 0."""
+    try:
+        x, y = (real_number(each) for each in value)
+    except (TypeError, ValueError):
+        x = y = math.nan
+    if not (abs(x) <= most and abs(y) <= most):
+        raise ValueError(
+            f"{name} must be two numbers within {most:g} of 0, got {value!r}")
+    return x, y
 
 
 def plain(value: Any) -> Any:

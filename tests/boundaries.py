@@ -11,15 +11,21 @@ import inspect
 import itertools
 import math
 import signal
+import sys
 import time
 import tracemalloc
 import warnings
+from pathlib import Path
 
 import numpy as np
 
-import pdavis_cv
-from pdavis_cv import analysis, render, simulation
-from pdavis_cv.simulation.ideal import rotating_polarizer
+sys.path[:0] = [str(Path(__file__).parent)]
+
+import boundary_scenes  # noqa: E402
+
+import pdavis_cv  # noqa: E402
+from pdavis_cv import analysis, render  # noqa: E402
+from pdavis_cv.simulation.ideal import rotating_polarizer  # noqa: E402
 
 ALLOWED = (TypeError, ValueError, pdavis_cv.PdavisError)
 LONGEST_S = 5.0      # of processor time
@@ -28,7 +34,7 @@ MOST_BYTES = 200 << 20
 DRAWN = None
 """Generator of the numbers, where others than the written ones are asked for."""
 LONG = {("rotating_polarizer", "seconds"), ("rotating_polarizer", "rpm"),
-        ("EventRedundancy", "shape")}
+        ("EventRedundancy", "shape"), ("Camera.stream", "step_us")}
 """Arguments for which a large number is a large task, no mistake: not drawn."""
 SIZE = (12, 14)
 LAYOUT = pdavis_cv.Layout.PDAVIS
@@ -279,8 +285,6 @@ def table():
             "rpm": 60.0, "seconds": 0.3, "size": (2, 2), "theta": (0.2, 0.2),
             "dn": 600.0, "fps": 20.0, "exposure_us": 20_000, "readout_us": 100,
             "dolp": 0.9, "extinction_ratio": 40.0, "start_angle": 0.0}),
-        ("RotatingPolarizer", simulation.RotatingPolarizer, {
-            "rpm": 60.0, "s0": 30.0, "start_angle": 0.0, "dolp": 1.0}),
     ]
     for name, method, more in (
             ("KalmanFilter", p.KalmanFilter, {"lookahead_us": 5000}),
@@ -293,7 +297,7 @@ def table():
         given = {k: v for k, v in (both | more).items() if k in accepted}
         rows.append((name, read(method), {
             **given, "t_us": 60_000, "packet": events, "picture": frame}))
-    return rows
+    return rows + boundary_scenes.rows()
 
 
 class Hang(Exception):
@@ -371,7 +375,6 @@ def _short(value):
 if __name__ == "__main__":
     import argparse
     import faulthandler
-    import sys
     faulthandler.dump_traceback_later(600, exit=True)
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*")

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boundaries import table
+from boundaries import hostile, table
+from boundary_scenes import kinds
 
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.simulation.ideal import rotating_polarizer
@@ -28,6 +29,19 @@ def test_the_table_calls_everything_rightly():
     for name, function, good in table():
         function(**good)
         assert name
+
+
+def test_an_impossible_part_of_a_simulation_is_named():
+    refused = []
+    for name, kind, good, _ in kinds():
+        for argument, value in good.items():
+            for bad in hostile(value):
+                try:
+                    kind(**{**good, argument: bad})
+                except ValueError as error:
+                    refused.append((name, argument, str(error)))
+    assert len(refused) > 3000
+    assert not [each for each in refused if each[1] not in each[2]]
 
 
 def test_small_integers_of_numpy_are_taken_for_numbers():

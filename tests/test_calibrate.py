@@ -6,9 +6,8 @@ import pytest
 from streams import opens_by
 
 from pdavis_cv import Calibration, Layout
-from pdavis_cv.simulation import ideal
+from pdavis_cv.simulation import FlatLight, MalusSweep, RotatingPolarizer, ideal
 from pdavis_cv.simulation.camera import Camera
-from pdavis_cv.simulation.scenes import FlatLight, MalusSweep, RotatingPolarizer
 from pdavis_cv.tools.main import main
 
 HOLD_S = 0.5

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._checks import (
+    MOST_ANGLE,
+    MOST_RPM,
+    MOST_SIDE,
+    place,
+    plain,
+    real_number,
+    whole_number,
+)
 from pdavis_cv.analysis.traces import pixels_per_sample, region_statistics
+from pdavis_cv.events import FAR
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 
@@ -24,18 +34,19 @@ class Wheel:
     Parameters
     ----------
     centre : (float, float)
-        x and y of the axis in sensor pixels; (0, 0) is the middle of the top left
-        pixel.
+        x and y of the axis in sensor pixels, within 65,536 of 0; (0, 0) is the middle
+        of the top left pixel.
     radius, hub : float
-        Outer and inner radius of the measured region, pixels.
+        Outer and inner radius of the measured region, pixels, at most 65,536.
     sectors : int
-        Number of sectors.
+        Number of sectors, 1 to 127: labels are int8.
     rpm : float
-        Turns per minute; 0 for a wheel at rest.
+        Turns per minute, within 3e7 of 0, half a turn per microsecond; 0 for a wheel at
+        rest.
     start_angle : float
-        Angle of the middle of sector 0 at ``origin_us``, radians.
+        Angle of the middle of sector 0 at ``origin_us``, radians, within 1e6 of 0.
     origin_us : int
-        Time of ``start_angle``.
+        Time of ``start_angle``, within 2**61 us of 0.
     margin : float
         Fraction of a sector's angle that is left out at each edge.
 
@@ -55,13 +66,28 @@ class Wheel:
     margin: float = 0.15
 
     def __post_init__(self) -> None:
+        radius, hub, rpm, angle, margin = (real_number(each) for each in (
+            self.radius, self.hub, self.rpm, self.start_angle, self.margin))
         for name, holds, rule in (
-                ("radius", self.radius > self.hub >= 0, "exceed hub >= 0"),
-                ("sectors", self.sectors >= 1, "be at least 1"),
-                ("margin", 0 <= self.margin < 0.5, "lie in 0..0.5"),
-                ("rpm", np.isfinite(self.rpm), "be finite")):
+                ("hub", 0 <= hub <= MOST_SIDE, f"lie in 0..{MOST_SIDE}"),
+                ("radius", hub < radius <= MOST_SIDE,
+                 f"exceed hub = {hub:g} and be at most {MOST_SIDE}"),
+                ("margin", 0 <= margin < 0.5, "lie in 0..0.5"),
+                ("rpm", abs(rpm) <= MOST_RPM, f"lie within {MOST_RPM:g} of 0"),
+                ("start_angle", abs(angle) <= MOST_ANGLE,
+                 f"lie within {MOST_ANGLE:g} of 0")):
             if not holds:
                 raise ValueError(f"{name} must {rule}, got {getattr(self, name)!r}")
+        # Python's numbers, since NumPy's small ones overflow.
+        for name, value in {
+                "centre": place("centre", self.centre), "radius": plain(self.radius),
+                "hub": plain(self.hub), "rpm": plain(self.rpm),
+                "start_angle": plain(self.start_angle), "margin": plain(self.margin),
+                "sectors": whole_number(
+                    "sectors", self.sectors, 1, np.iinfo(np.int8).max),
+                "origin_us": whole_number(
+                    "origin_us", self.origin_us, -FAR, FAR)}.items():
+            object.__setattr__(self, name, value)
 
     def turned(self, t_us: int) -> float:
         """Return the angle of the middle of sector 0 at a time, radians."""

@@ -21,8 +21,6 @@ from pdavis_cv.simulation.scenes import (
     FULL,
     FlatLight,
     Flicker,
-    IrradianceSweep,
-    MalusSweep,
     PolarizerBeforePlate,
     RotatingPlate,
     RotatingPolarizer,
@@ -30,6 +28,7 @@ from pdavis_cv.simulation.scenes import (
     Sum,
 )
 from pdavis_cv.simulation.stream import SimulatedRecording
+from pdavis_cv.simulation.sweeps import IrradianceSweep, MalusSweep
 from pdavis_cv.simulation.temperature import Temperature
 from pdavis_cv.simulation.truth import Truth
 

@@ -9,25 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import at_least_zero, positive, require
+from pdavis_cv.simulation.checks import (
+    MOST_DN,
+    positive,
+    present,
+    python_numbers,
+    require,
+    whole,
+    within,
+)
 
 __all__ = ["ApsPixel", "FrameClock"]
 
 FloatArray = NDArray[np.float64]
+
+_LEAST_FPS, _MOST_FPS = 1e-12, 1e5
+# A frame takes at most the range of times; in a piece of 10 ms there are at most 1000.
+_MOST_READOUT_US = 10_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class ApsPixel:
     """Parameters of the frame pixel and its clock; the defaults are an ideal one.
 
+    Levels, noise and rates are at most 2**24: float32 resolves 1 DN up to there.
+
     Parameters
     ----------
     fps : float
-        Frames per second; frame k is exposed from k / fps on.
+        Frames per second, 1e-12 to 100,000; frame k is exposed from k / fps on.
     exposure_us, readout_us : int
-        Exposure, and time from its end until the frame is available.
+        Exposure, and time from its end until the frame is available, at most 10 s.
     shutter : {"global", "rolling"}
         Rolling: columns are exposed one after the other, over ``readout_us``.
     adc_bits : int, optional
@@ -50,7 +65,7 @@ class ApsPixel:
         Dark current in DN per second of exposure; 1200 electrons/s (table S1).
     storage_leak : float
         Global shutter: parasitic sensitivity of the storage node, relative to the
-        photodiode's, while a sample waits for its column to be read.
+        photodiode's, while a sample waits for its column to be read; 0..1.
     """
 
     fps: float = 20.0
@@ -69,20 +84,25 @@ class ApsPixel:
     storage_leak: float = 0.0
 
     def __post_init__(self) -> None:
-        positive(fps=self.fps, exposure_us=self.exposure_us,
-                 electrons_per_dn=self.electrons_per_dn, reset_dn=self.reset_dn)
-        at_least_zero(
-            readout_us=self.readout_us, reset_fpn_dn=self.reset_fpn_dn,
-            offset_fpn_dn=self.offset_fpn_dn, ktc_dn=self.ktc_dn,
-            read_noise_dn=self.read_noise_dn, dark_dn_s=self.dark_dn_s,
-            storage_leak=self.storage_leak)
+        python_numbers(self)
+        within(_LEAST_FPS, _MOST_FPS, fps=self.fps)
+        whole(self, 1, FAR, "exposure_us")
+        whole(self, 0, _MOST_READOUT_US, "readout_us")
+        optional = present(
+            electrons_per_dn=self.electrons_per_dn, reset_dn=self.reset_dn)
+        positive(**optional)
+        within(0, MOST_DN, reset_fpn_dn=self.reset_fpn_dn, ktc_dn=self.ktc_dn,
+               offset_fpn_dn=self.offset_fpn_dn, dark_dn_s=self.dark_dn_s,
+               read_noise_dn=self.read_noise_dn, **optional)
+        within(0, 1, storage_leak=self.storage_leak)
+        within(0, math.inf, full_well_dn=self.full_well_dn)
         require("full_well_dn", self.full_well_dn, self.full_well_dn > 0, "be positive")
         require("exposure_us", self.exposure_us, self.exposure_us * self.fps <= 1e6,
                 f"be at most the frame interval at {self.fps:g} fps")
-        require("shutter", self.shutter, self.shutter in ("global", "rolling"),
-                "be 'global' or 'rolling'")
-        require("adc_bits", self.adc_bits,
-                self.adc_bits is None or 1 <= self.adc_bits <= 16, "lie in 1..16")
+        require("shutter", self.shutter, isinstance(self.shutter, str)
+                and self.shutter in ("global", "rolling"), "be 'global' or 'rolling'")
+        if self.adc_bits is not None:
+            whole(self, 1, 16, "adc_bits")
 
     @property
     def full_scale_dn(self) -> int:

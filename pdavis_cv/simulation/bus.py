@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._kernels import read_out
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.simulation.checks import at_least_zero, positive
+from pdavis_cv.simulation.checks import python_numbers, within
 
 __all__ = ["Bus", "BusState"]
 
@@ -24,17 +24,18 @@ class Bus:
     Parameters
     ----------
     rate_hz : float
-        Events per second within a row; about 10 MHz (Haessig, section S1).
+        Events per second within a row, 1 to 1e12; about 10 MHz (Haessig, section S1).
     row_us : float
-        Time to switch to the next row, microseconds.
+        Time to switch to the next row, microseconds, at most a second.
     """
 
     rate_hz: float = 10e6
     row_us: float = 0.1
 
     def __post_init__(self) -> None:
-        positive(rate_hz=self.rate_hz)
-        at_least_zero(row_us=self.row_us)
+        python_numbers(self)
+        within(1, 1e12, rate_hz=self.rate_hz)
+        within(0, 1e6, row_us=self.row_us)
 
 
 class BusState:

@@ -9,13 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from pdavis_cv._checks import MOST_SIDE, place, plain, sensor_shape, whole_number
 from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording, RecordingInfo
 from pdavis_cv.recording.memory import MemoryRecording
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
-from pdavis_cv.simulation.checks import affordable, positive, require
+from pdavis_cv.simulation.checks import (
+    affordable,
+    instance,
+    positive,
+    present,
+    require,
+)
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import LENSES, Optics
@@ -26,6 +33,8 @@ from pdavis_cv.simulation.temperature import Temperature
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = ["PRESETS", "Camera"]
+
+_MOST_THREADS = 1024
 
 _NOMINAL_DVS = DvsPixel(
     theta_on=0.16, theta_off=0.18, mismatch=0.035, cutoff_hz=250.0, leak_hz=0.3,
@@ -120,18 +129,28 @@ class Camera:
         size: tuple[int, int] = (12, 12), origin: tuple[int, int] | None = None,
         sensor: Sensor = Sensor.PDAVIS, name: str = "simulated",
     ) -> None:
-        height, width = size
+        instance(Sensor, sensor=sensor)
+        size = height, width = sensor_shape(size, "size")
         if origin is None:
             origin = ((sensor.size[0] - height) // 4 * 2,
                       (sensor.size[1] - width) // 4 * 2)
-        require("size", size, height > 0 and width > 0, "be positive")
+        row, column = place("origin", origin)
+        origin = (whole_number("origin", row, -MOST_SIDE, MOST_SIDE),
+                  whole_number("origin", column, -MOST_SIDE, MOST_SIDE))
         require("origin", origin,
                 0 <= origin[0] <= sensor.size[0] - height
                 and 0 <= origin[1] <= sensor.size[1] - width,
                 f"leave {height} rows and {width} columns of the {sensor.name}'s "
                 f"{sensor.size[0]} and {sensor.size[1]}")
+        seed = plain(seed)
         require("seed", seed, isinstance(seed, int) and seed >= 0,
                 "be an integer of at least 0")
+        instance(Optics, **present(optics=optics))
+        instance(DvsPixel, **present(dvs=dvs))
+        instance(ApsPixel, **present(aps=aps))
+        instance(Bus, **present(bus=bus))
+        instance(Faults, **present(faults=faults))
+        instance(Temperature, **present(temperature=temperature))
         require("dvs and aps", None, dvs is not None or aps is not None,
                 "not both be None")
         self.faults = Faults() if faults is None else faults
@@ -259,14 +278,16 @@ class Camera:
         seconds : float
             Duration; the recording covers [0, seconds).
         run : int
-            Number of the recording: the same specimen, other noise.
+            Number of the recording, 0 to 2**63 - 1: the same specimen, other noise.
         threads : int
-            Threads over bands of rows; they do not change the result.
+            Threads over bands of rows, 1 to 1024; they do not change the result.
         step_us : float, optional
             Interval at which the scene is sampled; default its own ``step_us``.
         """
-        positive(seconds=seconds, threads=threads, step_us=step_us)
-        require("run", run, run >= 0, "not be negative")
+        instance(Scene, scene=scene)
+        positive(seconds=seconds, **present(step_us=step_us))
+        threads = whole_number("threads", threads, 1, _MOST_THREADS)
+        run = whole_number("run", run, 0, 2**63 - 1)
         require("seconds", seconds, seconds * 1e6 < FAR, "be less than 2**61 us")
         return SimulatedRecording(
             self, scene, round(seconds * 1e6), run, threads, step_us)

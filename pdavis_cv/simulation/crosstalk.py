@@ -29,8 +29,11 @@ def kernel(side: float, corner: float = 0.0) -> Kernel:
 
 def check_kernel(name: str, value: Any) -> None:
     """Require three rows of three shares that add to 1."""
-    array = np.array(value, np.float64) if np.shape(value) == (3, 3) else None
-    require(name, value, array is not None and bool((array >= 0).all())
+    try:
+        array = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.empty(0)
+    require(name, value, array.shape == (3, 3) and bool((array >= 0).all())
             and abs(float(array.sum()) - 1) < 1e-9 and float(array[1, 1]) >= 0.5,
             "be three rows of three shares that add to 1, half of it in the middle")
 

@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._kernels import pixel_events, sort_events, video_events
-from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
+from pdavis_cv.simulation.checks import (
+    MOST_HZ,
+    MOST_LIGHT,
+    fraction,
+    positive,
+    present,
+    python_numbers,
+    require,
+    within,
+)
 
 __all__ = ["FILM_ROWS", "DvsPixel", "PixelArray"]
 
@@ -29,6 +38,9 @@ _DARK = 11          # index of the dark current in the kernel's settings
 
 FloatArray = NDArray[np.float64]
 
+_LEAST_HZ = 1e-12       # a period is at most the range of times, 2**61 us
+_LEAST_THETA, _MOST_THETA = 1e-3, 100.0     # 0.1 % of light, and more than its range
+
 _CELL_DTYPE = np.dtype([
     *((name, np.float64) for name in (
         "ref", "since", "release", "noise_t", "on", "off", "leak")),
@@ -39,33 +51,38 @@ _CELL_DTYPE = np.dtype([
 class DvsPixel:
     """Parameters of the event pixel; the defaults are an ideal one.
 
+    Rates and frequencies are at most 500,000, half the rate of the clock, which counts
+    microseconds; those per DN/ms and amounts of light at most 1e9.
+
     Parameters
     ----------
     theta_on, theta_off : float
-        Thresholds, natural-log units; the paper's camera reaches 0.14 (table S1).
+        Thresholds, natural-log units, .001 to 100; the paper's camera reaches 0.14
+        (table S1).
     mismatch : float
         Standard deviation of the thresholds over pixels, ON and OFF independent,
         relative to the threshold; 0.035 (Brandli et al. 2014).
     mismatch_ln : float
         The same in natural-log units; the variances of the two add.
     cutoff_hz : float, optional
-        -3 dB frequency of the photoreceptor in any light; None and no
+        -3 dB frequency of the photoreceptor in any light, at least 1e-12; None and no
         ``cutoff_hz_per_dn_ms``: unlimited.
     cutoff_hz_per_dn_ms : float
         -3 dB frequency per DN/ms of light on the pixel, added to ``cutoff_hz``: the
         photoreceptor's time constant is that of its photocurrent.
     second_pole_hz : float, optional
         -3 dB frequency of the source follower behind the photoreceptor, a second
-        first-order low-pass; None: none, as in v2e.
+        first-order low-pass, at least 1e-12; None: none, as in v2e.
     dark_dn_ms : float
         Dark current of the photodiode as an equivalent light, DN per ms.
     refractory_us : float
-        Time after an event during which the comparator is held in reset.
+        Time after an event during which the comparator is held in reset, at most
+        2**61 us.
     leak_hz : float
         Rate of ON events of a pixel in the dark and at rest that the reset switch's
         junction leak makes (Nozaki & Delbruck 2017: 0.1 Hz at room temperature).
     leak_sigma : float
-        Relative spread of the leak over pixels.
+        Relative spread of the leak over pixels, at most 1.
     leak_hz_per_dn_ms : float
         Leak events per second and DN/ms of light on the pixel, by the parasitic
         photocurrent of the same switch (Nozaki & Delbruck 2017).
@@ -82,7 +99,7 @@ class DvsPixel:
         Probability that a pixel makes an event when a frame's exposure starts, and
         again when it ends, by coupling from the frame read-out.
     burst_us : float
-        Duration of such a burst: its events are uniform in it.
+        Duration of such a burst, at most a second: its events are uniform in it.
     """
 
     theta_on: float = 0.15
@@ -106,15 +123,21 @@ class DvsPixel:
     burst_us: float = 200.0
 
     def __post_init__(self) -> None:
-        positive(theta_on=self.theta_on, theta_off=self.theta_off,
-                 cutoff_hz=self.cutoff_hz, second_pole_hz=self.second_pole_hz,
-                 bright_dn_ms=self.bright_dn_ms, burst_us=self.burst_us)
-        at_least_zero(
-            mismatch=self.mismatch, mismatch_ln=self.mismatch_ln,
-            cutoff_hz_per_dn_ms=self.cutoff_hz_per_dn_ms, dark_dn_ms=self.dark_dn_ms,
-            refractory_us=self.refractory_us, leak_hz=self.leak_hz,
-            leak_sigma=self.leak_sigma, leak_hz_per_dn_ms=self.leak_hz_per_dn_ms,
-            shot_noise_hz=self.shot_noise_hz, hot_hz=self.hot_hz)
+        python_numbers(self)
+        cutoffs = present(cutoff_hz=self.cutoff_hz, second_pole_hz=self.second_pole_hz)
+        positive(bright_dn_ms=self.bright_dn_ms, burst_us=self.burst_us)
+        within(_LEAST_THETA, _MOST_THETA, theta_on=self.theta_on,
+               theta_off=self.theta_off)
+        within(0, MOST_HZ, leak_hz=self.leak_hz, shot_noise_hz=self.shot_noise_hz,
+               hot_hz=self.hot_hz)
+        within(_LEAST_HZ, MOST_HZ, **cutoffs)
+        within(0, MOST_LIGHT, cutoff_hz_per_dn_ms=self.cutoff_hz_per_dn_ms,
+               leak_hz_per_dn_ms=self.leak_hz_per_dn_ms, dark_dn_ms=self.dark_dn_ms,
+               bright_dn_ms=self.bright_dn_ms)
+        within(0, FAR, refractory_us=self.refractory_us)
+        within(0, 1e6, burst_us=self.burst_us)
+        fraction(mismatch=self.mismatch, leak_sigma=self.leak_sigma)
+        within(0, _MOST_THETA, mismatch_ln=self.mismatch_ln)
         fraction(shot_noise_bright_factor=self.shot_noise_bright_factor,
                  hot_fraction=self.hot_fraction, burst_chance=self.burst_chance)
         for name in ("theta_on", "theta_off"):

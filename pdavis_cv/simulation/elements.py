@@ -7,11 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.simulation.checks import positive, require
+from pdavis_cv._checks import MOST_ANGLE
+from pdavis_cv.simulation.checks import (
+    instance,
+    python_numbers,
+    require,
+    whole,
+    within,
+)
 from pdavis_cv.simulation.mueller import is_physical, retarder
 from pdavis_cv.simulation.scenes import FloatArray, Scene, Stokes
 
 __all__ = ["Behind", "Waveplate", "quartz_birefringence"]
+
+_MOST_ORDER = 10_000    # a plate of 0.6 m of quartz
+_MOST_GAIN = 1e6        # on a matrix's elements: the largest gain of an amplifier
 
 
 def quartz_birefringence(wavelength_nm: float) -> float:
@@ -22,8 +32,7 @@ def quartz_birefringence(wavelength_nm: float) -> float:
     wavelength_nm : float
         200 to 2000.
     """
-    require("wavelength_nm", wavelength_nm, 200 <= wavelength_nm <= 2000,
-            "lie in 200..2000")
+    within(200, 2000, wavelength_nm=wavelength_nm)
     square = (wavelength_nm / 1000) ** 2
     ordinary = (1.28604141 + 1.07044083 * square / (square - 1.00585997e-2)
                 + 1.10202242 * square / (square - 100))
@@ -39,13 +48,15 @@ class Waveplate:
     Parameters
     ----------
     retardance : float
-        Radians at `design_nm`: pi/2 for a quarter-wave plate, pi for a half-wave one.
+        Radians at `design_nm`: pi/2 for a quarter-wave plate, pi for a half-wave one;
+        within 1e6 of 0.
     axis : float
-        Angle of the fast axis, radians.
+        Angle of the fast axis, radians, within 1e6 of 0.
     design_nm : float
-        Wavelength that the plate is made for.
+        Wavelength that the plate is made for, 200 to 2000.
     order : int
-        Whole waves of retardance on top of it: 0 for a zero-order plate.
+        Whole waves of retardance on top of it, at most 10,000: 0 for a zero-order
+        plate.
     achromatic : bool
         Whether the retardance is the same at each wavelength; else that of quartz.
 
@@ -63,13 +74,10 @@ class Waveplate:
     achromatic: bool = False
 
     def __post_init__(self) -> None:
-        positive(design_nm=self.design_nm)
-        require("retardance", self.retardance, math.isfinite(self.retardance),
-                "be finite")
-        require("order", self.order,
-                isinstance(self.order, int) and self.order >= 0,
-                "be an integer of at least 0")
-        quartz_birefringence(self.design_nm)
+        python_numbers(self)
+        within(200, 2000, design_nm=self.design_nm)
+        within(-MOST_ANGLE, MOST_ANGLE, retardance=self.retardance, axis=self.axis)
+        whole(self, 0, _MOST_ORDER, "order")
 
     def retardance_at(self, wavelength_nm: float) -> float:
         """Return the retardance at a wavelength, radians, whole waves included."""
@@ -95,7 +103,8 @@ class Behind(Scene):
     scene : Scene
         The light in front of the element.
     matrix : array_like, shape (4, 4)
-        Mueller matrix of the element, as `Waveplate.mueller` gives it.
+        Mueller matrix of the element, as `Waveplate.mueller` gives it; its elements lie
+        within 1e6 of 0.
 
     Raises
     ------
@@ -108,9 +117,13 @@ class Behind(Scene):
     circular = True
 
     def __post_init__(self) -> None:
-        matrix = np.array(self.matrix, np.float64)
+        instance(Scene, scene=self.scene)
+        try:
+            matrix = np.array(self.matrix, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            matrix = np.empty(0)
         require("matrix", self.matrix, matrix.shape == (4, 4)
-                and bool(np.isfinite(matrix).all()) and is_physical(matrix),
+                and bool((np.abs(matrix) <= _MOST_GAIN).all()) and is_physical(matrix),
                 "be the Mueller matrix of an element")
         matrix.flags.writeable = False
         object.__setattr__(self, "matrix", matrix)

@@ -8,10 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import at_least_zero, require
+from pdavis_cv.simulation.checks import (
+    fraction,
+    python_numbers,
+    require,
+    whole,
+    within,
+)
 
 __all__ = ["EventFaults", "Faults"]
 
+_MOST_OFFSET_US = 10_000_000
 _LARGEST_DRIFT = 0.5
 """Bound on the relative drift of the thresholds over a recording."""
 
@@ -25,16 +32,17 @@ class Faults:
     frame_offset_us : int
         Added to the frames' exposure stamps, not to ``available_us``.  In a DAVIS346
         events trail frames by 4 to 7 ms, an offset below 0.  At most the read-out
-        time, since a frame cannot arrive before its stated exposure ends.
+        time, since a frame cannot arrive before its stated exposure ends, and within
+        10 s of 0.
     jitter_us : float
         Standard deviation of the noise on the events' stamps; below 1000 under usual
         light (Hu et al., CVPR Workshops 2021).  Events are sorted by the noisy stamps,
-        which are kept within their piece of 10 ms.
+        which are kept within their piece of 10 ms.  At most a second.
     lost : float
         Fraction of the events that are lost, at random.
     drift_on, drift_off : float
         Relative change of the thresholds from the beginning of the recording to its
-        end, linear in time.
+        end, linear in time; within .5 of 0.
     """
 
     frame_offset_us: int = 0
@@ -44,15 +52,13 @@ class Faults:
     drift_off: float = 0.0
 
     def __post_init__(self) -> None:
-        require("frame_offset_us", self.frame_offset_us,
-                self.frame_offset_us == int(self.frame_offset_us),
-                "be a whole number of microseconds")
-        at_least_zero(jitter_us=self.jitter_us)
-        require("lost", self.lost, 0 <= self.lost < 1, "lie in 0..1, 1 excluded")
-        for name in ("drift_on", "drift_off"):
-            value = getattr(self, name)
-            require(name, value, abs(value) <= _LARGEST_DRIFT,
-                    f"lie within {_LARGEST_DRIFT} of 0")
+        python_numbers(self)
+        whole(self, -_MOST_OFFSET_US, _MOST_OFFSET_US, "frame_offset_us")
+        within(0, 1e6, jitter_us=self.jitter_us)
+        fraction(lost=self.lost)
+        require("lost", self.lost, self.lost < 1, "be below 1")
+        within(-_LARGEST_DRIFT, _LARGEST_DRIFT, drift_on=self.drift_on,
+               drift_off=self.drift_off)
 
     def threshold_factors(self, part: float) -> tuple[float, float]:
         """Return the factors on ON and OFF thresholds at a fraction of the duration."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import plain, sensor_shape, whole_number
+from pdavis_cv._checks import MOST_ANGLE, plain, sensor_shape, whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.recording.memory import recording_from_arrays
@@ -19,9 +19,6 @@ from pdavis_cv.simulation.scenes import FloatArray, RotatingPolarizer
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = ["rotating_polarizer"]
-
-MOST_ANGLE = 1e6
-"""Bound on ``start_angle``, radians: rounding of a larger phase shifts crossings."""
 
 
 def rotating_polarizer(

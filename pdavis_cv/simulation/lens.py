@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.simulation.checks import require
+from pdavis_cv._checks import MOST_ANGLE
+from pdavis_cv.simulation.checks import (
+    fraction,
+    python_numbers,
+    require,
+    within,
+)
 from pdavis_cv.simulation.mueller import diattenuator, retarder
 
 __all__ = ["Lens"]
@@ -33,9 +39,10 @@ class Lens:
         Angle of incidence, radians, at which a polarizer's extinction ratio is halved:
         ``ER / (1 + (angle / half_ratio)^2)``.
     diattenuation, retardance : float
-        Of the glass at the sensor's corners, 0..1 and radians; proportional to the
-        square of the distance from the middle, as Fresnel's equations are to that of
-        the angle.  The axis of larger transmission, and the fast one, is radial.
+        Of the glass at the sensor's corners, 0..1 and radians within 1e6 of 0;
+        proportional to the square of the distance from the middle, as Fresnel's
+        equations are to that of the angle.  The axis of larger transmission, and the
+        fast one, is radial.
 
     Notes
     -----
@@ -49,14 +56,16 @@ class Lens:
     retardance: float = 0.0
 
     def __post_init__(self) -> None:
-        require("f_number", self.f_number, self.f_number >= 0.5, "be at least 0.5")
-        require("chief_ray", self.chief_ray, 0 <= self.chief_ray < math.radians(60),
-                "lie within 0 and 60 degrees")
+        python_numbers(self)
+        within(0.5, math.inf, f_number=self.f_number)
+        within(0, math.inf, chief_ray=self.chief_ray, half_ratio=self.half_ratio)
+        require("chief_ray", self.chief_ray, self.chief_ray < math.radians(60),
+                "be below 60 degrees")
         require("half_ratio", self.half_ratio, self.half_ratio > 0, "be positive")
-        require("diattenuation", self.diattenuation, 0 <= self.diattenuation < 1,
-                "lie in 0..1, 1 excluded")
-        require("retardance", self.retardance, math.isfinite(self.retardance),
-                "be finite")
+        fraction(diattenuation=self.diattenuation)
+        require("diattenuation", self.diattenuation, self.diattenuation < 1,
+                "be below 1")
+        within(-MOST_ANGLE, MOST_ANGLE, retardance=self.retardance)
 
     def mueller(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
         """Return the Mueller matrix of the glass at places in the image.

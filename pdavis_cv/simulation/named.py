@@ -7,13 +7,12 @@ import math
 from pdavis_cv.simulation.patterns import Fan, Tendon, Texture
 from pdavis_cv.simulation.scenes import (
     FlatLight,
-    IrradianceSweep,
-    MalusSweep,
     PolarizerBeforePlate,
     RotatingPlate,
     RotatingPolarizer,
     Scene,
 )
+from pdavis_cv.simulation.sweeps import IrradianceSweep, MalusSweep
 
 __all__ = ["SCENES", "named_scene"]
 

@@ -12,13 +12,22 @@ from numpy.typing import NDArray
 
 from pdavis_cv.sensor import Layout
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import at_least_zero, require
+from pdavis_cv.simulation.checks import (
+    fraction,
+    instance,
+    present,
+    python_numbers,
+    require,
+    within,
+)
 from pdavis_cv.simulation.crosstalk import Kernel, Neighbours, check_kernel, kernel
 from pdavis_cv.simulation.lens import Lens
 
 __all__ = ["LENSES", "Optics"]
 
 FloatArray = NDArray[np.float64]
+
+_MOST_RATIO = 1e12      # far above any polarizer; a float still tells it from infinity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +43,13 @@ class Optics:
     layout : Layout
         Nominal angles.
     extinction_ratio : float
-        Mean extinction ratio, above 1; PDAVIS 40, Sony 350 (Haessig, table S1).
+        Mean extinction ratio, above 1, at most 1e12; PDAVIS 40, Sony 350 (Haessig,
+        table S1).
     extinction_ratio_sigma : float
-        Standard deviation over pixels, normal, kept above 1.5.
+        Standard deviation over pixels, normal, kept above 1.5; at most 1e12.
     angle_sigma, angle_smooth : float
-        Rms error of the angles in radians: independent per pixel, and a field that
-        varies smoothly over the sensor, as a misaligned filter array gives.
+        Rms error of the angles in radians, at most pi: independent per pixel, and a
+        field that varies smoothly over the sensor, as a misaligned filter array gives.
     gain_sigma, gain_smooth : float
         Relative spread of sensitivity: per pixel, and the fall towards the corners.
     lens : Lens, optional
@@ -61,15 +71,18 @@ class Optics:
     crosstalk: Kernel | None = None
 
     def __post_init__(self) -> None:
-        require("extinction_ratio", self.extinction_ratio,
-                1 < self.extinction_ratio < math.inf, "be finite and above 1")
-        at_least_zero(extinction_ratio_sigma=self.extinction_ratio_sigma,
-                      angle_sigma=self.angle_sigma, angle_smooth=self.angle_smooth,
-                      gain_sigma=self.gain_sigma)
-        require("gain_smooth", self.gain_smooth, 0 <= self.gain_smooth < 1,
-                "lie in 0..1, 1 excluded")
+        python_numbers(self)
+        instance(Layout, layout=self.layout)
+        within(1, _MOST_RATIO, extinction_ratio=self.extinction_ratio)
+        require("extinction_ratio", self.extinction_ratio, self.extinction_ratio > 1,
+                "be above 1")
+        within(0, _MOST_RATIO, extinction_ratio_sigma=self.extinction_ratio_sigma)
+        within(0, math.pi, angle_sigma=self.angle_sigma, angle_smooth=self.angle_smooth)
+        fraction(gain_sigma=self.gain_sigma, gain_smooth=self.gain_smooth)
+        require("gain_smooth", self.gain_smooth, self.gain_smooth < 1, "be below 1")
         require("gain_sigma", self.gain_sigma, self.gain_sigma < 0.2,
                 "be below 0.2 for gains to stay positive")
+        instance(Lens, **present(lens=self.lens))
         if self.crosstalk is not None:
             check_kernel("crosstalk", self.crosstalk)
 

@@ -10,9 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._checks import MOST_ANGLE, MOST_SIDE, place, whole_number
 from pdavis_cv.sensor import CHANNELS, Sensor
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
+from pdavis_cv.simulation.checks import (
+    MOST_HZ,
+    MOST_LIGHT,
+    MOST_SEED,
+    fraction,
+    positive,
+    python_numbers,
+    require,
+    turning,
+    whole,
+    within,
+)
 from pdavis_cv.simulation.scenes import (
     FULL,
     FloatArray,
@@ -31,6 +43,11 @@ _SECTORS = np.exp(1j * (np.pi / 3) * (np.arange(18) % 6))
 _KEPT_COLUMNS = 4096    # widest sensor whose columns' cosines are cached
 _KEPT_PLACES = 8192     # most pixels of which a wheel's constant maps are cached
 _EDGE_SAMPLES = 16      # while a soft edge passes a pixel at the rim
+_MOST_WAVES = 1024
+_MOST_PX_S = 1e6        # a pixel per tick of the clock
+_LEAST_PX = 0.01        # shortest structure of a scene: a hundredth of a pixel
+_LEAST_FPS = 1e-12      # a frame lasts at most the range of times, 2**61 us
+_MOST_FPS = 1e6         # a frame per tick of the clock
 
 
 def smooth_edge(u: FloatArray) -> FloatArray:
@@ -49,19 +66,19 @@ class Fan(Scene):
     Parameters
     ----------
     rpm : float
-        Turns per minute, positive = counter-clockwise as displayed.
+        Turns per minute, positive = counter-clockwise as displayed; within 3e7 of 0.
     s0 : float
-        S0 behind the wheel in the dim half, DN per ms.
+        S0 behind the wheel in the dim half, DN per ms, at most 1e9.
     bright : float
-        How much brighter the left half is; the paper's scene has 2000.
+        How much brighter the left half is, at most 1e9; the paper's scene has 2000.
     start_angle : float
-        Angle of sector 0's first edge at time 0, radians.
+        Angle of sector 0's first edge at time 0, radians; within 1e6 of 0.
     centre : (float, float)
-        x and y of the axis in pixels of the sensor.
+        x and y of the axis in pixels of the sensor, within 65,536 of 0.
     radius, hub : float
-        Radii of the wheel and of its opaque hub, pixels.
+        Radii of the wheel and of its opaque hub, pixels, at most 65,536.
     edge : float
-        Width of the soft edges, pixels.
+        Width of the soft edges, .01 to 65,536 pixels.
     opaque : float
         Unpolarized S0 of hub and surround, relative to S0 behind the wheel.
     """
@@ -77,7 +94,12 @@ class Fan(Scene):
     opaque: float = 0.05
 
     def __post_init__(self) -> None:
-        positive(s0=self.s0, bright=self.bright, hub=self.hub, edge=self.edge)
+        python_numbers(self)
+        object.__setattr__(self, "centre", place("centre", self.centre))
+        turning(self.rpm, start_angle=self.start_angle)
+        positive(s0=self.s0, bright=self.bright, hub=self.hub)
+        within(0, MOST_LIGHT, s0=self.s0, bright=self.bright)
+        within(_LEAST_PX, MOST_SIDE, radius=self.radius, edge=self.edge)
         fraction(opaque=self.opaque)
         require("radius", self.radius, self.radius > self.hub, "exceed hub")
 
@@ -115,7 +137,7 @@ class Fan(Scene):
         """s1 + i s2 at azimuths -9..3 in sectors; steep: sector width / edge width."""
         first = np.floor(place)
         part = place - first
-        seen = sectors.take(first.astype(np.intp) + 12)
+        seen = np.asarray(sectors.take(first.astype(np.intp) + 12))
         edge = np.minimum(part, 1 - part) * steep < 0.5
         if edge.any():
             place = place[edge]
@@ -175,23 +197,25 @@ class Tendon(Scene):
     Parameters
     ----------
     hz : float
-        Cycles per second; the paper pulls at 1, 5 and 10 Hz.
+        Cycles per second, at most 500,000; the paper pulls at 1, 5 and 10 Hz.
     strain_low, strain_high : float
-        Strain between which it moves; 2 % and 3 %.
+        Strain between which it moves, 0..1; 2 % and 3 %.
     s0 : float
-        Mean of S0, DN per ms.
+        Mean of S0, DN per ms, at most 1e9.
     retardance, gain : float
-        Retardance in radians at the middle of the cycle, and its relative change
-        from there to the end.
+        Retardance in radians at the middle of the cycle, at most 1e6, and its relative
+        change from there to the end.
     fibre_angle, fibre_width : float
-        Direction in radians and width in pixels of the fibres.
+        Direction in radians, within 1e6 of 0, and width in pixels of the fibres, .01 to
+        65,536.
     crimp_angle, crimp_length : float
-        Amplitude of the fibres' waviness in radians at the lowest strain, and its
-        period in pixels.
+        Amplitude of the fibres' waviness in radians at the lowest strain, 0 to pi/2,
+        and its period in pixels, .01 to 65,536.
     contrast : float
         Depth of the dark lines between fibres, 0..1.
     fixed : (float, float)
-        x and y of the point that does not move, pixels of the sensor.
+        x and y of the point that does not move, pixels of the sensor, within 65,536 of
+        0.
     """
 
     hz: float = 1.0
@@ -208,10 +232,18 @@ class Tendon(Scene):
     fixed: tuple[float, float] = (0.0, _MIDDLE[1])
 
     def __post_init__(self) -> None:
-        positive(hz=self.hz, s0=self.s0, fibre_width=self.fibre_width,
-                 crimp_length=self.crimp_length)
-        at_least_zero(strain_low=self.strain_low, retardance=self.retardance)
-        fraction(contrast=self.contrast, gain=self.gain)
+        python_numbers(self)
+        object.__setattr__(self, "fixed", place("fixed", self.fixed))
+        positive(hz=self.hz, s0=self.s0)
+        within(0, MOST_HZ, hz=self.hz)
+        within(0, MOST_LIGHT, s0=self.s0)
+        within(0, MOST_ANGLE, retardance=self.retardance)
+        within(-MOST_ANGLE, MOST_ANGLE, fibre_angle=self.fibre_angle)
+        within(0, math.pi / 2, crimp_angle=self.crimp_angle)
+        within(_LEAST_PX, MOST_SIDE, fibre_width=self.fibre_width,
+               crimp_length=self.crimp_length)
+        fraction(contrast=self.contrast, gain=self.gain, strain_low=self.strain_low,
+                 strain_high=self.strain_high)
         require("strain_high", self.strain_high, self.strain_high > self.strain_low,
                 f"exceed strain_low = {self.strain_low}")
 
@@ -302,19 +334,21 @@ class Texture(Scene):
     Parameters
     ----------
     velocity : (float, float)
-        Pixels per second, x to the right and y down.
+        Pixels per second, x to the right and y down; each within 1e6 of 0, a pixel per
+        tick of the clock.
     s0, contrast : float
-        Geometric mean of S0 in DN per ms, and rms of its natural log.
+        Geometric mean of S0 in DN per ms, at most 1e9, and rms of its natural log, at
+        most 10.
     dolp, dolp_spread : float
         Mean of DoLP, and its largest deviation from it.
     aop, aop_spread : float
-        Mean and rms spread of AoP in radians.
+        Mean of AoP in radians, within 1e6 of 0, and its rms spread, at most pi.
     longest, shortest : float
-        Wavelengths in pixels.
+        Wavelengths in pixels, .01 to 65,536.
     waves : int
-        Plane waves per field.
+        Plane waves per field, 1 to 1024.
     seed : int
-        Seed of the texture.
+        Seed of the texture, 0 to 2**64 - 1.
     """
 
     velocity: tuple[float, float] = (200.0, 60.0)
@@ -330,10 +364,18 @@ class Texture(Scene):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        positive(s0=self.s0, longest=self.longest, shortest=self.shortest,
-                 waves=self.waves)
-        at_least_zero(contrast=self.contrast, aop_spread=self.aop_spread,
-                      dolp_spread=self.dolp_spread)
+        python_numbers(self)
+        velocity = place("velocity", self.velocity, _MOST_PX_S)
+        object.__setattr__(self, "velocity", velocity)
+        positive(s0=self.s0)
+        within(0, MOST_LIGHT, s0=self.s0)
+        within(0, 10, contrast=self.contrast)
+        within(-MOST_ANGLE, MOST_ANGLE, aop=self.aop)
+        within(0, math.pi, aop_spread=self.aop_spread)
+        fraction(dolp=self.dolp, dolp_spread=self.dolp_spread)
+        within(_LEAST_PX, MOST_SIDE, longest=self.longest, shortest=self.shortest)
+        whole(self, 1, _MOST_WAVES, "waves")
+        whole(self, 0, MOST_SEED, "seed")
         require("shortest", self.shortest, self.shortest <= self.longest,
                 f"be at most longest = {self.longest}")
         require("dolp", self.dolp,
@@ -385,7 +427,7 @@ class FunctionScene(Scene):
     function : callable
         ``function(t_us, x, y) -> (s0, s1, s2)`` of arrays that broadcast together.
     sampling_us : float
-        Sampling interval; the cubic between samples is off by at most
+        Sampling interval, positive; the cubic between samples is off by at most
         sampling_us^4 / 384 times the largest fourth derivative.
     uniform : bool
         Whether the light is the same everywhere, which is faster to simulate.
@@ -396,6 +438,8 @@ class FunctionScene(Scene):
     uniform: bool = False
 
     def __post_init__(self) -> None:
+        python_numbers(self)
+        require("function", self.function, callable(self.function), "be callable")
         positive(sampling_us=self.sampling_us)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
@@ -423,24 +467,29 @@ class VideoScene(Scene):
 
     Parameters
     ----------
-    quad : array_like, shape (N, 4, H, W)
+    quad : array_like of numbers, shape (N, 4, H, W)
         I0, I45, I90, I135 in DN per ms; a memory map will do.
     fps : float
-        Frames per second; frame k is the light at k / fps.
+        Frames per second, 1e-12 to 1e6; frame k is the light at k / fps.
     origin : (int, int)
-        (row, column) on the sensor of the video's first pixel.
+        (row, column) on the sensor of the video's first pixel, within 65,536 of 0.
     """
 
     linear = True
 
     def __init__(self, quad: ArrayLike, fps: float, origin: tuple[int, int] = (0, 0)
                  ) -> None:
-        positive(fps=fps)
+        within(_LEAST_FPS, _MOST_FPS, fps=fps)
         self.quad = np.asanyarray(quad)
+        require("quad", self.quad.dtype, self.quad.dtype.kind in "biuf",
+                "be real numbers")
         require("quad", self.quad.shape,
                 self.quad.ndim == 4 and self.quad.shape[1] == len(CHANNELS)
                 and self.quad.shape[0] > 0, "have shape (N, 4, H, W)")
-        self.fps, self.origin = float(fps), origin
+        row, column = place("origin", origin)
+        self.origin = (whole_number("origin", row, -MOST_SIDE, MOST_SIDE),
+                       whole_number("origin", column, -MOST_SIDE, MOST_SIDE))
+        self.fps = float(fps)
 
     @property
     def step_us(self) -> float:

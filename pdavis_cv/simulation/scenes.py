@@ -15,14 +15,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.simulation.checks import at_least_zero, fraction, positive, require
+from pdavis_cv._checks import MOST_ANGLE
+from pdavis_cv.simulation.checks import (
+    MOST_HZ,
+    MOST_LIGHT,
+    fraction,
+    instance,
+    positive,
+    python_numbers,
+    require,
+    turning,
+    within,
+)
 
 __all__ = [
     "FULL",
     "FlatLight",
     "Flicker",
-    "IrradianceSweep",
-    "MalusSweep",
     "PolarizerBeforePlate",
     "RotatingPlate",
     "RotatingPolarizer",
@@ -163,6 +172,9 @@ class Sum(Scene):
     first: Scene
     second: Scene
 
+    def __post_init__(self) -> None:
+        instance(Scene, first=self.first, second=self.second)
+
     @property
     def uniform(self) -> bool:  # type: ignore[override]
         """Whether the light of both is the same everywhere."""
@@ -211,7 +223,7 @@ class Flicker(Scene):
     scene : Scene
         The scene that the lamp lights.
     hz : float
-        100 or 120 for a lamp on the mains.
+        100 or 120 for a lamp on the mains; at most 500,000.
     depth : float
         0..1, 1 excluded where the light must not vanish.
     """
@@ -221,7 +233,10 @@ class Flicker(Scene):
     depth: float = 0.2
 
     def __post_init__(self) -> None:
+        python_numbers(self)
+        instance(Scene, scene=self.scene)
         positive(hz=self.hz)
+        within(0, MOST_HZ, hz=self.hz)
         fraction(depth=self.depth)
 
     @property
@@ -276,9 +291,9 @@ class FlatLight(Scene):
     Parameters
     ----------
     s0 : float
-        DN per ms.
+        DN per ms, at most 1e9.
     dolp, aop : float
-        Degree and angle (radians) of linear polarization.
+        Degree and angle (radians, within 1e6 of 0) of linear polarization.
     docp : float
         Degree of circular polarization, -1..1: S3 / S0.
     """
@@ -290,8 +305,11 @@ class FlatLight(Scene):
     uniform = True
 
     def __post_init__(self) -> None:
-        at_least_zero(s0=self.s0)
+        python_numbers(self)
+        within(0, MOST_LIGHT, s0=self.s0)
         fraction(dolp=self.dolp)
+        within(-MOST_ANGLE, MOST_ANGLE, aop=self.aop)
+        within(-1, 1, docp=self.docp)
         require("docp", self.docp, math.hypot(self.dolp, self.docp) <= 1 + 1e-12,
                 "leave the light polarized by at most 1 together with dolp")
 
@@ -322,11 +340,12 @@ class RotatingPolarizer(Scene):
     Parameters
     ----------
     rpm : float
-        Turns per minute of the polarizer, positive = counter-clockwise as displayed.
+        Turns per minute of the polarizer, positive = counter-clockwise as displayed;
+        within 3e7 of 0: half a turn takes one tick of the clock.
     s0 : float
-        S0 behind the polarizer in DN per ms.
+        S0 behind the polarizer in DN per ms, at most 1e9.
     start_angle : float
-        AoP at time 0, radians.
+        AoP at time 0, radians; within 1e6 of 0.
     dolp : float
         Degree of linear polarization of the light, 0..1.
     """
@@ -338,7 +357,9 @@ class RotatingPolarizer(Scene):
     uniform = True
 
     def __post_init__(self) -> None:
-        at_least_zero(s0=self.s0)
+        python_numbers(self)
+        turning(self.rpm, start_angle=self.start_angle)
+        within(0, MOST_LIGHT, s0=self.s0)
         fraction(dolp=self.dolp)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
@@ -368,13 +389,14 @@ class PolarizerBeforePlate(Scene):
     Parameters
     ----------
     rpm : float
-        Turns per minute of the polarizer.
+        Turns per minute of the polarizer, within 3e7 of 0.
     s0 : float
-        S0 behind both, DN per ms.
+        S0 behind both, DN per ms, at most 1e9.
     start_angle, axis : float
-        Angle of the polarizer at time 0 and of the plate's fast axis, radians.
+        Angle of the polarizer at time 0 and of the plate's fast axis, radians, within
+        1e6 of 0.
     retardance : float
-        Radians; pi/2 for a quarter-wave plate.
+        Radians, within 1e6 of 0; pi/2 for a quarter-wave plate.
     """
 
     rpm: float
@@ -386,7 +408,10 @@ class PolarizerBeforePlate(Scene):
     circular = True
 
     def __post_init__(self) -> None:
-        at_least_zero(s0=self.s0)
+        python_numbers(self)
+        turning(self.rpm, start_angle=self.start_angle, axis=self.axis,
+                retardance=self.retardance)
+        within(0, MOST_LIGHT, s0=self.s0)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
@@ -416,13 +441,14 @@ class RotatingPlate(Scene):
     Parameters
     ----------
     rpm : float
-        Turns per minute of the plate.
+        Turns per minute of the plate, within 3e7 of 0.
     s0 : float
-        S0 behind both, DN per ms.
+        S0 behind both, DN per ms, at most 1e9.
     start_angle, polarizer : float
-        Angle of the plate's fast axis at time 0 and of the polarizer, radians.
+        Angle of the plate's fast axis at time 0 and of the polarizer, radians, within
+        1e6 of 0.
     retardance : float
-        Radians; pi/2 for a quarter-wave plate.
+        Radians, within 1e6 of 0; pi/2 for a quarter-wave plate.
     """
 
     rpm: float
@@ -434,7 +460,10 @@ class RotatingPlate(Scene):
     circular = True
 
     def __post_init__(self) -> None:
-        at_least_zero(s0=self.s0)
+        python_numbers(self)
+        turning(self.rpm, start_angle=self.start_angle, polarizer=self.polarizer,
+                retardance=self.retardance)
+        within(0, MOST_LIGHT, s0=self.s0)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
@@ -476,113 +505,3 @@ def circular_part(
     """S3 of light behind a polarizer and a retarder; see `behind_plate`."""
     turn = 2 * (np.asarray(polarizer, np.float64) - np.asarray(axis, np.float64))
     return np.asarray(-s0 * math.sin(retardance) * np.sin(turn))
-
-
-def staircase(t_us: FloatArray, hold_us: float, move_us: float) -> FloatArray:
-    """Return the index of the held interval, with a smooth rise at its start.
-
-    The rise is a quintic with two continuous derivatives; interval 0 has none.
-    """
-    step = np.floor(t_us / hold_us)
-    inside = np.clip((t_us - step * hold_us) / move_us, 0, 1)
-    rise = inside**3 * (10 - inside * (15 - 6 * inside))
-    return np.where(step <= 0, step, step - 1 + rise)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MalusSweep(Scene):
-    """A polarizer that is turned in steps and held, as on a calibration bench.
-
-    Parameters
-    ----------
-    step : float
-        Radians; the paper's bench makes 5 degrees.
-    hold_us : float
-        Time from one step to the next.
-    move_us : float
-        Duration of a step's rotation, at the start of ``hold_us``.
-    s0, dolp, start_angle : float
-        S0 (DN per ms) and DoLP behind the polarizer, and its first angle, radians.
-    """
-
-    step: float = math.radians(5)
-    hold_us: float = 250_000
-    move_us: float = 20_000
-    s0: float = FULL
-    dolp: float = 1.0
-    start_angle: float = 0.0
-    uniform = True
-
-    def __post_init__(self) -> None:
-        positive(hold_us=self.hold_us, move_us=self.move_us)
-        require("move_us", self.move_us, self.move_us <= self.hold_us,
-                "be at most hold_us")
-        at_least_zero(s0=self.s0)
-        fraction(dolp=self.dolp)
-
-    def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
-        """S0, S1, S2 in DN per ms."""
-        t = same_everywhere(t_us, x, y)
-        angle = self.start_angle + self.step * staircase(
-            t, self.hold_us, self.move_us)
-        return polarized(self.s0, self.dolp, angle)
-
-    @property
-    def step_us(self) -> float:
-        """A hundredth of ``move_us``, or less for a large ``step``."""
-        return min(self.move_us / 100, step_of(4 * self.step / self.move_us))
-
-
-@dataclass(frozen=True, kw_only=True)
-class IrradianceSweep(Scene):
-    """A rotating polarizer under irradiance that rises in equal ratios.
-
-    Parameters
-    ----------
-    rpm : float
-        Turns per minute of the polarizer; the paper's measurement has 60.
-    low_uw_cm2, high_uw_cm2 : float
-        Irradiance on the sensor at the first and the last level, microwatt per cm2.
-    levels : int
-        Number of levels.
-    hold_us : float
-        Time at each level.
-    dn_per_ms : float
-        S0 in DN per ms at 1 microwatt per cm2: 27 for the PDAVIS (18.5 um pixels,
-        24 % quantum efficiency at 520 nm, 80 electrons per DN), 0.68 for the Sony
-        (4095 DN at 300 microwatt per cm2 in 20 ms; Haessig, figure S9).
-    start_angle : float
-        AoP at time 0, radians.
-    """
-
-    rpm: float = 60.0
-    low_uw_cm2: float = 0.04
-    high_uw_cm2: float = 42_000.0
-    levels: int = 13
-    hold_us: float = 2_000_000
-    dn_per_ms: float = 27.0
-    start_angle: float = 0.0
-    uniform = True
-
-    def __post_init__(self) -> None:
-        positive(low_uw_cm2=self.low_uw_cm2, high_uw_cm2=self.high_uw_cm2,
-                 levels=self.levels, hold_us=self.hold_us, dn_per_ms=self.dn_per_ms)
-
-    def irradiance(self, t_us: ArrayLike) -> FloatArray:
-        """Irradiance in microwatt per cm2."""
-        t = np.asarray(t_us, np.float64)
-        level = staircase(t, self.hold_us, self.hold_us / 20)
-        part = np.clip(level / max(self.levels - 1, 1), 0, 1)
-        ratio = self.high_uw_cm2 / self.low_uw_cm2
-        return np.asarray(self.low_uw_cm2 * ratio**part)
-
-    def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
-        """S0, S1, S2 in DN per ms."""
-        t = same_everywhere(t_us, x, y)
-        return polarized(self.dn_per_ms * self.irradiance(t), 1.0,
-                         self.start_angle + rad_per_us(self.rpm) * t)
-
-    @property
-    def step_us(self) -> float:
-        """Smaller sampling interval of the turn and of a rise, us."""
-        return min(step_of(2 * rad_per_us(self.rpm)), self.hold_us / 2000)

@@ -4,7 +4,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pdavis_cv.simulation.checks import at_least_zero, positive, require
+from pdavis_cv.simulation.checks import positive, present, python_numbers, within
 
 __all__ = ["Conditions", "Temperature"]
 
@@ -35,6 +35,7 @@ class Temperature:
         Activation energy of the dark current and of the leak, which both follow
         Arrhenius's law [Nozaki 2017].  The default is half of silicon's gap, that of
         generation in a depleted junction [Widenhorn 2002]: a factor of 2 every 9.8 K.
+        At most 1.2, that gap and a little.
     threshold_per_k : float
         Relative change of both thresholds per kelvin.  It is 0 if the ratio of the bias
         currents does not depend on temperature [Nozaki 2017]; the default, .1 %, is an
@@ -55,14 +56,12 @@ class Temperature:
     threshold_per_k: float = 0.001
 
     def __post_init__(self) -> None:
-        for name in ("start_c", "end_c", "reference_c"):
-            value = getattr(self, name)
-            require(name, value, value is None or -40 <= value <= 125,
-                    "lie in -40..125")
+        python_numbers(self)
+        within(-40, 125, start_c=self.start_c, reference_c=self.reference_c,
+               **present(end_c=self.end_c))
         positive(rise_s=self.rise_s)
-        at_least_zero(activation_ev=self.activation_ev)
-        require("threshold_per_k", self.threshold_per_k,
-                abs(self.threshold_per_k) <= 0.005, "lie within 0.005 of 0")
+        within(0, 1.2, activation_ev=self.activation_ev)
+        within(-0.005, 0.005, threshold_per_k=self.threshold_per_k)
 
     def at(self, t_us: float) -> float:
         """Return the temperature at a time, degrees Celsius."""
