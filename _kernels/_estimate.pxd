@@ -33,6 +33,11 @@ cdef struct rest_t:
     float offset
 
 
+cdef inline bint left_out(const state_t* s, const tuning_t* tuning) noexcept nogil:
+    """Tell whether images leave a pixel out: 0, and not valid."""
+    return s.samples == 0 and tuning.needs_sample > 0.0
+
+
 cdef inline bint holds(const state_t* s, const walk_t* walk,
                        const tuning_t* tuning) noexcept nogil:
     """Tell whether s holds the part of samples that followed the last event."""
@@ -255,6 +260,11 @@ cdef inline void read_pixel(int64_t t, int64_t known, int64_t epoch,
     cdef reading_t r
     cdef rest_t rest
     cdef double v, u, theta2
+    if left_out(s, tuning):
+        out[0] = 0.0
+        variance[0] = 0.0
+        valid[0] = 0
+        return
     walk_to(&r.walk, t, store, track, tuning.refractory_us)
     if is_hot(s):
         show_hot(t, s, tuning, out, variance, valid)

@@ -8,3 +8,5 @@ cdef enum:
     CHANGED = 2
     # The pixel is listed but has come to rest since: its planes are filled as well.
     RESTS = 4
+    # The pixel has no sample, and the reader leaves such pixels out: it is not listed.
+    LEFT_OUT = 8

@@ -7,12 +7,13 @@ moving in a lane (see _lanes.h).
 from libc.stdint cimport int32_t, int64_t, uint8_t
 from libc.string cimport memchr, memcpy
 
-from _kernels._estimate cimport LEAST_VARIANCE, read_pixel, rest_of, rest_t, walk_to
+from _kernels._estimate cimport (
+    LEAST_VARIANCE, left_out, read_pixel, rest_of, rest_t, walk_to)
 from _kernels._hot cimport is_hot
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._lanes cimport (
     LANES, enter, lanes_t, reader_of, reader_t, show_lanes, shown_t)
-from _kernels._listing cimport CHANGED, LISTED, RESTS
+from _kernels._listing cimport CHANGED, LEFT_OUT, LISTED, RESTS
 from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport (
@@ -91,7 +92,8 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
     (tuning, waves); epoch is as in `kalman_rest`.  Before the first frame used, the
     variance is 0 and log intensity is relative to 0.  valid is 1 where the variance,
     without that of the lag and of the offset, is small enough.  variance and valid are
-    not written if they have shape (0, 0).
+    not written if they have shape (0, 0).  If the tuning has needs_sample set, pixels
+    without a sample are not computed: all three are 0.
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks
@@ -171,8 +173,10 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
     if `every` is set; those that are not at rest are marked as changed and written to
     the beginning of pixels, in order.  planes (4, h, w) receives the parameters of the
     others, from which `kalman_show` reads them; epoch is the time that their variances
-    refer to, at or after every sample.  tracks must chain the events that are not
-    counted in it yet.  gaps is the result of `smooth_gap`, and planes then has shape
+    refer to, at or after every sample.  Where the tuning has needs_sample set, pixels
+    without a sample count as at rest, whatever their events, until `every` is set
+    again.  tracks must chain the events that are not counted in it yet.  gaps is the
+    result of `smooth_gap`, which knows all pixels, and planes then has shape
     (6, h, w); it is (0, 0) if later samples are not used.
     """
     cdef int32_t[::1] pixels
@@ -204,8 +208,14 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
         for i in range(h * w):
             if not every and not flag[i] & LISTED:
                 continue
+            if not smooth and left_out(&k.states[i], k.tuning):
+                flag[i] = LEFT_OUT
+                plane[i] = 0.0
+                plane[h * w + i] = -1.0     # no sample
+                plane[2 * h * w + i] = 0.0
+                plane[3 * h * w + i] = 0.0
             # The smoothed course of a hot pixel does not fit the planes' polynomial.
-            if (k.tracks[i].first >= 0 or not at_rest(k.tracks[i].last >> 1, now)
+            elif (k.tracks[i].first >= 0 or not at_rest(k.tracks[i].last >> 1, now)
                     or smooth and is_hot(&k.states[i])):
                 flag[i] = LISTED | CHANGED
                 pixels[n] = <int32_t>i

@@ -69,6 +69,30 @@ def test_what_was_read_before_changes_no_bit(kind, changes):
                 assert same(anew.read(t), seen)
 
 
+def test_pixels_without_a_sample_are_not_computed():
+    """Something replaces them, so their events do not put them on the reader's list."""
+    events, frames = long_stream(n=3000)
+    valid = np.ones((4, 6), bool)
+    valid[1] = False
+    frames = [frame.replace(valid=valid) for frame in frames]
+    method = make((4, 6), mode="causal")
+    feed(method, events, frames)
+    every_pixel = np.zeros(24, EVENT_DTYPE)
+    every_pixel["y"], every_pixel["x"] = np.divmod(np.arange(24), 6)
+
+    def listed(t):
+        """Number of listed pixels when each has just had an event."""
+        every_pixel["t"] = t
+        method.add_events(every_pixel)
+        method.read(t)
+        return method._reader.n
+
+    assert listed(3_000_000) == listed(3_000_100) == 18
+    method.add_frame(ApsFrame(frames[-1].dn, 3_010_000, 3_020_000))
+    method.add_events(np.array([(3_100_000, 0, 0, 1)], EVENT_DTYPE))
+    assert listed(3_200_000) == 24
+
+
 @pytest.mark.parametrize("mode", ["buffered", "causal", "offline"])
 def test_light_that_has_stopped_is_shown_as_frames_have_it(mode):
     """Part of a threshold after the last event; frames then say where the light is."""

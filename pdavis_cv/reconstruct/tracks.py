@@ -267,7 +267,8 @@ class Reader:
     n : int
         Length of the list.
     flags : ndarray of uint8, shape (H, W)
-        Sum of 1 = in the list, 2 = changed since it was read, 4 = came to rest.
+        Sum of 1 = in the list, 2 = changed since it was read, 4 = came to rest, 8 =
+        left out, because it has no sample.
     """
 
     def __init__(self, shape: tuple[int, int], *, smooth: bool = False) -> None:

@@ -196,6 +196,7 @@ class KalmanFilter(Reconstructor):
         self._tuning["p_noise"], self._tuning["motion_variance"] = P_NOISE[0], MOTION[0]
         self._tuning["still_us"] = STILL_US
         self._tuning["holds_part"] = mode == "causal"   # images see no later events
+        self._tuning["needs_sample"] = 1        # `Saturated.fill` replaces the others
         self._saturated = Saturated(
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
             self._bandwidth)
