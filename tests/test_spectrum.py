@@ -19,6 +19,7 @@ from pdavis_cv.analysis import (
     fit_tone,
     phase_locked,
     retardance,
+    spectrum,
     subtract_background,
 )
 from pdavis_cv.analysis.periodogram import highest_peak
@@ -116,6 +117,31 @@ def test_a_frequency_of_less_than_a_cycle_has_an_answer(capfd):
     v = np.random.default_rng(1).normal(size=len(t))
     assert np.isfinite(fit_tone(t, v, 1e-130, harmonics=20).amplitude).all()
     assert capfd.readouterr() == ("", "")      # LAPACK says so where numbers are none
+
+
+def test_what_lapack_cannot_solve_is_refused(capfd):
+    t = times(50, 8)
+    # In float16 the largest frequency is infinite, so a comparison there lets it pass.
+    with pytest.raises(ValueError, match="hz must be positive and at most 500000"):
+        fit_tone(t, wave(t, 1.0), np.float16("inf"))
+    for ask in (lambda v: fit_tone(t, v, 1.0), lambda v: dominant_tone(t, v)):
+        with pytest.raises(ValueError, match=r"values must lie within 1e\+100 of 0"):
+            ask(1e300 * wave(t, 1.0))
+        assert np.isfinite(ask(1e99 * wave(t, 1.0)).amplitude).all()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_search_leaves_what_least_squares_leave():
+    rng = np.random.default_rng(3)
+    for count, harmonics, hz in ((9, 1, 0.5), (40, 3, 0.7), (400, 20, 1.3)):
+        t = np.sort(rng.uniform(0, 4, count))
+        v, basis = rng.normal(size=count) + 3, spectrum._basis(t, hz, harmonics)
+        solution = np.linalg.lstsq(basis, v, rcond=None)[0]
+        assert spectrum._residual(basis, v) == pytest.approx(
+            np.sum((v - basis @ solution) ** 2), rel=1e-9)
+    # Dependent columns count once.
+    assert spectrum._residual(np.hstack([basis, basis]), v) == pytest.approx(
+        spectrum._residual(basis, v), rel=1e-9)
 
 
 @pytest.mark.gate

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._checks import real_number
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.aop_events import AOP_EVENT_DTYPE
@@ -29,6 +30,7 @@ from pdavis_cv.sensor import Layout
 __all__ = ["AopEventsFile", "read_aop_events"]
 
 _PER_PACKET = 1 << 16
+_LEAST_FPS, _MOST_FPS = 1e-12, 1e6
 
 
 class AopEventsFile(Aedat4Writer):
@@ -58,7 +60,7 @@ class AopEventsFile(Aedat4Writer):
     Raises
     ------
     ValueError
-        If fps is not positive.
+        If fps lies outside 1e-12 to 1e6: the clock counts microseconds up to 2**61.
     """
 
     _numbers = (EVENTS, FRAMES, ANGLES)
@@ -67,11 +69,12 @@ class AopEventsFile(Aedat4Writer):
         self, path: str | os.PathLike[str], *, sensor_size: tuple[int, int],
         layout: Layout | None = None, fps: float = 100.0,
     ) -> None:
-        if not 0 < fps <= 1e6:
-            raise ValueError(f"fps must lie in 0..1000000, got {fps!r}")
+        if not _LEAST_FPS <= real_number(fps) <= _MOST_FPS:
+            raise ValueError(
+                f"fps must lie in {_LEAST_FPS:g}..{_MOST_FPS:g}, got {fps!r}")
         super().__init__(path, sensor_size=sensor_size, layout=layout, frame_bits=16,
                          full_scale_dn=ANGLE_STEPS)
-        self._interval_us = round(1e6 / fps)
+        self._interval_us = round(1e6 / real_number(fps))
         self.frames = 0
         self._begin_us: int | None = None
         self._last = np.full(self.sensor_size, ANGLE_STEPS, np.float32)

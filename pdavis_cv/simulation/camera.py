@@ -285,6 +285,7 @@ class Camera:
             Interval at which the scene is sampled; default its own ``step_us``.
         """
         instance(Scene, scene=scene)
+        seconds, step_us = plain(seconds), plain(step_us)
         positive(seconds=seconds, **present(step_us=step_us))
         threads = whole_number("threads", threads, 1, _MOST_THREADS)
         run = whole_number("run", run, 0, 2**63 - 1)
