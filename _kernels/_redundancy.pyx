@@ -26,6 +26,9 @@ cdef packed struct policy_t:
     double loss             # fraction of a macropixel's level lost per comparison
     double pull             # ridge weight to equal mean squares, relative variance
     double least            # number of comparisons needed for the first solution
+    double line_error       # error of a line through N periods, in 1 / (2 N)^2
+    double far_errors       # such errors beyond which a pixel is an outlier
+    double part_least       # bounds the fraction of ON, and of OFF, events
 
 cdef packed struct balance_t:
     # Running regression of a pixel's ON events on all its events: weight, means
@@ -48,20 +51,10 @@ cdef packed struct moments_t:
 
 cdef extern from *:
     """
-    /* A line fitted to N periods has an error of up to 3 / (2 N)^2 (see rebalance). */
-    #define LINE_ERROR 3.0
-    /* A pixel whose ratio is farther from the prior than this many such errors is an
-       outlier: two sigma of the errors that light with fast and slow motion causes in
-       its first period (studies/redundancy_far.py). */
-    #define FAR_ERRORS 1.7
     /* Events ahead of which a macropixel's records, 20 cache lines, are prefetched. */
     #define CELLS_AHEAD 6
-    #define PART_LEAST 0.05         /* bounds the fraction of ON, and of OFF, events */
     """
     const Py_ssize_t CELLS_AHEAD
-    const double LINE_ERROR
-    const double FAR_ERRORS
-    const double PART_LEAST
 
 cdef extern from "_redundancy.h" nogil:
     enum:
@@ -97,34 +90,39 @@ cdef inline void remember(balance_t* m, double n_on, double n_off,
     m.weight = w
 
 
-cdef inline void rebalance(const balance_t* m, double sigma, state_t* s) noexcept nogil:
+cdef inline void rebalance(const balance_t* m, const policy_t* policy,
+                           state_t* s) noexcept nogil:
     """Set the thresholds so that the sum of events has no trend.
 
-    Their sum is that of the prior, and sigma is the prior's of ln(on / off).  For a
-    pixel farther from the prior than the line's error explains, the prior is widened.
+    Their sum is that of the prior.  For a pixel whose ratio is farther from the prior's
+    than the line's error explains, the prior is widened.
     """
     cdef double total = s.prior_on + s.prior_off, travel = 0.25 * total * m.weight
     cdef double before, part, swing, error, ratio, believed
+    cdef double least = policy.part_least, spread = policy.ratio_sigma
     if m.var_all <= 0.0:
         return
-    # A line fitted to N periods has an error of up to 3 / (2 N)^2.  1 / (2 N) is
+    # A line fitted to N periods has an error of line_error / (2 N)^2.  1 / (2 N) is
     # estimated as the swing of the sum of events over their number: the total swing,
-    # or that about the line once light with a range of e^4 must have turned round.
+    # less what the spread of the ratios adds to it, or that about the line once light
+    # with a range of e^4 must have turned round.
     part = m.cov_on / m.var_all
     swing = s.prior_off / total
     swing = 4.0 * (m.var_on / m.var_all - 2.0 * swing * part + swing * swing)
     if swing >= 1.0:
         return
     error = 4.0 * (m.var_on / m.var_all - part * part)
+    swing -= 0.25 * spread * spread
+    swing = swing if swing > error else error
     error = error if error > 4.0 / (travel * travel) else 4.0 / (travel * travel)
-    error = LINE_ERROR * (error if error < swing else swing)
-    part = part if part > PART_LEAST else PART_LEAST
-    part = part if part < 1.0 - PART_LEAST else 1.0 - PART_LEAST
+    error = policy.line_error * (error if error < swing else swing)
+    part = part if part > least else least
+    part = part if part < 1.0 - least else 1.0 - least
     before = log_f(<float>(s.prior_on / s.prior_off))
     ratio = log_f(<float>((1.0 - part) / part)) - before
-    believed = FAR_ERRORS * error
+    believed = policy.far_errors * error
     believed = ratio * ratio - believed * believed
-    believed = believed if believed > sigma * sigma else sigma * sigma
+    believed = believed if believed > spread * spread else spread * spread
     ratio = exp_f(<float>(before + ratio * believed / (believed + error * error)))
     s.theta_on = total * ratio / (1.0 + ratio)
     s.theta_off = total - s.theta_on
@@ -240,7 +238,7 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
         listed[y, x] |= CHANGED
         if n_on + n_off > 0.0:
             remember(&balance[y, x], n_on, n_off, policy.forget)
-            rebalance(&balance[y, x], policy.ratio_sigma, s)
+            rebalance(&balance[y, x], policy, s)
     add_moments(&moments[y0 // 2, x0 // 2], value, policy.keep)
 
 

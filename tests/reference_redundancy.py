@@ -1,6 +1,8 @@
 """Plain NumPy versions of the redundancy kernels, written to be read."""
 import numpy as np
 
+LINE_ERROR, FAR_ERRORS = 2.2, 2.0   # sigma of a line in 1 / (2 N)^2, and of outliers
+
 
 class Macropixel:
     """Four pixels in float64: moments of n exp(log), balances, gains."""
@@ -48,11 +50,13 @@ class Macropixel:
         if swing >= 1:
             return
         rest = 4 * (w @ (on - slope * every)**2) / spread
-        error = 3 * min(swing, max(rest, 4 / travel**2))
+        # A ratio of sigma adds sigma^2 / 4 to the swing.
+        error = LINE_ERROR * min(max(swing - self.sigma**2 / 4, rest),
+                                 max(rest, 4 / travel**2))
         part = np.clip(slope, 0.05, 0.95)
         before = np.log(self.prior[i, 0] / self.prior[i, 1])
         shift = np.log((1 - part) / part) - before
-        believed = max(shift**2 - (1.7 * error)**2, self.sigma**2)
+        believed = max(shift**2 - (FAR_ERRORS * error)**2, self.sigma**2)
         ratio = np.exp(before + shift * believed / (believed + error**2))
         self.theta[i] = total * ratio / (1 + ratio), total / (1 + ratio)
 

@@ -280,7 +280,7 @@ def test_the_stream_is_looked_at_ever_more_rarely(realistic):
     recording, _ = realistic
     online = OnlineLearning(Learning(
         recording, FusionOptions(causal=True), {}, KalmanFilter.needs))
-    online.saw_frame(1_000_000, 1_010_000)
+    online.begin(1_000_000, 1_010_000)
     times = []
     for _ in range(8):
         times.append(online.next_us)
@@ -292,5 +292,5 @@ def test_the_stream_is_looked_at_ever_more_rarely(realistic):
     assert times == [1_500_000, 1_562_500, 2_000_000, 2_125_000, 3_000_000, 3_250_000,
                      5_000_000, 5_500_000]
     late = OnlineLearning(online._learning)
-    late.saw_frame(1_000_000, 1_700_000)         # it took long to arrive
+    late.begin(1_000_000, 1_700_000)         # it took long to arrive
     assert late.next_us == 2_000_000

@@ -102,6 +102,7 @@ def test_needs_say_what_a_method_is_fed():
     assert not made["cf"].learned
     cells = make_reconstructor("events", (4, 4), 0.2, 0.2, {"offsets": "redundancy"})
     assert cells.needs.lamp
+    assert cells.needs.learned == {"ratio_sigma"}
 
 
 def test_a_method_for_crossed_diagonals_refuses_another_layout(recording):

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference_redundancy import Macropixel, saturated_events, saturated_fill
+from reference_redundancy import (
+    FAR_ERRORS,
+    LINE_ERROR,
+    Macropixel,
+    saturated_events,
+    saturated_fill,
+)
 from streams import random_events
 
 from pdavis_cv import (
@@ -45,7 +51,8 @@ from pdavis_cv.simulation import (
 KEEP, SIGMA, PER_EVENT, LOSS = 0.98, 0.06, 1 / 300, 0.006
 PULL, LEAST = 1e-3, 8
 TUNING = np.zeros(1, TUNING_DTYPE)
-POLICY = np.array([(KEEP, SIGMA, PER_EVENT, LOSS, PULL, LEAST)], POLICY_DTYPE)
+POLICY = np.array([(KEEP, SIGMA, PER_EVENT, LOSS, PULL, LEAST, LINE_ERROR, FAR_ERRORS,
+                    0.05)], POLICY_DTYPE)
 
 
 def make(shape=(6, 8), on=0.16, off=0.18, **options):

@@ -478,6 +478,10 @@ class Fusion:
         assert self._feed is not None
         assert self._state is not None
         online = self._online
+        if online is not None and not self._learning.uses_frames:
+            start = self._feed.first_us()
+            if start is not None:
+                online.begin(start, start)
         while True:
             look: int | None = None if online is None else online.next_us
             stop = target if look is None else min(look, target)
@@ -502,8 +506,8 @@ class Fusion:
                 if self._lamp is not None:
                     self._lamp.add_frame(frame)
                 self._state.add_frame(frame)
-            if self._online is not None:
-                self._online.saw_frame(item.mid_us, item.available_us)
+            if self._online is not None and self._learning.uses_frames:
+                self._online.begin(item.mid_us, item.available_us)
         elif self.needs.events:
             for wave in self._lamp.push(item) if self._lamp is not None else ():
                 self._state.add_wave(wave)

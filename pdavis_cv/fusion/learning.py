@@ -24,6 +24,7 @@ from pdavis_cv.fusion.tuning import Tuning
 from pdavis_cv.reconstruct.base import Needs
 from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE
 from pdavis_cv.reconstruct.lamp import LampTracker
+from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
 from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.selfcal import (
@@ -34,7 +35,7 @@ from pdavis_cv.selfcal import (
     ClockOffset,
     SelfCalibration,
 )
-from pdavis_cv.selfcal.estimator import QUANTITIES
+from pdavis_cv.selfcal.estimator import OF_EVENTS, QUANTITIES
 from pdavis_cv.selfcal.noise import LEAST_NOISE
 from pdavis_cv.selfcal.priors import (
     CLOCK_OFFSET_SIGMA_US,
@@ -120,13 +121,17 @@ class Learning:
             # Thresholds of each pixel need a window of data that a passing stream
             # does not keep.
             wanted.add("scale" if options.causal else "thresholds")
-        elif wanted and options.thresholds is None and (
+            # Known thresholds have another spread than those that are stated.
+            wanted.discard("ratio_sigma")
+        elif wanted and needs.frames and options.thresholds is None and (
                 self._calibration is None or self._calibration.theta_on is None):
             wanted.add("scale")     # biases or data sheet give it only roughly
         clock = _stated_clock(options)
-        if needs.learned and clock is None:
+        if needs.learned and needs.frames and clock is None:
             wanted.add("clock_offset")
-        self.wanted = frozenset(wanted) if source.info.frame_count != 0 else frozenset()
+        self.wanted = frozenset(
+            wanted if source.info.frame_count != 0 else wanted & OF_EVENTS)
+        self.uses_frames = not self.wanted <= OF_EVENTS
         self._stated = _stated_bandwidth(self._calibration)
         if "bandwidth" in wanted:
             # Images follow before any estimate: start from a typical camera's value.
@@ -136,6 +141,8 @@ class Learning:
             known["refractory_us"] = 0.0
         if "noise" in wanted:
             known["noise"] = self._noise(0.0)
+        if "ratio_sigma" in wanted:
+            known["ratio_sigma"] = RATIO_SIGMA
         self.prior = Tuning(on, off, known, clock or ClockOffset(
             0.0, CLOCK_OFFSET_SIGMA_US))
 
@@ -174,7 +181,7 @@ class Learning:
     def estimate(self, camera: SelfCalibration) -> CameraEstimate:
         """Return the estimate of an estimator that has been fed."""
         wanted = set(self.wanted)
-        if "bandwidth" not in self.prior.parameters:
+        if self.uses_frames and "bandwidth" not in self.prior.parameters:
             wanted.add("bandwidth")      # the thresholds need it, if not the method
         return camera.estimate(
             wanted=wanted, bandwidth=self.prior.parameters.get("bandwidth"))
@@ -198,7 +205,8 @@ class Learning:
         if key not in kept:
             camera = self.estimator()
             _feed_estimator(camera, source, packets, self._calibration,
-                            (self.prior.theta_on, self.prior.theta_off))
+                            (self.prior.theta_on, self.prior.theta_off),
+                            with_frames=self.uses_frames)
             # The calibration is kept too, as its identity is part of the key.
             kept[key] = self.estimate(camera), self._calibration
         return self.tuned(self.prior, kept[key][0])
@@ -218,6 +226,8 @@ class Learning:
             found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
         if "noise" in self.wanted and estimate.noise is not None:
             found["noise"] = self._noise(estimate.noise)
+        if "ratio_sigma" in self.wanted and estimate.ratio_spread is not None:
+            found["ratio_sigma"] = estimate.ratio_spread.sigma
         scaled = "scale" in self.wanted and estimate.common_scale_sigma > 0
         if "refractory_us" in self.wanted and estimate.refractory is not None:
             found["refractory_us"] = estimate.refractory.us
@@ -292,10 +302,14 @@ class OnlineLearning:
         self._looks = 0
         self._pending: Future[CameraEstimate] | None = None
 
-    def saw_frame(self, mid_us: int, now_us: int) -> None:
-        """Count the time of the looks from the first frame that passes."""
+    def begin(self, start_us: int, now_us: int) -> None:
+        """Count the time of the looks from start_us, if this is the first call.
+
+        It is the middle of the first frame that passes, or the time of the first event
+        if frames are not used.
+        """
         if self._start_us is None:
-            self._start_us = mid_us
+            self._start_us = start_us
             while self._look_us() < now_us:
                 self._looks += 1
             self.next_us = self._look_us()
@@ -415,7 +429,7 @@ def _stated_bandwidth(
 def _feed_estimator(
     camera: SelfCalibration, source: Source, packets: Iterator[Packet],
     calibration: Calibration | None, thresholds: tuple[ArrayLike, ArrayLike],
-    start_us: int | None = None, stop_us: int | None = None,
+    start_us: int | None = None, stop_us: int | None = None, with_frames: bool = True,
 ) -> None:
     """Feed frames, events and the lamp to an estimator until its window is full."""
     lamp = LampTracker(source.info.sensor_size, *thresholds)
@@ -425,12 +439,13 @@ def _feed_estimator(
     corrected = FrameCorrection(calibration)
     for item in feed.until(stop_us):
         if isinstance(item, ApsFrame):
-            camera.add_frame(corrected(item))
+            if with_frames:
+                camera.add_frame(corrected(item))
         else:
             for wave in lamp.push(item):
                 camera.add_wave(wave)
             camera.add_events(item)
-        if camera.full:
+        if camera.full or (not with_frames and camera.full_without_frames):
             return
 
 

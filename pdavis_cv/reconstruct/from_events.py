@@ -14,7 +14,7 @@ __all__ = ["from_events"]
 
 _KINDS: dict[str, Any] = {"mean": EventHighPass, "redundancy": EventRedundancy}
 _ONLY = {"mean": ("radius", "hold", "correct_phase"),
-         "redundancy": ("lookahead_us", "bandwidth")}
+         "redundancy": ("lookahead_us", "bandwidth", "ratio_sigma")}
 
 
 def from_events(
@@ -29,6 +29,7 @@ def from_events(
     correct_phase: bool | None = None,
     lookahead_us: int | None = None,
     bandwidth: tuple[float, float] | None = None,
+    ratio_sigma: float | None = None,
     response: ArrayLike | None = None,
 ) -> Reconstructor:
     """Make an EventHighPass, or an EventRedundancy.
@@ -42,7 +43,7 @@ def from_events(
         "redundancy": they follow from I0 + I90 = I45 + I135, and DoLP with them.
     radius, hold, correct_phase
         As for `EventHighPass`, with its defaults.
-    lookahead_us, bandwidth
+    lookahead_us, bandwidth, ratio_sigma
         As for `EventRedundancy`, with its defaults.
     response
         As for both classes.
@@ -58,7 +59,8 @@ def from_events(
         raise ValueError(f"offsets must be 'mean' or 'redundancy', got {offsets!r}")
     given: dict[str, Any] = {
         "radius": radius, "hold": hold, "correct_phase": correct_phase,
-        "lookahead_us": lookahead_us, "bandwidth": bandwidth}
+        "lookahead_us": lookahead_us, "bandwidth": bandwidth,
+        "ratio_sigma": ratio_sigma}
     given = {name: value for name, value in given.items() if value is not None}
     for name in given:
         if name not in _ONLY[offsets]:

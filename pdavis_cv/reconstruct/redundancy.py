@@ -44,9 +44,17 @@ which it had an event."""
 MEMORY = 3000.0
 """Memory of a pixel's balance of ON and OFF events, in events (decay by 1/e)."""
 RATIO_SIGMA = 0.1
-"""Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel: the
-geometric mean of 0.05 (3.5 % of each threshold, Brandli et al. 2014) and 0.21 (15 %,
-the default of v2e, Hu et al. 2021)."""
+"""Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel, before the
+events of the chip tell it: the geometric mean of 0.05 (3.5 % of each threshold, Brandli
+et al. 2014) and 0.21 (15 %, the default of v2e, Hu et al. 2021)."""
+LINE_ERROR = 2.2
+"""Standard error of ln(theta_on / theta_off) that a line through the events of N
+periods of the light gives, in units of 1 / (2 N)^2 (studies/redundancy_far.py)."""
+FAR_ERRORS = 2.0
+"""A pixel whose ratio is farther from the prior than so many standard errors of its
+line is an outlier: two sigma (studies/redundancy_far.py)."""
+PART_LEAST = 0.05
+"""Bound of the fraction of ON, and of OFF, events; numerical."""
 PULL = 1e-3
 """Ridge weight pulling the gains towards equal mean square, as relative variance."""
 VALID_QUALITY = 0.3
@@ -57,7 +65,8 @@ SINGULAR = 1e-6
 
 POLICY_DTYPE = np.dtype([
     (name, "<f8") for name in (
-        "keep", "ratio_sigma", "forget", "loss", "pull", "least")])
+        "keep", "ratio_sigma", "forget", "loss", "pull", "least", "line_error",
+        "far_errors", "part_least")])
 """Constants of the method: ``policy_t`` in the kernel."""
 
 BALANCE_DTYPE = np.dtype([
@@ -103,6 +112,9 @@ class EventRedundancy(Reconstructor):
         How long to wait for each pixel's next event, us; 0 = not at all.
     bandwidth : (float, float) or (float, float, float), optional
         As for `KalmanFilter`.
+    ratio_sigma : float
+        Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel; `fuse`
+        learns it from the events if it is not given.
 
     Raises
     ------
@@ -120,13 +132,14 @@ class EventRedundancy(Reconstructor):
     """
 
     method = "events"
-    needs = Needs(frames=False, lamp=True)
+    needs = Needs(frames=False, lamp=True, learned=frozenset({"ratio_sigma"}))
     causal_parameters = MappingProxyType({"lookahead_us": 0})
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
         response: ArrayLike | None = None, cutoff_hz: float = 0.5,
         lookahead_us: int = LOOKAHEAD_US, bandwidth: Sequence[float] | None = None,
+        ratio_sigma: float = RATIO_SIGMA,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
@@ -139,8 +152,8 @@ class EventRedundancy(Reconstructor):
         self._tune()
         loss = -math.expm1(-1e-6 * math.tau * self._cutoff_hz * STEP_US)
         self._policy = np.array([(
-            math.exp(-1 / WINDOW), RATIO_SIGMA, 1 / MEMORY, loss, PULL, LEAST)],
-            POLICY_DTYPE)
+            math.exp(-1 / WINDOW), positive("ratio_sigma", ratio_sigma), 1 / MEMORY,
+            loss, PULL, LEAST, LINE_ERROR, FAR_ERRORS, PART_LEAST)], POLICY_DTYPE)
         self._states = np.zeros(self.shape, STATE_DTYPE)
         for part, theta in (("on", self._theta_on), ("off", self._theta_off)):
             self._states[f"theta_{part}"] = self._states[f"prior_{part}"] = theta
@@ -167,9 +180,14 @@ class EventRedundancy(Reconstructor):
             self._tuning[name] = value
 
     def retune(self, **learned: Any) -> None:
-        """Continue with another bandwidth (see `Reconstructor.retune`)."""
-        if learned.keys() - {"bandwidth"}:
-            raise TypeError(f"retune takes bandwidth, got {', '.join(sorted(learned))}")
+        """Continue with another bandwidth or spread (see `Reconstructor.retune`)."""
+        unknown = learned.keys() - {"bandwidth", "ratio_sigma"}
+        if unknown:
+            raise TypeError("retune takes bandwidth and ratio_sigma, got "
+                            f"{', '.join(sorted(unknown))}")
+        if "ratio_sigma" in learned:
+            self._policy["ratio_sigma"] = positive(
+                "ratio_sigma", learned["ratio_sigma"])
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
         self._tune()
@@ -180,7 +198,8 @@ class EventRedundancy(Reconstructor):
         """Parameters that make an equal EventRedundancy."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "response": self._response, "cutoff_hz": self._cutoff_hz,
-                "lookahead_us": self.lookahead_us, "bandwidth": self._bandwidth}
+                "lookahead_us": self.lookahead_us, "bandwidth": self._bandwidth,
+                "ratio_sigma": float(self._policy["ratio_sigma"][0])}
 
     @property
     def quality(self) -> NDArray[np.float32]:
@@ -310,6 +329,7 @@ class EventRedundancy(Reconstructor):
         if not isinstance(other, EventRedundancy) or other.shape != self.shape:
             raise ValueError(f"other must be an equal EventRedundancy, got {other!r}")
         self._bandwidth = other._bandwidth
+        self._policy["ratio_sigma"] = other._policy["ratio_sigma"]
         self._tune()
         self._tracks.assign(other._tracks)
         self._take(other._clock.last_us, other._states, other._balance, other._moments,

@@ -8,6 +8,7 @@ from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths
 from pdavis_cv.selfcal.clock_offset import ClockOffset
 from pdavis_cv.selfcal.estimator import CameraEstimate, SelfCalibration
 from pdavis_cv.selfcal.priors import LEAK_HZ, TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
+from pdavis_cv.selfcal.ratio_spread import RatioSpread
 from pdavis_cv.selfcal.refractory import Refractory
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Bandwidth",
     "CameraEstimate",
     "ClockOffset",
+    "RatioSpread",
     "Refractory",
     "SelfCalibration",
     "combine_bandwidths",

@@ -26,19 +26,23 @@ from pdavis_cv.selfcal.pixel_sample import (
     select_busy_pixels,
 )
 from pdavis_cv.selfcal.priors import LEAK_HZ, THRESHOLD_SIGMA
+from pdavis_cv.selfcal.ratio_spread import RatioSpread, fit_ratio_spread
 from pdavis_cv.selfcal.refractory import Refractory, fit_refractory
 from pdavis_cv.selfcal.thresholds import shrink_to_population, variance_inflation
 from pdavis_cv.selfcal.uncertainty import frame_systematics
 from pdavis_cv.selfcal.window import Item, PixelWindow, SensorWindow
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
-__all__ = ["QUANTITIES", "CameraEstimate", "SelfCalibration"]
+__all__ = ["OF_EVENTS", "QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
 QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise", "refractory_us",
-                        "clock_offset"})
+                        "clock_offset", "ratio_sigma"})
 """Quantities that a `SelfCalibration` can estimate: thresholds of every pixel (which
 include the common scale), or only that scale; bandwidth; event noise; refractory
-period; offset of the frames' clock."""
+period; offset of the frames' clock; spread of the pixels' ratios of thresholds."""
+
+OF_EVENTS = frozenset({"ratio_sigma"})
+"""The quantities that are estimated from events alone."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
 """Bounds on the factors on variances: least ones of the ratio and of the scale, and the
@@ -77,6 +81,9 @@ class CameraEstimate:
         Shift of the frames' time stamps to the clock of the events; None if it was not
         estimated.  The other quantities are estimated with shifted stamps, if the shift
         is significant.
+    ratio_spread : RatioSpread or None
+        Spread of the pixels' ln(theta_on / theta_off) about the nominal ratio, from
+        events alone; None if it was not or could not be estimated.
     nominal_holds : bool
         Whether the common scale could be estimated and agrees with the nominal
         thresholds.  False with a `common_scale_sigma` of 0: it could not be estimated.
@@ -90,6 +97,7 @@ class CameraEstimate:
     common_scale_sigma: float = 0.0
     refractory: Refractory | None = None
     clock_offset: ClockOffset | None = None
+    ratio_spread: RatioSpread | None = None
     nominal_holds: bool = False
 
     @property
@@ -183,6 +191,11 @@ class SelfCalibration:
         """Whether more data would only replace the oldest, or be ignored."""
         return self._window.full if self._whole is None else self._whole.full
 
+    @property
+    def full_without_frames(self) -> bool:
+        """Whether more events would be ignored as long as no frame has come."""
+        return self._window.full_without_frames
+
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events of the whole sensor, later than all before."""
         events = timed_events(events)
@@ -227,7 +240,10 @@ class SelfCalibration:
             raise ValueError(
                 "wanted: 'thresholds' need SelfCalibration(every_pixel=True), got "
                 "every_pixel=False")
-        sample = select_busy_pixels(self._window, self._nominal, self._leak_hz)
+        spread = (fit_ratio_spread(self._window, self._nominal)
+                  if "ratio_sigma" in wanted else None)
+        sample = None if OF_EVENTS.issuperset(wanted) else select_busy_pixels(
+            self._window, self._nominal, self._leak_hz)
         found: Bandwidth | None = None
         scale: CommonScale | None = None
         noise: float | None = None
@@ -280,12 +296,14 @@ class SelfCalibration:
             return CameraEstimate(
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common,
-                refractory=refractory, clock_offset=clock, nominal_holds=holds)
+                refractory=refractory, clock_offset=clock, ratio_spread=spread,
+                nominal_holds=holds)
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
             common_scale_sigma=0.0 if scale is None else scale.sigma,
-            refractory=refractory, clock_offset=clock, nominal_holds=holds)
+            refractory=refractory, clock_offset=clock, ratio_spread=spread,
+            nominal_holds=holds)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,

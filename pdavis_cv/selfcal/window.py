@@ -98,6 +98,7 @@ class PixelWindow:
         self._place = np.full(size, -1, np.int32)
         self._place[self.pixels] = np.arange(len(self.pixels))
         self.last_us, self.full = _EVER[0], False
+        self._first_us: int | None = None
         self._intervals: deque[Interval] = deque()
         self._pending: list[NDArray[Any]] = []
         self._counts = np.zeros((2, 1, len(self.pixels)), np.int32)
@@ -109,6 +110,8 @@ class PixelWindow:
         if not len(events):
             return
         self.last_us = int(events["t"][-1])
+        if self._first_us is None:
+            self._first_us = int(events["t"][0])
         at = self._place.take(events["y"].astype(np.int32) * self.shape[1]
                               + events["x"])
         # If no frame comes, the first events since the last one are kept, a rule that
@@ -159,6 +162,12 @@ class PixelWindow:
             self._lamp.forget(int(all_of_it[0].exposure_us[0].min()))
 
     @property
+    def full_without_frames(self) -> bool:
+        """Whether all events that are kept without any frame have come."""
+        return self._pending_events >= MAX_EVENTS or (
+            self._first_us is not None and self.last_us - self._first_us > MAX_US)
+
+    @property
     def intervals(self) -> list[Interval]:
         """The intervals kept, in order of time."""
         return list(self._intervals)
@@ -185,12 +194,12 @@ class PixelWindow:
         """Return what is kept; never changed later."""
         return (tuple(self._intervals), tuple(self._pending), self._counts.copy(),
                 self._events, self._pending_events, self.last_us, self.full,
-                self._lamp.state())
+                self._lamp.state(), self._first_us)
 
     def restore(self, state: tuple[Any, ...]) -> None:
         """Take over what `state` returned."""
         (intervals, pending, counts, self._events, self._pending_events, self.last_us,
-         self.full, lamp) = state
+         self.full, lamp, self._first_us) = state
         self._intervals, self._pending = deque(intervals), list(pending)
         self._counts = counts.copy()
         self._lamp.restore(lamp)
