@@ -35,6 +35,7 @@ KERNELS = (
     "_event_words",
     "_events",
     "_guided",
+    "_image_queue",
     "_kalman",
     "_lamp",
     "_leaky",
@@ -49,7 +50,6 @@ KERNELS = (
     "_simulate",
     "_smooth",
     "_store",
-    "_weighted_polarization",
 )
 SOURCE_TREE_ONLY = ("_floor",)  # what `pdavis bench` compares with: no user needs it
 SHARED = (
@@ -85,6 +85,7 @@ SHARED = (
     "_smooth.h",
     "_smoothed.pxd",
     "_stencil.h",
+    "_team.h",
     "_tracks.pxd",
     "_types.pxd",
     "_update.pxd",

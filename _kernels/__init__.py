@@ -31,6 +31,7 @@ from ._event_words import (
 )
 from ._events import count, surface, voxel
 from ._guided import guided
+from ._image_queue import ImageQueue
 from ._kalman import kalman_frame
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
@@ -69,7 +70,6 @@ from ._selfcal import sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
 from ._store import store_commit, store_link, store_mark, store_push, store_unlink
-from ._weighted_polarization import ImageQueue, polarize_weighted
 
 __all__ = [
     "DEBUG",
@@ -128,7 +128,6 @@ __all__ = [
     "plane_waves",
     "polar_bgr",
     "polarize",
-    "polarize_weighted",
     "ramp_bgr",
     "reached",
     "read_out",

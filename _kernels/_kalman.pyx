@@ -36,6 +36,12 @@ cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
     void prefetch "PDAVIS_PREFETCH"(const void*)
 
+cdef extern from "_team.h" nogil:
+    ctypedef struct team_t:
+        pass
+    ctypedef void (*pd_rows)(void*, Py_ssize_t, Py_ssize_t) noexcept nogil
+    void team_share(team_t*, bint, pd_rows, void*, Py_ssize_t, Py_ssize_t)
+
 cdef struct sum_t:
     # Integrals over the exposure of exp(y), exp(y) n_on and exp(y) n_off, where y is
     # log intensity relative to a level.
@@ -109,16 +115,67 @@ cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t b
         step(walk, store, tuning.refractory_us)
 
 
+cdef struct using_t:
+    # What `kalman_frame` shares among threads.
+    Py_ssize_t h, w, rows       # of the image, and of a band
+    const sample_t* samples
+    const exposure_t* exposures
+    int64_t known
+    const stored_t* store
+    const track_t* old
+    int32_t committed
+    const tuning_t* tuning
+    lamp_t lamp
+    policy_t policy
+    track_t* tracks
+    state_t* states
+    double* innovations
+    node_t* nodes               # NULL: for no smoother
+
+
+cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    """Update the states of bands, each of which has its own sums of innovations."""
+    cdef using_t* of = <using_t*>args
+    cdef Py_ssize_t y, x, n, i, at
+    cdef group_t group
+    cdef slot_t[TOGETHER] slots
+    for y in range(first * of.rows, min(last * of.rows, of.h)):
+        n = 0
+        for x in range(of.w):
+            at = y * of.w + x
+            if of.samples[at].variance > 0:
+                slots[n].x = x
+                if x + AHEAD < of.w and of.old[at + AHEAD].first >= 0:
+                    prefetch(&of.store[of.old[at + AHEAD].first])
+                prepare(&of.samples[at], &of.exposures[x], of.known, of.store,
+                        &of.old[at], of.committed, of.tuning, &of.lamp, &of.tracks[at],
+                        &of.states[at], &group, n, &slots[n])
+                n += 1
+            elif of.nodes != NULL:
+                of.nodes[at].noise = 0.0
+            if n == TOGETHER or x == of.w - 1:
+                measure(&group, &of.policy, n, of.innovations + y // of.rows * TERMS)
+                for i in range(n):
+                    at = y * of.w + slots[i].x
+                    finish(&group, i, &slots[i], &of.states[at])
+                    if of.nodes != NULL:
+                        of.nodes[at] = slots[i].node
+                n = 0
+
+
 def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not None,
                  track_t[:, ::1] tracks not None, state_t[:, ::1] states not None,
-                 double[::1] innovations not None, node_t[:, ::1] nodes not None):
+                 double[:, ::1] innovations not None, node_t[:, ::1] nodes not None,
+                 bands not None, team not None):
     """De-blur a frame by the stored events and update the states with it.
 
     frame is (samples, exposures by column, time up to which events are known), chain
     (store, tracks that chain its events since the exposure began), model (tuning,
-    waves).  Events below index `committed` are counted in tracks.  innovations
-    collects the sums of the terms listed in _measure.h.  nodes receives the
-    measurements for a smoother; it may be empty.
+    waves).  Events below index `committed` are counted in tracks.  bands is (first,
+    last, rows): only bands of so many rows with first <= band < last are used.  A row
+    of innovations collects the sums of a band, of the terms listed in _measure.h.
+    nodes receives the measurements for a smoother; it may be empty.  team is as in
+    `kalman_show`.
     """
     cdef const sample_t[:, ::1] samples
     cdef const exposure_t[::1] exposures
@@ -126,50 +183,43 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     cdef const track_t[:, ::1] old
     cdef const tuning_t[::1] tuning
     cdef const wave_t[::1] waves
-    cdef int64_t known
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], y, x
-    cdef lamp_t lamp
-    cdef policy_t policy
-    cdef group_t group
-    cdef slot_t[TOGETHER] slots
-    cdef Py_ssize_t n, i
-    cdef bint keep = nodes.shape[0] > 0
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], first, last
+    cdef using_t using
+    cdef size_t address
+    cdef bint wake
     check_given((*frame, *chain, *model))
-    samples, exposures, known = frame
+    samples, exposures, using.known = frame
     store, old = chain
     tuning, waves = model
+    first, last, using.rows = bands
+    address, wake = team
     if (samples.shape[0] != h or samples.shape[1] != w or states.shape[0] != h
             or states.shape[1] != w or old.shape[0] != h or old.shape[1] != w
             or exposures.shape[0] != w):
         raise ValueError("kalman_frame: all images must have one shape")
-    if tuning.shape[0] != 1 or innovations.shape[0] != TERMS or store.shape[0] == 0:
+    if tuning.shape[0] != 1 or innovations.shape[1] != TERMS or store.shape[0] == 0:
         raise ValueError(
             "kalman_frame: tuning, innovations or store has a wrong length")
-    if keep and (nodes.shape[0] != h or nodes.shape[1] != w):
+    if nodes.shape[0] > 0 and (nodes.shape[0] != h or nodes.shape[1] != w):
         raise ValueError("kalman_frame: nodes must be (h, w)")
-    lamp = lamp_of(waves)
-    policy = policy_of(&tuning[0])
+    if (using.rows < 1 or first < 0 or last > innovations.shape[0]
+            or innovations.shape[0] * using.rows < h):
+        raise ValueError("kalman_frame: each band must have a row of innovations")
+    if h * w == 0 or first >= last:
+        return
+    using.h, using.w, using.committed = h, w, <int32_t>committed
+    using.samples, using.exposures = &samples[0, 0], &exposures[0]
+    using.store, using.old, using.tuning = &store[0], &old[0, 0], &tuning[0]
+    using.lamp, using.policy = lamp_of(waves), policy_of(&tuning[0])
+    using.tracks, using.states = &tracks[0, 0], &states[0, 0]
+    using.innovations, using.nodes = &innovations[0, 0], NULL
+    if nodes.shape[0] > 0:
+        using.nodes = &nodes[0, 0]
     with nogil:
-        for y in range(h):
-            n = 0
-            for x in range(w):
-                if samples[y, x].variance > 0:
-                    slots[n].x = x
-                    if x + AHEAD < w and old[y, x + AHEAD].first >= 0:
-                        prefetch(&store[old[y, x + AHEAD].first])
-                    prepare(&samples[y, x], &exposures[x], known, &store[0], &old[y, x],
-                            <int32_t>committed, &tuning[0], &lamp, &tracks[y, x],
-                            &states[y, x], &group, n, &slots[n])
-                    n += 1
-                elif keep:
-                    nodes[y, x].noise = 0.0
-                if n == TOGETHER or x == w - 1:
-                    measure(&group, &policy, n, &innovations[0])
-                    for i in range(n):
-                        finish(&group, i, &slots[i], &states[y, slots[i].x])
-                        if keep:
-                            nodes[y, slots[i].x] = slots[i].node
-                    n = 0
+        if address and first == 0:
+            team_share(<team_t*>address, wake, use_bands, &using, last, 1)
+        else:
+            use_bands(&using, first, last)
 
 
 cdef inline void prepare_alone(const sample_t* sample, int64_t mid,

@@ -31,10 +31,21 @@ cdef extern from "_rest.h" nogil:
                     const float*, const float*, float, float, float, Py_ssize_t, float*,
                     float*, unsigned char*)
 
+cdef extern from "_team.h" nogil:
+    ctypedef struct team_t:
+        pass
+    ctypedef void (*pd_rows)(void*, Py_ssize_t, Py_ssize_t) noexcept nogil
+    void team_share(team_t*, bint, pd_rows, void*, Py_ssize_t, Py_ssize_t)
+
+cdef enum:
+    # Rows, and groups of lanes, that a thread takes at a time: about 10 us.
+    CHUNK = 16
+
 cdef enum:
     # Number of planes of pixels at rest, without and with later samples.
     PLANES = 4
     SMOOTH_PLANES = 6
+    LATER = PLANES      # the first plane that comes from later samples
 
 cdef struct images_t:
     # The images to write; variance and valid may be NULL.
@@ -322,16 +333,87 @@ cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* p
             out.valid[at] = group.valid[lane]
 
 
+cdef struct showing_t:
+    # What `kalman_show` shares among threads.
+    const known_t* known
+    const reader_t* reader
+    Py_ssize_t w, size
+    uint8_t* flags
+    float* planes
+    float dt, most
+    bint bare, smooth
+    const int32_t* pixels
+    Py_ssize_t begin, end       # of the part of the list
+    bint mixed
+    Py_ssize_t first, last      # pixels to show
+    lanes_t* lanes
+    images_t out
+    Py_ssize_t offset       # added to the rows, or groups, that are shared
+
+
+cdef void show_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    """Show rows from the planes, after those of changed pixels have been renewed."""
+    cdef showing_t* of = <showing_t*>args
+    cdef Py_ssize_t w = of.w, n = of.size, y, at, i
+    cdef const uint8_t* changed
+    cdef const float* p
+    for y in range(of.offset + first, of.offset + last):
+        at = y * w
+        changed = <const uint8_t*>memchr(of.flags + at, CHANGED, w)
+        while changed != NULL:
+            i = changed - of.flags
+            of.flags[i] = 0
+            show_planes(of.known, i, of.planes, n)
+            changed = <const uint8_t*>memchr(of.flags + i, CHANGED, at + w - i)
+        if of.smooth:
+            p = of.planes + at
+            smooth_row(
+                p, p + LATER * n, p + n, p + 2 * n, p + (LATER + 1) * n, p + 3 * n,
+                of.dt, <float>LEAST_VARIANCE, of.most, w, of.out.log + at,
+                of.out.variance + at, <unsigned char*>(of.out.valid + at))
+            continue
+        memcpy(of.out.log + at, of.planes + at, w * sizeof(float))
+        if not of.bare:
+            rest_row(
+                of.planes + n + at, of.planes + 2 * n + at, of.planes + 3 * n + at,
+                of.dt, <float>LEAST_VARIANCE, of.most, w, of.out.variance + at,
+                <unsigned char*>(of.out.valid + at))
+
+
+cdef void show_groups(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    """Show the listed pixels of groups of lanes, as far as they lie in the part."""
+    cdef showing_t* of = <showing_t*>args
+    cdef Py_ssize_t group, begin, end
+    cdef Py_ssize_t known = min((of.offset + last) * LANES, of.end)
+    for group in range(of.offset + first, of.offset + last):
+        begin, end = max(group * LANES, of.begin), min((group + 1) * LANES, of.end)
+        show_listed(of.known, of.reader, of.pixels, begin, end, known, of.mixed,
+                    of.first, of.last, of.flags, of.lanes + group, of.planes, of.size,
+                    &of.out)
+
+
+cdef inline void share(team_t* team, bint wake, pd_rows work, showing_t* showing,
+                       Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    if team != NULL and first < last:
+        showing.offset = first
+        team_share(team, wake, work, showing, last - first, CHUNK)
+    elif first < last:
+        showing.offset = 0
+        work(showing, first, last)
+
+
 def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
                 const tuning_t[::1] tuning not None,
                 const state_t[:, ::1] states not None,
                 const gap_t[:, ::1] gaps not None, listing not None,
-                float[:, :, ::1] planes not None, rows not None, shown not None):
+                float[:, :, ::1] planes not None, rows not None, shown not None,
+                team not None):
     """Do as `kalman_read` without a lamp, from the cache of `kalman_rest`.
 
     listing is (listed pixels, how many of them are sorted, flags by pixel, lanes
     (n, 16, 64) of the listed pixels); the cache is updated for pixels that are flagged
-    as changed.  With gaps it does as `smooth_read` with t < known.
+    as changed.  With gaps it does as `smooth_read` with t < known.  team is (that of an
+    `ImageQueue`, whose thread takes part if it is awake, or 0; whether to wake it).
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks
@@ -340,18 +422,16 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
     cdef double[:, :, ::1] lanes
     cdef float[:, ::1] log, variance
     cdef uint8_t[:, ::1] valid
-    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], y, i, first, last
-    cdef Py_ssize_t ordered, n, end, stop
+    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, first, last
+    cdef Py_ssize_t ordered, n
     cdef bint bare, outside = False, smooth = gaps.shape[0] > 0
     cdef known_t k
-    cdef images_t out
     cdef reader_t reader
-    cdef uint8_t* flag
-    cdef float dt = <float>(1e-6 * <double>(t - epoch))
-    cdef const uint8_t* changed
-    cdef lanes_t* kept
-    cdef float* plane
+    cdef showing_t showing
+    cdef size_t address
+    cdef bint wake
     first, last = rows
+    address, wake = team
     check_given((*chain, *listing, *shown))
     store, tracks = chain
     pixels, ordered, flags, lanes = listing
@@ -386,48 +466,26 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
         k.gaps = &gaps[0, 0]
     k.t, k.known, k.epoch = t, known, epoch
     reader = reader_of(&tuning[0], t, known, epoch, bare, smooth)
-    out.log = &log[0, 0]
-    out.variance = NULL
-    out.valid = NULL
-    if not bare:
-        out.variance = &variance[0, 0]
-        out.valid = &valid[0, 0]
-    flag = &flags[0, 0]
-    plane = &planes[0, 0, 0]
-    kept = NULL
+    showing.known, showing.reader = &k, &reader
+    showing.w, showing.size, showing.bare, showing.smooth = w, h * w, bare, smooth
+    showing.flags, showing.planes = &flags[0, 0], &planes[0, 0, 0]
+    showing.dt = <float>(1e-6 * <double>(t - epoch))
+    showing.most = <float>tuning[0].valid_variance
+    showing.first, showing.last = first * w, last * w
+    showing.pixels, showing.lanes = NULL, NULL
     if n > 0:
-        kept = <lanes_t*>&lanes[0, 0, 0]
+        showing.pixels, showing.lanes = &pixels[0], <lanes_t*>&lanes[0, 0, 0]
+    showing.out.log = &log[0, 0]
+    showing.out.variance, showing.out.valid = NULL, NULL
+    if not bare:
+        showing.out.variance, showing.out.valid = &variance[0, 0], &valid[0, 0]
     with nogil:
-        for y in range(first, last):
-            changed = <const uint8_t*>memchr(&flags[y, 0], CHANGED, w)
-            while changed != NULL:
-                i = changed - flag
-                flag[i] = 0
-                show_planes(&k, i, plane, h * w)
-                changed = <const uint8_t*>memchr(&flag[i], CHANGED, (y + 1) * w - i)
-            if smooth:
-                smooth_row(&planes[0, y, 0], &planes[4, y, 0], &planes[1, y, 0],
-                           &planes[2, y, 0], &planes[5, y, 0], &planes[3, y, 0], dt,
-                           <float>LEAST_VARIANCE, <float>tuning[0].valid_variance, w,
-                           &log[y, 0], &variance[y, 0], <unsigned char*>&valid[y, 0])
-                continue
-            memcpy(&log[y, 0], &planes[0, y, 0], w * sizeof(float))
-            if not bare:
-                rest_row(&planes[1, y, 0], &planes[2, y, 0], &planes[3, y, 0], dt,
-                         <float>LEAST_VARIANCE, <float>tuning[0].valid_variance, w,
-                         &variance[y, 0], <unsigned char*>&valid[y, 0])
-        first *= w
-        last *= w
-        i = found(pixels, ordered, first)
-        end = found(pixels, ordered, last)
-        while i < end:
-            stop = min(i // LANES * LANES + LANES, end)
-            show_listed(&k, &reader, &pixels[0], i, stop, n, False, first, last, flag,
-                        kept + i // LANES, plane, h * w, &out)
-            i = stop
-        i = ordered
-        while i < n:
-            stop = min(i // LANES * LANES + LANES, n)
-            show_listed(&k, &reader, &pixels[0], i, stop, n, True, first, last, flag,
-                        kept + i // LANES, plane, h * w, &out)
-            i = stop
+        share(<team_t*>address, wake, show_rows, &showing, first, last)
+        showing.mixed = False
+        showing.begin = found(pixels, ordered, showing.first)
+        showing.end = found(pixels, ordered, showing.last)
+        share(<team_t*>address, wake, show_groups, &showing, showing.begin // LANES,
+              (showing.end + LANES - 1) // LANES)
+        showing.mixed, showing.begin, showing.end = True, ordered, n
+        share(<team_t*>address, wake, show_groups, &showing, ordered // LANES,
+              (n + LANES - 1) // LANES)

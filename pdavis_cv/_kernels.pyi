@@ -65,7 +65,6 @@ __all__ = [
     "plane_waves",
     "polar_bgr",
     "polarize",
-    "polarize_weighted",
     "ramp_bgr",
     "reached",
     "read_out",
@@ -100,6 +99,10 @@ __all__ = [
 
 DEBUG: bool
 class ImageQueue:
+    @property
+    def team(self) -> int: ...
+    @property
+    def late(self) -> bool: ...
     def post(
         self, log: _F32 | None, mosaic: _F32, variance: _F32, places: NDArray[np.intp],
         spread: _F32, null: _F32, scratch: _F32, quad: _F32, out: _F32, gain: float,
@@ -209,7 +212,7 @@ def guided(
 def kalman_frame(
     frame: tuple[NDArray[Any], NDArray[Any], int], chain: _Pair, committed: int,
     model: _Pair, tracks: NDArray[Any], states: NDArray[Any], innovations: _F64,
-    nodes: NDArray[Any],
+    nodes: NDArray[Any], bands: tuple[int, int, int], team: tuple[int, bool],
 ) -> None: ...
 def kalman_read(
     t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],
@@ -224,7 +227,7 @@ def kalman_show(
     t: int, known: int, epoch: int, chain: _Pair, tuning: NDArray[Any],
     states: NDArray[Any], gaps: NDArray[Any],
     listing: tuple[NDArray[np.int32], int, _U8, _F64], planes: _F32,
-    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8],
+    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8], team: tuple[int, bool],
 ) -> None: ...
 def lamp_push(
     events: NDArray[Any], until: int, sensor: tuple[int, int, int],
@@ -259,11 +262,6 @@ def pack_aedat4_events(events: NDArray[Any], at: int, out: _U8) -> None: ...
 def polarize(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], gain: float, scratch: _F32,
     aop: _F32, dolp: _F32
-) -> None: ...
-def polarize_weighted(
-    mosaic: _F32, variance: _F32, places: NDArray[np.intp], spread: _F32, null: _F32,
-    rows: tuple[int, int], scratch: _F32, quad: _F32, out: _F32, gain: float,
-    aop: _F32, dolp: _F32,
 ) -> None: ...
 def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
+from pdavis_cv._kernels import ImageQueue
+
 __all__ = ["LEAST_BAND_NS", "Workers", "usable_cores"]
 
 LEAST_ROWS = 16
@@ -28,10 +30,16 @@ class Workers:
     ----------
     threads : int
         1 = the calling thread only.
+
+    Attributes
+    ----------
+    queue : ImageQueue or None
+        If its thread is at work, it takes part in kernels that are given its `team`.
     """
 
     def __init__(self, threads: int = 1) -> None:
         self.threads = threads
+        self.queue: ImageQueue | None = None
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
 
     def rows(
@@ -68,6 +76,26 @@ class Workers:
         finally:
             for one in waiting:
                 one.result()
+
+    def shared(
+        self, height: int, work: Callable[[int, int, tuple[int, bool]], object],
+        least: int = LEAST_ROWS, row_ns: float | None = None,
+    ) -> None:
+        """Do as `rows`, for a kernel in which the thread of `queue` can take part.
+
+        Parameters
+        ----------
+        work : callable
+            Receives first, last, and the kernel's argument ``team``.
+        height, least, row_ns
+            As for `rows`.
+        """
+        if self.queue is None:
+            self.rows(height, lambda first, last: work(first, last, (0, False)), least,
+                      row_ns)
+            return
+        long = row_ns is None or height * row_ns > 2 * LEAST_BAND_NS
+        work(0, height, (self.queue.team, long))
 
     def _started(self) -> ThreadPoolExecutor:
         # A forked child has the parent's objects, but not its threads.

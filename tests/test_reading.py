@@ -42,7 +42,7 @@ def arguments(kernel):
             t=5, known=5, epoch=0, chain=(store, tracks), tuning=tuning, states=states,
             gaps=gaps, listing=(
                 pixels[:3], 2, flags, np.zeros((1, LANE_VALUES, LANES))),
-            planes=planes, rows=(0, 4), shown=shown()),
+            planes=planes, rows=(0, 4), shown=shown(), team=(0, False)),
         _kernels.store_mark: dict(
             store=store, start=0, stop=1, pixels=pixels, listed_before=0,
             listed=flags),

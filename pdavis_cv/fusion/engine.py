@@ -200,6 +200,13 @@ class Fusion:
         return self._images.image(
             method, self._t, self._frame_us(method, self._t), self.provenance)
 
+    def share_with(self, queue: ImageQueue | None) -> None:
+        """Let a queue's thread take part in the state's work, if there are two threads.
+
+        More than two share it by bands of rows.
+        """
+        self._workers.queue = queue if self.options.threads == 2 else None
+
     def image_from(self, queue: ImageQueue) -> Callable[[], PolarFrame]:
         """Return a function that returns `image`, which a queue's thread finishes."""
         assert self._t is not None and self._state is not None  # noqa: PT018

@@ -149,7 +149,7 @@ class ImageMaker:
         method, t_us, frame_us, provenance
             As for `image`.
         """
-        if (not self._whole or self._analyser is not None
+        if (queue.late or not self._whole or self._analyser is not None
                 or method.shows(t_us) is not None):
             image = self.image(method, t_us, frame_us, provenance)
             return lambda: image
@@ -166,7 +166,7 @@ class ImageMaker:
         aop, dolp = np.empty((2, *intensity.shape), np.float32)
         number = queue.post(
             log, intensity, estimate.variance, places_of(self._layout), self._spread,
-            self._null, scratch_rows(2, intensity.shape[1]), quad, variance,
+            self._null, scratch_rows(6, intensity.shape[1]), quad, variance,
             stokes_gain(self._ratio), aop, dolp)
         about = self._about(
             estimate.valid, method.quality, t_us, frame_us, provenance)

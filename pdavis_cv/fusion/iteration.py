@@ -18,10 +18,9 @@ from pdavis_cv.recording.base import Recording, Source
 
 __all__ = ["ReadAhead", "fuse"]
 
-DEPTH = 3
-"""Images that are read before the first of them is returned.
-
-One may be in work and one may wait while the next is read."""
+DEPTH = 2
+"""Images that are read before the first of them is returned: one to work on while the
+next is read.  A deeper queue gains nothing, as what waits leaves the caches."""
 
 
 @takes_options
@@ -61,7 +60,7 @@ def fuse(
     Returns
     -------
     iterator of PolarFrame
-        With `threads` above 1, it reads a recording up to three images ahead.
+        With `threads` above 1, it reads a recording one image ahead.
 
     Raises
     ------
@@ -94,10 +93,11 @@ def fuse(
 class ReadAhead(Iterator[PolarFrame]):
     """Iterate over a Fusion's images, which are the same, but in two threads.
 
-    The calling thread brings the state to the times of the next images and reads it;
-    a second one interpolates the channels and computes angle and degree.  That thread
-    stays in compiled code: with one that runs Python, the two would wait for Python's
-    lock for longer than they gain.
+    The calling thread brings the state to the time of the next image and reads it.
+    Meanwhile a second one interpolates the channels of the image before and computes
+    angle and degree; it also takes part in the kernels of the first one, and the other
+    way round.  It stays in compiled code: with a thread that runs Python, the two would
+    wait for Python's lock for longer than they gain.
 
     Parameters
     ----------
@@ -124,6 +124,7 @@ class ReadAhead(Iterator[PolarFrame]):
                 raise error
             self._end()
             self._queue = None
+            self._fusion.share_with(None)
             raise StopIteration
 
     def _read_on(self) -> None:
@@ -150,6 +151,7 @@ class ReadAhead(Iterator[PolarFrame]):
                 target=queue.serve, name="pdavis_cv-images", daemon=True)
             thread.start()
             self._queue = os.getpid(), queue
+            self._fusion.share_with(queue)
             self._end = weakref.finalize(self, _end, queue, thread)
         return self._queue[1]
 

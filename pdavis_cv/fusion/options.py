@@ -200,8 +200,8 @@ class FusionOptions:
     threads: int = _option(
         1, "int",
         "Number of threads that share the work of each image; it does not change the "
-        "images.  With more than one, a recording is read up to three images ahead.  "
-        "They are faster from about 64,000 pixels on; 1 leaves the other cores to the "
+        "images.  With more than one, a recording is read one image ahead.  They "
+        "are faster from about 64,000 pixels on; 1 leaves the other cores to the "
         "program's own threads.", "count",
         "threads that share the work of an image; default: one per core above 65536 "
         "pixels, else 1")

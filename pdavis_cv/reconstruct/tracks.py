@@ -339,9 +339,9 @@ class Reader:
             self._swept_us = rest_us
         listing = (self.pixels[:self.n], self._ordered, self.flags, self._lanes)
         ns = _LISTED_NS * self.n + _REST_NS * states.size
-        workers.rows(len(states), lambda first, last: _kernels.kalman_show(
+        workers.shared(len(states), lambda first, last, team: _kernels.kalman_show(
             t_us, known_us, epoch_us, chain, tuning, states, gaps, listing,
-            self._planes, (first, last), shown), row_ns=ns / len(states))
+            self._planes, (first, last), shown, team), row_ns=ns / len(states))
 
 
 def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:

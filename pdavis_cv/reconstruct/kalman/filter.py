@@ -533,19 +533,12 @@ class KalmanFilter(Reconstructor):
         """Update the states with a frame whose events are chained."""
         recent = self._tracks
         # Each band has its own sums, so that results do not depend on the threads.
-        bands = range(0, self.shape[0], _BAND)
-        innovations = np.zeros((len(bands), SUMS))
-
-        def work(first: int, last: int) -> None:
-            for band in range(first, last):
-                rows = slice(bands[band], bands[band] + _BAND)
-                _kernels.kalman_frame(
-                    (frame.samples[rows], frame.exposures, frame.known_us),
-                    (recent.store, recent.old[rows]), recent.committed, self._model,
-                    recent.tracks[rows], self._states[rows], innovations[band],
-                    nodes[rows])
-
-        self.workers.rows(len(bands), work, least=1)
+        count = -(-self.shape[0] // _BAND)
+        innovations = np.zeros((count, SUMS))
+        self.workers.shared(count, lambda first, last, team: _kernels.kalman_frame(
+            (frame.samples, frame.exposures, frame.known_us),
+            (recent.store, recent.old), recent.committed, self._model, recent.tracks,
+            self._states, innovations, nodes, (first, last, _BAND), team), least=1)
         for sums in innovations:
             self._innovations[:SUMS] += sums
 

@@ -1,0 +1,194 @@
+/* Rows of an image shared with a thread that is already at work on something else.
+
+   One thread runs team_share.  One other runs team_help now and then, and takes chunks of
+   the rows that nobody has taken; or it sleeps in team_sleep, and is woken if the work is
+   worth it.  The first one waits for a chunk at most. */
+#ifndef PDAVIS_CV_TEAM_H
+#define PDAVIS_CV_TEAM_H
+
+#include "Python.h"
+#include <stddef.h>
+
+#if defined(_MSC_VER)
+#include <intrin.h>
+#include <windows.h>
+typedef __int64 pd_count;
+#define PD_ADD(at, n) _InterlockedExchangeAdd64(at, n)
+#define PD_LOAD(at) _InterlockedExchangeAdd64(at, 0)
+#define PD_STORE(at, n) ((void)_InterlockedExchange64(at, n))
+#define PD_SWAP(at, n) _InterlockedExchange64(at, n)
+#define PD_YIELD() ((void)SwitchToThread())
+static inline pd_count pd_now(void)     /* ns */
+{
+    LARGE_INTEGER count, rate;
+    QueryPerformanceCounter(&count);
+    QueryPerformanceFrequency(&rate);
+    return (pd_count)(1e9 * (double)count.QuadPart / (double)rate.QuadPart);
+}
+#else
+#include <sched.h>
+#include <time.h>
+typedef long long pd_count;
+#define PD_ADD(at, n) __atomic_fetch_add(at, n, __ATOMIC_SEQ_CST)
+#define PD_LOAD(at) __atomic_load_n(at, __ATOMIC_SEQ_CST)
+#define PD_STORE(at, n) __atomic_store_n(at, n, __ATOMIC_SEQ_CST)
+#define PD_SWAP(at, n) __atomic_exchange_n(at, n, __ATOMIC_SEQ_CST)
+#define PD_YIELD() ((void)sched_yield())
+static inline pd_count pd_now(void)     /* ns */
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (pd_count)now.tv_sec * 1000000000 + now.tv_nsec;
+}
+#endif
+
+/* Looks at a counter before the processor is left to another thread. */
+#define PD_SPINS 1000
+/* If the first thread waits for so much longer than its own part took, the other one has
+   no processor: nothing is shared for a while. */
+#define PD_LATE_NS 100000
+#define PD_ALONE_NS 100000000
+
+typedef void (*pd_rows)(void *args, ptrdiff_t first, ptrdiff_t last);
+
+/* Rows 0 <= row < n in chunks.  The first thread takes them from the front, the other
+   from the back, so that each finds what it used last time in its own cache. */
+typedef struct {
+    pd_rows work;
+    void *args[2];          /* of the other thread, of the first one */
+    ptrdiff_t n, chunk;
+    ptrdiff_t front, back;  /* chunks taken by the first thread, by the other one */
+    pd_count taken, done;   /* chunks: asked for, and finished */
+} share_t;
+
+typedef struct {
+    share_t share;
+    pd_count open;          /* whether there is work to share */
+    pd_count inside;        /* whether the other thread may be at it */
+    pd_count posted;        /* images posted for the other thread, */
+    pd_count served;        /* and left by it: it uses them no more */
+    pd_count asleep;        /* whether `wake` must be released for it to go on */
+    pd_count alone_until;   /* ns; until then nothing is shared */
+    PyThread_type_lock wake;
+} team_t;
+
+static inline void share_begin(share_t *share, pd_rows work, void *args, void *others,
+                               ptrdiff_t n, ptrdiff_t chunk)
+{
+    share->work = work;
+    share->args[0] = others;
+    share->args[1] = args;
+    share->n = n;
+    share->chunk = chunk;
+    share->front = share->back = 0;
+    PD_STORE(&share->done, (pd_count)0);
+    PD_STORE(&share->taken, (pd_count)0);
+}
+
+static inline ptrdiff_t share_chunks(const share_t *share)
+{
+    return (share->n + share->chunk - 1) / share->chunk;
+}
+
+/* Process a chunk; return whether there was one, and in `last` whether it was the last
+   one to be finished. */
+static inline int share_step(share_t *share, int first_thread, int *last)
+{
+    ptrdiff_t count = share_chunks(share), k, begin, end;
+    *last = 0;
+    if (PD_LOAD(&share->taken) >= count || PD_ADD(&share->taken, (pd_count)1) >= count)
+        return 0;
+    k = first_thread ? share->front++ : count - 1 - share->back++;
+    begin = k * share->chunk;
+    end = begin + share->chunk;
+    share->work(share->args[first_thread], begin, end < share->n ? end : share->n);
+    *last = PD_ADD(&share->done, (pd_count)1) == count - 1;
+    return 1;
+}
+
+static inline void team_wake(team_t *team)
+{
+    if (PD_SWAP(&team->asleep, (pd_count)0))
+        PyThread_release_lock(team->wake);
+}
+
+/* Wait until there is work to share, or more images than the given number. */
+static inline void team_sleep(team_t *team, ptrdiff_t finished)
+{
+    PD_STORE(&team->asleep, (pd_count)1);
+    if ((PD_LOAD(&team->posted) > finished || PD_LOAD(&team->open))
+        && PD_SWAP(&team->asleep, (pd_count)0))
+        return;
+    PyThread_acquire_lock(team->wake, WAIT_LOCK);
+}
+
+static inline void team_post(team_t *team)
+{
+    PD_ADD(&team->posted, (pd_count)1);
+    team_wake(team);
+}
+
+static inline ptrdiff_t team_posted(team_t *team)
+{
+    return (ptrdiff_t)PD_LOAD(&team->posted);
+}
+
+static inline ptrdiff_t team_served(team_t *team)
+{
+    return (ptrdiff_t)PD_LOAD(&team->served);
+}
+
+static inline void team_left(team_t *team)
+{
+    PD_ADD(&team->served, (pd_count)1);
+}
+
+/* Note that the first thread, which began and ended its own part, has waited until now. */
+static inline void team_waited(team_t *team, pd_count began, pd_count ended)
+{
+    pd_count now = pd_now();
+    if (now - ended > ended - began + PD_LATE_NS)
+        team->alone_until = now + PD_ALONE_NS;
+}
+
+/* Process n rows in chunks; return when all are done.  wake: whether it is worth to wake
+   the other thread. */
+static inline void team_share(team_t *team, int wake, pd_rows work, void *args,
+                              ptrdiff_t n, ptrdiff_t chunk)
+{
+    int spins = 0, last;
+    pd_count ended, began = pd_now();
+    if (began < team->alone_until) {
+        work(args, 0, n);
+        return;
+    }
+    share_begin(&team->share, work, args, args, n, chunk);
+    PD_STORE(&team->open, (pd_count)1);
+    if (wake)
+        team_wake(team);
+    while (share_step(&team->share, 1, &last))
+        ;
+    PD_STORE(&team->open, (pd_count)0);
+    if (!PD_LOAD(&team->inside))
+        return;
+    ended = pd_now();
+    while (PD_LOAD(&team->inside))
+        if (++spins > PD_SPINS)
+            PD_YIELD();
+    team_waited(team, began, ended);
+}
+
+/* Take part in what is shared at the moment, if anything is. */
+static inline void team_help(team_t *team)
+{
+    int last;
+    if (!PD_LOAD(&team->open))
+        return;
+    PD_STORE(&team->inside, (pd_count)1);
+    if (PD_LOAD(&team->open))       /* it is not closed while this is inside */
+        while (share_step(&team->share, 0, &last))
+            ;
+    PD_STORE(&team->inside, (pd_count)0);
+}
+
+#endif
