@@ -38,8 +38,9 @@ _SAMPLES_PER_CYCLE = 2.5
 
 MOST_HZ = 500_000.0
 """Largest frequency: half the rate of a clock of microseconds."""
-MOST_HARMONICS = 64
-"""A choice: the fit solves for two unknowns of each."""
+MOST_HARMONICS = 20
+"""A choice: the fit solves for two unknowns of each, and on a busy machine the threads
+of LAPACK wait for each other the longer, the more there are."""
 _LEAST_CYCLES = 0.05
 """Least cycles of a tone over the record.  A choice: the cosine of fewer cannot be told
 from the offset and drift that are fitted with it."""
@@ -163,8 +164,8 @@ def dominant_tone(
     highest_hz : float, optional
         Default: half the median sampling rate.
     harmonics : int
-        Fundamental and harmonics to fit; those above half the sampling rate are
-        left out.
+        Fundamental and harmonics to fit, 1 to 20; those above half the sampling rate
+        are left out.
 
     Returns
     -------
@@ -216,7 +217,7 @@ def fit_tone(
     hz : float
         Frequency, accurate to half a cycle over the record.
     harmonics : int
-        Fundamental and harmonics to fit.
+        Fundamental and harmonics to fit, 1 to 20.
 
     Returns
     -------
