@@ -28,6 +28,10 @@ cameras (4 to 7.4 ms), and half the width of the minimum at 1000 RPM."""
 _COARSE_PIXELS = 16
 """Number of pixels with which the grid is evaluated."""
 
+_LAW_PIXELS = 64
+"""Number of pixels with which laws of the bandwidth are compared, before the likeliest
+one is fitted with all of them.  Engineering choice."""
+
 _FIT_WIDTH_US, _FIT_POINTS = 1800.0, 9
 """Half width of the parabola fitted to -ln L, and number of its points.  It is wide
 because within 1 ms -ln L is rough, as it jumps when a frame passes an event.
@@ -192,7 +196,9 @@ def _in_proportion(sample: PixelSample, start: float) -> tuple[_Fit, float]:
     The second value is the least -ln L of such a model with clocks that agree.
     """
     ln_hz = np.log(_LAW_HZ)
-    fits = [_minimum(sample, start, (0.0, hz / sample.bright)) for hz in _LAW_HZ]
+    every = max(len(sample.pixels) // _LAW_PIXELS, 1)
+    fits = [_minimum(sample, start, (0.0, hz / sample.bright), every)
+            for hz in _LAW_HZ]
     best = vertex(ln_hz, np.array([fit.cost for fit in fits]))
     found = _minimum(sample, float(np.interp(best, ln_hz, [fit.us for fit in fits])),
                      (0.0, math.exp(best) / sample.bright))
@@ -227,12 +233,17 @@ def _light_explains(
     return gain + 0.5 * away**2 - 0.5 * (us / CLOCK_OFFSET_SIGMA_US)**2 < error
 
 
-def _minimum(sample: PixelSample, us: float, law: tuple[float, float]) -> _Fit:
-    """Return the minimum over the offset near us, by fitting parabolas."""
+def _minimum(
+    sample: PixelSample, us: float, law: tuple[float, float], every: int = 1
+) -> _Fit:
+    """Return the minimum over the offset near us, by fitting parabolas.
+
+    The cost is that of one in `every` pixels.
+    """
     points = np.linspace(-1, 1, _FIT_POINTS)
     for _ in range(_MOST_FITS):
         x = us + _FIT_WIDTH_US * points
-        y = _costs(sample, x, law) + _prior(x)
+        y = _costs(sample, x, law, every) + _prior(x) / every
         square, slope, level = np.polyfit(points, y, 2)
         at = (float(np.clip(-slope / (2 * square), -1, 1)) if square > 0
               else float(points[np.argmin(y)]))
