@@ -1,7 +1,7 @@
 """Plain NumPy versions of the redundancy kernels, written to be read."""
 import numpy as np
 
-LINE_ERROR, FAR_ERRORS = 2.2, 2.0   # sigma of a line in 1 / (2 N)^2, and of outliers
+LINE_ERROR, FAR_ERRORS = 2.2, 2.6   # sigma of a line in 1 / (2 N)^2, and of outliers
 
 
 class Macropixel:

@@ -54,7 +54,7 @@ def started(many, tmp_path):
         child.wait()
 
 
-def until(true, seconds=60):
+def until(true, seconds=180):
     end = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < end, "waited in vain"
