@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._workers import yield_to_others
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import resolve_thresholds
@@ -356,6 +357,7 @@ class OnlineLearning:
 
         def estimated() -> CameraEstimate:
             """Estimate from a copy, as the original is fed meanwhile."""
+            yield_to_others()   # when it is used does not depend on how long it takes
             camera = self._learning.estimator()
             camera.restore(passed)
             return self._learning.estimate(camera)
