@@ -1,6 +1,7 @@
 """Threads that share the rows of an image."""
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import sys
@@ -124,4 +125,5 @@ def usable_cores() -> int:
 def yield_to_others() -> None:
     """Let all other threads go first on busy cores, where threads have a priority."""
     if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW)
+        with contextlib.suppress(OSError):      # a sandbox may forbid it
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW)

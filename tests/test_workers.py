@@ -1,5 +1,7 @@
 import multiprocessing
+import os
 import pickle
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -7,7 +9,13 @@ import numpy as np
 import pytest
 
 from pdavis_cv import FusionOptions, fuse
-from pdavis_cv._workers import LEAST_BAND_NS, LEAST_ROWS, Workers, usable_cores
+from pdavis_cv._workers import (
+    LEAST_BAND_NS,
+    LEAST_ROWS,
+    Workers,
+    usable_cores,
+    yield_to_others,
+)
 from pdavis_cv.simulation import FULL, Camera, RotatingPolarizer
 
 OPTIONS = [{"method": "cf"}, {"method": "kalman"},
@@ -110,6 +118,24 @@ def test_a_forked_child_starts_threads_of_its_own():
 def test_threads_must_be_a_whole_number_from_1(threads):
     with pytest.raises(ValueError, match="threads must be a whole number from 1, got"):
         FusionOptions(threads=threads)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have no priority")
+@pytest.mark.parametrize("allowed", [True, False])
+def test_a_thread_that_yields_lowers_its_own_priority_only(monkeypatch, allowed):
+    def refuse(*_):
+        raise PermissionError(1, "not here")
+
+    def own():
+        yield_to_others()
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    before = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+    if not allowed:
+        monkeypatch.setattr(os, "setpriority", refuse)
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(own).result() == (max(before, 10) if allowed else before)
+    assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == before
 
 
 def test_there_is_a_core_to_work_on():
