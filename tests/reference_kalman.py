@@ -41,7 +41,7 @@ class Noise:
     drift: float = 0.0          # variance of thresholds from frame to frame, relative
     product_of_drift: float = 0.0
     weight_of_drift: float = 0.0
-    change: tuple = ()          # of the frame before, and its variance
+    change: tuple = ()          # of the frame before, and its information matrix
 
     def follow(self, sums):
         """Drift by what two frames say of a common change of the thresholds."""
@@ -49,12 +49,12 @@ class Noise:
         for _, _, _, _, (by, e, v), *_ in sums:
             normal, right = normal + np.outer(by, by) / v, right + by * e / v
         change = np.linalg.solve(normal, right)
-        spread = np.trace(np.linalg.inv(normal)) + 2 * 0.002**2
+        information = np.linalg.inv(np.linalg.inv(normal) + 0.002**2 * np.eye(2))
         if self.change:
-            weight = 1 / (spread * self.change[1])
-            self.product_of_drift += weight * change @ self.change[0]
-            self.weight_of_drift += 2 * weight
-        self.change = change, spread
+            before, known = self.change
+            self.product_of_drift += (information @ change) @ (known @ before)
+            self.weight_of_drift += np.sum(information * known)
+        self.change = change, information
         self.drift = max(self.product_of_drift, 0) / (
             self.weight_of_drift + 0.005**-4)
 
@@ -324,9 +324,9 @@ class Pixel:
         for a, b in itertools.pairwise(cuts):
             for node in (-1, 1) if inner or lit else (0, 0):
                 t = (a + b) / 2 + node * (b - a) / np.sqrt(12) if node else mid
-                n, y, u, *_ = self.value(t, known, at, level)
+                inside, y, u, *_ = self.value(t, known, at, level)
                 whole += (b - a) / 2 * np.exp(y + u)
-                weighted += (b - a) / 2 * np.exp(y + u) * n
+                weighted += (b - a) / 2 * np.exp(y + u) * inside
         blur = np.log(whole / (end - begin))
         H = np.array([1.0, *(weighted / whole * (1, -1))])
         if fresh:
