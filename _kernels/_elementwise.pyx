@@ -1,15 +1,8 @@
 """Functions of each pixel, with the same bits on every CPU."""
+from _kernels._weighted cimport mismatch_row, reconcile_row
+
 cdef extern from "_curves.h" nogil:
     void exp_row(const float*, Py_ssize_t, float*)
-
-cdef extern from "_channels.h" nogil:
-    void mismatch_row(
-        const float*, const float*, const float*, const float*, float, float, float,
-        Py_ssize_t, float*, float*, float*, float*)
-    void reconcile_row(
-        float*, float*, float*, float*, const float*, const float*, const float*,
-        const float*, const float*, const float*, const float*, const float*, bint,
-        Py_ssize_t)
 
 
 def exp(const float[:, ::1] x not None, float[:, ::1] out not None):
