@@ -11,16 +11,19 @@ gives the rate.  An event arrives when its packet of 2 ms is complete.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import multiprocessing
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -37,6 +40,8 @@ from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.recording.base import Packet, Recording
 from pdavis_cv.simulation import Camera, named_scene
 from pdavis_cv.tools.bench.images import endless
+from pdavis_cv.viewer import handler
+from pdavis_cv.viewer.show import LiveShow
 
 SIZE = (260, 346)
 FAN_RPM = {1: 12.4, 10: 124.0}      # by Mev/s
@@ -134,16 +139,15 @@ def cpu_of_children() -> float:
 
 # ---- in a browser ------------------------------------------------------------------
 
-WATCH = """() => {
-    window.seen = [];
-    const before = take, channel = new MessageChannel();
-    let painted = [];
+WATCH = b"""
+{   const before = take, channel = new MessageChannel();
+    let painted = [], seen = [];
     channel.port1.onmessage = () => {
-        const at = performance.timeOrigin + performance.now();
+        const at = Date.now() + 0.5;
         seen.push(...painted.map(t => [t, at]));
         painted = [];
     };
-    window.take = buffer => {
+    take = buffer => {
         const told = before(buffer);
         if (told.planes.length)
             requestAnimationFrame(() => {
@@ -152,42 +156,78 @@ WATCH = """() => {
             });
         return told;
     };
-}"""
-"""A drawing is seen when the frame that holds it has been painted."""
+    setInterval(() => fetch(address("command", {}), {
+        method: "POST", headers: {"Content-Type": "application/json"},
+        body: JSON.stringify({do: "seen", value: seen.splice(0)})}), 500);
+}
+"""
+"""Ends the page's program: a drawing is seen when the frame that holds it has been
+painted.  The page says so itself, every half second, because a browser that is watched
+through DevTools sends each message of its WebSocket there too, .3 CPU-s per s.  Times
+are the system's, in whole ms: `performance.timeOrigin` was up to 25 ms off."""
+
+CHROMIUM = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+            "--no-first-run", "--disable-background-networking",
+            "--disable-component-update", "--disable-sync", "--window-size=1280,900",
+            "--remote-debugging-port=0")
+
+
+@contextlib.contextmanager
+def watched(report: Callable[[list[tuple[int, float]]], None]) -> Iterator[None]:
+    """Have pages report what they have painted, each t_us and ms since 1970."""
+    page_of, commands_of = handler.page, LiveShow.commands
+    with mock.patch.object(handler, "page", lambda name: page_of(name) + (
+            WATCH if name == "page.js" else b"")), mock.patch.object(
+            LiveShow, "commands",
+            lambda show: {**commands_of(show), "seen": report}):
+        yield
+
+
+@contextlib.contextmanager
+def chromium(url: str) -> Iterator[None]:
+    """Show a page in headless Chromium."""
+    program = shutil.which("chromium")
+    if program is None:
+        raise SystemExit("page: needs Chromium, got no program chromium")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        browser = subprocess.Popen(
+            [program, *CHROMIUM, f"--user-data-dir={profile}", url],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            yield
+        finally:
+            browser.terminate()
+            browser.wait()
 
 
 def page(folder: Path, args: argparse.Namespace) -> None:
     """Print the latency from an event's time to its drawing, and images per second."""
-    from playwright.sync_api import sync_playwright
-
     source = ReplaySource(SCENES[args.scene](folder, args.rate), "fan", loop=True)
+    epoch = time.time() - time.monotonic()
+    seen: list[tuple[int, float, float]] = []   # t_us, time drawn in s, latency in ms
     with Session(source, method=args.method, fps=args.fps,
-                 threads=args.threads) as session, serve(
-            session, port=0) as server, sync_playwright() as run:
-        browser = run.chromium.launch(executable_path=shutil.which("chromium"),
-                                      args=["--no-sandbox"])
-        opened = browser.new_page(viewport={"width": 1280, "height": 900})
-        opened.goto(server.url)
-        opened.wait_for_timeout(1e3 * LEARN_S)
-        opened.evaluate(WATCH)
-        cpu, begun = time.process_time(), time.monotonic()
-        children = cpu_of_children()
-        late: list[float] = []
-        numbers: set[int] = set()
-        while time.monotonic() - begun < args.seconds:
-            opened.wait_for_timeout(500)
-            seen = opened.evaluate("() => seen.splice(0)")
-            epoch = time.time() - time.monotonic()
-            for t_us, at_ms in seen:
-                numbers.add(t_us)
-                late.append(at_ms - 1e3 * (session.clock.host_s(t_us) + epoch))
-        passed = time.monotonic() - begun
-        used = (time.process_time() - cpu) / passed
-        drawing = (cpu_of_children() - children) / passed
-        stats = session.stats
-        browser.close()
+                 threads=args.threads) as session:
+
+        def report(painted: list[tuple[int, float]]) -> None:
+            for t_us, at_ms in painted:
+                at = 1e-3 * at_ms - epoch
+                seen.append((t_us, at, 1e3 * (at - session.clock.host_s(t_us))))
+
+        with watched(report), serve(session, port=0) as server, chromium(server.url):
+            time.sleep(LEARN_S)
+            cpu, begun = time.process_time(), time.monotonic()
+            children = cpu_of_children()
+            time.sleep(args.seconds)
+            passed = time.monotonic() - begun
+            used = (time.process_time() - cpu) / passed
+            drawing = (cpu_of_children() - children) / passed
+            stats = session.stats
+            time.sleep(1)       # the last report
+    within = [one for one in seen if begun <= one[1] < begun + passed]
+    late = [latency for _, _, latency in within]
+    drawn = len({t_us for t_us, _, _ in within}) / passed
     told("event to drawn", late)
-    print(f"drawn {len(numbers) / passed:.1f} of {args.fps:g} images/s; event to image "
+    print(f"drawn {drawn:.1f} of {args.fps:g} images/s; event to image "
           f"{stats.latency_ms:.1f}, 95 % {stats.latency_p95_ms:.1f} ms, "
           f"{stats.images_per_s:.1f} images/s; CPU-s per s: "
           f"session and server {used:.2f}, browser {drawing:.2f}; load "
