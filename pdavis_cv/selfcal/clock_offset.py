@@ -215,8 +215,8 @@ def _light_explains(
     It does if -ln L is lower by `_LAW_EVIDENCE` than the cost with an offset.  If event
     noise is higher than the variances assume, a few samples with errors of a threshold
     dominate -ln L.  Then the lag is also accepted unless the offset us with the usual
-    law is likelier, including priors, by at least one standard error (the rule of
-    Breiman et al., Classification and Regression Trees, 1984).
+    law is likelier, including priors, by at least three standard errors, as many as an
+    offset must exceed to be applied.
     """
     least, other = likeliest_by_light(sample)
     if least < cost - _LAW_EVIDENCE or other is None:
@@ -230,7 +230,8 @@ def _light_explains(
     gain, error = evidence(*clean.innovations_by_time(candidates, BLOCKS))
     hz, _, sigma = TYPICAL_BANDWIDTH
     away = math.log((other[0] + other[1] * sample.bright) / hz) / sigma
-    return gain + 0.5 * away**2 - 0.5 * (us / CLOCK_OFFSET_SIGMA_US)**2 < error
+    return gain + 0.5 * away**2 - 0.5 * (us / CLOCK_OFFSET_SIGMA_US)**2 < (
+        _SIGMAS * error)
 
 
 def _minimum(
