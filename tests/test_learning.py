@@ -14,7 +14,8 @@ from pdavis_cv import (
 )
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion, learning
-from pdavis_cv.fusion.learning import FIRST_LOOK_S, Learning, OnlineLearning
+from pdavis_cv.fusion.learning import Learning
+from pdavis_cv.fusion.online_learning import FIRST_LOOK_S, OnlineLearning
 from pdavis_cv.reconstruct.kalman import NOISE, KalmanFilter
 from pdavis_cv.selfcal import TYPICAL_BANDWIDTH, CameraEstimate
 from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA

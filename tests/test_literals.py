@@ -10,6 +10,7 @@ ROOMS = ("pdavis_cv/selfcal/*.py", "pdavis_cv/reconstruct/kalman/*.py",
          *(f"pdavis_cv/reconstruct/{name}.py" for name in (
              "cf", "denoise", "events", "lamp", "model", "redundancy", "tracks")),
          "pdavis_cv/recording/advice.py", "pdavis_cv/fusion/learning.py",
+         "pdavis_cv/fusion/online_learning.py",
          *(f"_kernels/_{name}.*" for name in (
              "estimate", "hot", "kalman", "lag", "lamp", "lanes", "leaky", "listing",
              "measure", "model", "reading", "redundancy", "rest", "selfcal", "smooth",

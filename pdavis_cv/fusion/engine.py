@@ -25,10 +25,12 @@ from pdavis_cv.fusion.camera import (
 )
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.images import ImageMaker, Samples
-from pdavis_cv.fusion.learning import Learning, OnlineLearning, Tuning
+from pdavis_cv.fusion.learning import Learning
+from pdavis_cv.fusion.online_learning import OnlineLearning
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
 from pdavis_cv.fusion.states import ArrivalState, CallRecorder, InOrderState, make_state
+from pdavis_cv.fusion.tuning import Tuning
 from pdavis_cv.fusion.window import Window, checked_roi, window_of
 from pdavis_cv.mosaic import REACH
 from pdavis_cv.polarimetry import PolarFrame
