@@ -20,11 +20,18 @@ FIRST_LOOK_S = 0.5
 """Time of the first estimate from a passing stream, in s of stream time after the first
 frame; the next ones follow at twice, four times ... that."""
 
-_DELAY_DIVISOR = 8
-"""An estimate from the first T seconds is applied at T + T / 8, as it is computed while
-the stream goes on: at 1 Mev/s it takes 0.03 s of processor time for T = 0.5 s, and 0.2
-to 0.3 s from 2 s on.  Applied at T, it would predict the left-out frames of
-`davis346.aedat4` with an error of 0.355 instead of 0.360; at T + T / 4, of 0.366."""
+_LEAST_DELAY, _MOST_DELAY = 8, 2
+"""An estimate from the first T seconds is applied from T + T / 8 to T + T / 2, as it is
+computed while the stream goes on.  The later, the worse: left-out frames of
+`davis346.aedat4` are predicted with an error of 0.360 if it is applied at T + T / 8, of
+0.355 at T and of 0.366 at T + T / 4."""
+
+_US_PER_EVENT = 0.5
+"""Delay for each event so far, us, between these limits.  On two cores that fuse 1
+Mev/s meanwhile an estimate takes up to 0.35 us per event: 0.06 to 0.17, 0.2 to 0.4, 0.6
+to 0.7 and 0.7 to 1.2 s for T of 0.5, 1, 2 and 4 s, events all over the sensor and a fan
+at 1.1 Mev/s.  Images would wait for it at T + T / 8.  With fewer than 250,000 events
+per second the delay is T / 8, with 1 Mev/s T / 2."""
 
 _WORTHWHILE = 0.05
 """Least change of a parameter that is applied: of the ln of the corner frequency, or
@@ -39,12 +46,12 @@ _SIGMAS = 3.0
 
 
 class OnlineLearning:
-    """Re-estimates the parameters at fixed times while a stream passes.
+    """Re-estimates the parameters while a stream passes.
 
     The estimator is fed the same data as the method.  At a look, the estimate from the
-    data so far is started in a thread; at a fixed time after the look it is applied.
-    The method's state then continues with the new tuning: past data are not processed
-    again.
+    data so far is started in a thread.  When it is applied depends on the number of
+    events so far, not on how long the thread takes.  The method's state then continues
+    with the new tuning: past data are not processed again.
 
     Parameters
     ----------
@@ -77,6 +84,14 @@ class OnlineLearning:
         assert self._start_us is not None
         return self._start_us + round(1e6 * FIRST_LOOK_S * 2.0 ** self._looks)
 
+    def _delay_us(self, passed_us: int) -> int:
+        """Return how long after a look its estimate is applied, us.
+
+        It depends on the stream alone, as every image does, not on the computer.
+        """
+        needed_us = int(_US_PER_EVENT * self.camera.events_taken)
+        return max(passed_us // _LEAST_DELAY, min(needed_us, passed_us // _MOST_DELAY))
+
     def look(self) -> dict[str, Any]:
         """Do what is due at `next_us`; return the parameters that change.
 
@@ -87,7 +102,7 @@ class OnlineLearning:
         before = self.tuning
         if self._pending is None:
             self._pending = self._started()
-            self.next_us += (self.next_us - self._start_us) // _DELAY_DIVISOR
+            self.next_us += self._delay_us(self.next_us - self._start_us)
             return {}
         estimate, self._pending = self._pending.result(), None
         clock = estimate.clock_offset

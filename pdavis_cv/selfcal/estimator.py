@@ -185,6 +185,7 @@ class SelfCalibration:
         self._sigma = float(threshold_sigma)
         self._window = PixelWindow(self.shape)
         self._whole = SensorWindow(self.shape) if every_pixel else None
+        self._taken = 0
 
     @property
     def full(self) -> bool:
@@ -196,10 +197,16 @@ class SelfCalibration:
         """Whether more events would be ignored as long as no frame has come."""
         return self._window.full_without_frames
 
+    @property
+    def events_taken(self) -> int:
+        """Number of events that `add_events` was given, kept or not."""
+        return self._taken
+
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events of the whole sensor, later than all before."""
         events = timed_events(events)
         if len(events):
+            self._taken += len(events)
             self._window.add_events(events)
             if self._whole is not None:
                 self._whole.add(events)
@@ -343,11 +350,12 @@ class SelfCalibration:
 
     def state(self) -> Mapping[str, Any]:
         """Return the data kept; they are never changed in place."""
-        return {"window": self._window.state(),
+        return {"taken": self._taken, "window": self._window.state(),
                 "whole": None if self._whole is None else self._whole.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Return to what `state` returned."""
+        self._taken = state["taken"]
         self._window.restore(state["window"])
         if self._whole is not None:
             self._whole.restore(state["whole"])
