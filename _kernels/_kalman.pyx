@@ -32,6 +32,9 @@ cdef struct slot_t:
     double theta2
     double change
 
+cdef enum:
+    THIRD = 3                   # order of the differences that tell noise from a trend
+
 cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
     void prefetch "PDAVIS_PREFETCH"(const void*)
@@ -222,6 +225,21 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
             use_bands(&using, first, last)
 
 
+cdef inline double third_difference(state_t* s, double log,
+                                    bint moved) noexcept nogil:
+    """Add ln intensity of a sample to the differences and return the third.
+
+    Its four samples have no event in between if s.quiet is then at least `THIRD`.
+    """
+    cdef double first = log - s.unlit_log, second = first - s.first_difference
+    cdef double third = second - s.second_difference
+    s.unlit_log = <float>log
+    s.first_difference = <float>first
+    s.second_difference = <float>second
+    s.quiet = 0.0 if moved else s.quiet + 1.0
+    return third
+
+
 cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
                                const tuning_t* tuning, state_t* s, group_t* group,
                                Py_ssize_t i, slot_t* slot) noexcept nogil:
@@ -245,6 +263,7 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     group.noise[i] = 0.0
     group.innovation[i] = sample.log - s.base
     group.learn[i] = 0.0
+    group.third[i] = third_difference(s, sample.log, True)
     group.rests[i] = 0.0
     group.unit[i] = 0.0
     group.events[i] = 0.0
@@ -267,7 +286,7 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
     cdef double n_on, n_off, h_on, h_off, blur, fraction, level, added = 0.0
     cdef double noise = 0.0
-    cdef bint fresh = s.samples == 0, learn = False
+    cdef bint fresh = s.samples == 0, learn = False, moved = True
     # Events from the begin of the exposure to its middle, and to the last committed.
     start(&at_mid, old)
     while at_mid.next >= 0 and store[at_mid.next].t <= mid:
@@ -311,7 +330,8 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
                           + p_noise * (1.0 - p_noise))
         motion = theta2 * tuning.motion_variance
         events = theta2 * (n_on + n_off)
-        if n_on + n_off > 0.5:      # less than that is no event, up to rounding
+        moved = n_on + n_off > 0.5  # less than that is no event, up to rounding
+        if moved:
             unit = 2.0 * theta2
             added += motion
             noise += motion
@@ -375,7 +395,9 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     group.noise[i] = noise
     group.innovation[i] = sample.log - s.base - blur
     group.learn[i] = learn
-    group.rests[i] = not fresh and unit == 0.0
+    group.third[i] = third_difference(
+        s, sample.log if lamp.blocks == 0 else slot.node.level, moved)
+    group.rests[i] = s.quiet >= THIRD and unit == 0.0
     group.unit[i] = unit
     group.events[i] = events
     group.p_noise[i] = p_noise

@@ -9,6 +9,7 @@
 #include "_math.h"
 
 #define LINEAR_VARIANCE 0.04    /* ln^2: up to noise of 20 % the log is near linear */
+#define THIRD_VARIANCE 20.0     /* 1 + 9 + 9 + 1: of a third difference, per sample's */
 #define REST_MOST 3.0           /* ln: beyond a factor of 20 the light has changed */
 
 enum {
@@ -17,8 +18,9 @@ enum {
     /* Rows of `terms`, the contributions of a sample to the sums over all samples:
        e^2 / v; ln v; 1; noise events that frames show, and the number expected; normal
        equations of e^2 for the noise of motion and per event, relative to v without
-       both; of e^2 for read and shot noise, if there is no event; of e for the relative
-       changes of both thresholds since the sample before. */
+       both; of squared third differences of samples, without an event in between, for
+       read and shot noise; of e for the relative changes of both thresholds since the
+       sample before. */
     RATIO = 0, LOG, COUNT, NOISE_COUNT, NOISE_WEIGHT,
     MOTION, EVENTS, MOTION_MOTION, MOTION_EVENTS, EVENTS_EVENTS,
     READ, SHOT, READ_READ, READ_SHOT, SHOT_SHOT,
@@ -46,7 +48,8 @@ typedef struct {
     double h_on[TOGETHER], h_off[TOGETHER], noise[TOGETHER], innovation[TOGETHER];
     double sample_per_dn[TOGETHER], per_dn[TOGETHER];
     double learn[TOGETHER];     /* 1, or 0: fixed thresholds (Schmidt-Kalman update) */
-    double rests[TOGETHER];     /* 1 if no event indicates motion, else 0 */
+    /* Third difference of the last four samples; 1 if no event came between them. */
+    double third[TOGETHER], rests[TOGETHER];
     double unit[TOGETHER];      /* derivative of v by motion_variance */
     double events[TOGETHER];    /* derivative of v by noise_per_event */
     double p_noise[TOGETHER];   /* probability that the last event is noise */
@@ -106,6 +109,7 @@ PDAVIS_INLINE void linearize(group_t *restrict g, const policy_t *restrict p,
 PDAVIS_INLINE void set_terms(group_t *restrict g, const policy_t *restrict p,
                              ptrdiff_t n)
 {
+    double most = p->jump_sigmas * p->jump_sigmas;
     ptrdiff_t i;
     for (i = 0; i < n; i++)
         g->narrow[i] = pd_log(g->narrow[i]);
@@ -133,12 +137,16 @@ PDAVIS_INLINE void set_terms(group_t *restrict g, const policy_t *restrict p,
         g->terms[NOISE_WEIGHT][i] = noisy ? g->p_noise[i] : 0.0;
     }
     for (i = 0; i < n; i++) {
-        /* Relative derivatives of v by the variances of read and shot noise. */
-        double shot = p->shot_share * g->per_dn[i] / g->v[i];
+        /* The variance of a sample relative to R, by what samples differ from a
+           parabola, and the derivatives of R by read and shot noise, relative to R. */
+        double third = g->third[i], ratio = third * third / (
+            THIRD_VARIANCE * g->noise[i]);
+        double shot = p->shot_share * g->per_dn[i] / g->noise[i];
         double read = shot * g->per_dn[i];
-        double excess = g->terms[RATIO][i] - 1.0 + read * p->read_variance
+        double excess = (ratio > most ? most : ratio) - 1.0 + read * p->read_variance
                         + shot * p->shot_variance;
-        int usable = (g->rests[i] > 0.0) & (g->noise[i] <= LINEAR_VARIANCE);
+        int usable = (g->rests[i] > 0.0) & (g->noise[i] > 0.0)
+                     & (g->noise[i] <= LINEAR_VARIANCE);
         read = usable ? read : 0.0;
         shot = usable ? shot : 0.0;
         excess = usable ? excess : 0.0;

@@ -40,6 +40,7 @@ cdef extern from "_measure.h" nogil:
         double innovation[TOGETHER]
         double sample_per_dn[TOGETHER]
         double learn[TOGETHER]
+        double third[TOGETHER]
         double rests[TOGETHER]
         double unit[TOGETHER]
         double events[TOGETHER]

@@ -41,6 +41,10 @@ cdef packed struct state_t:
     double seen_on          # all events up to sampled_us, with what resets lost
     double seen_off
     double part             # part of a threshold crossed, at rest: see `part_at`
+    float unlit_log         # ln intensity of the last sample, without the lamp's ripple
+    float first_difference  # of unlit_log from the sample before
+    float second_difference
+    float quiet             # samples in sequence without an event since the one before
 
 cdef packed struct tuning_t:
     double leak_per_s

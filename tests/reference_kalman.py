@@ -66,7 +66,7 @@ class Noise:
         for *_, w, excess in sums:
             self.normal = self.normal + np.outer(w, w)
             self.right = self.right + w * (excess + w @ self.of_frames)
-        prior = np.diag([2 / 4.0**2, 2 / 0.1**2])
+        prior = 2 * 2.31 * np.diag([1 / 4.0**2, 1 / 0.1**2])
         normal, right = self.normal + prior, self.right + prior @ (4.0, 0.1)
         x = np.array([4.0, 0.1])
         for k in (0, 1) * 20:
@@ -121,6 +121,7 @@ class Pixel:
         self.nodes, self.past, self.pull = [], None, 0.0
         self.odds, self.moves, self.seen = -6.91, 0.0, None
         self.holds, self.held = False, 0.0      # the part at rest, in mode causal
+        self.quiet = []     # ln of the samples from the last that follows an event
 
     def part(self, i, t, known, log):
         """Thresholds crossed since event i - 1, which left log, at t; i is the next."""
@@ -245,7 +246,7 @@ class Pixel:
 
     def alone(self, sample, mid, at, per_dn):
         """Use a sample of a hot pixel, whose events have no weight."""
-        self.held = 0.0
+        self.held, self.quiet = 0.0, [sample]
         theta2, error = self.x[1:].mean()**2, sample - self.x[0]
         added = self.moves + theta2 * LEAK * US * (mid - self.reference)
         self.P[0, 0] += added
@@ -343,18 +344,23 @@ class Pixel:
             self.offset_dn * (per_dn - self.pull)) ** 2
         events = 0 if fresh else theta2 * self.counts(self.since, at).sum()
         still -= events * self.learned.per_event
+        level = sample - blur + H[1:] @ self.x[1:]
+        if fresh or self.counts(self.since, at).sum():
+            self.quiet = []
+        self.quiet.append(sample if self.ripple is steady else level)
+        third = np.diff(self.quiet[-4:], 3) if len(self.quiet) > 3 else ()
         sums = (p_noise * np.clip(p_noise - error / event_step, 0, 1), p_noise,
                 np.array([unit, events]) / still, min(error**2, 16 * v) / still - 1,
                 (learn * (error**2 <= 16 * v) * self.x[1:] * (
                     H[1:] + (0 if fresh else n * (1, -1))), error, v),
-                (0 if fresh or unit or noise > 0.04 else 1)
-                * np.array([per_dn_seen**2, per_dn_seen]) / v,
-                min(error**2 / v, 16) - 1)
+                (0 if unit or noise > 0.04 or not len(third) else 1)
+                * np.array([per_dn_seen**2, per_dn_seen]) / noise,
+                min(third[0]**2 / 20 / noise, 16) - 1 if len(third) else 0)
         if error**2 > 16 * v:
             self.P[0, 0] += error**2
             added += error**2
-        self.nodes.append(Node(mid, at, sample - blur + H[1:] @ self.x[1:], H[1:],
-                               noise, added + theta2 * p_noise**2))
+        self.nodes.append(Node(mid, at, level, H[1:], noise,
+                               added + theta2 * p_noise**2))
         PH = self.P @ H
         v = H @ PH + noise
         K = PH / v

@@ -29,7 +29,8 @@ STATE_DTYPE = np.dtype([
     ("prior_on", "<f8"), ("prior_off", "<f8"), ("pull", "<f8"),
     ("frame_log", "<f8"), ("hot", "<f8"), ("moves", "<f8"),
     ("sampled_us", "<i8"), ("samples", "<i4"), ("seen_on", "<f8"),
-    ("seen_off", "<f8"), ("part", "<f8")])
+    ("seen_off", "<f8"), ("part", "<f8"), ("unlit_log", "<f4"),
+    ("first_difference", "<f4"), ("second_difference", "<f4"), ("quiet", "<f4")])
 """State (base, theta_on, theta_off) of a pixel and its covariance, natural-log units.
 
 ``base`` is the log intensity (ln DN/ms) at the last event before ``sampled_us``, the
@@ -40,7 +41,10 @@ frames), ln per DN.  ``frame_log`` is the last sample as measured.  ``hot`` is t
 of the odds that the pixel is hot, relative to the prior odds; ``moves`` is the mean
 square change of log intensity between two samples of a hot pixel, ln^2.  ``part`` is
 the fraction of the last event's threshold by which a pixel at rest has moved on, as it
-was assumed for the samples since then.
+was assumed for the samples since then.  ``unlit_log`` is the last sample without the
+lamp's ripple; its backward differences of first and second order follow.  ``quiet`` is
+the number of samples in sequence, up to the last, before which no event had come since
+the sample before.
 """
 
 TUNING_DTYPE = np.dtype([
