@@ -42,8 +42,11 @@ static inline pd_count pd_now(void)     /* ns */
 }
 #endif
 
-/* Looks at a counter before the processor is left to another thread. */
+/* Looks at a counter before the processor is left to another thread; and how often it
+   is left before a thread that waits for more rows sleeps: for about the time of a chunk
+   if there is no other thread. */
 #define PD_SPINS 1000
+#define PD_YIELDS 100
 /* If the first thread waits for so much longer than its own part took, the other one has
    no processor: nothing is shared for a while. */
 #define PD_LATE_NS 100000
@@ -64,6 +67,8 @@ typedef struct {
 typedef struct {
     share_t share;
     pd_count open;          /* whether there is work to share */
+    pd_count opened;        /* how often there has been */
+    pd_count seen;          /* the last such work of which nothing was left */
     pd_count inside;        /* whether the other thread may be at it */
     pd_count posted;        /* images posted for the other thread, */
     pd_count served;        /* and left by it: it uses them no more */
@@ -112,12 +117,26 @@ static inline void team_wake(team_t *team)
         PyThread_release_lock(team->wake);
 }
 
-/* Wait until there is work to share, or more images than the given number. */
+static inline int team_needed(team_t *team, ptrdiff_t finished)
+{
+    return PD_LOAD(&team->posted) > finished
+        || (PD_LOAD(&team->open) && PD_LOAD(&team->opened) != team->seen);
+}
+
+/* Wait until there is work to share, or more images than the given number.  While the
+   first thread is at its last chunk, more is likely to follow, so that this one stays
+   awake; but not for long, as the first thread may be waiting for this processor. */
 static inline void team_sleep(team_t *team, ptrdiff_t finished)
 {
+    int spins = 0;
+    while (PD_LOAD(&team->open) && spins < PD_SPINS + PD_YIELDS) {
+        if (team_needed(team, finished))
+            return;
+        if (++spins > PD_SPINS)
+            PD_YIELD();
+    }
     PD_STORE(&team->asleep, (pd_count)1);
-    if ((PD_LOAD(&team->posted) > finished || PD_LOAD(&team->open))
-        && PD_SWAP(&team->asleep, (pd_count)0))
+    if (team_needed(team, finished) && PD_SWAP(&team->asleep, (pd_count)0))
         return;
     PyThread_acquire_lock(team->wake, WAIT_LOCK);
 }
@@ -163,6 +182,7 @@ static inline void team_share(team_t *team, int wake, pd_rows work, void *args,
         return;
     }
     share_begin(&team->share, work, args, args, n, chunk);
+    PD_ADD(&team->opened, (pd_count)1);
     PD_STORE(&team->open, (pd_count)1);
     if (wake)
         team_wake(team);
@@ -185,9 +205,11 @@ static inline void team_help(team_t *team)
     if (!PD_LOAD(&team->open))
         return;
     PD_STORE(&team->inside, (pd_count)1);
-    if (PD_LOAD(&team->open))       /* it is not closed while this is inside */
+    if (PD_LOAD(&team->open)) {     /* it is not closed while this is inside */
         while (share_step(&team->share, 0, &last))
             ;
+        team->seen = PD_LOAD(&team->opened);
+    }
     PD_STORE(&team->inside, (pd_count)0);
 }
 

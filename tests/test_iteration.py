@@ -1,6 +1,7 @@
 """Images that a second thread finishes: the same bits, in order, and no thread left."""
 import gc
 import multiprocessing
+import os
 import subprocess
 import sys
 import threading
@@ -193,6 +194,23 @@ def test_images_of_two_threads_are_those_of_one(turning, options):
             assert (one_of is None) == (other_of is None)
             if one_of is not None:
                 np.testing.assert_array_equal(one_of, other_of)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
+def test_two_threads_on_one_core_give_the_same_images(turning):
+    def images(threads):
+        return [(image.quad, image.aop) for image in islice(
+            fuse(turning, fps=1000, threads=threads), 40)]
+
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})      # of the thread that is started as well
+    try:
+        got = images(2)
+    finally:
+        os.sched_setaffinity(0, before)
+    for mine, other in zip(got, images(1), strict=True):
+        for one, two in zip(mine, other, strict=True):
+            np.testing.assert_array_equal(one, two)
 
 
 def test_arrays_of_images_of_two_threads_are_read_only(turning):

@@ -211,3 +211,9 @@ def _threads() -> Iterator[Comparison]:
                 partial(images, two(), 40), partial(images, one(), 40), _milliseconds,
                 "ms",
                 judged=cores > 1 and (method, rate) == ("kalman", 33e3))
+    # On the one core of `pdavis bench`, as where others keep all other cores busy.
+    one, two = (partial(made, "kalman", 33e3, threads) for threads in (1, 2))
+    yield Comparison(
+        "kalman, 0.033 Mev/s, one core", partial(same, one, two),
+        partial(images, two(), 40), partial(images, one(), 40), _milliseconds, "ms",
+        judged=False)
