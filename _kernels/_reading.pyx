@@ -23,6 +23,7 @@ from _kernels._tracks cimport REST_US, at_rest, start, walk_t
 cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
     void prefetch "PDAVIS_PREFETCH"(const void*)
+    void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, Py_ssize_t)
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
@@ -303,6 +304,8 @@ cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* p
                 k, at, lanes, lane, &flags[at]):
             show_one(k, at, out)
             done[lane] = 1
+    if end < n:     # the lanes that are shown next
+        prefetch_all(lanes + 1, sizeof(lanes_t))
     if not mixed:
         show_lanes(lanes, &group, reader, begin - base, end - base)
     i = begin
