@@ -72,6 +72,8 @@ def test_a_closed_source_is_not_read_and_its_generator_is_closed():
     ([Packet(events(5, x=6))], r"event 0 of packet 0 at \(x=6.*6x4 sensor"),
     ([Packet(events(5, y=4))], r"event 0 of packet 0 .*6x4 sensor"),
     ([Packet(events(5, p=2))], r"p=2\) lies outside"),
+    ([Packet(events(5, 4, 4, x=6)[::2])], "must be time-ordered"),
+    ([Packet(events(5, 5, 5, x=6)[::2])], r"event 0 of packet 0 at \(x=6"),
     ([Packet(frames=(ApsFrame(np.zeros((6, 4)), 0, 1),))], "packet 0 is 4x6"),
 ])
 def test_a_packet_that_breaks_the_rules_is_named(packets, message):

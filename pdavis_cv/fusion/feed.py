@@ -10,7 +10,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import ExposureWarning
-from pdavis_cv.recording.base import ApsFrame, Packet
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.base import ApsFrame, Packet, joined
 
 __all__ = ["LONGEST_DELAY_US", "Feed"]
 
@@ -22,6 +23,10 @@ stream time."""
 _LOOKAHEAD_US = 200_000
 """Shortest time, us, that events are held back for a frame that acts before them and
 may still arrive.  Four times the longest delay of a frame so far is used if longer."""
+
+_TOGETHER = 65_536
+"""Most events of small packets that are passed on as one array: those of one packet at
+most (see `Packet`)."""
 
 _NEVER, _FOREVER = -(2**62), 2**62
 
@@ -204,6 +209,16 @@ class Feed:
         self._yielded_us = max(t_us, self._yielded_us)
 
     def _release_events(self, t_us: int) -> Iterator[NDArray[Any]]:
+        parts: list[NDArray[Any]] = []
+        for events in self._cut_events(t_us):
+            if sum(map(len, parts)) + len(events) > _TOGETHER:
+                yield from _together(parts)
+                parts = []
+            parts.append(events)
+        yield from _together(parts)
+
+    def _cut_events(self, t_us: int) -> Iterator[NDArray[Any]]:
+        """Remove the events up to t_us, packet by packet."""
         while self._events:
             events = self._events[0]
             if events["t"][-1] <= t_us:
@@ -214,3 +229,11 @@ class Feed:
                 self._events[0] = events[n:]
                 yield events[:n]
             return
+
+
+def _together(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """Return arrays of events as one array, where that is cheap."""
+    if len(parts) > 1 and all(
+            each.dtype == EVENT_DTYPE and each.flags.c_contiguous for each in parts):
+        return [joined(parts)]
+    return parts

@@ -4,11 +4,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 
+from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.events import check_order
+from pdavis_cv.events import EVENT_DTYPE, check_order
 from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source
 
 __all__ = ["StreamSource", "source_from_packets"]
+
+_FIRST = -(2**63)
+"""A time in us at or before all stamps."""
 
 
 class StreamSource(Source):
@@ -70,10 +74,13 @@ class StreamSource(Source):
 
     def _check(self, number: int, packet: Packet) -> None:
         height, width = self._info.sensor_size
-        for name in ("events", "imu", "triggers"):
-            check_order(getattr(packet, name), f"{name} of packet {number}")
         events = packet.events
-        if len(events) and (int(events["x"].max()) >= width
+        # The usual packet is checked in one pass; any other one below, with a message.
+        good = (events.dtype == EVENT_DTYPE and events.flags.c_contiguous
+                and _kernels.check_events(events, _FIRST, height, width) == len(events))
+        for name in ("imu", "triggers") if good else ("events", "imu", "triggers"):
+            check_order(getattr(packet, name), f"{name} of packet {number}")
+        if not good and len(events) and (int(events["x"].max()) >= width
                             or int(events["y"].max()) >= height
                             or int(events["p"].max()) > 1):
             outside = (events["x"] >= width) | (events["y"] >= height) | (

@@ -113,7 +113,8 @@ def _packets(rate: float, shape: tuple[int, int]) -> Iterator[Packet]:
     dn = mosaic_input(shape, Layout.PDAVIS, 0.7, 0.4)
     begin = 0
     for k in count():
-        events = packets[k % len(packets)].copy()
+        # Copied as bytes, as NumPy copies packed structures field by field.
+        events = packets[k % len(packets)].view(np.uint8).copy().view(EVENT_DTYPE)
         events["t"] += k * span
         frames: tuple[ApsFrame, ...] = ()
         if (k + 1) * span > begin + READOUT_US:
