@@ -226,6 +226,15 @@ def test_streams_are_timed_by_packets_threads_and_pixels(monkeypatch, capsys):
     assert all(r["candidate"] > r["floor"] > 0 for r in report["results"])
 
 
+def test_a_second_at_the_full_rate_is_compared_with_a_second(monkeypatch, capsys):
+    monkeypatch.setattr("pdavis_cv.tools.bench.streams.FULL_RATE", 1e4)
+    assert bench.main(["full-rate", "--pairs", "2", "--json"]) in (0, 1)
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert [(r["input"], r["floor"], r["unit"]) for r in results] == [
+        ("1 thread", 1, "s"), ("2 threads", 1, "s")]
+    assert all(r["candidate"] == r["ratio"] > 0 for r in results)
+
+
 def test_images_of_two_threads_equal_those_of_one(monkeypatch):
     compared = next(CASES["threads"].comparisons())
     compared.check()

@@ -39,6 +39,10 @@ worth is copied: 144 MB, more than caches hold."""
 STREAM_RATE = 1e6
 """Events per second of the stream whose images must not be late."""
 
+FULL_RATE, FULL_FPS = 10e6, 200.0
+"""Events per second, the sensor's most, and images per second of a stream with which
+causal images should keep up."""
+
 
 def _chain(shape: tuple[int, int]) -> Callable[[], float]:
     """Return what times the chain from mosaic to AoP and DoLP."""
@@ -217,3 +221,33 @@ def _threads() -> Iterator[Comparison]:
         "kalman, 0.033 Mev/s, one core", partial(same, one, two),
         partial(images, two(), 40), partial(images, one(), 40), _milliseconds, "ms",
         judged=False)
+
+
+@case("full-rate", "a second of causal images of 10 Mev/s at 200/s, wall time", 1,
+      by_time=True)
+def _full_rate() -> Iterator[Comparison]:
+    def made(threads: int) -> Iterator[PolarFrame]:
+        """Return images of a recording, after what the beginning allocates."""
+        images = fuse(Repeatable(FULL_RATE), FusionOptions(
+            fps=FULL_FPS, thresholds=(0.2, 0.2), threads=threads),
+            **IMAGES["causal"][0])
+        for _ in range(40):
+            next(images)
+        return images
+
+    def same() -> None:
+        for mine, other in zip(*(islice(made(n), 3) for n in (1, 2)), strict=True):
+            np.testing.assert_array_equal(shown(mine).aop, other.aop)
+
+    def second(those: Iterator[PolarFrame]) -> float:
+        start = perf_counter()
+        for _ in range(40):     # five periods of frames
+            shown(next(those))
+        return (perf_counter() - start) * FULL_FPS / 40
+
+    with _every_core():
+        for threads in (1, 2):
+            yield Comparison(
+                f"{threads} thread{'s'[:threads - 1]}", same,
+                partial(second, made(threads)), lambda: 1.0, float, "s",
+                judged=threads == 2 and usable_cores() > 1)
