@@ -23,8 +23,8 @@ frame; the next ones follow at twice, four times ... that."""
 _LEAST_DELAY, _MOST_DELAY = 8, 2
 """An estimate from the first T seconds is applied from T + T / 8 to T + T / 2, as it is
 computed while the stream goes on.  The later, the worse: left-out frames of
-`davis346.aedat4` are predicted with an error of 0.360 if it is applied at T + T / 8, of
-0.355 at T and of 0.366 at T + T / 4."""
+`davis346.aedat4` are predicted with an error of 0.359 if it is applied at T + T / 8, of
+0.358 at T and of 0.366 at T + T / 4."""
 
 _US_PER_EVENT = 0.5
 """Delay for each event so far, us, between these limits.  On two cores that fuse 1
