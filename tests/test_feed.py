@@ -47,3 +47,12 @@ def test_events_of_one_packet_are_not_copied(step):
 def test_events_that_are_no_plain_array_are_passed_on_one_by_one():
     packets = [Packet(events(1, 2, 3)[::2]), Packet(events(4)), Packet(events(5))]
     assert fed(packets, 4) == [[1, 3], [4]]
+
+
+def test_what_is_not_taken_yet_is_not_lost(monkeypatch):
+    monkeypatch.setattr(feed, "_TOGETHER", 2)
+    whole = Feed(iter([Packet(events(t, t + 1)) for t in range(0, 10, 2)]),
+                 by_arrival=True)
+    assert whole.reaches(9)
+    got = [next(whole.until(20)) for _ in range(3)] + list(whole.until(20))
+    assert np.concatenate(got)["t"].tolist() == list(range(10))

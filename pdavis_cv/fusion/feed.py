@@ -209,26 +209,25 @@ class Feed:
         self._yielded_us = max(t_us, self._yielded_us)
 
     def _release_events(self, t_us: int) -> Iterator[NDArray[Any]]:
-        parts: list[NDArray[Any]] = []
-        for events in self._cut_events(t_us):
-            if sum(map(len, parts)) + len(events) > _TOGETHER:
-                yield from _together(parts)
-                parts = []
-            parts.append(events)
-        yield from _together(parts)
+        while parts := self._taken(t_us):
+            yield from _together(parts)
 
-    def _cut_events(self, t_us: int) -> Iterator[NDArray[Any]]:
-        """Remove the events up to t_us, packet by packet."""
-        while self._events:
+    def _taken(self, t_us: int) -> list[NDArray[Any]]:
+        """Remove the first events up to t_us, as many as are passed on together."""
+        parts: list[NDArray[Any]] = []
+        room = _TOGETHER
+        while self._events and (not parts or len(self._events[0]) <= room):
             events = self._events[0]
-            if events["t"][-1] <= t_us:
-                yield self._events.popleft()
-                continue
-            n = bisect_right(events["t"], t_us)    # searchsorted would copy the column
-            if n:
-                self._events[0] = events[n:]
-                yield events[:n]
-            return
+            if events["t"][-1] > t_us:
+                # searchsorted would copy the column.
+                n = bisect_right(events["t"], t_us)
+                if n:
+                    self._events[0] = events[n:]
+                    parts.append(events[:n])
+                break
+            parts.append(self._events.popleft())
+            room -= len(events)
+        return parts
 
 
 def _together(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:

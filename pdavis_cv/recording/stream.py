@@ -80,9 +80,9 @@ class StreamSource(Source):
                 and _kernels.check_events(events, _FIRST, height, width) == len(events))
         for name in ("imu", "triggers") if good else ("events", "imu", "triggers"):
             check_order(getattr(packet, name), f"{name} of packet {number}")
-        if not good and len(events) and (int(events["x"].max()) >= width
-                            or int(events["y"].max()) >= height
-                            or int(events["p"].max()) > 1):
+        if not good and len(events) and (
+                int(events["x"].max()) >= width or int(events["y"].max()) >= height
+                or int(events["p"].max()) > 1):
             outside = (events["x"] >= width) | (events["y"] >= height) | (
                 events["p"] > 1)
             i = int(outside.argmax())
