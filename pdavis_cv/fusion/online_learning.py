@@ -20,18 +20,19 @@ FIRST_LOOK_S = 0.5
 """Time of the first estimate from a passing stream, in s of stream time after the first
 frame; the next ones follow at twice, four times ... that."""
 
-_LEAST_DELAY, _MOST_DELAY = 8, 2
-"""An estimate from the first T seconds is applied from T + T / 8 to T + T / 2, as it is
+_LEAST_DELAY, _MOST_DELAY = 1 / 8, 1 / 2
+"""An estimate from the first T seconds is applied after T / 8 to T / 2 more, as it is
 computed while the stream goes on.  The later, the worse: left-out frames of
 `davis346.aedat4` are predicted with an error of 0.359 if it is applied at T + T / 8, of
 0.358 at T and of 0.366 at T + T / 4."""
 
 _US_PER_EVENT = 0.5
-"""Delay for each event so far, us, between these limits.  On two cores that fuse 1
-Mev/s meanwhile an estimate takes up to 0.35 us per event: 0.06 to 0.17, 0.2 to 0.4, 0.6
-to 0.7 and 0.7 to 1.2 s for T of 0.5, 1, 2 and 4 s, events all over the sensor and a fan
-at 1.1 Mev/s.  Images would wait for it at T + T / 8.  With fewer than 250,000 events
-per second the delay is T / 8, with 1 Mev/s T / 2."""
+"""Delay for each event so far, us, between these limits.  Engineering choice, with a
+margin: on two cores that fuse 1 Mev/s meanwhile (``studies/live.py image``) an estimate
+takes up to 0.35 us per event: 0.06 to 0.17, 0.2 to 0.4, 0.6 to 0.7 and 0.7 to 1.2 s for
+T of 0.5, 1, 2 and 4 s, events all over the sensor and a fan at 1.1 Mev/s.  Images would
+wait for it at T + T / 8.  With fewer than 250,000 events per second the delay is T / 8,
+with 1 Mev/s T / 2."""
 
 _WORTHWHILE = 0.05
 """Least change of a parameter that is applied: of the ln of the corner frequency, or
@@ -90,7 +91,8 @@ class OnlineLearning:
         It depends on the stream alone, as every image does, not on the computer.
         """
         needed_us = int(_US_PER_EVENT * self.camera.events_taken)
-        return max(passed_us // _LEAST_DELAY, min(needed_us, passed_us // _MOST_DELAY))
+        return max(int(_LEAST_DELAY * passed_us),
+                   min(needed_us, int(_MOST_DELAY * passed_us)))
 
     def look(self) -> dict[str, Any]:
         """Do what is due at `next_us`; return the parameters that change.
