@@ -423,12 +423,21 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
                         seen_variance[y, x] + prior * quality[y, x]))
                     total += weight
                     apart += weight * ((&log[0, 0])[at] - seen_log[y, x])
+            # If they tell less of it than `valid_variance` asks for, it is not used.
+            # Those that are not valid, sampled once long ago, are as good as unknown
+            # where events tell enough.
+            if total * valid_variance < 1.0:
+                total = 0.0
             offset = apart / total if total > 0.0 else level
             for k in range(4):
                 at = pixels[k, i]
                 y = y0 + k // 2
                 x = x0 + k % 2
                 known = not missing[k, i]
+                if known and total == 0.0:
+                    if not enough[y, x] or (&variance[0, 0])[at] <= valid_variance:
+                        continue
+                    known = False
                 if not known:
                     (&log[0, 0])[at] = (&bound[0, 0])[at]
                 if not enough[y, x]:

@@ -105,12 +105,17 @@ def saturated_fill(cells, seen, bound, prior, excess, valid_variance, shown):
         spread = excess * (rest + prior * quality).astype(float)
         weight = np.where(gone, 0, 1 / (variance.ravel()[at] + spread))
         offset = bound.ravel()[at].mean()
-        if not gone.all():
+        kept = np.full(4, False)
+        if weight.sum() * valid_variance < 1:
+            kept = ~gone & ((variance.ravel()[at] <= valid_variance) | (enough == 0))
+            gone = ~kept
+            log.ravel()[at[gone]] = bound.ravel()[at[gone]]
+        else:
             offset = (weight * (log.ravel()[at] - told)).sum() / weight.sum()
             spread = spread + 1 / weight.sum()
         own = variance.ravel()[at].astype(float)
         share = np.where(gone, 1, own / (own + spread))
-        here = enough.astype(bool)
+        here = enough.astype(bool) & ~kept
         log.ravel()[at[here]] += (share * (told + offset - log.ravel()[at]))[here]
         variance.ravel()[at[here]] = np.where(gone, spread, (1 - share) * own)[here]
         valid.ravel()[at[here]] = variance.ravel()[at[here]] <= valid_variance

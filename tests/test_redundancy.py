@@ -277,6 +277,29 @@ def test_frames_and_events_are_weighed_as_the_definition_says(seed):
         np.testing.assert_allclose(plane, expected, rtol=1e-5, atol=1e-6)
 
 
+def test_a_sample_of_long_ago_makes_nothing_invalid():
+    """A pixel that saturates but once is as good as one that always does."""
+    (pixels, missing), seen, *others, shown = saturated()
+    missing[:], seen[2][:] = 1, 1
+    seen[1][:] = seen[3][:] = 0.01
+    others[0][:] = 0.5
+
+    def filled():
+        out = tuple(plane.copy() for plane in shown)
+        _kernels.saturated_fill((pixels, missing), seen, *others, out)
+        return [plane.ravel()[pixels] for plane in out]
+
+    log, variance, valid = filled()
+    assert valid.all()
+    missing[1, 0], shown[1].ravel()[pixels[1, 0]] = 0, 30.0
+    for before, now in zip((log, variance, valid), filled(), strict=True):
+        np.testing.assert_array_equal(now, before)
+    shown[1].ravel()[pixels[1, 0]] = 0.01
+    now = filled()
+    assert now[2].all()
+    assert abs(now[0][0, 0] - log[0, 0]) > 0.1
+
+
 def test_filling_refuses_what_does_not_fit():
     cells, seen, bound, *_, shown = saturated()
     pixels, missing = cells
