@@ -26,7 +26,8 @@ cdef struct reading_t:
 
 cdef struct rest_t:
     # A pixel at rest: log intensity, its variance at an epoch (< 0: no sample was
-    # used), growth of the variance per second, and variance of the offset.
+    # used), growth of the variance per second, and what does not count for validity:
+    # variance of the offset, and of the motion of a hot pixel's light.
     float level
     float variance
     float per_s
@@ -186,39 +187,41 @@ cdef inline double part_variance(const state_t* s, int64_t sampled,
 
 cdef inline rest_t rest_of(const state_t* s, const walk_t* walk, int64_t epoch,
                            const tuning_t* tuning) noexcept nogil:
-    """Return the estimate of a pixel at rest; walk has passed its last event."""
+    """Return the estimate of a pixel at rest, or hot; walk has passed its last event.
+    """
     cdef rest_t rest
     cdef double theta2 = theta_squared(s), v, n_on = walk.n_on, n_off = walk.n_off
     cdef double p_noise = noise_if_silent(walk, s.sampled_us, tuning)
-    if is_hot(s):
-        n_on = 0.0
-        n_off = 0.0
-        p_noise = 0.0
-    elif walk.p:
+    cdef double u = tuning.offset_dn * s.pull
+    rest.per_s = <float>(theta2 * tuning.leak_per_s)
+    if is_hot(s):   # as in `show_hot`
+        rest.level = <float>s.base
+        rest.variance = <float>(
+            s.var_base + theta2 * drift(epoch - s.sampled_us, 0.0, tuning))
+        rest.offset = <float>(s.moves + u * u)
+        return rest
+    if walk.p:
         n_on -= p_noise
     else:
         n_off -= p_noise
-    if not is_hot(s) and holds(s, walk, tuning):
+    if holds(s, walk, tuning):
         if walk.p:
             n_on += s.part
         else:
             n_off += s.part
     rest.level = <float>(s.base + s.theta_on * n_on - s.theta_off * n_off)
     rest.variance = -1.0
-    rest.per_s = 0.0
     rest.offset = 0.0
-    if s.samples > 0:
-        v = counts_variance(s, n_on, n_off) + theta2 * drift(
-            epoch - s.sampled_us, walk.n_on + walk.n_off, tuning)
-        v += part_variance(s, s.sampled_us, walk.t)
-        if is_hot(s):
-            v += s.moves
-        elif walk.t > s.sampled_us:
-            v += theta2 * (p_noise * (1.0 - p_noise) + 2.0 * tuning.motion_variance)
-        rest.variance = <float>(v if v > 0.0 else 0.0)
-        rest.per_s = <float>(theta2 * tuning.leak_per_s)
-        v = tuning.offset_dn * s.pull
-        rest.offset = <float>(v * v)
+    if s.samples == 0:
+        rest.per_s = 0.0
+        return rest
+    v = counts_variance(s, n_on, n_off) + theta2 * drift(
+        epoch - s.sampled_us, walk.n_on + walk.n_off, tuning)
+    v += part_variance(s, s.sampled_us, walk.t)
+    if walk.t > s.sampled_us:
+        v += theta2 * (p_noise * (1.0 - p_noise) + 2.0 * tuning.motion_variance)
+    rest.variance = <float>(v if v > 0.0 else 0.0)
+    rest.offset = <float>(u * u)
     return rest
 
 

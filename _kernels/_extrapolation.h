@@ -9,12 +9,12 @@
 #define PDAVIS_CV_EXTRAPOLATION_H
 
 #define AHEAD_NODES 49
-#define AHEAD_COLUMNS 5
+#define AHEAD_PITCH 8
 #define AHEAD_FINE 0.0625
 #define AHEAD_COARSE 0.5
 #define AHEAD_KNEE 32
 
-static const double AHEAD[2 * AHEAD_NODES][AHEAD_COLUMNS] = {
+static const float AHEAD[2 * AHEAD_NODES][AHEAD_PITCH] = {
     {-0.0024, 0.9555, 0.0016, 0.0223, 1.0000},
     {0.0570, 0.9478, 0.0023, 0.0285, 0.9988},
     {0.1159, 0.9398, 0.0033, 0.0352, 0.9975},

@@ -3,7 +3,8 @@
    Until its next event or sample, a pixel's estimate depends on time and on constants
    that form its lane, a column of lanes_t.  Each quantity has a row of its own, as in
    _measure.h, so that a processor handles several pixels in one instruction.  The model
-   is that of read_pixel in _estimate.pxd without a lamp, where the reasons are given. */
+   is that of read_pixel in _estimate.pxd without a lamp, where the reasons are given,
+   in float32 but for differences of times and of large counts: half of the memory. */
 #ifndef PDAVIS_CV_LANES_H
 #define PDAVIS_CV_LANES_H
 
@@ -15,30 +16,49 @@ enum {
     LANES = 64,                 /* pixels of one lanes_t */
 };
 
+/* Longest time and gap, us: much longer than until a pixel counts as at rest, so that
+   powers of it stay finite. */
+#define SPAN_MOST 1e9
+#define US_PER_S 1e6f           /* microseconds per second */
+
 typedef struct {
-    double still_us, leak_per_s, refractory_us;
-    double hz, hz_per_intensity, sigma;         /* bandwidth, relative standard error */
-    double least_variance, valid_variance;
     double t, known;            /* time to read; events are known up to then, us */
-    double since_epoch;         /* time since the variances' reference time, s */
+    float since_epoch;          /* time since the variances' reference time, s */
+    float still_us, leak_per_s, refractory_us;
+    float noise_per_event, motion_variance, p_noise;
+    float hz, hz_per_intensity, sigma;          /* bandwidth, relative standard error */
+    float least_variance, valid_variance;
     int bare;                   /* 1: variance and validity are not written */
     int smooth;                 /* 1: samples after t are used */
 } reader_t;
 
 typedef struct {
     double last[LANES];         /* time of the last event, us */
-    double before[LANES];       /* gap between the last two events, us */
-    double same[LANES];         /* 1 if the last two events have the same polarity */
-    double level[LANES];        /* log intensity after the last event */
-    double theta[LANES];        /* threshold of the last event; negative if it is OFF */
-    double theta2[LANES];       /* square of the mean threshold */
-    double held[LANES];         /* state_t.part, or 0 if the pixel keeps none */
-    double v0[LANES];           /* variance at the epoch: v0 + part (v1 + part v2) */
-    double v1[LANES], v2[LANES];
-    double offset[LANES];       /* variance of the offset common to all frames */
-    double measured[LANES];     /* 1, or 0 before the first sample */
-    /* Smoother only: growth of level, v0 and v1 per s, and of v0 per squared s. */
-    double slope[LANES], v0_1[LANES], v0_2[LANES], v1_1[LANES];
+    float before[LANES];        /* gap between the last two events, us */
+    float same[LANES];          /* 1 if the last two events have the same polarity */
+    float held[LANES];          /* part of a threshold that samples have measured */
+    float after[LANES];         /* 1 if the last event came after them */
+    float offset[LANES];        /* variance of the offset common to all frames */
+    float measured[LANES];      /* 1, or 0 before the first sample */
+    union {
+        struct {                /* filter */
+            /* Polarity of the last event (1: ON); counts since the last sample. */
+            float p[LANES], n_on[LANES], n_off[LANES];
+            /* State and covariance; time from the last sample to the epoch, us. */
+            float base[LANES], theta_on[LANES], theta_off[LANES];
+            float var_base[LANES], cov_base_on[LANES], cov_base_off[LANES];
+            float var_on[LANES], cov_on_off[LANES], var_off[LANES], age[LANES];
+        };
+        struct {                /* smoother */
+            /* Threshold of the last event, negative if it is OFF; square of the mean
+               threshold; log intensity after the last event, at the epoch, and its
+               variance: v0 + part (v1 + part v2); growth of level, v0 and v1 per s,
+               and of v0 per squared s. */
+            float theta[LANES], theta2[LANES], level[LANES];
+            float v0[LANES], v1[LANES], v2[LANES];
+            float slope[LANES], v0_1[LANES], v0_2[LANES], v1_1[LANES];
+        };
+    };
 } lanes_t;
 
 typedef struct {
@@ -46,65 +66,64 @@ typedef struct {
     float log[LANES], variance[LANES];
     unsigned char valid[LANES];
     /* Time since the last event and last gap, us; place in the table of _tracks.pxd. */
-    double since[LANES], gap[LANES], w[LANES], over[LANES];
+    float since[LANES], gap[LANES], w[LANES], over[LANES];
     int32_t node[LANES];
+    float found[LANES][AHEAD_PITCH];    /* the table's values there */
     /* Part of a threshold crossed since the last event, and its slope; v: variance of
        the part, later of log intensity; rate_var: variance of the slope, later of the
-       lag; probability that the light still moves. */
-    double part[LANES], rate[LANES], v[LANES], rate_var[LANES], moves[LANES];
-    /* Slope of log intensity and its last rate of fall, per s; log intensity before the
-       lag is removed, intensity, lag (ln), and 1 while the lag is being solved for. */
-    double slope[LANES], fall[LANES];
-    double level[LANES], light[LANES], lag[LANES], step[LANES];
-    float narrow[LANES];
+       lag. */
+    float part[LANES], rate[LANES], v[LANES], rate_var[LANES];
+    /* Slope of log intensity and its last rate of fall, per s (before the threshold is
+       known: in thresholds per s); log intensity before the lag is removed, intensity,
+       lag (ln), and 1 while the lag is being solved for. */
+    float slope[LANES], fall[LANES];
+    float level[LANES], light[LANES], lag[LANES], step[LANES];
 } shown_t;
 
 /* Probability that a pixel without an event for a gap is at rest: see _tracks.pxd. */
-PDAVIS_INLINE double p_rest_of(double gap, double still_us)
+PDAVIS_INLINE float p_rest_of(float gap, float still_us)
 {
-    if (still_us <= 0.0)
-        return 0.0;
+    if (still_us <= 0.0f)
+        return 0.0f;
     gap /= still_us;
     gap *= gap;
     gap *= gap;
-    return gap / (1.0 + gap);
+    return gap / (1.0f + gap);
 }
 
 /* Part of a threshold, its slope and the variances of both, from the table. */
 PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
-                           double refractory, ptrdiff_t from, ptrdiff_t n)
+                           float refractory, ptrdiff_t from, ptrdiff_t n)
 {
-    const double knee = AHEAD_KNEE * AHEAD_FINE, most = AHEAD_NODES - 1 - AHEAD_KNEE;
-    const double *restrict table = AHEAD[0];
-    ptrdiff_t i;
+    const float knee = AHEAD_KNEE * AHEAD_FINE, most = AHEAD_NODES - 1 - AHEAD_KNEE;
+    const float shift = AHEAD_KNEE * AHEAD_FINE / AHEAD_COARSE;
+    ptrdiff_t i, c;
     for (i = from; i < n; i++) {
-        double gap = l->before[i] - refractory, active_us = g->since[i] - refractory;
-        double u, fine, coarse, near, w, node;
-        gap = gap > AHEAD_LEAST_US ? gap : AHEAD_LEAST_US;
-        u = (active_us > 0.0 ? active_us : 0.0) / gap;
-        fine = u / AHEAD_FINE;
-        coarse = u / AHEAD_COARSE - knee / AHEAD_COARSE;
-        near = u < knee ? 1.0 : 0.0;
+        float gap = l->before[i] - refractory, active_us = g->since[i] - refractory;
+        float u, fine, coarse, near, w, node;
+        gap = gap > (float)AHEAD_LEAST_US ? gap : (float)AHEAD_LEAST_US;
+        u = (active_us > 0.0f ? active_us : 0.0f) / gap;
+        fine = u * (float)(1.0 / AHEAD_FINE);
+        coarse = u * (float)(1.0 / AHEAD_COARSE) - shift;
+        near = u < knee ? 1.0f : 0.0f;
         coarse = coarse < most ? coarse : most;
-        w = near * fine + (1.0 - near) * coarse;
-        node = (double)(int32_t)w;
+        w = near * fine + (1.0f - near) * coarse;
+        node = (float)(int32_t)w;
         g->w[i] = w - node;
         g->gap[i] = gap;
-        node += (1.0 - near) * AHEAD_KNEE;
+        node += (1.0f - near) * AHEAD_KNEE;
         /* Beyond the last node the pixel is at rest, so nothing is interpolated. */
-        g->over[i] = node < AHEAD_NODES - 1 ? 0.0 : 1.0;
+        g->over[i] = node < AHEAD_NODES - 1 ? 0.0f : 1.0f;
         node -= g->over[i];
-        node += AHEAD_NODES * (1.0 - l->same[i]);
-        g->node[i] = (int32_t)(AHEAD_COLUMNS * node);
+        node += AHEAD_NODES * (1.0f - l->same[i]);
+        g->node[i] = (int32_t)node;
     }
+    /* Rows are read whole: single values, at places that differ, take longer. */
     for (i = from; i < n; i++) {
-        int32_t at = g->node[i];
-        double w = g->w[i];
-        g->part[i] = table[at] + w * (table[at + 5] - table[at]);
-        g->rate[i] = table[at + 1] + w * (table[at + 6] - table[at + 1]);
-        g->v[i] = table[at + 2] + w * (table[at + 7] - table[at + 2]);
-        g->rate_var[i] = table[at + 3] + w * (table[at + 8] - table[at + 3]);
-        g->moves[i] = table[at + 4] + w * (table[at + 9] - table[at + 4]);
+        const float *row = AHEAD[g->node[i]];
+        float w = g->w[i];
+        for (c = 0; c < AHEAD_PITCH; c++)
+            g->found[i][c] = row[c] + w * (row[AHEAD_PITCH + c] - row[c]);
     }
 }
 
@@ -112,32 +131,34 @@ PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
    _tracks.pxd. */
 PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
                                 const reader_t *restrict r, ptrdiff_t from,
-                               ptrdiff_t n)
+                                ptrdiff_t n)
 {
-    const double refractory = r->refractory_us;
+    const float refractory = r->refractory_us;
     ptrdiff_t i;
     look_up(l, g, refractory, from, n);
     for (i = from; i < n; i++) {
-        double before = l->before[i], since = g->since[i], gap = g->gap[i];
-        double over = g->over[i], reset = since < refractory ? since : refractory;
-        double moving = 1.0 - over, active = since < refractory ? 0.0 : 1.0;
-        double first = AHEAD[0][1], per_s = 1e6 / gap, rest;
-        double part = moving * active * g->part[i], rate = moving * active * g->rate[i];
-        double var = moving * g->v[i] + over * REST_VARIANCE;
-        double rate_var = moving * g->rate_var[i];
-        first += (1.0 - l->same[i]) * (AHEAD[AHEAD_NODES][1] - AHEAD[0][1]);
+        float before = l->before[i], since = g->since[i], gap = g->gap[i];
+        float over = g->over[i], reset = since < refractory ? since : refractory;
+        float moving = 1.0f - over, active = since < refractory ? 0.0f : 1.0f;
+        float per_gap = 1.0f / gap, per_s = US_PER_S * per_gap;
+        float first = AHEAD[0][1], rest;
+        float part = moving * active * g->found[i][0];
+        float rate = moving * active * g->found[i][1];
+        float var = moving * g->found[i][2] + over * (float)REST_VARIANCE;
+        float rate_var = moving * g->found[i][3];
+        first += (1.0f - l->same[i]) * (AHEAD[AHEAD_NODES][1] - AHEAD[0][1]);
         first *= moving;
-        rate = per_s * (rate + (1.0 - active) * first);
-        part += first * reset / gap;
-        rate_var *= PER_S2 / (gap * gap);
-        g->fall[i] = (l->theta[i] < 0.0 ? -l->theta[i] : 0.0)
-            * (moving * l->same[i] * per_s);
+        rate = per_s * (rate + (1.0f - active) * first);
+        part += first * reset * per_gap;
+        rate_var *= per_s * per_s;
+        g->fall[i] = moving * l->same[i] * per_s;
         rest = p_rest_of(before > since ? before : since, r->still_us);
-        g->v[i] = (1.0 - rest) * (var + rest * part * part);
-        g->rate_var[i] = (1.0 - rest) * (rate_var + rest * rate * rate);
-        g->part[i] = (1.0 - rest) * part
-            + (1.0 - (1.0 - rest) * (moving * g->moves[i])) * l->held[i];
-        g->rate[i] = (1.0 - rest) * rate;
+        g->v[i] = (1.0f - rest) * (var + rest * part * part);
+        g->rate_var[i] = (1.0f - rest) * (rate_var + rest * rate * rate);
+        g->part[i] = (1.0f - rest) * part
+            + (1.0f - (1.0f - rest) * (moving * g->found[i][4]))
+            * ((1.0f - l->after[i]) * l->held[i]);
+        g->rate[i] = (1.0f - rest) * rate;
     }
 }
 
@@ -145,91 +166,110 @@ PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
    in _tracks.pxd. */
 PDAVIS_INLINE void expect_quiet(const lanes_t *restrict l, shown_t *restrict g,
                                 const reader_t *restrict r, ptrdiff_t from,
-                               ptrdiff_t n)
+                                ptrdiff_t n)
 {
-    const double refractory = r->refractory_us;
+    const float refractory = r->refractory_us;
     ptrdiff_t i;
     for (i = from; i < n; i++) {
-        double since = g->since[i], gap = r->known - l->last[i], s = since / gap;
-        double first = l->before[i] - refractory, per_s = 1e6 / gap;
-        double reset = since < refractory ? since : refractory;
-        double part = 2.0 * s * (1.0 - s), rate = (2.0 - 4.0 * s) * per_s, rest;
-        double rate_var = QUIET_RATE_VARIANCE * PER_S2 / (gap * gap);
-        first = first > GAP_LEAST_US ? first : GAP_LEAST_US;
+        double whole = r->known - l->last[i];
+        float since = g->since[i], gap = (float)(whole < SPAN_MOST ? whole : SPAN_MOST);
+        float s = since / gap, per_s = US_PER_S / gap;
+        float first = l->before[i] - refractory;
+        float reset = since < refractory ? since : refractory;
+        float part = 2.0f * s * (1.0f - s), rate = (2.0f - 4.0f * s) * per_s, rest;
+        float rate_var = (float)QUIET_RATE_VARIANCE * per_s * per_s;
+        first = first > (float)GAP_LEAST_US ? first : (float)GAP_LEAST_US;
         part += reset / first;
-        rate += since < refractory ? 1e6 / first : 0.0;
+        rate += since < refractory ? US_PER_S / first : 0.0f;
         rest = p_rest_of(l->before[i] > gap ? l->before[i] : gap, r->still_us);
-        g->fall[i] = 0.0;
-        g->v[i] = (1.0 - rest) * (QUIET_VARIANCE + rest * part * part);
-        g->rate_var[i] = (1.0 - rest) * (rate_var + rest * rate * rate);
-        g->part[i] = (1.0 - rest) * part;
-        g->rate[i] = (1.0 - rest) * rate;
+        g->fall[i] = 0.0f;
+        g->v[i] = (1.0f - rest) * ((float)QUIET_VARIANCE + rest * part * part);
+        g->rate_var[i] = (1.0f - rest) * (rate_var + rest * rate * rate);
+        g->part[i] = (1.0f - rest) * part;
+        g->rate[i] = (1.0f - rest) * rate;
     }
 }
 
-/* Log intensity as a pixel shows it, its slope, and the variances of both. */
-PDAVIS_INLINE void add_up(const lanes_t *restrict l, shown_t *restrict g,
-                          const reader_t *restrict r, ptrdiff_t from,
-                               ptrdiff_t n)
+/* Log intensity as a smoothed pixel shows it, its slope, and the variances of both. */
+PDAVIS_INLINE void add_course(const lanes_t *restrict l, shown_t *restrict g,
+                              const reader_t *restrict r, ptrdiff_t from, ptrdiff_t n)
 {
-    const double dt = r->since_epoch, leak = r->leak_per_s * dt;
+    const float dt = r->since_epoch;
     ptrdiff_t i;
-    if (r->smooth) {
-        for (i = from; i < n; i++) {
-            double part = g->part[i], theta2 = l->theta2[i];
-            g->level[i] = (l->level[i] + l->slope[i] * dt) + l->theta[i] * part;
-            g->slope[i] = l->theta[i] * g->rate[i];
-            g->v[i] = theta2 * g->v[i]
-                + (l->v0[i] + dt * (l->v0_1[i] + dt * l->v0_2[i]))
-                + part * ((l->v1[i] + dt * l->v1_1[i]) + part * l->v2[i]);
-            g->rate_var[i] *= theta2;
-        }
-        return;
-    }
     for (i = from; i < n; i++) {
-        double part = g->part[i], theta2 = l->theta2[i];
-        g->level[i] = l->level[i] + l->theta[i] * part;
+        float part = g->part[i], theta2 = l->theta2[i];
+        g->level[i] = (l->level[i] + l->slope[i] * dt) + l->theta[i] * part;
         g->slope[i] = l->theta[i] * g->rate[i];
-        g->v[i] = theta2 * (g->v[i] + leak)
-            + (l->v0[i] + part * (l->v1[i] + part * l->v2[i]));
+        g->fall[i] *= l->theta[i] < 0.0f ? -l->theta[i] : 0.0f;
+        g->v[i] = theta2 * g->v[i]
+            + (l->v0[i] + dt * (l->v0_1[i] + dt * l->v0_2[i]))
+            + part * ((l->v1[i] + dt * l->v1_1[i]) + part * l->v2[i]);
+        g->rate_var[i] *= theta2;
+    }
+}
+
+/* The same of a filtered pixel: base + theta_on on - theta_off off, where the last
+   event counts less by the probability that it is noise. */
+PDAVIS_INLINE void add_counts(const lanes_t *restrict l, shown_t *restrict g,
+                              const reader_t *restrict r, ptrdiff_t from, ptrdiff_t n)
+{
+    const float leak_per_us = r->leak_per_s / US_PER_S;
+    const float since_epoch_us = US_PER_S * r->since_epoch;
+    ptrdiff_t i;
+    for (i = from; i < n; i++) {
+        float rises = l->p[i], falls = 1.0f - rises, after = l->after[i];
+        float theta_on = l->theta_on[i], theta_off = l->theta_off[i];
+        float mean = 0.5f * (theta_on + theta_off), theta2 = mean * mean;
+        float noise = after * r->p_noise * p_rest_of(l->before[i], r->still_us);
+        float more = g->part[i] - noise;
+        float on = l->n_on[i] + rises * more, off = l->n_off[i] + falls * more;
+        float v = noise * (1.0f - noise)
+            + r->noise_per_event * (l->n_on[i] + l->n_off[i])
+            + 2.0f * r->motion_variance * after
+            + leak_per_us * (l->age[i] + since_epoch_us);
+        g->level[i] = l->base[i] + (theta_on * on - theta_off * off);
+        g->slope[i] = (rises * theta_on - falls * theta_off) * g->rate[i];
+        g->fall[i] *= falls * theta_off;
+        g->v[i] = theta2 * (g->v[i] + v)
+            + (l->var_base[i] + on * (on * l->var_on[i] + 2.0f * l->cov_base_on[i])
+               + off * (off * l->var_off[i] - 2.0f * (l->cov_base_off[i]
+                                                      + on * l->cov_on_off[i])));
         g->rate_var[i] *= theta2;
     }
 }
 
 /* Lag of pixels whose corner frequency follows their light: see lead in _lag.pxd. */
-PDAVIS_INLINE void follow(shown_t *restrict g, const reader_t *restrict r, ptrdiff_t from,
-                               ptrdiff_t n)
+PDAVIS_INLINE void follow(shown_t *restrict g, const reader_t *restrict r,
+                          ptrdiff_t from, ptrdiff_t n)
 {
-    const double hz = r->hz, k = r->hz_per_intensity;
-    double moving = 0.0;
+    const float hz = r->hz, k = r->hz_per_intensity;
+    float moving = 0.0f;
     ptrdiff_t i;
     int turn;
-    for (i = from; i < n; i++)
-        g->narrow[i] = pd_exp((float)g->level[i]);
     for (i = from; i < n; i++) {
-        double light = g->narrow[i], f = hz + k * light;
-        double u = g->slope[i] * PER_TURN / f;
-        int linear = (u < LINEAR) & (u > -LINEAR);
+        float light = pd_exp(g->level[i]), f = hz + k * light;
+        float u = g->slope[i] * (float)PER_TURN / f;
+        int linear = (u < (float)LINEAR) & (u > -(float)LINEAR);
         g->light[i] = light;
-        g->lag[i] = linear ? u * (1.0 - u * k * light / f) : 0.0;
-        g->step[i] = linear ? 0.0 : 1.0;
+        g->lag[i] = linear ? u * (1.0f - u * k * light / f) : 0.0f;
+        g->step[i] = linear ? 0.0f : 1.0f;
     }
     for (i = from; i < n; i++)
         moving += g->step[i];
-    for (turn = 0; turn < NEWTON_STEPS && moving > 0.0; turn++) {
-        moving = 0.0;
-        for (i = from; i < n; i++)
-            g->narrow[i] = pd_exp((float)g->lag[i]);
+    for (turn = 0; turn < NEWTON_STEPS && moving > 0.0f; turn++) {
+        moving = 0.0f;
         for (i = from; i < n; i++) {
-            double u = g->lag[i], e = k * g->light[i] * g->narrow[i];
-            double f = hz + e * (1.0 + u), least = DERIVATIVE_LEAST * (hz + e);
-            double by = u * (hz + e) - g->slope[i] * PER_TURN;
+            float u = g->lag[i], e = k * g->light[i] * pd_exp(u);
+            float f = hz + e * (1.0f + u), least = (float)DERIVATIVE_LEAST * (hz + e);
+            float by = u * (hz + e) - g->slope[i] * (float)PER_TURN;
             f = f < least ? least : f;
             by /= f;
             u -= by;
-            u = u > LAG_MOST ? LAG_MOST : u < LAG_LEAST ? LAG_LEAST : u;
-            g->lag[i] = g->step[i] > 0.0 ? u : g->lag[i];
-            g->step[i] = (by < CONVERGED) & (by > -CONVERGED) ? 0.0 : g->step[i];
+            u = u > (float)LAG_MOST ? (float)LAG_MOST
+                : u < (float)LAG_LEAST ? (float)LAG_LEAST : u;
+            g->lag[i] = g->step[i] > 0.0f ? u : g->lag[i];
+            g->step[i] = (by < (float)CONVERGED) & (by > -(float)CONVERGED)
+                ? 0.0f : g->step[i];
         }
         for (i = from; i < n; i++)
             moving += g->step[i];
@@ -237,27 +277,23 @@ PDAVIS_INLINE void follow(shown_t *restrict g, const reader_t *restrict r, ptrdi
 }
 
 /* Variance of the lag: see lead_variance in _lag.pxd. */
-PDAVIS_INLINE void add_lag(shown_t *restrict g, const reader_t *restrict r, ptrdiff_t from,
-                               ptrdiff_t n)
+PDAVIS_INLINE void add_lag(shown_t *restrict g, const reader_t *restrict r,
+                           ptrdiff_t from, ptrdiff_t n)
 {
-    const double hz = r->hz, k = r->hz_per_intensity;
+    const float hz = r->hz, k = r->hz_per_intensity, turn2 = PER_TURN * PER_TURN;
     ptrdiff_t i;
-    if (k > 0.0)
-        for (i = from; i < n; i++)
-            g->narrow[i] = pd_exp((float)(g->level[i] + g->lag[i]));
-    else
-        memset(g->narrow, 0, sizeof g->narrow);
     for (i = from; i < n; i++) {
-        double u = g->lag[i], e = k * g->light[i], lost, d, least, v;
-        lost = g->fall[i] * PER_TURN * e / ((hz + e) * (hz + e));
-        lost = lost > LOST_FROM ? LOST_SLOPE * (lost - LOST_FROM) : 0.0;
-        e = k * g->narrow[i];
-        d = hz + e * (1.0 + u);
-        least = DERIVATIVE_LEAST * (hz + e);
+        float u = g->lag[i], e = k * g->light[i], lost, d, least, v;
+        lost = g->fall[i] * (float)PER_TURN * e / ((hz + e) * (hz + e));
+        lost = lost > (float)LOST_FROM
+            ? (float)LOST_SLOPE * (lost - (float)LOST_FROM) : 0.0f;
+        e = k * pd_exp(g->level[i] + u);
+        d = hz + e * (1.0f + u);
+        least = (float)DERIVATIVE_LEAST * (hz + e);
         d = d < least ? least : d;
         v = r->sigma * u * (hz + e);
-        v = (PER_TURN * PER_TURN * g->rate_var[i] + v * v) / (d * d) + lost * lost;
-        g->rate_var[i] = v < LAG_VARIANCE_MOST ? v : LAG_VARIANCE_MOST;
+        v = (turn2 * g->rate_var[i] + v * v) / (d * d) + lost * lost;
+        g->rate_var[i] = v < (float)LAG_VARIANCE_MOST ? v : (float)LAG_VARIANCE_MOST;
     }
 }
 
@@ -270,36 +306,41 @@ PDAVIS_CLONES PDAVIS_UNUSED static void show_lanes(
     for (i = from; i < n; i++) {
         /* An unused lane may hold an old value later than t. */
         double since = r->t - l->last[i];
-        g->since[i] = since > 0.0 ? since : 0.0;
+        since = since > 0.0 ? since : 0.0;
+        g->since[i] = (float)(since < SPAN_MOST ? since : SPAN_MOST);
     }
     if (r->known > r->t)
         expect_quiet(l, g, r, from, n);
     else
         expect_ahead(l, g, r, from, n);
-    add_up(l, g, r, from, n);
-    if (r->hz_per_intensity > 0.0) {
+    if (r->smooth)
+        add_course(l, g, r, from, n);
+    else
+        add_counts(l, g, r, from, n);
+    if (r->hz_per_intensity > 0.0f) {
         follow(g, r, from, n);
     } else {
+        const float per_hz = r->hz > 0.0f ? (float)PER_TURN / r->hz : 0.0f;
         for (i = from; i < n; i++) {
-            double u = r->hz > 0.0 ? g->slope[i] * PER_TURN / r->hz : 0.0;
-            u = u > LINEAR_LAG_MOST ? LINEAR_LAG_MOST : u;
-            g->lag[i] = u < -LINEAR_LAG_MOST ? -LINEAR_LAG_MOST : u;
-            g->light[i] = 0.0;
+            float u = g->slope[i] * per_hz, most = (float)LINEAR_LAG_MOST;
+            u = u > most ? most : u;
+            g->lag[i] = u < -most ? -most : u;
+            g->light[i] = 0.0f;
         }
     }
     for (i = from; i < n; i++)
-        g->log[i] = (float)(g->level[i] + g->lag[i]);
+        g->log[i] = g->level[i] + g->lag[i];
     if (r->bare)
         return;
-    if (r->hz_per_intensity > 0.0 || r->hz > 0.0)
+    if (r->hz_per_intensity > 0.0f || r->hz > 0.0f)
         add_lag(g, r, from, n);
     else
         memset(g->rate_var, 0, sizeof g->rate_var);
     for (i = from; i < n; i++) {
-        double v = g->v[i], measured = l->measured[i];
+        float v = g->v[i], measured = l->measured[i];
         v = v > r->least_variance ? v : r->least_variance;
-        g->variance[i] = (float)(measured * (v + l->offset[i] + g->rate_var[i]));
-        g->valid[i] = (unsigned char)((v <= r->valid_variance) & (measured > 0.0));
+        g->variance[i] = measured * (v + l->offset[i] + g->rate_var[i]);
+        g->valid[i] = (unsigned char)((v <= r->valid_variance) & (measured > 0.0f));
     }
 }
 

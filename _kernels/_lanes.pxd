@@ -1,55 +1,75 @@
 """Constants of moving pixels between two events (`lanes_t`).  Inline only.
 
 Until its next event or sample, a pixel's estimate is a function of time and of
-constants, which `enter` computes and _lanes.h evaluates for a group of pixels at once.
+constants, which `enter_state` and `enter_events` write and _lanes.h evaluates for a
+group of pixels at once.
 """
 from libc.stdint cimport int64_t
 
-from _kernels._estimate cimport (
-    LEAST_VARIANCE, counts_variance, holds, noise_if_silent, theta_squared)
+from _kernels._estimate cimport LEAST_VARIANCE
 from _kernels._lag cimport PER_TURN     # with the constants that _lanes.h shares
 from _kernels._model cimport state_t, tuning_t
-from _kernels._tracks cimport drift, walk_t
+from _kernels._tracks cimport walk_t
 
 cdef extern from "_lanes.h" nogil:
     enum:
         LANES
+    const double SPAN_MOST
     ctypedef struct reader_t:
-        double still_us
-        double leak_per_s
-        double refractory_us
-        double hz
-        double hz_per_intensity
-        double sigma
-        double least_variance
-        double valid_variance
         double t
         double known
-        double since_epoch
+        float since_epoch
+        float still_us
+        float leak_per_s
+        float refractory_us
+        float noise_per_event
+        float motion_variance
+        float p_noise
+        float hz
+        float hz_per_intensity
+        float sigma
+        float least_variance
+        float valid_variance
         bint bare
         bint smooth
     ctypedef struct lanes_t:
         double last[LANES]
-        double before[LANES]
-        double same[LANES]
-        double level[LANES]
-        double theta[LANES]
-        double theta2[LANES]
-        double held[LANES]
-        double v0[LANES]
-        double v1[LANES]
-        double v2[LANES]
-        double offset[LANES]
-        double measured[LANES]
-        double slope[LANES]
-        double v0_1[LANES]
-        double v0_2[LANES]
-        double v1_1[LANES]
+        float before[LANES]
+        float same[LANES]
+        float held[LANES]
+        float after[LANES]
+        float offset[LANES]
+        float measured[LANES]
+        # of the filter
+        float p[LANES]
+        float n_on[LANES]
+        float n_off[LANES]
+        float base[LANES]
+        float theta_on[LANES]
+        float theta_off[LANES]
+        float var_base[LANES]
+        float cov_base_on[LANES]
+        float cov_base_off[LANES]
+        float var_on[LANES]
+        float cov_on_off[LANES]
+        float var_off[LANES]
+        float age[LANES]
+        # of the smoother
+        float theta[LANES]
+        float theta2[LANES]
+        float level[LANES]
+        float v0[LANES]
+        float v1[LANES]
+        float v2[LANES]
+        float slope[LANES]
+        float v0_1[LANES]
+        float v0_2[LANES]
+        float v1_1[LANES]
     ctypedef struct shown_t:
         float log[LANES]
         float variance[LANES]
         unsigned char valid[LANES]
-        double since[LANES]
+        float since[LANES]
     void show_lanes(const lanes_t*, shown_t*, const reader_t*, Py_ssize_t,
                     Py_ssize_t)
 
@@ -58,52 +78,57 @@ cdef inline reader_t reader_of(const tuning_t* tuning, int64_t t, int64_t known,
                                int64_t epoch, bint bare,
                                bint smooth) noexcept nogil:
     cdef reader_t reader
-    reader.still_us = tuning.still_us
-    reader.leak_per_s = tuning.leak_per_s
-    reader.refractory_us = max(tuning.refractory_us, 0.0)
-    reader.hz = tuning.bandwidth_hz
-    reader.hz_per_intensity = tuning.bandwidth_hz_per_intensity
-    reader.sigma = tuning.bandwidth_sigma
-    reader.least_variance = LEAST_VARIANCE
-    reader.valid_variance = tuning.valid_variance
     reader.t = <double>t
     reader.known = <double>known
-    reader.since_epoch = 1e-6 * <double>(t - epoch)
+    reader.since_epoch = <float>(1e-6 * <double>(t - epoch))
+    reader.still_us = <float>tuning.still_us
+    reader.leak_per_s = <float>tuning.leak_per_s
+    reader.refractory_us = <float>max(tuning.refractory_us, 0.0)
+    reader.noise_per_event = <float>tuning.noise_per_event
+    reader.motion_variance = <float>tuning.motion_variance
+    reader.p_noise = <float>max(tuning.p_noise, 0.0)
+    reader.hz = <float>tuning.bandwidth_hz
+    reader.hz_per_intensity = <float>tuning.bandwidth_hz_per_intensity
+    reader.sigma = <float>tuning.bandwidth_sigma
+    reader.least_variance = <float>LEAST_VARIANCE
+    reader.valid_variance = <float>tuning.valid_variance
     reader.bare = bare
     reader.smooth = smooth
     return reader
 
 
-cdef inline void enter(lanes_t* lanes, Py_ssize_t i, const walk_t* walk,
-                       const state_t* s, int64_t epoch,
-                       const tuning_t* tuning) noexcept nogil:
-    """Write the constants of a pixel to its lane, after the last event of walk.
+cdef inline float gap_before(const walk_t* walk) noexcept nogil:
+    """Return the gap between the last two events of walk, us, at most `SPAN_MOST`."""
+    return <float>min(<double>(walk.t - walk.t_prev), SPAN_MOST)
 
-    Level and variance are quadratic in the part of a threshold crossed since that
-    event: v0 + part (v1 + part v2), from the covariance of (base, theta_on, theta_off).
-    """
-    cdef double n_on = walk.n_on, n_off = walk.n_off, theta2 = theta_squared(s), u, v
-    cdef double p_noise = noise_if_silent(walk, s.sampled_us, tuning)
-    v = p_noise * (1.0 - p_noise) + drift(epoch - s.sampled_us, n_on + n_off, tuning)
-    if walk.t > s.sampled_us:
-        v += 2.0 * tuning.motion_variance
-    if walk.p:
-        n_on -= p_noise
-        lanes.theta[i] = s.theta_on
-        lanes.v1[i] = 2.0 * (n_on * s.var_on + s.cov_base_on - n_off * s.cov_on_off)
-        lanes.v2[i] = s.var_on
-    else:
-        n_off -= p_noise
-        lanes.theta[i] = -s.theta_off
-        lanes.v1[i] = 2.0 * (n_off * s.var_off - s.cov_base_off - n_on * s.cov_on_off)
-        lanes.v2[i] = s.var_off
-    lanes.last[i] = <double>walk.t
-    lanes.before[i] = <double>(walk.t - walk.t_prev)
-    lanes.same[i] = walk.p == walk.p_prev
-    lanes.level[i] = s.base + s.theta_on * n_on - s.theta_off * n_off
-    lanes.theta2[i] = theta2
-    lanes.held[i] = s.part if holds(s, walk, tuning) else 0.0
-    lanes.v0[i] = theta2 * v + counts_variance(s, n_on, n_off)
-    u = tuning.offset_dn * s.pull
-    lanes.offset[i] = u * u
+
+cdef inline void enter_state(lanes_t* lanes, Py_ssize_t i, const state_t* s,
+                             int64_t epoch, const tuning_t* tuning) noexcept nogil:
+    """Write what a pixel's lane takes from its state, which changes with frames."""
+    cdef double u = tuning.offset_dn * s.pull
+    lanes.held[i] = <float>s.part if tuning.holds_part > 0.0 and s.samples > 0 else 0.0
+    lanes.offset[i] = <float>(u * u)
     lanes.measured[i] = s.samples > 0
+    lanes.base[i] = <float>s.base
+    lanes.theta_on[i] = <float>s.theta_on
+    lanes.theta_off[i] = <float>s.theta_off
+    lanes.var_base[i] = <float>s.var_base
+    lanes.cov_base_on[i] = <float>s.cov_base_on
+    lanes.cov_base_off[i] = <float>s.cov_base_off
+    lanes.var_on[i] = <float>s.var_on
+    lanes.cov_on_off[i] = <float>s.cov_on_off
+    lanes.var_off[i] = <float>s.var_off
+    lanes.age[i] = <float>(epoch - s.sampled_us)
+
+
+cdef inline void enter_events(lanes_t* lanes, Py_ssize_t i, const walk_t* walk,
+                              int64_t epoch) noexcept nogil:
+    """Write what it takes from its events, after the last one of walk."""
+    lanes.last[i] = <double>walk.t
+    lanes.before[i] = gap_before(walk)
+    # No branches on polarities: they cannot be predicted.
+    lanes.same[i] = 1 - (walk.p ^ walk.p_prev)
+    lanes.after[i] = <double>(epoch - walk.t) < lanes.age[i]
+    lanes.p[i] = walk.p
+    lanes.n_on[i] = <float>walk.n_on
+    lanes.n_off[i] = <float>walk.n_off

@@ -8,5 +8,9 @@ cdef enum:
     CHANGED = 2
     # The pixel is listed but has come to rest since: its planes are filled as well.
     RESTS = 4
-    # The pixel has no sample, and the reader leaves such pixels out: it is not listed.
+    # Events do not list the pixel: it is hot, so that they have no weight, or it has no
+    # sample, and the reader leaves such pixels out.
     LEFT_OUT = 8
+    # With CHANGED: the pixel's state may have changed as well, not only its events, or
+    # the pixel has no lane yet.
+    NEW_STATE = 16

@@ -12,8 +12,8 @@ from _kernels._estimate cimport (
 from _kernels._hot cimport is_hot
 from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._lanes cimport (
-    LANES, enter, lanes_t, reader_of, reader_t, show_lanes, shown_t)
-from _kernels._listing cimport CHANGED, LEFT_OUT, LISTED, RESTS
+    LANES, enter_events, enter_state, lanes_t, reader_of, reader_t, show_lanes, shown_t)
+from _kernels._listing cimport CHANGED, LEFT_OUT, LISTED, NEW_STATE, RESTS
 from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport (
@@ -21,9 +21,7 @@ from _kernels._smoothed cimport (
 from _kernels._tracks cimport REST_US, at_rest, start, walk_t
 
 cdef extern from "_prefetch.h" nogil:
-    const Py_ssize_t AHEAD "PDAVIS_AHEAD"
     void prefetch "PDAVIS_PREFETCH"(const void*)
-    void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, Py_ssize_t)
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
@@ -47,6 +45,10 @@ cdef enum:
     PLANES = 4
     SMOOTH_PLANES = 6
     LATER = PLANES      # the first plane that comes from later samples
+
+cdef enum:
+    # Flag of a pixel at rest whose state has changed; an event would have listed it.
+    AT_REST = CHANGED | NEW_STATE
 
 cdef struct images_t:
     # The images to write; variance and valid may be NULL.
@@ -226,10 +228,13 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
                 plane[h * w + i] = -1.0     # no sample
                 plane[2 * h * w + i] = 0.0
                 plane[3 * h * w + i] = 0.0
+            elif not smooth and is_hot(&k.states[i]):
+                flag[i] = LEFT_OUT      # its events have no weight
+                show_planes(&k, i, plane, h * w)
             # The smoothed course of a hot pixel does not fit the planes' polynomial.
             elif (k.tracks[i].first >= 0 or not at_rest(k.tracks[i].last >> 1, now)
                     or smooth and is_hot(&k.states[i])):
-                flag[i] = LISTED | CHANGED
+                flag[i] = LISTED | CHANGED | NEW_STATE
                 pixels[n] = <int32_t>i
                 n += 1
             else:
@@ -251,11 +256,13 @@ cdef inline Py_ssize_t found(const int32_t[::1] pixels, Py_ssize_t n,
     return low
 
 
-cdef inline void ask(const known_t* k, Py_ssize_t at) noexcept nogil:
-    """Prefetch the data of a pixel that is entered soon."""
-    prefetch(&k.tracks[at])
-    prefetch(&k.states[at].base)
-    prefetch(&k.states[at].prior_on)
+cdef struct group_t:
+    # Listed pixels begin <= i < end that share a group of lanes; how many of them have
+    # changed, and which lanes they have; 1 for lanes that are not to be shown.
+    Py_ssize_t begin, end
+    Py_ssize_t changed
+    uint8_t[LANES] lane
+    uint8_t[LANES] done
 
 
 cdef inline bint renewed(const known_t* k, Py_ssize_t at, lanes_t* lanes, Py_ssize_t i,
@@ -264,76 +271,34 @@ cdef inline bint renewed(const known_t* k, Py_ssize_t at, lanes_t* lanes, Py_ssi
     cdef walk_t walk
     cdef const state_t* s = &k.states[at]
     cdef int32_t first = k.tracks[at].first
+    cdef bint anew = k.gaps != NULL or flag[0] & NEW_STATE
     if first >= 0 and k.t < k.store[first].t <= k.known:
         return False        # a shortcut for the most frequent of the cases below
+    if k.gaps != NULL and is_hot(s):
+        return False
     walk_to(&walk, k.t, k.store, &k.tracks[at], k.tuning.refractory_us)
-    if (is_hot(s) or (walk.next >= 0 and k.store[walk.next].t <= k.known)
+    if ((walk.next >= 0 and k.store[walk.next].t <= k.known)
             or (k.known > k.t and k.tuning.holds_part > 0.0)):
         return False
-    if k.gaps == NULL:
-        enter(lanes, i, &walk, s, k.epoch, k.tuning)
-    else:
+    if k.gaps != NULL:
         enter_smoothed(lanes, i, &walk, &k.gaps[at], s, k.epoch, k.tuning)
-    if k.tracks[at].first < 0:
-        flag[0] = LISTED
+    else:
+        if anew:
+            enter_state(lanes, i, s, k.epoch, k.tuning)
+        enter_events(lanes, i, &walk, k.epoch)
+    flag[0] = LISTED if first < 0 else LISTED | CHANGED
     return True
 
 
-cdef void show_listed(const known_t* k, const reader_t* reader, const int32_t* pixels,
-                      Py_ssize_t begin, Py_ssize_t end, Py_ssize_t n, bint mixed,
-                      Py_ssize_t first, Py_ssize_t last, uint8_t* flags,
-                      lanes_t* lanes, float* planes, Py_ssize_t size,
-                      const images_t* out) noexcept nogil:
-    """Write the images at the listed pixels begin <= i < end that are in [first, last).
-
-    They share one group of lanes; n is the length of the list, size the number of
-    pixels of the image.  mixed: some pixels may be outside [first, last), and another
-    thread may be writing their lanes.
-    """
-    cdef shown_t group
-    cdef uint8_t[LANES] done
-    cdef Py_ssize_t i, at, lane, base = begin // LANES * LANES
-    for i in range(begin, end):
-        at = pixels[i]
-        lane = i - base
-        done[lane] = at < first or at >= last
-        if i + AHEAD < n and first <= pixels[i + AHEAD] < last and (
-                flags[pixels[i + AHEAD]] & CHANGED):
-            ask(k, pixels[i + AHEAD])
-        if not done[lane] and flags[at] & CHANGED and not renewed(
-                k, at, lanes, lane, &flags[at]):
-            show_one(k, at, out)
-            done[lane] = 1
-    if end < n:     # the lanes that are shown next
-        prefetch_all(lanes + 1, sizeof(lanes_t))
-    if not mixed:
-        show_lanes(lanes, &group, reader, begin - base, end - base)
-    i = begin
-    while mixed and i < end:
-        at = i
-        while i < end and not done[i - base]:
-            i += 1
-        if i > at:
-            show_lanes(lanes, &group, reader, at - base, i - base)
-        i += 1
-    for i in range(begin, end):
-        at = pixels[i]
-        lane = i - base
-        if done[lane]:
-            continue
-        if group.since[lane] >= REST_US:
-            # It came to rest after the list was made.  With RESTS set, its planes are
-            # filled and it has been written from them.
-            if not flags[at] & RESTS:
-                show_one(k, at, out)
-                if flags[at] == LISTED:
-                    show_planes(k, at, planes, size)
-                    flags[at] = LISTED | RESTS
-            continue
-        out.log[at] = group.log[lane]
-        if out.variance != NULL:
-            out.variance[at] = group.variance[lane]
-            out.valid[at] = group.valid[lane]
+cdef inline void write_group(const shown_t* group, const int32_t* pixels,
+                             Py_ssize_t begin, Py_ssize_t end,
+                             const images_t* out) noexcept nogil:
+    """Copy the results of adjacent pixels, a group's lanes begin <= i < end."""
+    cdef Py_ssize_t at = pixels[begin], n = end - begin, lane = begin % LANES
+    memcpy(out.log + at, group.log + lane, n * sizeof(float))
+    if out.variance != NULL:
+        memcpy(out.variance + at, group.variance + lane, n * sizeof(float))
+        memcpy(out.valid + at, group.valid + lane, n)
 
 
 cdef struct showing_t:
@@ -354,20 +319,111 @@ cdef struct showing_t:
     Py_ssize_t offset       # added to the rows, or groups, that are shared
 
 
+cdef void look_for_changed(const showing_t* of, group_t* group,
+                           Py_ssize_t number) noexcept nogil:
+    """Find the pixels of a group, and those of them whose lanes have to be renewed.
+
+    Pixels outside of [first, last) are done: another thread shows them.
+    """
+    cdef Py_ssize_t i, at, n = 0, base = number * LANES, lane
+    cdef uint8_t flag, none = 0
+    cdef bint outside
+    group.begin = max(base, of.begin)
+    group.end = min(base + LANES, of.end)
+    for i in range(group.begin, group.end):
+        at = of.pixels[i]
+        lane = i - base
+        outside = at < of.first or at >= of.last
+        # Another thread may be writing the flags of the others.
+        flag = (&none if outside else &of.flags[at])[0]
+        # No branch: which pixels have had an event cannot be predicted.
+        group.lane[n] = <uint8_t>lane
+        n += (flag & CHANGED) // CHANGED
+        group.done[lane] = outside
+    group.changed = n
+    for i in range(n):
+        prefetch(&of.known.tracks[of.pixels[base + group.lane[i]]])
+
+
+cdef void renew_group(const showing_t* of, group_t* group,
+                      Py_ssize_t number) noexcept nogil:
+    """Renew the lanes of changed pixels; write those that a lane cannot represent."""
+    cdef Py_ssize_t i, at, lane
+    for i in range(group.changed):
+        lane = group.lane[i]
+        at = of.pixels[number * LANES + lane]
+        if not renewed(of.known, at, of.lanes + number, lane, &of.flags[at]):
+            show_one(of.known, at, &of.out)
+            group.done[lane] = 1
+
+
+cdef void show_group(const showing_t* of, const group_t* group,
+                     Py_ssize_t number) noexcept nogil:
+    """Write the images at the pixels of a group, whose lanes have been renewed."""
+    cdef shown_t shown
+    cdef const images_t* out = &of.out
+    cdef const int32_t* pixels = of.pixels
+    cdef Py_ssize_t begin = group.begin, end = group.end, i, at, lane
+    cdef Py_ssize_t base = number * LANES
+    cdef const lanes_t* lanes = of.lanes + number
+    cdef bint whole = (
+        not of.mixed and pixels[end - 1] - pixels[begin] == end - begin - 1)
+    if not of.mixed:
+        show_lanes(lanes, &shown, of.reader, begin - base, end - base)
+    i = begin
+    while of.mixed and i < end:
+        at = i
+        while i < end and not group.done[i - base]:
+            i += 1
+        if i > at:
+            show_lanes(lanes, &shown, of.reader, at - base, i - base)
+        i += 1
+    if whole:
+        for lane in range(begin - base, end - base):
+            whole &= shown.since[lane] < REST_US and not group.done[lane]
+    if whole:
+        write_group(&shown, pixels, begin, end, out)
+        return
+    for i in range(begin, end):
+        at = pixels[i]
+        lane = i - base
+        if group.done[lane]:
+            continue
+        if shown.since[lane] >= REST_US:
+            # It came to rest after the list was made.  With RESTS set, its planes are
+            # filled and it has been written from them.
+            if not of.flags[at] & RESTS:
+                show_one(of.known, at, out)
+                if of.flags[at] == LISTED:
+                    show_planes(of.known, at, of.planes, of.size)
+                    of.flags[at] = LISTED | RESTS
+            continue
+        out.log[at] = shown.log[lane]
+        if out.variance != NULL:
+            out.variance[at] = shown.variance[lane]
+            out.valid[at] = shown.valid[lane]
+
+
 cdef void show_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
     """Show rows from the planes, after those of changed pixels have been renewed."""
     cdef showing_t* of = <showing_t*>args
     cdef Py_ssize_t w = of.w, n = of.size, y, at, i
     cdef const uint8_t* changed
     cdef const float* p
+    cdef uint8_t least
     for y in range(of.offset + first, of.offset + last):
         at = y * w
-        changed = <const uint8_t*>memchr(of.flags + at, CHANGED, w)
+        least = LISTED
+        for i in range(at, at + w):     # without an early exit: vectorized
+            least &= of.flags[i] & LISTED & ~(of.flags[i] // RESTS)
+        if least:
+            continue        # the lanes show all of them
+        changed = <const uint8_t*>memchr(of.flags + at, AT_REST, w)
         while changed != NULL:
             i = changed - of.flags
             of.flags[i] = 0
             show_planes(of.known, i, of.planes, n)
-            changed = <const uint8_t*>memchr(of.flags + i, CHANGED, at + w - i)
+            changed = <const uint8_t*>memchr(of.flags + i, AT_REST, at + w - i)
         if of.smooth:
             p = of.planes + at
             smooth_row(
@@ -386,13 +442,19 @@ cdef void show_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
 cdef void show_groups(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
     """Show the listed pixels of groups of lanes, as far as they lie in the part."""
     cdef showing_t* of = <showing_t*>args
-    cdef Py_ssize_t group, begin, end
-    cdef Py_ssize_t known = min((of.offset + last) * LANES, of.end)
-    for group in range(of.offset + first, of.offset + last):
-        begin, end = max(group * LANES, of.begin), min((group + 1) * LANES, of.end)
-        show_listed(of.known, of.reader, of.pixels, begin, end, known, of.mixed,
-                    of.first, of.last, of.flags, of.lanes + group, of.planes, of.size,
-                    &of.out)
+    cdef group_t[3] groups
+    cdef Py_ssize_t i
+    first += of.offset
+    last += of.offset
+    # Three groups at a time: memory that is asked for has come when the next group's
+    # turn is over, and single values written then can be read in long words.
+    for i in range(first, last + 2):
+        if i < last:
+            look_for_changed(of, &groups[i % 3], i)
+        if first < i <= last:
+            renew_group(of, &groups[(i - 1) % 3], i - 1)
+        if i > first + 1:
+            show_group(of, &groups[(i - 2) % 3], i - 2)
 
 
 cdef inline void share(team_t* team, bint wake, pd_rows work, showing_t* showing,
@@ -414,15 +476,16 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
     """Do as `kalman_read` without a lamp, from the cache of `kalman_rest`.
 
     listing is (listed pixels, how many of them are sorted, flags by pixel, lanes
-    (n, 16, 64) of the listed pixels); the cache is updated for pixels that are flagged
-    as changed.  With gaps it does as `smooth_read` with t < known.  team is (that of an
-    `ImageQueue`, whose thread takes part if it is awake, or 0; whether to wake it).
+    (n, 21, 64) of the listed pixels, aligned as float64 is); the cache is updated for
+    pixels that are flagged as changed.  With gaps it does as `smooth_read` with
+    t < known.  team is (that of an `ImageQueue`, whose thread takes part if it is
+    awake, or 0; whether to wake it).
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks
     cdef const int32_t[::1] pixels
     cdef uint8_t[:, ::1] flags
-    cdef double[:, :, ::1] lanes
+    cdef float[:, :, ::1] lanes
     cdef float[:, ::1] log, variance
     cdef uint8_t[:, ::1] valid
     cdef Py_ssize_t h = states.shape[0], w = states.shape[1], i, first, last
@@ -452,8 +515,9 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
         raise ValueError("kalman_show: all images must have one shape")
     if tuning.shape[0] != 1 or store.shape[0] == 0 or ordered < 0 or ordered > n:
         raise ValueError("kalman_show: an array has a wrong length")
-    if (lanes.shape[1] != sizeof(lanes_t) // (LANES * sizeof(double))
-            or lanes.shape[2] != LANES or lanes.shape[0] * LANES < n):
+    if (lanes.shape[1] != sizeof(lanes_t) // (LANES * sizeof(float))
+            or lanes.shape[2] != LANES or lanes.shape[0] * LANES < n
+            or n > 0 and <size_t>&lanes[0, 0, 0] % sizeof(double) != 0):
         raise ValueError("kalman_show: lanes must have room for the pixels")
     if first < 0 or last > h:
         raise ValueError("kalman_show: rows must lie in the image")

@@ -10,7 +10,7 @@ from libc.string cimport memset
 
 from _kernels._estimate cimport read_level, reading_t, walk_to
 from _kernels._lamp cimport lamp_of, lamp_t
-from _kernels._listing cimport CHANGED
+from _kernels._listing cimport CHANGED, NEW_STATE
 from _kernels._math cimport exp_f, log_f
 from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
@@ -235,7 +235,7 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
         s.base += s.theta_on * n_on - s.theta_off * n_off - loss
         track.n_on = 0
         track.n_off = 0
-        listed[y, x] |= CHANGED
+        listed[y, x] |= CHANGED | NEW_STATE
         if n_on + n_off > 0.0:
             remember(&balance[y, x], n_on, n_off, policy.forget)
             rebalance(&balance[y, x], policy, s)
@@ -302,7 +302,7 @@ cdef inline void apply_gains(const cells_t* cells, const Py_ssize_t* row,
             y = 2 * row[k] + i // 2
             x = 2 * column[k] + i % 2
             states[y, x].base += cells.shift[i][k]
-            listed[y, x] |= CHANGED
+            listed[y, x] |= CHANGED | NEW_STATE
         for i in range(PRODUCTS):
             m.product[i] = cells.product[i][k]
 

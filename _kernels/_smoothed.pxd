@@ -10,7 +10,7 @@ from _kernels._estimate cimport (
 from _kernels._hot cimport is_hot
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_t
-from _kernels._lanes cimport lanes_t
+from _kernels._lanes cimport gap_before, lanes_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport REST_VARIANCE, TINY, at_rest, drift, part_t, walk_t
 
@@ -129,21 +129,22 @@ cdef inline void enter_smoothed(lanes_t* lanes, Py_ssize_t i, const walk_t* walk
     cdef course_t c = course_of(gap, walk, s, epoch, tuning)
     cdef double u = tuning.offset_dn * s.pull
     lanes.last[i] = <double>walk.t
-    lanes.before[i] = <double>(walk.t - walk.t_prev)
+    lanes.before[i] = gap_before(walk)
     lanes.same[i] = walk.p == walk.p_prev
-    lanes.level[i] = c.level
-    lanes.theta[i] = s.theta_on if walk.p else -s.theta_off
-    lanes.theta2[i] = theta_squared(s)
+    lanes.level[i] = <float>c.level
+    lanes.theta[i] = <float>(s.theta_on if walk.p else -s.theta_off)
+    lanes.theta2[i] = <float>theta_squared(s)
     lanes.held[i] = 0.0
-    lanes.v0[i] = c.v0
-    lanes.v1[i] = c.up0 if walk.p else c.down0
-    lanes.v2[i] = s.var_on if walk.p else s.var_off
-    lanes.offset[i] = u * u
+    lanes.after[i] = 0.0
+    lanes.v0[i] = <float>c.v0
+    lanes.v1[i] = <float>(c.up0 if walk.p else c.down0)
+    lanes.v2[i] = <float>(s.var_on if walk.p else s.var_off)
+    lanes.offset[i] = <float>(u * u)
     lanes.measured[i] = c.measured
-    lanes.slope[i] = c.slope
-    lanes.v0_1[i] = c.v1
-    lanes.v0_2[i] = c.v2
-    lanes.v1_1[i] = c.up1 if walk.p else c.down1
+    lanes.slope[i] = <float>c.slope
+    lanes.v0_1[i] = <float>c.v1
+    lanes.v0_2[i] = <float>c.v2
+    lanes.v1_1[i] = <float>(c.up1 if walk.p else c.down1)
 
 
 cdef inline resting_t resting_of(const gap_t* gap, const walk_t* walk,

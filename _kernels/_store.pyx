@@ -1,7 +1,7 @@
 """Store of recent events, and the summary of past ones of each pixel (`track_t`)."""
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
-from _kernels._listing cimport CHANGED, LEFT_OUT, LISTED
+from _kernels._listing cimport CHANGED, LEFT_OUT, LISTED, NEW_STATE
 from _kernels._model cimport stored_t, track_t
 from _kernels._tracks cimport before, gap_since, loss_t, lost
 from _kernels._types cimport event_t
@@ -26,12 +26,14 @@ cdef inline Py_ssize_t list_pixel(Py_ssize_t y, Py_ssize_t x, Py_ssize_t n,
 
     A pixel that the reader leaves out is not appended.
     """
-    if listed[y, x] & LEFT_OUT:
+    cdef uint8_t flag = listed[y, x]
+    if flag & LEFT_OUT:
         return n
-    if not listed[y, x] & LISTED and n < pixels.shape[0]:
+    if not flag & LISTED and n < pixels.shape[0]:
         pixels[n] = <int32_t>(y * listed.shape[1] + x)
         n += 1
-    listed[y, x] = LISTED | CHANGED
+        flag = NEW_STATE
+    listed[y, x] = LISTED | CHANGED | flag & NEW_STATE
     return n
 
 

@@ -74,7 +74,7 @@ cdef extern from *:
     const double ROOM_MOST
 
 cdef extern from "_extrapolation.h":
-    const double AHEAD[][5]
+    const float AHEAD[][8]    # AHEAD_PITCH
     const int AHEAD_NODES
     const int AHEAD_KNEE
     const double AHEAD_FINE
@@ -363,7 +363,7 @@ cdef inline double moving(const walk_t* walk, double gap,
     """Probability that light still moves if no event follows the last one for `gap`.
     """
     cdef double before = <double>(walk.t - walk.t_prev) - refractory, w
-    cdef const double* low
+    cdef const float* low
     cdef int node
     if never(walk.t_prev):
         return 1.0
@@ -373,7 +373,7 @@ cdef inline double moving(const walk_t* walk, double gap,
     if node == AHEAD_NODES - 1:
         return 0.0
     low = AHEAD[node if walk.p_prev == walk.p else AHEAD_NODES + node]
-    return low[4] + w * (low[9] - low[4])
+    return low[4] + w * (low[12] - low[4])
 
 
 cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
@@ -432,7 +432,7 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     cdef double gap = <double>(walk.t - walk.t_prev) - refractory, u, change
     cdef double since = t - <double>walk.t, room = 1.0, w, _
     cdef int node
-    cdef const double* low
+    cdef const float* low
     cdef bint same = walk.p_prev == walk.p
     if never(walk.t_prev):
         return part
@@ -460,10 +460,10 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         add_ripple(&part, lamp, hz, walk.t, t)
         return part
     low = AHEAD[node if same else AHEAD_NODES + node]
-    part.fraction = low[0] + w * (low[5] - low[0])
-    part.rate = low[1] + w * (low[6] - low[1])
-    part.var = low[2] + w * (low[7] - low[2])
-    part.rate_var = low[3] + w * (low[8] - low[3])
+    part.fraction = low[0] + w * (low[8] - low[0])
+    part.rate = low[1] + w * (low[9] - low[1])
+    part.var = low[2] + w * (low[10] - low[2])
+    part.rate_var = low[3] + w * (low[11] - low[3])
     if same:
         part.fall = 0.0 if part.p else 1e6 / gap
     part.fraction *= room

@@ -48,6 +48,8 @@ FINE, COARSE, LAST = 1 / 16, 1 / 2, 10.0
 NODES = np.concatenate([np.arange(0, 2, FINE), np.arange(2, LAST + COARSE, COARSE)])
 PHASES = 2048
 COLUMNS = ("fraction", "rate", "var", "rate_var", "moving")
+# Values of a row of the header: a power of two, so that rows are read whole.
+PITCH = 8
 
 
 def shown(depth: float, corner: float) -> np.ndarray:
@@ -156,12 +158,12 @@ def header(values: np.ndarray) -> str:
         "#define PDAVIS_CV_EXTRAPOLATION_H",
         "",
         f"#define AHEAD_NODES {half}",
-        f"#define AHEAD_COLUMNS {len(COLUMNS)}",
+        f"#define AHEAD_PITCH {PITCH}",
         f"#define AHEAD_FINE {FINE}",
         f"#define AHEAD_COARSE {COARSE}",
         f"#define AHEAD_KNEE {round(2 / FINE)}",
         "",
-        "static const double AHEAD[2 * AHEAD_NODES][AHEAD_COLUMNS] = {",
+        "static const float AHEAD[2 * AHEAD_NODES][AHEAD_PITCH] = {",
         *rows[:half], "", *rows[half:], "};", "", "#endif", ""])
 
 

@@ -41,7 +41,7 @@ def arguments(kernel):
         _kernels.kalman_show: dict(
             t=5, known=5, epoch=0, chain=(store, tracks), tuning=tuning, states=states,
             gaps=gaps, listing=(
-                pixels[:3], 2, flags, np.zeros((1, LANE_VALUES, LANES))),
+                pixels[:3], 2, flags, np.zeros((1, LANE_VALUES, LANES), np.float32)),
             planes=planes, rows=(0, 4), shown=shown(), team=(0, False)),
         _kernels.store_mark: dict(
             store=store, start=0, stop=1, pixels=pixels, listed_before=0,
@@ -51,7 +51,7 @@ def arguments(kernel):
 
 def listing(pixels=(0, 1, 2), ordered=2, shape=SHAPE, lanes=(1, LANE_VALUES, LANES)):
     return (np.array(pixels, np.int32), ordered, np.zeros(shape, np.uint8),
-            np.zeros(lanes))
+            np.zeros(lanes, np.float32))
 
 
 @pytest.mark.parametrize(("kernel", "changes", "message"), [
@@ -101,5 +101,7 @@ def test_pixels_of_stored_events_are_listed_once_and_marked():
     flags[3, 5], pixels[0] = 5, 23
     assert _kernels.store_mark(store, 0, 3, pixels, 1, flags) == 2
     assert pixels[:3].tolist() == [23, 1, -1]
-    assert flags[0, 1] == flags[3, 5] == 3
-    assert flags.sum() == 6
+    # Only the new one has no lane yet (16).
+    assert flags[0, 1] == 19
+    assert flags[3, 5] == 3
+    assert flags.sum() == 22

@@ -96,14 +96,14 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
             k, k, (store, tracks), store, (TUNING, np.zeros(0, WAVE_DTYPE)), POLICY,
             (states, balance, moments), flags)
         whole = flags[:2 * rows, :2 * columns]
-        assert np.array_equal(whole == 2, cells(on + off, whole.shape) > 0)
+        assert np.array_equal(whole == 18, cells(on + off, whole.shape) > 0)
         for at, twin in twins.items():
             twin.sample(of(log, *at), of(on, *at), of(off, *at))
         if k % 5 == 4:
             flags[:] = 0
             before = states["base"].copy()
             _kernels.redundancy_solve(POLICY, moments, states, flags)
-            assert np.all(flags[states["base"] != before] == 2)
+            assert np.all(flags[states["base"] != before] == 18)
             for twin in twins.values():
                 twin.solve(PULL, LEAST)
     for at, twin in twins.items():

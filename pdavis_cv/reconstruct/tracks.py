@@ -36,6 +36,8 @@ _LISTED_NS, _REST_NS = 18.0, 1.2
 on davis346.aedat4, where 2,300 of 89,960 pixels may be moving)."""
 
 NO_GAPS = np.zeros((0, 0), GAP_DTYPE)
+_LINE = 64
+"""Bytes of a cache line, or a multiple of them."""
 _LEAST = 1 << 14
 """Initial capacity in events; it doubles when it is full."""
 
@@ -241,11 +243,16 @@ def _no_events(shape: tuple[int, int]) -> NDArray[Any]:
     record = TRACK_DTYPE.itemsize
     # A record viewed as void is copied at once, not field by field.
     none = np.array((2 * LONG_AGO, 0, 0, NO_GAP, -1), TRACK_DTYPE).view(f"V{record}")
-    room = np.empty(shape[0] * shape[1] * record + record, np.uint8)
-    begin = -room.ctypes.data % record
-    tracks = room[begin:begin + shape[0] * shape[1] * record].view(TRACK_DTYPE)
+    tracks = _aligned(shape[0] * shape[1] * record).view(TRACK_DTYPE)
     tracks.view(none.dtype)[:] = none
     return tracks.reshape(shape)
+
+
+def _aligned(size: int) -> NDArray[np.uint8]:
+    """Return bytes that are 0 and begin at a cache line."""
+    room = np.zeros(size + _LINE, np.uint8)
+    begin = -room.ctypes.data % _LINE
+    return room[begin:begin + size]
 
 
 class Reader:
@@ -268,7 +275,7 @@ class Reader:
         Length of the list.
     flags : ndarray of uint8, shape (H, W)
         Sum of 1 = in the list, 2 = changed since it was read, 4 = came to rest, 8 =
-        left out, because it has no sample.
+        left out, because it has no sample, 16 = its state has changed as well.
     """
 
     def __init__(self, shape: tuple[int, int], *, smooth: bool = False) -> None:
@@ -276,7 +283,9 @@ class Reader:
         self.n = self._ordered = size
         self.pixels = np.arange(size, dtype=np.int32)
         self.flags = np.full(shape, 3, np.uint8)
-        self._lanes = np.zeros((-(-size // LANES), LANE_VALUES, LANES))
+        groups = -(-size // LANES)
+        self._lanes = _aligned(4 * groups * LANE_VALUES * LANES).view(
+            np.float32).reshape(groups, LANE_VALUES, LANES)
         self._planes = np.zeros(
             (SMOOTH_PLANES if smooth else REST_PLANES, *shape), np.float32)
         self._swept_us: int | None = None
