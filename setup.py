@@ -64,6 +64,7 @@ SHARED = (
     "_guided.h",
     "_hot.pxd",
     "_lag.pxd",
+    "_lamp.h",
     "_lamp.pxd",
     "_lanes.h",
     "_lanes.pxd",

@@ -66,7 +66,7 @@ from ._scenes import (
     plane_waves,
     texture_stokes,
 )
-from ._selfcal import sample_innovations
+from ._selfcal import sample_events, sample_innovations
 from ._simulate import pixel_events, video_events
 from ._smooth import smooth_gap, smooth_past, smooth_read
 from ._store import store_commit, store_link, store_mark, store_push, store_unlink
@@ -136,6 +136,7 @@ __all__ = [
     "redundancy_shown",
     "redundancy_solve",
     "ros_events",
+    "sample_events",
     "sample_innovations",
     "saturated_events",
     "saturated_fill",

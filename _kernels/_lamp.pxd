@@ -20,31 +20,7 @@ cdef struct lamp_t:
     int64_t start           # beginning of the first block, us
 
 
-cdef extern from *:
-    """
-    #include <stdint.h>
-
-    #define TWO_PI 6.283185307179586        /* rad per turn */
-    #define TWO_PI_PER_US 6283185.307179586   /* one turn per us, in rad per s */
-    /* Taylor series of the sine about 0: the factorials 3!, 5!, ... 13!. */
-    #define FACTORIAL_3 6.0         /* Taylor series, as above */
-    #define FACTORIAL_5 120.0       /* Taylor series, as above */
-    #define FACTORIAL_7 5040.0      /* Taylor series, as above */
-    #define FACTORIAL_9 362880.0    /* Taylor series, as above */
-    #define FACTORIAL_11 39916800.0         /* Taylor series, as above */
-    #define FACTORIAL_13 6227020800.0       /* Taylor series, as above */
-
-    /* cos(2 pi u) to 1e-9, the same bits on every CPU; |u| below 2^62. */
-    static inline double pd_cos_turns(double u) {
-        double x, x2;
-        u -= (double)(int64_t)(u + (u >= 0 ? 0.5 : -0.5));
-        x = TWO_PI * (0.25 - (u < 0 ? -u : u));
-        x2 = x * x;
-        return x * (1 + x2 * (-1 / FACTORIAL_3 + x2 * (1 / FACTORIAL_5
-               + x2 * (-1 / FACTORIAL_7 + x2 * (1 / FACTORIAL_9
-               + x2 * (-1 / FACTORIAL_11 + x2 * (1 / FACTORIAL_13)))))));
-    }
-    """
+cdef extern from "_lamp.h" nogil:
     double cos_turns "pd_cos_turns"(double u) noexcept nogil
 
 

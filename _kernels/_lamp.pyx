@@ -23,6 +23,8 @@ cdef enum:
     # Grid of frequency offsets: STEPS on either side of the nominal one, PER_HZ per Hz.
     STEPS = 6
     PER_HZ = 10
+    # Events of an equation.
+    TIMES = 3
     # Number of doubles in normal_t.
     SUMS = 7
     # A common multiple of the periods of all RATES frequencies, us.
@@ -30,8 +32,12 @@ cdef enum:
     # On any sensor there is at most one macropixel in 2^15.
     SHIFT_MOST = 15
 
+cdef extern from "_lamp.h" nogil:
+    void cos_each(const double*, Py_ssize_t, double*)
+
 cdef extern from *:
     """
+    #define QUARTER_TURN 0.25   /* from a cosine to a sine */
     #define MAINS_50 100e-6     /* a lamp's periods per us: twice the mains frequency */
     #define MAINS_60 120e-6     /* the same for mains of 60 Hz */
     /* No lamp flickers at this fraction of these frequencies, so what a wave of that
@@ -43,6 +49,7 @@ cdef extern from *:
     /* Ridge of the normal equations, so that they can be solved without data. */
     #define RIDGE 1e-6
     """
+    const double QUARTER_TURN
     const double MAINS_50
     const double MAINS_60
     const double BELOW
@@ -115,7 +122,10 @@ cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double
     cdef int64_t a = first >> 1, b = second >> 1, c = third >> 1
     cdef double s, e, gap, span
     cdef double weight[SPANS]
-    cdef int i
+    cdef double[2 * TIMES][RATES] turns
+    cdef double[2 * TIMES][RATES] wave
+    cdef int64_t phase
+    cdef int i, k
     if never(a) or c - a < SPAN_LEAST_US or c - a > SPAN_MOST_US:
         return
     gap = <double>(c - a)
@@ -124,9 +134,21 @@ cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double
     for i in range(SPANS):
         span = gap / even_us[i]
         weight[i] = 1.0 / (1.0 + span * span * span * span)
+    # Phases of both waves at the three times, in turns.  Phase 0 may be at any common
+    # multiple of the periods.
+    phase = modulo(a, COMMON_PERIOD_US)
     for i in range(RATES):
-        add_equation(turns_of(i), modulo(a, COMMON_PERIOD_US), b - a, c - a, s, e, hz,
-                     weight, sums + i * 4 * SUMS)
+        turns[0][i] = turns_of(i) * <double>phase
+        turns[1][i] = turns_of(i) * <double>(phase + (b - a))
+        turns[2][i] = turns_of(i) * <double>(phase + (c - a))
+        for k in range(TIMES):
+            turns[TIMES + k][i] = turns[k][i] - QUARTER_TURN
+    cos_each(&turns[0][0], 2 * TIMES * RATES, &wave[0][0])
+    for i in range(RATES):
+        add_equation(
+            turns_of(i), wave[1][i] - (1.0 - s) * wave[0][i] - s * wave[2][i],
+            wave[4][i] - (1.0 - s) * wave[3][i] - s * wave[5][i], e, hz, weight,
+            sums + i * 4 * SUMS)
 
 
 cdef inline double turns_of(Py_ssize_t which) noexcept nogil:
@@ -140,16 +162,11 @@ cdef inline int64_t modulo(int64_t t, int64_t period) noexcept nogil:
     return (t % period + period) % period
 
 
-cdef inline void add_equation(double turns, int64_t a, int64_t b, int64_t c, double s,
-                              double e, double hz, const double* weight,
-                              double* sums) noexcept nogil:
+cdef inline void add_equation(double turns, double h, double g, double e, double hz,
+                              const double* weight, double* sums) noexcept nogil:
+    """Add the equation e = h (cosine) + g (sine), as a low-pass of hz passes them."""
     cdef normal_t* to
-    cdef double x = turns * <double>a, y = turns * <double>(a + b)
-    cdef double z = turns * <double>(a + c)
-    cdef double h = cos_turns(y) - (1.0 - s) * cos_turns(x) - s * cos_turns(z)
-    cdef double g = (cos_turns(y - 0.25) - (1.0 - s) * cos_turns(x - 0.25)
-                     - s * cos_turns(z - 0.25))
-    cdef double lag, share
+    cdef double x, lag, share
     cdef int i
     if hz > 0.0:
         lag = 1e6 * turns / hz
@@ -179,7 +196,7 @@ cdef inline double explained(const normal_t* m, double* c, double* s) noexcept n
 
 cdef inline void turned(const normal_t* m, double turns, normal_t* to) noexcept nogil:
     """Add normal equations to others whose phase 0 is that many turns earlier."""
-    cdef double u = cos_turns(turns), v = cos_turns(turns - 0.25)
+    cdef double u = cos_turns(turns), v = cos_turns(turns - QUARTER_TURN)
     to.cc += u * u * m.cc - 2.0 * u * v * m.cs + v * v * m.ss
     to.ss += v * v * m.cc + 2.0 * u * v * m.cs + u * u * m.ss
     to.cs += u * v * (m.cc - m.ss) + (u * u - v * v) * m.cs

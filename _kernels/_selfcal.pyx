@@ -7,7 +7,7 @@ of e^2 / v, |e / sqrt(v)|^1.5 and ln v are returned per candidate.
 A pixel's events are contiguous in memory, so that no store of recent events is needed.
 """
 from libc.math cimport sqrt
-from libc.stdint cimport int32_t, int64_t
+from libc.stdint cimport int32_t, int64_t, uint16_t
 
 from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t
@@ -22,6 +22,8 @@ from _kernels._update cimport (
 cdef enum:
     # Most candidates that are evaluated together.
     TOGETHER = 32
+    # Events that are looked at before those of the sample among them are copied.
+    CHUNK = 256
 
 cdef packed struct pixel_t:
     int32_t start           # its events: from start to before stop
@@ -402,3 +404,34 @@ def sample_innovations(const event_t[::1] events not None,
                 run_pixel(first, &pixels[i], reading, theta_sigma, &candidates[c],
                           cameras, many, &lamp, &out[c])
             c += many
+
+
+def sample_events(const event_t[::1] events not None,
+                  const int32_t[:, ::1] place not None, event_t[::1] out not None):
+    """Copy the events of sampled pixels to out; return their number.
+
+    place gives the pixel's number in the sample, which is the copy's x (its y is 0), or
+    is negative.  Ends when out is full.
+    """
+    cdef Py_ssize_t h = place.shape[0], w = place.shape[1], size = events.shape[0]
+    cdef Py_ssize_t i, k, m, at = 0, stop, n = 0
+    cdef Py_ssize_t[CHUNK] chosen
+    cdef const event_t* event
+    with nogil:
+        while at < size and n < out.shape[0]:
+            m = 0
+            stop = min(at + CHUNK, size)
+            for i in range(at, stop):
+                event = &events[i]
+                # No branch: which pixel is next cannot be predicted.
+                chosen[m] = i
+                if event.y < h and event.x < w:
+                    m += place[event.y, event.x] >= 0
+            for k in range(min(m, out.shape[0] - n)):
+                event = &events[chosen[k]]
+                out[n] = event[0]
+                out[n].x = <uint16_t>place[event.y, event.x]
+                out[n].y = 0
+                n += 1
+            at = stop
+    return n

@@ -72,6 +72,7 @@ __all__ = [
     "redundancy_sample",
     "redundancy_shown",
     "redundancy_solve",
+    "sample_events",
     "sample_innovations",
     "saturated_events",
     "saturated_fill",
@@ -268,6 +269,9 @@ def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
 ) -> None: ...
+def sample_events(
+    events: NDArray[Any], place: NDArray[np.int32], out: NDArray[Any],
+) -> int: ...
 def sample_innovations(
     events: NDArray[Any], pixels: NDArray[Any], frames: NDArray[Any],
     waves: NDArray[Any], theta_sigma: float, refractory_us: float,

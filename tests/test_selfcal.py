@@ -148,6 +148,25 @@ def test_the_kernel_refuses_shapes_that_do_not_fit():
             _kernels.sample_innovations(*given)
 
 
+@pytest.mark.parametrize("room", [0, 7, 300, 2000])
+def test_events_of_the_sample_are_those_that_a_search_finds(room):
+    rng, shape = np.random.default_rng(3), (6, 7)
+    place = np.full(shape, -1, np.int32)
+    place.flat[rng.permutation(42)[:15]] = np.arange(15)
+    events = np.zeros(1999, EVENT_DTYPE)
+    events["t"], events["p"] = np.arange(1999), rng.integers(0, 2, 1999)
+    events["x"], events["y"] = rng.integers(0, (9, 8), (1999, 2)).T  # some outside
+    out = np.zeros(room, EVENT_DTYPE)
+    n = _kernels.sample_events(events, place, out)
+    inside = events[(events["x"] < 7) & (events["y"] < 6)]
+    at = place[inside["y"], inside["x"]]
+    want = inside[at >= 0]
+    want["x"], want["y"] = at[at >= 0], 0
+    assert 300 < len(want) < 600
+    np.testing.assert_array_equal(out[:n], want[:room])
+    assert n == min(room, len(want))
+
+
 def test_many_candidates_find_the_same_as_each_alone(recording):
     sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
     candidates = candidates_of([(250.0, 0.0), (0.0, 8.0), (60.0, 2.0)] * 30)

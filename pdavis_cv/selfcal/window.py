@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.lamp import Lamplight, Wave
+from pdavis_cv.reconstruct.tracks import as_bytes
 from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.selfcal.uncertainty import PixelActivity
 
@@ -95,12 +96,13 @@ class PixelWindow:
         self.shape, size = shape, shape[0] * shape[1]
         # The same pixels each time; all of them on a small sensor.
         self.pixels = np.sort(np.random.default_rng(0).permutation(size)[:MAX_PIXELS])
-        self._place = np.full(size, -1, np.int32)
-        self._place[self.pixels] = np.arange(len(self.pixels))
+        self._place = np.full(shape, -1, np.int32)
+        self._place.flat[self.pixels] = np.arange(len(self.pixels))
         self.last_us, self.full = _EVER[0], False
         self._first_us: int | None = None
         self._intervals: deque[Interval] = deque()
         self._pending: list[NDArray[Any]] = []
+        self._chosen = np.empty(0, EVENT_DTYPE)     # scratch
         self._counts = np.zeros((2, 1, len(self.pixels)), np.int32)
         self._events = self._pending_events = 0
         self._lamp = Lamplight()
@@ -112,14 +114,13 @@ class PixelWindow:
         self.last_us = int(events["t"][-1])
         if self._first_us is None:
             self._first_us = int(events["t"][0])
-        at = self._place.take(events["y"].astype(np.int32) * self.shape[1]
-                              + events["x"])
         # If no frame comes, the first events since the last one are kept, a rule that
         # does not depend on how the stream is cut into packets.
         room = MAX_EVENTS - self._pending_events
-        chosen = np.flatnonzero(at >= 0)[:room]
-        mine = events.take(chosen)
-        mine["x"], mine["y"] = at.take(chosen), 0
+        if len(self._chosen) < len(events):
+            self._chosen = np.empty(len(events), EVENT_DTYPE)
+        n = _kernels.sample_events(events, self._place, self._chosen[:room])
+        mine = as_bytes(self._chosen[:n]).copy().view(EVENT_DTYPE)
         _kernels.count(mine, *_EVER, self._counts)
         self._pending.append(mine)
         self._pending_events += len(mine)
