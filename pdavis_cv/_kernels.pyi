@@ -227,7 +227,7 @@ def kalman_rest(
 def kalman_show(
     t: int, known: int, epoch: int, chain: _Pair, tuning: NDArray[Any],
     states: NDArray[Any], gaps: NDArray[Any],
-    listing: tuple[NDArray[np.int32], int, _U8, _F64], planes: _F32,
+    listing: tuple[NDArray[np.int32], int, _U8, _F32], planes: _F32,
     rows: tuple[int, int], shown: tuple[_F32, _F32, _U8], team: tuple[int, bool],
 ) -> None: ...
 def lamp_push(
