@@ -33,11 +33,13 @@ cdef struct slot_t:
     double change
 
 cdef enum:
+    HOP = 8                     # pixels between prefetches of a chain's events
     THIRD = 3                   # order of the differences that tell noise from a trend
 
 cdef extern from "_prefetch.h" nogil:
-    const Py_ssize_t AHEAD "PDAVIS_AHEAD"
-    void prefetch "PDAVIS_PREFETCH"(const void*)
+    enum:
+        AHEAD "PDAVIS_AHEAD"
+    void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
 
 cdef extern from "_team.h" nogil:
     ctypedef struct team_t:
@@ -136,20 +138,56 @@ cdef struct using_t:
     node_t* nodes               # NULL: for no smoother
 
 
+cdef struct chains_t:
+    # Chains of the next AHEAD pixels: the event fetched last of each, by pixel modulo
+    # AHEAD, and pixels for which none has been looked up until all chains have ended.
+    int32_t[AHEAD] events
+    Py_ssize_t left
+
+
+cdef inline void fetch_chains(chains_t* chains, Py_ssize_t at, Py_ssize_t stop,
+                              const using_t* of) noexcept nogil:
+    """Prefetch events of the pixels that follow pixel `at` and precede `stop`.
+
+    A pixel's first event is fetched AHEAD pixels before it is needed.  Each of the next
+    ones is HOP pixels later, when the one before, which holds its index, is there.
+    """
+    cdef Py_ssize_t ahead = at + AHEAD - HOP
+    cdef int32_t* event = &chains.events[at & (AHEAD - 1)]
+    event[0] = of.old[at + AHEAD].first if at + AHEAD < stop else -1
+    if event[0] >= 0:
+        chains.left = AHEAD
+        prefetch_all(&of.store[event[0]], sizeof(stored_t))
+    elif chains.left == 0:
+        return
+    chains.left -= 1
+    while ahead > at:
+        event = &chains.events[ahead & (AHEAD - 1)]
+        if event[0] >= 0:
+            event[0] = of.store[event[0]].next
+            if event[0] >= 0:
+                prefetch_all(&of.store[event[0]], sizeof(stored_t))
+        ahead -= HOP
+
+
 cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
     """Update the states of bands, each of which has its own sums of innovations."""
     cdef using_t* of = <using_t*>args
     cdef Py_ssize_t y, x, n, i, at
     cdef group_t group
     cdef slot_t[TOGETHER] slots
+    cdef chains_t chains
+    cdef Py_ssize_t stop = min(last * of.rows, of.h) * of.w
+    chains.left = 0
+    for i in range(AHEAD):
+        chains.events[i] = -1
     for y in range(first * of.rows, min(last * of.rows, of.h)):
         n = 0
         for x in range(of.w):
             at = y * of.w + x
+            fetch_chains(&chains, at, stop, of)
             if of.samples[at].variance > 0:
                 slots[n].x = x
-                if x + AHEAD < of.w and of.old[at + AHEAD].first >= 0:
-                    prefetch(&of.store[of.old[at + AHEAD].first])
                 prepare(&of.samples[at], &of.exposures[x], of.known, of.store,
                         &of.old[at], of.committed, of.tuning, &of.lamp, &of.tracks[at],
                         &of.states[at], &group, n, &slots[n])
