@@ -83,6 +83,8 @@ SHARED = (
     "_rest.h",
     "_rows.pxd",
     "_scenes.h",
+    "_segments.h",
+    "_segments.pxd",
     "_smooth.h",
     "_smoothed.pxd",
     "_stencil.h",

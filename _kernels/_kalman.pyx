@@ -18,19 +18,32 @@ from _kernels._measure cimport (
 from _kernels._model cimport (
     check_given, exposure_t, node_t, sample_t, state_t, stored_t, track_t, tuning_t,
     wave_t)
-from _kernels._tracks cimport drift, part_t, start, step, walk_t
+from _kernels._segments cimport (
+    add_segment, add_segments, begin_segments, begin_sums, de_blur, middle_row,
+    segments_t, sums_t)
+from _kernels._tracks cimport REST_US, at_rest, drift, part_t, start, step, walk_t
 from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, propagate)
 
 cdef struct slot_t:
     # A pixel whose sample waits for `measure`: its column; the measurement for the
     # smoother; process noise since the sample before; the unit theta^2 of variances of
-    # a part; squared change of log intensity since the sample before, of a hot pixel.
+    # a part; squared change of log intensity since the sample before, of a hot pixel;
+    # whether events came since then.
     Py_ssize_t x
     node_t node
     double added
     double theta2
     double change
+    bint moved
+
+cdef struct blur_t:
+    # Log of an exposure's mean light relative to a level; the mean counts, weighted by
+    # light; the part of a threshold crossed at the exposure's middle.
+    double log
+    double n_on
+    double n_off
+    double part
 
 cdef enum:
     HOP = 8                     # pixels between prefetches of a chain's events
@@ -80,10 +93,10 @@ cdef inline double at(const walk_t* walk, const stored_t* store, int64_t known,
     return y + lead(theta * part.rate + part.ripple_rate, level + y, tuning)
 
 
-cdef inline void add_segment(sum_t* total, const walk_t* walk, const stored_t* store,
-                             int64_t known, double begin, double end, const state_t* s,
-                             double level, const tuning_t* tuning,
-                             const lamp_t* lamp) noexcept nogil:
+cdef inline void add_step(sum_t* total, const walk_t* walk, const stored_t* store,
+                          int64_t known, double begin, double end, const state_t* s,
+                          double level, const tuning_t* tuning,
+                          const lamp_t* lamp) noexcept nogil:
     """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
     cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
     cdef double node = half * GAUSS, y, n_on, n_off
@@ -109,13 +122,32 @@ cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t b
         if walk.next >= 0 and store[walk.next].t < end:
             until = <double>store[walk.next].t
         while flickers and until > now + FINE_US:
-            add_segment(total, walk, store, known, now, now + FINE_US, s, level, tuning,
-                        lamp)
+            add_step(total, walk, store, known, now, now + FINE_US, s, level, tuning,
+                     lamp)
             now += FINE_US
         if until > now:
-            add_segment(total, walk, store, known, now, until, s, level, tuning, lamp)
+            add_step(total, walk, store, known, now, until, s, level, tuning, lamp)
             now = until
         if walk.next < 0 or store[walk.next].t >= end:
+            break
+        step(walk, store, tuning.refractory_us)
+
+
+cdef void divide(segments_t* segments, sums_t* sums, Py_ssize_t row, walk_t* walk,
+                 const stored_t* store, int64_t begin, int64_t end, int64_t known,
+                 const state_t* s, double level,
+                 const tuning_t* tuning) noexcept nogil:
+    """Append segments from begin to end, event by event; the lamp is steady."""
+    cdef int64_t until
+    while True:
+        until = end
+        if walk.next >= 0 and store[walk.next].t < end:
+            until = store[walk.next].t
+        if until > begin:
+            add_segment(segments, sums, row, walk, store, known, <double>begin,
+                        <double>until, s, level, tuning)
+            begin = until
+        if until == end:
             break
         step(walk, store, tuning.refractory_us)
 
@@ -140,7 +172,7 @@ cdef struct using_t:
 
 cdef struct chains_t:
     # Chains of the next AHEAD pixels: the event fetched last of each, by pixel modulo
-    # AHEAD, and pixels for which none has been looked up until all chains have ended.
+    # AHEAD; number of pixels to go until all of them have been passed.
     int32_t[AHEAD] events
     Py_ssize_t left
 
@@ -176,11 +208,14 @@ cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
     cdef Py_ssize_t y, x, n, i, at
     cdef group_t group
     cdef slot_t[TOGETHER] slots
+    cdef segments_t segments
+    cdef sums_t sums
     cdef chains_t chains
     cdef Py_ssize_t stop = min(last * of.rows, of.h) * of.w
     chains.left = 0
     for i in range(AHEAD):
         chains.events[i] = -1
+    begin_segments(&segments, &sums, of.tuning)
     for y in range(first * of.rows, min(last * of.rows, of.h)):
         n = 0
         for x in range(of.w):
@@ -188,13 +223,13 @@ cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
             fetch_chains(&chains, at, stop, of)
             if of.samples[at].variance > 0:
                 slots[n].x = x
-                prepare(&of.samples[at], &of.exposures[x], of.known, of.store,
-                        &of.old[at], of.committed, of.tuning, &of.lamp, &of.tracks[at],
-                        &of.states[at], &group, n, &slots[n])
+                prepare(of, at, &group, &segments, &sums, n, &slots[n])
                 n += 1
             elif of.nodes != NULL:
                 of.nodes[at].noise = 0.0
             if n == TOGETHER or x == of.w - 1:
+                if sums.n > 0:
+                    predict_rows(of, y, &segments, &sums, &group, slots)
                 measure(&group, &of.policy, n, of.innovations + y // of.rows * TERMS)
                 for i in range(n):
                     at = y * of.w + slots[i].x
@@ -310,21 +345,96 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     group.included[i] = 0.0
 
 
-cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t known,
-                  const stored_t* store, const track_t* old, int32_t committed,
-                  const tuning_t* tuning, const lamp_t* lamp, track_t* track,
-                  state_t* s, group_t* group, Py_ssize_t i,
-                  slot_t* slot) noexcept nogil:
-    """Propagate the state to a sample, de-blur the sample, add both to the group."""
-    cdef walk_t walk, at_mid, later
+cdef inline bint find_blur(const using_t* of, const track_t* old,
+                           const exposure_t* exposure, const walk_t* middle,
+                           const state_t* s, double level, segments_t* segments,
+                           sums_t* sums, Py_ssize_t i, blur_t* blur) noexcept nogil:
+    """De-blur an exposure by the double integral; or leave it to segments: return True.
+
+    level is that at the last event before the exposure's middle, which middle has
+    passed, and to which counts are relative.
+    """
+    cdef const stored_t* store = of.store
+    cdef const tuning_t* tuning = of.tuning
+    cdef const lamp_t* lamp = &of.lamp
+    cdef int64_t known = of.known
+    cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
+    cdef walk_t walk, at_mid = middle[0]
     cdef sum_t total
+    cdef bint followed = middle.next >= 0 and store[middle.next].t <= known
+    cdef Py_ssize_t row
+    if end <= begin:
+        end = begin + 1
+    at_mid.n_on = at_mid.n_off = 0.0
+    if middle.t <= begin and (middle.next < 0 or store[middle.next].t >= end) and not (
+            lamp_flickers(lamp, <double>begin, <double>end)):
+        # No event in the whole exposure: the light at its middle is the mean light.
+        if followed and lamp.blocks == 0:
+            row = begin_sums(sums, i, 0.0)
+            add_segment(segments, sums, row, &at_mid, store, known, <double>mid,
+                        <double>mid, s, level, tuning)
+            return True
+        if lamp.blocks == 0 and at_rest(middle.t, mid):
+            # What `at` returns, for most pixels of a quiet scene.
+            blur.part = s.part if holds(s, middle, tuning) else 0.0
+            blur.n_on = blur.part if middle.p else 0.0
+            blur.n_off = 0.0 if middle.p else blur.part
+            blur.log = s.theta_on * blur.n_on - s.theta_off * blur.n_off
+            return False
+        blur.log = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp,
+                      &blur.n_on, &blur.n_off)
+        blur.part = blur.n_on + blur.n_off
+        return False
+    start(&walk, old)
+    walk.n_on = -middle.n_on
+    walk.n_off = -middle.n_off
+    while walk.next >= 0 and store[walk.next].t <= begin:
+        step(&walk, store, tuning.refractory_us)
+    # Where no event follows, a segment takes light that moves and has no sample later.
+    if (lamp.blocks == 0 and known >= end and known > mid and end - begin < REST_US
+            and (s.samples == 0 or s.sampled_us <= begin)
+            and (followed or not (at_rest(middle.t, mid) or holds(s, middle, tuning)))):
+        row = begin_sums(sums, i, <double>(end - begin))
+        divide(segments, sums, row, &walk, store, begin, end, known, s, level, tuning)
+        if tuning.holds_part > 0.0:
+            add_segment(segments, sums, middle_row(row), &at_mid, store, known,
+                        <double>mid, <double>mid, s, level, tuning)
+        return True
+    total.whole = 0.0
+    total.on = 0.0
+    total.off = 0.0
+    integrate(&total, &walk, store, begin, end, known, s, level, tuning, lamp)
+    blur.log = log_f(<float>(total.whole / <double>(end - begin)))
+    blur.n_on = total.on / total.whole
+    blur.n_off = total.off / total.whole
+    blur.part = part_at(&at_mid, store, known, s.theta_on, s.theta_off, lamp, 0.0,
+                        tuning, s, <double>mid).fraction
+    return False
+
+
+cdef void prepare(const using_t* of, Py_ssize_t pixel, group_t* group,
+                  segments_t* segments, sums_t* sums, Py_ssize_t i,
+                  slot_t* slot) noexcept nogil:
+    """Propagate the state to a sample, de-blur the sample, add both to the group.
+
+    The last two are left to `predict_rows` if they take segments.
+    """
+    cdef const sample_t* sample = &of.samples[pixel]
+    cdef const stored_t* store = of.store
+    cdef const track_t* old = &of.old[pixel]
+    cdef const tuning_t* tuning = of.tuning
+    cdef track_t* track = &of.tracks[pixel]
+    cdef state_t* s = &of.states[pixel]
+    cdef int64_t known = of.known
+    cdef int32_t committed = of.committed
+    cdef walk_t at_mid, later
+    cdef blur_t blur
     cdef double p_noise = 0.0, motion = 0.0, unit = 0.0, event_step = 1.0, events = 0.0
     cdef double theta2 = theta_squared(s)
     cdef double at_on, at_off, all_on, all_off
-    cdef int64_t begin = exposure.begin, mid = exposure.middle, end = exposure.end
-    cdef double n_on, n_off, h_on, h_off, blur, fraction, level, added = 0.0
-    cdef double noise = 0.0
-    cdef bint fresh = s.samples == 0, learn = False, moved = True
+    cdef int64_t mid = of.exposures[slot.x].middle
+    cdef double n_on, n_off, level, added = 0.0, noise = 0.0
+    cdef bint fresh = s.samples == 0, learn = False, moved = True, waits
     # Events from the begin of the exposure to its middle, and to the last committed.
     start(&at_mid, old)
     while at_mid.next >= 0 and store[at_mid.next].t <= mid:
@@ -388,54 +498,17 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
         propagate(s, n_on, n_off)
         s.var_base += added
         level = s.base
-    # The double integral, relative to the level at the last event before mid.
-    if end <= begin:
-        end = begin + 1
-    if at_mid.t <= begin and (at_mid.next < 0 or store[at_mid.next].t >= end) and not (
-            lamp_flickers(lamp, <double>begin, <double>end)):
-        # No event in the whole exposure: the light at its middle is the mean light.
-        at_mid.n_on = at_mid.n_off = 0.0
-        blur = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp, &h_on,
-                  &h_off)
-        h_off = -h_off
-        fraction = h_on - h_off
-    else:
-        start(&walk, old)
-        walk.n_on = -at_on
-        walk.n_off = -at_off
-        while walk.next >= 0 and store[walk.next].t <= begin:
-            step(&walk, store, tuning.refractory_us)
-        total.whole = 0.0
-        total.on = 0.0
-        total.off = 0.0
-        integrate(&total, &walk, store, begin, end, known, s, level, tuning, lamp)
-        blur = log_f(<float>(total.whole / <double>(end - begin)))
-        h_on = total.on / total.whole
-        h_off = -total.off / total.whole
-        fraction = part_at(&at_mid, store, known, s.theta_on, s.theta_off, lamp, 0.0,
-                           tuning, s, <double>mid).fraction
-    if fresh:
-        s.base = sample.log - blur
-    slot.node.level = <float>(
-        sample.log - blur + h_on * s.theta_on + h_off * s.theta_off)
-    slot.node.h_on = <float>h_on
-    slot.node.h_off = <float>h_off
+    waits = find_blur(of, old, &of.exposures[slot.x], &at_mid, s, level, segments, sums,
+                      i, &blur)
     slot.added = added
     slot.theta2 = theta2
-    if lamp.blocks == 0 and not holds(s, &at_mid, tuning):
+    slot.moved = moved
+    if of.lamp.blocks == 0 and not holds(s, &at_mid, tuning):
         s.part = 0.0
-    hand_over(s, sample, group, i)
-    group.part[i] = fraction if tuning.holds_part > 0.0 and lamp.blocks == 0 else 0.0
     group.n_on[i] = n_on
     group.n_off[i] = n_off
-    group.h_on[i] = h_on
-    group.h_off[i] = h_off
     group.noise[i] = noise
-    group.innovation[i] = sample.log - s.base - blur
     group.learn[i] = learn
-    group.third[i] = third_difference(
-        s, sample.log if lamp.blocks == 0 else slot.node.level, moved)
-    group.rests[i] = s.quiet >= THIRD and unit == 0.0
     group.unit[i] = unit
     group.events[i] = events
     group.p_noise[i] = p_noise
@@ -443,6 +516,49 @@ cdef void prepare(const sample_t* sample, const exposure_t* exposure, int64_t kn
     group.included[i] = 1.0
     s.samples += 1
     s.sampled_us = mid
+    if not waits:
+        predict(of, s, sample, &blur, group, i, slot)
+
+
+cdef inline void predict(const using_t* of, state_t* s, const sample_t* sample,
+                         const blur_t* blur, group_t* group, Py_ssize_t i,
+                         slot_t* slot) noexcept nogil:
+    """Hand a pixel and its sample, de-blurred, over to the group."""
+    cdef double h_on = blur.n_on, h_off = -blur.n_off
+    cdef bint steady = of.lamp.blocks == 0
+    if s.samples == 1:
+        s.base = sample.log - blur.log
+    slot.node.level = <float>(
+        sample.log - blur.log + h_on * s.theta_on + h_off * s.theta_off)
+    slot.node.h_on = <float>h_on
+    slot.node.h_off = <float>h_off
+    hand_over(s, sample, group, i)
+    group.part[i] = blur.part if of.tuning.holds_part > 0.0 and steady else 0.0
+    group.h_on[i] = h_on
+    group.h_off[i] = h_off
+    group.innovation[i] = sample.log - s.base - blur.log
+    group.third[i] = third_difference(
+        s, sample.log if steady else slot.node.level, slot.moved)
+    group.rests[i] = s.quiet >= THIRD and group.unit[i] == 0.0
+
+
+cdef void predict_rows(const using_t* of, Py_ssize_t y, segments_t* segments,
+                       sums_t* sums, group_t* group, slot_t* slots) noexcept nogil:
+    """Predict the samples of row y for which `prepare` has left segments."""
+    cdef Py_ssize_t row, middle, pixel, i
+    cdef blur_t blur
+    add_segments(segments, sums)
+    de_blur(sums)
+    for row in range(sums.n):
+        i = sums.slot[row]
+        pixel = y * of.w + slots[i].x
+        middle = middle_row(row) if sums.span[row] > 0.0 else row
+        blur.log = sums.whole[row]
+        blur.n_on = sums.on[row]
+        blur.n_off = sums.off[row]
+        blur.part = sums.on[middle] + sums.off[middle]
+        predict(of, &of.states[pixel], &of.samples[pixel], &blur, group, i, &slots[i])
+    sums.n = 0
 
 
 cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,

@@ -97,6 +97,15 @@ cdef struct loss_t:
     double before
     double after
 
+cdef struct curve_t:
+    # The part crossed between two events: a s + b s^2 thresholds after a share s of the
+    # gap; variances of it and of its slope per gap; last rate of fall as in part_t.
+    double a
+    double b
+    double var
+    double rate_var
+    double fall
+
 cdef struct part_t:
     # Part of a threshold crossed since the last event: fraction * theta[p], downwards
     # if p is 0; its rate per second; variances of both, theta^2.  fall: last rate of
@@ -245,6 +254,50 @@ cdef inline void turn_at(double room, double whole, double* a,
     b[0] = x * x
 
 
+cdef inline curve_t bend(const walk_t* walk, int p1, bint same, double last,
+                         double next, double whole, double beyond, double gap,
+                         double refractory) noexcept nogil:
+    """Curve from walk to its next event, of polarity p1, after a gap (see `between`).
+
+    same: both events have one sign; last and next: thresholds that they stand for;
+    whole: thresholds from one event to the next; beyond: what is lost in the reset.
+    """
+    cdef curve_t curve
+    cdef double q
+    curve.a = whole
+    curve.b = 0.0
+    curve.fall = 0.0
+    if same:
+        curve.var = SAME_VARIANCE
+        curve.rate_var = SAME_RATE_VARIANCE
+        curve.fall = 0.0 if p1 else 1e6 / gap
+    elif never(walk.t_prev) or walk.p_prev != walk.p:
+        curve.var = UNSURE_VARIANCE
+        curve.rate_var = UNSURE_RATE_VARIANCE
+        turn_at(TURN_HALF + beyond, whole, &curve.a, &curve.b)
+    else:
+        curve.var = TURNED_VARIANCE
+        curve.rate_var = TURNED_RATE_VARIANCE
+        q = <double>(walk.t - walk.t_prev)
+        q = q if q > GAP_LEAST_US else GAP_LEAST_US
+        # The slope before the last event, extrapolated over the gap before it.
+        last *= q / sensitive_us(walk.t_prev, walk.t, refractory) / (next + TINY)
+        curve.fall = 1e6 / q if p1 else 0.0
+        q /= gap
+        beyond += TURN_MOST
+        curve.b = (last + q * whole) / (q * (1.0 + q))
+        curve.a = whole - curve.b
+        if curve.a > 0.0 or curve.b < 0.0:
+            curve.a = whole
+            curve.b = 0.0
+            if whole > 0.0:
+                curve.a = 0.0
+                curve.b = whole
+        elif curve.a * curve.a > 4.0 * curve.b * beyond:
+            turn_at(beyond, whole, &curve.a, &curve.b)
+    return curve
+
+
 cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
                            double off, const lamp_t* lamp, double hz,
                            double refractory, double t) noexcept nogil:
@@ -259,7 +312,8 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     ripple, which is filtered by a pixel of corner frequency hz.
     """
     cdef part_t part = nothing(p1)
-    cdef double gap = <double>(t1 - walk.t), s, q, a, b, beyond, whole = 1.0
+    cdef curve_t curve
+    cdef double gap = <double>(t1 - walk.t), s, whole = 1.0
     cdef double last = off if p1 else on, next = on if p1 else off, ripples = 1.0
     cdef double here = 0.0, now, change = 0.0, _
     cdef loss_t loss = lost(walk.t_prev, walk.t, t1, refractory)
@@ -270,8 +324,6 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
     if gap < GAP_LEAST_US:
         gap = GAP_LEAST_US
     s = (t - <double>walk.t) / gap
-    part.var = SAME_VARIANCE
-    part.rate_var = SAME_RATE_VARIANCE
     whole += loss.after + (loss.before if same else -loss.before * last / next)
     if flickers:
         # The part has the shape of the light minus the ripple; it is scaled at the end.
@@ -288,37 +340,12 @@ cdef inline part_t between(const walk_t* walk, int64_t t1, int p1, double on,
         same = last * next >= 0.0
         last = last if last > 0.0 else -last
         next = next if next > 0.0 else -next
-    if same:
-        a = whole
-        b = 0.0
-        part.fall = 0.0 if p1 else 1e6 / gap
-    elif never(walk.t_prev) or walk.p_prev != walk.p:
-        part.var = UNSURE_VARIANCE
-        part.rate_var = UNSURE_RATE_VARIANCE
-        turn_at(TURN_HALF + loss.before, whole, &a, &b)
-    else:
-        part.var = TURNED_VARIANCE
-        part.rate_var = TURNED_RATE_VARIANCE
-        q = <double>(walk.t - walk.t_prev)
-        q = q if q > GAP_LEAST_US else GAP_LEAST_US
-        # The slope before the last event, extrapolated over the gap before it.
-        last *= q / sensitive_us(walk.t_prev, walk.t, refractory) / (next + TINY)
-        part.fall = 1e6 / q if p1 else 0.0
-        q /= gap
-        beyond = TURN_MOST + loss.before
-        b = (last + q * whole) / (q * (1.0 + q))
-        a = whole - b
-        if a > 0.0 or b < 0.0:
-            a = whole
-            b = 0.0
-            if whole > 0.0:
-                a = 0.0
-                b = whole
-        elif a * a > 4.0 * b * beyond:
-            turn_at(beyond, whole, &a, &b)
-    part.fraction = s * (a + s * b)
-    part.rate = (a + 2.0 * s * b) * 1e6 / gap
-    part.rate_var *= PER_S2 / (gap * gap)
+    curve = bend(walk, p1, same, last, next, whole, loss.before, gap, refractory)
+    part.var = curve.var
+    part.fall = curve.fall
+    part.fraction = s * (curve.a + s * curve.b)
+    part.rate = (curve.a + 2.0 * s * curve.b) * 1e6 / gap
+    part.rate_var = curve.rate_var * (PER_S2 / (gap * gap))
     if flickers:
         now = ripple(lamp, hz, t, &part.ripple_rate)
         part.ripple = now - here - part.fraction * change
