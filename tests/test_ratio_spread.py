@@ -79,6 +79,16 @@ def test_lines_are_those_of_the_method():
     np.testing.assert_allclose(_line_ratios(kept, on, off), told, rtol=1e-6)
 
 
+def test_light_that_changes_in_one_sense_tells_nothing():
+    """A quarter of a turn of the polarizer: each half has events of one sign."""
+    recording, _ = taken(0.1, 30.39, seconds=0.5)
+    events = recording.events()
+    for sign in (0, 1):
+        alike = events[events["p"] == sign]
+        assert len(alike) > 500
+        assert spread_of(alike) is None
+
+
 @pytest.mark.parametrize("frames", [True, False])
 @pytest.mark.parametrize("causal", [True, False])
 def test_fuse_learns_it_from_events_alone(causal, frames):

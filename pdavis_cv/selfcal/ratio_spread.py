@@ -134,7 +134,8 @@ def _line_ratios(
         usual = off / (on + off)
         swing = 4 * ((total(count**2) / n - mean**2) / var_all
                      - 2 * usual * part + usual**2)
-        part = np.clip(part, PART_LEAST, 1 - PART_LEAST)
         ratio = np.log((1 - part) / part) - np.log(on / off)
-    ratio[~((swing < 1) & (n >= _MIN_EVENTS))] = np.nan
+        # The redundancy limits the part; where events have one sign, it has no line.
+        told = (part > PART_LEAST) & (part < 1 - PART_LEAST)
+    ratio[~(told & (swing < 1) & (n >= _MIN_EVENTS))] = np.nan
     return ratio
