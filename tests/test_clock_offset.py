@@ -224,6 +224,33 @@ def test_a_calibration_keeps_it(early, tmp_path):
         known.replace(clock_offset_us=np.nan)
 
 
+@pytest.mark.parametrize("causal", [False, True])
+def test_the_camera_is_learned_with_the_stated_offset(early, causal):
+    """Otherwise frames that are early look like pixels that are slow, 30 Hz."""
+    told = {}
+    for us in (5000, None):
+        image, = fuse(early[0], method="kalman", causal=causal, times_us=[1_500_000],
+                      nominal_thresholds=NOMINAL, clock_offset_us=us)
+        told[us] = image.provenance["parameters"]["bandwidth"]
+    assert 150 < told[5000][0] + told[5000][1] * 15 < 450
+    assert told[None][0] + told[None][1] * 15 < 100
+
+
+def test_a_stated_offset_is_that_of_frames_that_were_moved(early):
+    found = []
+    for moved_us, stated_us in ((5000, 0), (0, 5000)):
+        camera = SelfCalibration((10, 10), NOMINAL)
+        for packet in early[0].packets(None, 1_400_000):
+            camera.add_events(packet.events)
+            for frame in packet.frames:
+                camera.add_frame(frame.moved(moved_us))
+        found.append(camera.estimate(
+            wanted=QUANTITIES - {"clock_offset"}, clock_offset_us=stated_us))
+    one, other = found
+    assert one.bandwidth == other.bandwidth
+    np.testing.assert_array_equal(one.theta_on, other.theta_on)
+
+
 @pytest.mark.parametrize("value", ["best", 2e6, float("nan")])
 def test_impossible_offsets_are_refused(value):
     with pytest.raises(ValueError, match="clock_offset_us must be 'learned'"):

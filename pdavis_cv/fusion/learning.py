@@ -160,7 +160,8 @@ class Learning:
         if self.uses_frames and "bandwidth" not in self.prior.parameters:
             wanted.add("bandwidth")      # the thresholds need it, if not the method
         return camera.estimate(
-            wanted=wanted, bandwidth=self.prior.parameters.get("bandwidth"))
+            wanted=wanted, bandwidth=self.prior.parameters.get("bandwidth"),
+            clock_offset_us=self.prior.clock_us)
 
     def beginning(self, source: Source, packets: Iterator[Packet]) -> Tuning:
         """Return the tuning estimated from the beginning of a source.
@@ -189,7 +190,7 @@ class Learning:
 
     def _key(self) -> tuple[Any, ...]:
         bandwidth = self.prior.parameters.get("bandwidth")
-        return (self.wanted, id(self._calibration),
+        return (self.wanted, id(self._calibration), self.prior.clock_us,
                 None if bandwidth is None else tuple(bandwidth),
                 "bandwidth" in self.prior.parameters,
                 *(np.asarray(theta, np.float64).tobytes()

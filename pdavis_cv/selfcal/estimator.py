@@ -225,7 +225,7 @@ class SelfCalibration:
 
     def estimate(
         self, *, wanted: Collection[str] = QUANTITIES,
-        bandwidth: Sequence[float] | None = None,
+        bandwidth: Sequence[float] | None = None, clock_offset_us: int = 0,
     ) -> CameraEstimate:
         """Return the estimate from the data kept, which do not change.
 
@@ -235,6 +235,8 @@ class SelfCalibration:
             Quantities to estimate, of `QUANTITIES`.
         bandwidth : (hz, hz_per_intensity, ...), optional
             Used if "bandwidth" is not wanted; default: no lag.
+        clock_offset_us : int
+            Shift of the frames' time stamps if "clock_offset" is not wanted, us.
 
         Returns
         -------
@@ -261,7 +263,9 @@ class SelfCalibration:
             checked_bandwidth(bandwidth))
         refractory: Refractory | None = None
         holds = False
+        moved_us = 0 if "clock_offset" in wanted else clock_offset_us
         if sample is not None:
+            sample = sample.with_frames_moved(moved_us)
             if "refractory_us" in wanted and not len(self._window.waves):
                 refractory = fit_refractory(sample)
                 if refractory is not None:
@@ -299,7 +303,7 @@ class SelfCalibration:
         if "thresholds" in wanted and self._whole is not None:
             theta, covariance, common = self._thresholds(
                 self._whole, sample, law, (nominal[0], nominal[1]),
-                0 if clock is None else clock.applied_us)
+                moved_us if clock is None else clock.applied_us)
             return CameraEstimate(
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common,
