@@ -257,7 +257,7 @@ def test_cf_learns_thresholds_as_the_stream_passes():
 
 
 @pytest.mark.parametrize("told", [
-    {"nominal_holds": True}, {"refractory": Refractory(1000.0, 30.0)}, {}])
+    {"nominal_sigma": 0.05}, {"refractory": Refractory(1000.0, 30.0)}, {}])
 def test_thresholds_that_a_later_look_denies_are_given_back(realistic, told):
     """With a refractory period that was not known, a scale was of another camera."""
     recording, _ = realistic
@@ -272,8 +272,12 @@ def test_thresholds_that_a_later_look_denies_are_given_back(realistic, told):
     assert late.has_thresholds_of(learning.prior if told else early)
     changes = late.changes(early)
     assert ("theta_on" in changes) == ("threshold_sigma" in changes) == bool(told)
-    if told:
+    if "nominal_sigma" in told:     # with the prior of the pixels' spread, .1
+        np.testing.assert_allclose(changes["threshold_sigma"], np.sqrt(
+            0.1**2 + 2 * 0.05**2) * np.stack([on, off]))
+    elif told:
         assert changes["threshold_sigma"] == THRESHOLD_SIGMA
+    if told:
         again = learning.tuned(late, CameraEstimate(theta_on=on, theta_off=off, **told))
         assert not again.changes(late)
 

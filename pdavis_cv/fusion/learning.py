@@ -102,11 +102,14 @@ class Learning:
         elif wanted and needs.frames and options.thresholds is None and (
                 self._calibration is None or self._calibration.theta_on is None):
             wanted.add("scale")     # biases or data sheet give it only roughly
+            if "threshold_sigma" in needs.prior and "threshold_sigma" not in known:
+                wanted.add("ratio_sigma")   # how far pixels are from that scale
         clock = _stated_clock(options)
         if needs.learned and needs.frames and clock is None:
             wanted.add("clock_offset")
         self.wanted = frozenset(
-            wanted if source.info.frame_count != 0 else wanted & OF_EVENTS)
+            wanted if source.info.frame_count != 0
+            else wanted & OF_EVENTS & needs.learned)
         self.uses_frames = not self.wanted <= OF_EVENTS
         self._stated = _stated_bandwidth(self._calibration)
         if "bandwidth" in wanted:
@@ -117,7 +120,7 @@ class Learning:
             known["refractory_us"] = 0.0
         if "noise" in wanted:
             known["noise"] = self._noise(0.0)
-        if "ratio_sigma" in wanted:
+        if "ratio_sigma" in wanted & needs.learned:
             known["ratio_sigma"] = RATIO_SIGMA
         self.prior = Tuning(on, off, known, clock or ClockOffset(
             0.0, CLOCK_OFFSET_SIGMA_US))
@@ -203,7 +206,8 @@ class Learning:
             found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
         if "noise" in self.wanted and estimate.noise is not None:
             found["noise"] = self._noise(estimate.noise)
-        if "ratio_sigma" in self.wanted and estimate.ratio_spread is not None:
+        if "ratio_sigma" in self._needs.learned & self.wanted and (
+                estimate.ratio_spread is not None):
             found["ratio_sigma"] = estimate.ratio_spread.sigma
         scaled = "scale" in self.wanted and estimate.common_scale_sigma > 0
         if "refractory_us" in self.wanted and estimate.refractory is not None:
@@ -215,15 +219,16 @@ class Learning:
             if "threshold_sigma" in self._needs.prior:
                 found["threshold_sigma"] = self.prior.parameters.get(
                     "threshold_sigma", _sigma_of(estimate))
-        elif ("scale" in self.wanted and not tuning.has_thresholds_of(self.prior)
-              and (estimate.nominal_holds or "refractory_us" in found)):
-            # An earlier estimate moved the scale: on less data, or because it did not
-            # yet account for the refractory period.  Return to the prior.
+        elif "scale" in self.wanted and (estimate.nominal_sigma > 0 or (
+                "refractory_us" in found and not tuning.has_thresholds_of(self.prior))):
+            # They are those stated, if the scale agrees.  If an earlier estimate moved
+            # it, that was on less data, or it did not yet account for the refractory
+            # period.
             tuning = dataclasses.replace(
                 tuning, theta_on=self.prior.theta_on, theta_off=self.prior.theta_off)
             if "threshold_sigma" in self._needs.prior:
                 found["threshold_sigma"] = self.prior.parameters.get(
-                    "threshold_sigma", THRESHOLD_SIGMA)
+                    "threshold_sigma", _sigma_of_nominal(estimate))
         if estimate.clock_offset is not None:
             tuning = dataclasses.replace(tuning, clock=estimate.clock_offset)
         return tuning.changed(**found)
@@ -254,6 +259,20 @@ def _sigma_of(estimate: CameraEstimate) -> NDArray[np.float64]:
         _COMMON_ERROR * math.hypot(USUAL_MISMATCH, estimate.common_scale_sigma)
         if estimate.covariance is None else estimate.ratio_sigma / math.sqrt(2))
     return np.stack([estimate.theta_on, estimate.theta_off]) * relative
+
+
+def _sigma_of_nominal(estimate: CameraEstimate) -> float | NDArray[np.float64]:
+    """Return threshold_sigma of stated thresholds, as far as their scale is known.
+
+    The spread of the pixels' ratios is that of independent errors of ON and OFF; until
+    it is known, it has the prior that `EventRedundancy` starts from.  Shape (2, H, W).
+    """
+    if not estimate.nominal_sigma:
+        return THRESHOLD_SIGMA
+    spread = estimate.ratio_spread
+    mismatch = (RATIO_SIGMA if spread is None else spread.sigma) / math.sqrt(2)
+    return np.stack([estimate.theta_on, estimate.theta_off]) * (
+        _COMMON_ERROR * math.hypot(mismatch, estimate.nominal_sigma))
 
 
 def _stated_clock(options: FusionOptions) -> ClockOffset | None:

@@ -122,6 +122,15 @@ class CommonScale(NamedTuple):
         """Whether the factors differ from 1 by more than errors of the models."""
         return max(map(abs, self.ln)) > _MIN_CHANGE
 
+    @property
+    def error_of_nominal(self) -> float:
+        """Root mean square error of the ln of the nominal thresholds, if they are kept.
+
+        What was found, and its standard error; of the two thresholds, the larger one.
+        """
+        return math.hypot(
+            self.sigma, max(abs(math.log(self.on)), abs(math.log(self.off))))
+
 
 def fit_common_scale(
     sample: PixelSample, law: tuple[float, float], *, learn_bandwidth: bool = True,

@@ -84,9 +84,11 @@ class CameraEstimate:
     ratio_spread : RatioSpread or None
         Spread of the pixels' ln(theta_on / theta_off) about the nominal ratio, from
         events alone; None if it was not or could not be estimated.
-    nominal_holds : bool
-        Whether the common scale could be estimated and agrees with the nominal
-        thresholds.  False with a `common_scale_sigma` of 0: it could not be estimated.
+    nominal_sigma : float
+        If the common scale could be estimated and agrees with the nominal thresholds,
+        the error of their ln that all pixels share: root mean square over what the
+        estimate leaves possible.  0 with a `common_scale_sigma` of 0: it could not be
+        estimated.
     """
 
     theta_on: NDArray[np.float64]
@@ -98,7 +100,7 @@ class CameraEstimate:
     refractory: Refractory | None = None
     clock_offset: ClockOffset | None = None
     ratio_spread: RatioSpread | None = None
-    nominal_holds: bool = False
+    nominal_sigma: float = 0.0
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -262,7 +264,7 @@ class SelfCalibration:
         known = None if "bandwidth" in wanted or bandwidth is None else (
             checked_bandwidth(bandwidth))
         refractory: Refractory | None = None
-        holds = False
+        nominal_sigma = 0.0
         moved_us = 0 if "clock_offset" in wanted else clock_offset_us
         if sample is not None:
             sample = sample.with_frames_moved(moved_us)
@@ -283,8 +285,9 @@ class SelfCalibration:
                 likeliest, clock = _scale_and_clock(
                     stamped, law, clock, known, found is not None)
                 scale = likeliest if likeliest.significant else None
-                holds = (scale is None and likeliest.determined
-                         and not likeliest.off_nominal)
+                if (scale is None and likeliest.determined
+                        and not likeliest.off_nominal):
+                    nominal_sigma = likeliest.error_of_nominal
             if scale is not None:
                 stamped = stamped.with_thresholds_scaled(scale.on, scale.off)
                 sample = stamped
@@ -308,13 +311,13 @@ class SelfCalibration:
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common,
                 refractory=refractory, clock_offset=clock, ratio_spread=spread,
-                nominal_holds=holds)
+                nominal_sigma=nominal_sigma)
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
             common_scale_sigma=0.0 if scale is None else scale.sigma,
             refractory=refractory, clock_offset=clock, ratio_spread=spread,
-            nominal_holds=holds)
+            nominal_sigma=nominal_sigma)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,

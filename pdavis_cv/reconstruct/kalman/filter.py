@@ -22,6 +22,7 @@ from pdavis_cv.reconstruct.base import (
 from pdavis_cv.reconstruct.kalman.adaptation import KEPT, MISFIT, P_NOISE, SUMS, adapt
 from pdavis_cv.reconstruct.kalman.event_noise import MOTION
 from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
+from pdavis_cv.reconstruct.kalman.prior_spread import change_spread
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import Smoother
 from pdavis_cv.reconstruct.kalman.waiting import WaitingFrame
@@ -255,22 +256,27 @@ class KalmanFilter(Reconstructor):
     def retune(self, **learned: Any) -> None:
         """Continue with another bandwidth, noise or thresholds (see `Reconstructor`).
 
-        `theta_on`, `theta_off` and `threshold_sigma` are a new prior, which replaces
-        the learned thresholds: its estimator has seen the same data.  Another
-        refractory period also resets them, because they had compensated for the events
+        `theta_on` and `theta_off` are a new prior, which replaces the learned
+        thresholds: its estimator has seen the same data.  `threshold_sigma` alone
+        changes how much the prior counts in what was learned.  Another refractory
+        period also resets them, because they had compensated for the events
         lost.  Another bandwidth, or frames moved in time from now on, means that
         learned thresholds had compensated for a wrong delay of events against frames:
         their variance grows accordingly.  Moved frames and another refractory period
         also discard the noise statistics, which held the same error.
         """
-        prior = {"theta_on", "theta_off", "threshold_sigma"}
-        unknown = learned.keys() - self.needs.learned - prior - {"frames_moved_us"}
+        unknown = learned.keys() - self.needs.learned - {
+            "theta_on", "theta_off", "threshold_sigma", "frames_moved_us"}
         if unknown:
             raise TypeError(
                 "retune takes bandwidth, noise, refractory_us, theta_on, theta_off, "
                 "threshold_sigma and frames_moved_us, got "
                 f"{', '.join(sorted(unknown))}")
         before, moved_us = self._lags(), learned.get("frames_moved_us", 0)
+        if "threshold_sigma" in learned:
+            spread, self._sigma = self._sigma, checked_threshold_sigma(
+                learned["threshold_sigma"], self.shape)
+            change_spread(self._states, spread, self._sigma)
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
@@ -286,14 +292,11 @@ class KalmanFilter(Reconstructor):
         if moved_us or "refractory_us" in learned:
             self._innovations[MISFIT:] = 0
             self._adapt()
-        if not prior.isdisjoint(learned) or "refractory_us" in learned:
+        if not {"theta_on", "theta_off", "refractory_us"}.isdisjoint(learned):
             for name in ("theta_on", "theta_off"):
                 if name in learned:
                     setattr(self, f"_{name}", checked_threshold(
                         name, learned[name], self.shape))
-            if "threshold_sigma" in learned:
-                self._sigma = checked_threshold_sigma(
-                    learned["threshold_sigma"], self.shape)
             self._begin_thresholds()
         if "noise" in learned:
             self._noise = checked_noise(learned["noise"])
