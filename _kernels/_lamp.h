@@ -4,6 +4,7 @@
 
 #include "_clones.h"
 
+#define QUARTER_TURN 0.25       /* from a cosine to a sine, in turns */
 #define TWO_PI 6.283185307179586        /* rad per turn */
 #define TWO_PI_PER_US 6283185.307179586   /* one turn per us, in rad per s */
 /* Taylor series of the sine about 0: the factorials 3!, 5!, ... 13!. */
@@ -17,7 +18,7 @@
 /* cos(2 pi u) to 1e-9 for |u| <= 1/2. */
 PDAVIS_INLINE double pd_cos_turn(double u)
 {
-    double x = TWO_PI * (0.25 - (u < 0 ? -u : u)), x2 = x * x;
+    double x = TWO_PI * (QUARTER_TURN - (u < 0 ? -u : u)), x2 = x * x;
     return x * (1 + x2 * (-1 / FACTORIAL_3 + x2 * (1 / FACTORIAL_5
            + x2 * (-1 / FACTORIAL_7 + x2 * (1 / FACTORIAL_9
            + x2 * (-1 / FACTORIAL_11 + x2 * (1 / FACTORIAL_13)))))));

@@ -21,6 +21,7 @@ cdef struct lamp_t:
 
 
 cdef extern from "_lamp.h" nogil:
+    const double QUARTER_TURN
     double cos_turns "pd_cos_turns"(double u) noexcept nogil
 
 
@@ -70,7 +71,7 @@ cdef extern from *:
     static PD_SELDOM double pd_ripple(double turns_per_us, double cosine, double sine,
                                       int of_light, double turns, double hz,
                                       double *rate) {
-        double c = pd_cos_turns(turns), s = pd_cos_turns(turns - 0.25);
+        double c = pd_cos_turns(turns), s = pd_cos_turns(turns - QUARTER_TURN);
         if (hz > 0 && of_light) {
             /* A low-pass turns e^(i w t) into e^(i w t) / (1 + i lag), lag = f / hz. */
             double lag = 1e6 * turns_per_us / hz, share = 1 / (1 + lag * lag), passed;

@@ -7,7 +7,7 @@ gives them (docs/theory/lamp.md).
 """
 from libc.stdint cimport int64_t
 
-from _kernels._lamp cimport BLOCK_US, cos_turns
+from _kernels._lamp cimport BLOCK_US, QUARTER_TURN, cos_turns
 from _kernels._tracks cimport never
 from _kernels._types cimport event_t
 
@@ -37,7 +37,6 @@ cdef extern from "_lamp.h" nogil:
 
 cdef extern from *:
     """
-    #define QUARTER_TURN 0.25   /* from a cosine to a sine */
     #define MAINS_50 100e-6     /* a lamp's periods per us: twice the mains frequency */
     #define MAINS_60 120e-6     /* the same for mains of 60 Hz */
     /* No lamp flickers at this fraction of these frequencies, so what a wave of that
@@ -49,7 +48,6 @@ cdef extern from *:
     /* Ridge of the normal equations, so that they can be solved without data. */
     #define RIDGE 1e-6
     """
-    const double QUARTER_TURN
     const double MAINS_50
     const double MAINS_60
     const double BELOW
@@ -274,7 +272,7 @@ def lamp_wave(const double[:, :, :, ::1] sums not None, int64_t t,
             # Move phase 0 from time 0 to t.
             u = turns_of(which) * <double>modulo(t, COMMON_PERIOD_US)
             out[0] = turns_of(which) + 1e-6 * hz
-            v = cos_turns(u - 0.25)
+            v = cos_turns(u - QUARTER_TURN)
             u = cos_turns(u)
             out[1] = wave[0] * u + wave[1] * v
             out[2] = wave[1] * u - wave[0] * v

@@ -22,6 +22,7 @@ from _kernels._tracks cimport REST_US, at_rest, start, walk_t
 
 cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
+    void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, Py_ssize_t)
 
 cdef extern from "_rest.h" nogil:
     void rest_row(const float*, const float*, const float*, float, float, float,
@@ -39,6 +40,8 @@ cdef extern from "_team.h" nogil:
 cdef enum:
     # Rows, and groups of lanes, that a thread takes at a time: about 10 us.
     CHUNK = 16
+    # How many changed pixels ahead a next event is asked for.
+    SOON = 8
 
 cdef enum:
     # Number of planes of pixels at rest, without and with later samples.
@@ -345,11 +348,23 @@ cdef void look_for_changed(const showing_t* of, group_t* group,
         prefetch(&of.known.tracks[of.pixels[base + group.lane[i]]])
 
 
-cdef void renew_group(const showing_t* of, group_t* group,
+cdef void renew_group(const showing_t* of, group_t* group, const group_t* later,
                       Py_ssize_t number) noexcept nogil:
     """Renew the lanes of changed pixels; write those that a lane cannot represent."""
     cdef Py_ssize_t i, at, lane
+    cdef int32_t first
+    # Where events after t are known, most of them are read one by one.  That takes a
+    # next event and a state, which are asked for meanwhile, some at a time.
+    cdef bint ahead = of.known.known > of.known.t
     for i in range(group.changed):
+        if ahead and i < later.changed:
+            at = of.pixels[(number + 1) * LANES + later.lane[i]]
+            prefetch_all(&of.known.states[at], sizeof(state_t))
+        if ahead and i + SOON < group.changed:
+            at = of.pixels[number * LANES + group.lane[i + SOON]]
+            first = of.known.tracks[at].first
+            if first >= 0:
+                prefetch(&of.known.store[first])
         lane = group.lane[i]
         at = of.pixels[number * LANES + lane]
         if not renewed(of.known, at, of.lanes + number, lane, &of.flags[at]):
@@ -449,10 +464,11 @@ cdef void show_groups(void* args, Py_ssize_t first, Py_ssize_t last) noexcept no
     # Three groups at a time: memory that is asked for has come when the next group's
     # turn is over, and single values written then can be read in long words.
     for i in range(first, last + 2):
+        groups[i % 3].changed = 0
         if i < last:
             look_for_changed(of, &groups[i % 3], i)
         if first < i <= last:
-            renew_group(of, &groups[(i - 1) % 3], i - 1)
+            renew_group(of, &groups[(i - 1) % 3], &groups[i % 3], i - 1)
         if i > first + 1:
             show_group(of, &groups[(i - 2) % 3], i - 2)
 

@@ -9,6 +9,7 @@
 #include "_clones.h"
 #include "_math.h"
 
+#define CHANNEL_SHARE 0.25      /* of each channel in the mean of four */
 #define GAIN_LEAST 0.02         /* least gain of a unit vector that counts as > 0 */
 #define ROUNDED 1e-14           /* an off-diagonal element below this is 0 */
 #define DEAD 1e-12              /* a pixel below this share of moments is dark */
@@ -93,7 +94,7 @@ PDAVIS_INLINE void begin_cells(cells_t *restrict g, double pull)
         for (j = i; j < 4; j++, k++)
             for (n = 0; n < CELLS; n++) {
                 double one = g->product[k][n] * g->scale[i][n] * g->scale[j][n]
-                    - 0.25 * pull;
+                    - CHANNEL_SHARE * pull;
                 g->a[4 * i + j][n] = g->a[4 * j + i][n] = i == j ? one + pull : one;
                 g->v[4 * i + j][n] = g->v[4 * j + i][n] = i == j ? 1.0 : 0.0;
             }
@@ -152,7 +153,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void solve_cells(cells_t *restrict g, double 
         double mean = 0.0;
         for (i = 0; i < 4; i++) {
             g->shift[i][n] = pd_log((float)(g->found[n] > 0.0 ? g->gain[i][n] : 1.0));
-            mean += 0.25 * g->shift[i][n];
+            mean += CHANNEL_SHARE * g->shift[i][n];
         }
         for (i = 0; i < 4; i++) {
             g->shift[i][n] -= mean;

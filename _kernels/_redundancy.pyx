@@ -57,6 +57,7 @@ cdef extern from *:
     const Py_ssize_t CELLS_AHEAD
 
 cdef extern from "_redundancy.h" nogil:
+    const double CHANNEL_SHARE
     enum:
         CELLS
         PRODUCTS
@@ -222,7 +223,7 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
         walk_to(&r.walk, t, store, &tracks[y, x], tuning.refractory_us)
         read_level(&r, t, known, store, tuning, lamp, &states[y, x])
         log[i] = <float>(r.level + r.lag)
-        level += 0.25 * log[i]
+        level += CHANNEL_SHARE * log[i]
     loss = level * policy.loss
     for i in range(4):
         y = y0 + i // 2
@@ -417,7 +418,7 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
                 at = pixels[k, i]
                 y = y0 + k // 2
                 x = x0 + k % 2
-                level += 0.25 * (&bound[0, 0])[at]
+                level += CHANNEL_SHARE * (&bound[0, 0])[at]
                 if not missing[k, i]:
                     weight = 1.0 / ((&variance[0, 0])[at] + excess * (
                         seen_variance[y, x] + prior * quality[y, x]))

@@ -8,11 +8,12 @@
 
 #include "_clones.h"
 #include "_math.h"
+#include "_measure.h"
 
 enum {
     SEGMENTS = 128,             /* segments of one segments_t */
     NODES = 2,                  /* of two-point Gauss quadrature */
-    PIXELS = 64,                /* pixels of one sums_t: as many as `measure` takes */
+    PIXELS = TOGETHER,          /* pixels of one sums_t */
 };
 
 typedef struct {

@@ -275,7 +275,8 @@ class Reader:
         Length of the list.
     flags : ndarray of uint8, shape (H, W)
         Sum of 1 = in the list, 2 = changed since it was read, 4 = came to rest, 8 =
-        left out, because it has no sample, 16 = its state has changed as well.
+        not listed by events, as it is hot or has no sample, 16 = its state has changed
+        as well.
     """
 
     def __init__(self, shape: tuple[int, int], *, smooth: bool = False) -> None:
