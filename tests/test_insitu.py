@@ -453,7 +453,10 @@ def test_a_contradicted_scale_is_corrected_unless_thresholds_are_stated():
     assert 0.035 * NOMINAL[0] < sigma.mean() < 0.1 * NOMINAL[1]
     right = tuning(nominal_thresholds=NOMINAL)
     np.testing.assert_allclose(right.theta_on, NOMINAL[0])
-    assert "threshold_sigma" not in right.parameters
+    # Thresholds that hold are known to the error of their scale and the pixels' spread.
+    sigma = right.parameters["threshold_sigma"]
+    assert sigma.shape == (2, 8, 8)
+    assert 0.01 * NOMINAL[0] < sigma.mean() < 0.1 * NOMINAL[1]
     stated = tuning(thresholds="nominal", nominal_thresholds=(0.32, 0.36))
     assert stated.theta_on == pytest.approx(0.32)
     known = tuning(thresholds=(0.32, 0.36))
