@@ -12,6 +12,7 @@ from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
 from ._davis_usb import davis_words
+from ._degree import degree_frame, lasting_degree
 from ._demosaic import (
     bilinear,
     bilinear_variance,
@@ -95,6 +96,7 @@ __all__ = [
     "correct",
     "count",
     "davis_words",
+    "degree_frame",
     "denoise_events",
     "denoise_rates",
     "dolp",
@@ -112,6 +114,7 @@ __all__ = [
     "kalman_show",
     "lamp_push",
     "lamp_wave",
+    "lasting_degree",
     "leak_events",
     "leak_events_map",
     "leak_held",

@@ -6,6 +6,7 @@ are counted since the last sample (mid-exposure of the last frame used).  The st
 is de-blurred by the events of its exposure (event-based double integral) and measures
 the base.  docs/theory/kalman.md derives it.
 """
+from libc.math cimport NAN
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._estimate cimport holds, noise_probability, part_at, theta_squared
@@ -27,11 +28,12 @@ from _kernels._update cimport (
 
 cdef struct slot_t:
     # A pixel whose sample waits for `measure`: its column; the measurement for the
-    # smoother; process noise since the sample before; the unit theta^2 of variances of
-    # a part; squared change of log intensity since the sample before, of a hot pixel;
-    # whether events came since then.
+    # smoother; log intensity at the middle less the base; process noise since the last
+    # sample; the unit theta^2 of variances of a part; squared change of log intensity
+    # since the last sample, of a hot pixel; whether events came since then.
     Py_ssize_t x
     node_t node
+    double middle
     double added
     double theta2
     double change
@@ -39,11 +41,12 @@ cdef struct slot_t:
 
 cdef struct blur_t:
     # Log of an exposure's mean light relative to a level; the mean counts, weighted by
-    # light; the part of a threshold crossed at the exposure's middle.
+    # light; the part of a threshold crossed at the exposure's middle; the log there.
     double log
     double n_on
     double n_off
     double part
+    double middle
 
 cdef enum:
     HOP = 8                     # pixels between prefetches of a chain's events
@@ -168,6 +171,7 @@ cdef struct using_t:
     state_t* states
     double* innovations
     node_t* nodes               # NULL: for no smoother
+    float* middles
 
 
 cdef struct chains_t:
@@ -225,15 +229,17 @@ cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
                 slots[n].x = x
                 prepare(of, at, &group, &segments, &sums, n, &slots[n])
                 n += 1
-            elif of.nodes != NULL:
-                of.nodes[at].noise = 0.0
+            else:
+                of.middles[at] = NAN
+                if of.nodes != NULL:
+                    of.nodes[at].noise = 0.0
             if n == TOGETHER or x == of.w - 1:
                 if sums.n > 0:
                     predict_rows(of, y, &segments, &sums, &group, slots)
                 measure(&group, &of.policy, n, of.innovations + y // of.rows * TERMS)
                 for i in range(n):
                     at = y * of.w + slots[i].x
-                    finish(&group, i, &slots[i], &of.states[at])
+                    finish(&group, i, &slots[i], &of.states[at], &of.middles[at])
                     if of.nodes != NULL:
                         of.nodes[at] = slots[i].node
                 n = 0
@@ -242,7 +248,7 @@ cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
 def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not None,
                  track_t[:, ::1] tracks not None, state_t[:, ::1] states not None,
                  double[:, ::1] innovations not None, node_t[:, ::1] nodes not None,
-                 bands not None, team not None):
+                 float[:, ::1] middles not None, bands not None, team not None):
     """De-blur a frame by the stored events and update the states with it.
 
     frame is (samples, exposures by column, time up to which events are known), chain
@@ -250,7 +256,8 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     waves).  Events below index `committed` are counted in tracks.  bands is (first,
     last, rows): only bands of so many rows with first <= band < last are used.  A row
     of innovations collects the sums of a band, of the terms listed in _measure.h.
-    nodes receives the measurements for a smoother; it may be empty.  team is as in
+    nodes receives the measurements for a smoother; it may be empty.  middles receives
+    log intensity at each exposure's middle, NaN without a sample.  team is as in
     `kalman_show`.
     """
     cdef const sample_t[:, ::1] samples
@@ -271,7 +278,8 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     address, wake = team
     if (samples.shape[0] != h or samples.shape[1] != w or states.shape[0] != h
             or states.shape[1] != w or old.shape[0] != h or old.shape[1] != w
-            or exposures.shape[0] != w):
+            or exposures.shape[0] != w or middles.shape[0] != h
+            or middles.shape[1] != w):
         raise ValueError("kalman_frame: all images must have one shape")
     if tuning.shape[0] != 1 or innovations.shape[1] != TERMS or store.shape[0] == 0:
         raise ValueError(
@@ -288,7 +296,8 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     using.store, using.old, using.tuning = &store[0], &old[0, 0], &tuning[0]
     using.lamp, using.policy = lamp_of(waves), policy_of(&tuning[0])
     using.tracks, using.states = &tracks[0, 0], &states[0, 0]
-    using.innovations, using.nodes = &innovations[0, 0], NULL
+    using.innovations, using.middles = &innovations[0, 0], &middles[0, 0]
+    using.nodes = NULL
     if nodes.shape[0] > 0:
         using.nodes = &nodes[0, 0]
     with nogil:
@@ -323,6 +332,7 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     slot.added = s.moves + theta_squared(s) * drift(mid - s.sampled_us, 0.0, tuning)
     s.var_base += slot.added
     slot.theta2 = 0.0
+    slot.middle = 0.0
     slot.node.level = sample.log
     slot.node.h_on = 0.0
     slot.node.h_off = 0.0
@@ -380,10 +390,12 @@ cdef inline bint find_blur(const using_t* of, const track_t* old,
             blur.n_on = blur.part if middle.p else 0.0
             blur.n_off = 0.0 if middle.p else blur.part
             blur.log = s.theta_on * blur.n_on - s.theta_off * blur.n_off
+            blur.middle = blur.log
             return False
         blur.log = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp,
                       &blur.n_on, &blur.n_off)
         blur.part = blur.n_on + blur.n_off
+        blur.middle = blur.log
         return False
     start(&walk, old)
     walk.n_on = -middle.n_on
@@ -396,9 +408,8 @@ cdef inline bint find_blur(const using_t* of, const track_t* old,
             and (followed or not (at_rest(middle.t, mid) or holds(s, middle, tuning)))):
         row = begin_sums(sums, i, <double>(end - begin))
         divide(segments, sums, row, &walk, store, begin, end, known, s, level, tuning)
-        if tuning.holds_part > 0.0:
-            add_segment(segments, sums, middle_row(row), &at_mid, store, known,
-                        <double>mid, <double>mid, s, level, tuning)
+        add_segment(segments, sums, middle_row(row), &at_mid, store, known,
+                    <double>mid, <double>mid, s, level, tuning)
         return True
     total.whole = 0.0
     total.on = 0.0
@@ -407,6 +418,8 @@ cdef inline bint find_blur(const using_t* of, const track_t* old,
     blur.log = log_f(<float>(total.whole / <double>(end - begin)))
     blur.n_on = total.on / total.whole
     blur.n_off = total.off / total.whole
+    blur.middle = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp,
+                     &total.on, &total.off)
     blur.part = part_at(&at_mid, store, known, s.theta_on, s.theta_off, lamp, 0.0,
                         tuning, s, <double>mid).fraction
     return False
@@ -532,6 +545,7 @@ cdef inline void predict(const using_t* of, state_t* s, const sample_t* sample,
         sample.log - blur.log + h_on * s.theta_on + h_off * s.theta_off)
     slot.node.h_on = <float>h_on
     slot.node.h_off = <float>h_off
+    slot.middle = blur.middle
     hand_over(s, sample, group, i)
     group.part[i] = blur.part if of.tuning.holds_part > 0.0 and steady else 0.0
     group.h_on[i] = h_on
@@ -557,13 +571,14 @@ cdef void predict_rows(const using_t* of, Py_ssize_t y, segments_t* segments,
         blur.n_on = sums.on[row]
         blur.n_off = sums.off[row]
         blur.part = sums.on[middle] + sums.off[middle]
+        blur.middle = sums.whole[middle]
         predict(of, &of.states[pixel], &of.samples[pixel], &blur, group, i, &slots[i])
     sums.n = 0
 
 
 cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
-                        state_t* s) noexcept nogil:
-    """Copy the updated state from the group, and complete the smoother's node."""
+                        state_t* s, float* middle) noexcept nogil:
+    """Copy the updated state from the group; complete the smoother's node."""
     cdef double p_noise = group.p_noise[i]
     slot.node.noise = <float>group.noise[i]
     # The smoother counts a possible noise event in full: its squared bias is added.
@@ -580,5 +595,6 @@ cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
     s.var_off = group.var_off[i]
     s.pull = group.pull[i]
     s.part = group.held[i]
+    middle[0] = <float>(s.base + slot.middle)
     if is_hot(s):
         s.moves += (slot.change - s.moves) / HOT_SAMPLES

@@ -79,6 +79,7 @@ cdef inline Py_ssize_t begin_sums(sums_t* sums, Py_ssize_t slot,
     sums.whole[row] = 0.0
     sums.on[row] = 0.0
     sums.off[row] = 0.0
+    sums.whole[middle_row(row)] = 0.0
     sums.on[middle_row(row)] = 0.0
     sums.off[middle_row(row)] = 0.0
     return row

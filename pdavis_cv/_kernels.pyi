@@ -35,6 +35,7 @@ __all__ = [
     "check_times",
     "correct",
     "count",
+    "degree_frame",
     "denoise_events",
     "denoise_rates",
     "dolp",
@@ -49,6 +50,7 @@ __all__ = [
     "kalman_show",
     "lamp_push",
     "lamp_wave",
+    "lasting_degree",
     "leak_events",
     "leak_events_map",
     "leak_held",
@@ -190,6 +192,10 @@ def correct(
     raw: _F32, dark: _F32 | None, gain: _F32 | None, clip_dn: float, dn: _F32,
     valid: NDArray[np.uint8]
 ) -> None: ...
+def degree_frame(
+    log: _F32, analyser: _F32, constants: tuple[float, float, float, float],
+    planes: _F32, scratch: _F32, lasting: _F32,
+) -> None: ...
 def denoise_events(
     events: NDArray[Any], start: int, last: int, stop: int, window: int, needed: int,
     hot: _U8, times: NDArray[np.int64], counts: NDArray[np.int32], keep: _U8,
@@ -213,7 +219,8 @@ def guided(
 def kalman_frame(
     frame: tuple[NDArray[Any], NDArray[Any], int], chain: _Pair, committed: int,
     model: _Pair, tracks: NDArray[Any], states: NDArray[Any], innovations: _F64,
-    nodes: NDArray[Any], bands: tuple[int, int, int], team: tuple[int, bool],
+    nodes: NDArray[Any], middles: _F32, bands: tuple[int, int, int],
+    team: tuple[int, bool],
 ) -> None: ...
 def kalman_read(
     t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],
@@ -235,6 +242,10 @@ def lamp_push(
     thresholds: tuple[float, float], even_us: _F64, hz: _F32, stamps: _I64, sums: _F64,
 ) -> int: ...
 def lamp_wave(sums: _F64, t: int, out: _F64) -> None: ...
+def lasting_degree(
+    lasting: _F32, analyser: _F32, shown: tuple[_F32, _F32, _U8], rows: tuple[int, int],
+    team: tuple[int, bool],
+) -> None: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
 ) -> int: ...

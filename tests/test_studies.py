@@ -8,9 +8,9 @@ import pytest
 STUDIES = Path(__file__).resolve().parent.parent / "studies"
 NAMES = sorted(path.stem for path in STUDIES.glob("*.py") if path.stem != "common")
 LONG = ("batch", "demosaic_constants", "demosaic_events", "held_cameras",
-        "lamp_detection", "selfcal_bandwidth", "selfcal_clock_offset",
-        "selfcal_common_scale", "selfcal_law", "selfcal_least_gain", "selfcal_tails",
-        "selfcal_thresholds")
+        "lamp_detection", "lasting_degree", "selfcal_bandwidth",
+        "selfcal_clock_offset", "selfcal_common_scale", "selfcal_law",
+        "selfcal_least_gain", "selfcal_tails", "selfcal_thresholds")
 
 
 @pytest.fixture

@@ -22,6 +22,12 @@ from pdavis_cv.reconstruct.base import (
 from pdavis_cv.reconstruct.kalman.adaptation import KEPT, MISFIT, P_NOISE, SUMS, adapt
 from pdavis_cv.reconstruct.kalman.event_noise import MOTION
 from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
+from pdavis_cv.reconstruct.kalman.inflation import (
+    inflate_for_lag,
+    inflate_for_resets,
+    inflate_for_stamps,
+)
+from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
 from pdavis_cv.reconstruct.kalman.prior_spread import change_spread
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.kalman.smoother import Smoother
@@ -215,6 +221,7 @@ class KalmanFilter(Reconstructor):
             self.shape, max(_FIRST_KEEP_US, KEEP_US + self._wait_us), late=offline)
         self._smoother = Smoother(self.shape) if offline else None
         self._reader = Reader(self.shape, smooth=offline)
+        self._lasting = LastingDegree(self.shape, self._saturated.response)
         self._epoch_us = 0      # at or after the last sample of every pixel
         self._interval_us = 0   # time between the last two frames used; 0: fewer
         self._mid_us = NEVER    # mid-exposure of the last frame fed
@@ -242,7 +249,7 @@ class KalmanFilter(Reconstructor):
         """Reset the thresholds of all states, and their covariance, to the prior."""
         on, off, *sigmas = (np.broadcast_to(each, self.shape) for each in (
             self._theta_on, self._theta_off, *self._sigma))
-        for first in range(0, self.shape[0], _BAND):    # as in `_inflate_for_lag`
+        for first in range(0, self.shape[0], _BAND):    # as in `inflate_for_lag`
             rows = slice(first, first + _BAND)
             states = self._states[rows]
             for part, theta, sigma in zip(
@@ -281,14 +288,20 @@ class KalmanFilter(Reconstructor):
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
             self._saturated.retune(self._bandwidth)
         if moved_us or "bandwidth" in learned:
-            self._inflate_for_lag(np.abs(self._lags() - before + 1e-6 * moved_us))
+            lag_us = 1e6 * np.abs(self._lags() - before + 1e-6 * moved_us)
+            if self._interval_us:       # thresholds have been learned
+                inflate_for_lag(
+                    self._states, self._sigma, 2 * lag_us / self._interval_us)
         if moved_us:
-            self._inflate_for_stamps(1e-6 * moved_us)
+            if self._interval_us:
+                inflate_for_stamps(self._states, moved_us / self._interval_us)
             self._frames = ()   # waiting frames still have the old time stamps
         if "refractory_us" in learned:
             before_us, self._refractory_us = self._refractory_us, checked_refractory(
                 learned["refractory_us"])
-            self._inflate_for_resets(abs(self._refractory_us - before_us))
+            if self._interval_us:
+                inflate_for_resets(
+                    self._states, (self._refractory_us - before_us) / self._interval_us)
         if moved_us or "refractory_us" in learned:
             self._innovations[MISFIT:] = 0
             self._adapt()
@@ -308,65 +321,6 @@ class KalmanFilter(Reconstructor):
         light = self.intensity(self._states["base"].astype(np.float32))
         hz = self._bandwidth[0] + self._bandwidth[1] * _DIM_SHARE * light.astype(float)
         return np.divide(1 / math.tau, hz, out=np.zeros(self.shape), where=hz > 0)
-
-    def _inflate_for_lag(self, lag_error_s: NDArray[np.float64]) -> None:
-        """Inflate the thresholds' covariance by the error that a wrong lag caused.
-
-        A lag wrong by dt shifts a sample by dt times the slope of log intensity.
-        Between two samples T apart the light changes by about slope * T, so thresholds
-        fitted to both have a relative error of up to 2 dt / T.  The new error is
-        ``kept`` times the old one plus an independent part of the prior's distribution
-        with that variance, at most the prior's: the covariance stays positive definite.
-        """
-        if not self._interval_us:
-            return                      # no thresholds have been learned yet
-        errors = 2 * lag_error_s / (1e-6 * self._interval_us)
-        sigmas = [np.broadcast_to(sigma, self.shape) for sigma in self._sigma]
-        # In bands of rows whose records fit into the processor's cache.
-        for first in range(0, self.shape[0], _BAND):
-            rows = slice(first, first + _BAND)
-            states, relative = self._states[rows], errors[rows]
-            for name, sigma in zip(("on", "off"), (each[rows] for each in sigmas),
-                                   strict=True):
-                prior = states[f"prior_{name}"].copy()
-                share = np.divide(relative * prior, sigma, where=sigma > 0,
-                                  out=np.zeros_like(prior))
-                part = np.minimum(share**2, 1)
-                kept = np.sqrt(1 - part)
-                states[f"theta_{name}"] = prior + kept * (
-                    states[f"theta_{name}"] - prior)
-                states[f"var_{name}"] = (
-                    (1 - part) * states[f"var_{name}"] + part * sigma**2)
-                states[f"cov_base_{name}"] *= kept
-                states["cov_on_off"] *= kept
-
-    def _inflate_for_stamps(self, error_s: float) -> None:
-        """Inflate the variance of the bases for frames whose stamps were wrong.
-
-        Their error is the time error times the slope of log intensity, which is taken
-        from the mean number of events between frames so far.
-        """
-        states = self._states
-        theta = 0.5 * (states["theta_on"] + states["theta_off"])
-        events = (states["seen_on"] + states["seen_off"]) / np.maximum(
-            states["samples"], 1)
-        if self._interval_us:
-            states["var_base"] += (
-                1e6 * error_s / self._interval_us * events * theta)**2
-
-    def _inflate_for_resets(self, lost_us: float) -> None:
-        """Inflate the variance of the bases for a wrong refractory period.
-
-        After each event the light changes unseen for that time.  The sum of these
-        losses is largest if all of them have one sign, which is assumed.
-        """
-        states = self._states
-        theta = 0.5 * (states["theta_on"] + states["theta_off"])
-        events = (states["seen_on"] + states["seen_off"]) / np.maximum(
-            states["samples"], 1)
-        if self._interval_us:
-            states["var_base"] += (
-                lost_us / self._interval_us * events**2 * theta)**2
 
     def _changed(self) -> None:
         """Invalidate everything cached from the state."""
@@ -453,6 +407,8 @@ class KalmanFilter(Reconstructor):
         one = self._ahead(due, seen) if due else self
         one._show(t, log, variance, valid.view(np.uint8))
         self._saturated.fill(t, one._unknown, log, variance, valid, self.workers)
+        if one._smoother is None:   # which uses later frames instead
+            one._lasting.weigh(log, variance, valid.view(np.uint8), self.workers)
         return Estimate(log, variance, valid)
 
     def settle(self, t_us: int) -> None:
@@ -540,13 +496,15 @@ class KalmanFilter(Reconstructor):
         # Each band has its own sums, so that results do not depend on the threads.
         count = -(-self.shape[0] // _FRAME_BAND)
         innovations = np.zeros((count, SUMS))
+        middles = np.empty(self.shape, np.float32)
         self.workers.shared(count, lambda first, last, team: _kernels.kalman_frame(
             (frame.samples, frame.exposures, frame.known_us),
             (recent.store, recent.old), recent.committed, self._model, recent.tracks,
-            self._states, innovations, nodes, (first, last, _FRAME_BAND), team),
-            least=1)
+            self._states, innovations, nodes, middles, (first, last, _FRAME_BAND),
+            team), least=1)
         for sums in innovations:
             self._innovations[:SUMS] += sums
+        self._lasting.add_frame(middles)
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal filter (see `Reconstructor.assign`)."""
@@ -572,6 +530,7 @@ class KalmanFilter(Reconstructor):
         self._lamp.restore(other._lamp.state())
         if self._smoother is not None and other._smoother is not None:
             self._smoother.assign(other._smoother)
+        self._lasting.assign(other._lasting)
         self._changed()
 
     def _state(self) -> Mapping[str, Any]:
@@ -583,7 +542,8 @@ class KalmanFilter(Reconstructor):
                 "innovations": self._innovations.copy(),
                 "tuning": as_bytes(self._tuning).copy(),
                 "saturated": self._saturated.state(),
-                "smoother": None if smoother is None else smoother.state()}
+                "smoother": None if smoother is None else smoother.state(),
+                "lasting": self._lasting.state()}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._clock.last_us, self._epoch_us = state["last_us"], state["epoch_us"]
@@ -597,4 +557,5 @@ class KalmanFilter(Reconstructor):
         self._saturated.restore(state["saturated"])
         if self._smoother is not None:
             self._smoother.restore(state["smoother"])
+        self._lasting.restore(state["lasting"])
         self._changed()

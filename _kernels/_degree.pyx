@@ -1,0 +1,247 @@
+"""The degree of polarization that lasts: docs/theory/kalman.md derives it."""
+from libc.stdint cimport uint8_t
+
+from _kernels._model cimport check_given
+
+cdef extern from "_degree.h" nogil:
+    enum:
+        CELLS "PDAVIS_CELLS"
+        ANALYSER "PDAVIS_ANALYSER"
+    ctypedef struct cells_t:
+        float log[4][CELLS]
+        float variance[4][CELLS]
+        float degree[CELLS]
+        float spread[CELLS]
+        float share[CELLS]
+        float analyser[ANALYSER][CELLS]
+    void find_degree(cells_t*, Py_ssize_t)
+    void weigh_degree(cells_t*, Py_ssize_t)
+
+cdef extern from "_team.h" nogil:
+    ctypedef struct team_t:
+        pass
+    ctypedef void (*pd_rows)(void*, Py_ssize_t, Py_ssize_t) noexcept nogil
+    void team_share(team_t*, bint, pd_rows, void*, Py_ssize_t, Py_ssize_t)
+
+cdef enum:
+    # Planes of `degree_frame`: mean degree; frames in it; sums of squared errors of its
+    # predictions, and their numbers, with a long and with a short memory.
+    MEAN = 0
+    SEEN = 1
+    LONG = 2
+    COUNT = 3
+    LATE = 4
+    LATE_COUNT = 5
+    PLANES = 6
+
+cdef struct analyser_t:
+    # Of macropixels; one: the same for all.
+    Py_ssize_t size
+    const float* numbers
+    bint one
+
+cdef struct showing_t:
+    # What `lasting_degree` shares among threads.
+    Py_ssize_t rows, columns, w
+    const float* lasting
+    analyser_t analyser
+    float* log
+    const float* variance
+    const uint8_t* valid
+
+
+cdef int set_analyser(analyser_t* of, const float[:, :, ::1] numbers, Py_ssize_t h,
+                      Py_ssize_t w) except -1:
+    of.one = numbers.shape[1] == 1 and numbers.shape[2] == 1
+    if numbers.shape[0] != ANALYSER or not of.one and (
+            numbers.shape[1] != h or numbers.shape[2] != w):
+        raise ValueError("analyser must be (24, h, w) or (24, 1, 1)")
+    of.size = 1 if of.one else h * w
+    of.numbers = &numbers[0, 0, 0] if h * w > 0 else NULL
+    return 0
+
+
+cdef void copy_analyser(const analyser_t* of, cells_t* cells, Py_ssize_t begin,
+                        Py_ssize_t n) noexcept nogil:
+    """Copy the analysers of n macropixels from number `begin` on."""
+    cdef Py_ssize_t j, i
+    cdef const float* row
+    for j in range(ANALYSER):
+        row = of.numbers + j * of.size + (0 if of.one else begin)
+        for i in range(n):
+            cells.analyser[j][i] = row[0 if of.one else i]
+
+
+cdef bint set_cells(const showing_t* of, cells_t* cells, Py_ssize_t y, Py_ssize_t x,
+                    Py_ssize_t n) noexcept nogil:
+    """Copy n macropixels from column x of row y; return whether any is concerned."""
+    cdef Py_ssize_t i, k, at, size = of.rows * of.columns
+    cdef const float* lasting = of.lasting + y * of.columns + x
+    cdef float most = 0.0
+    for i in range(n):
+        cells.share[i] = lasting[2 * size + i]
+        most = max(most, cells.share[i])
+    if not most > 0.0:
+        return False
+    for i in range(n):
+        cells.degree[i] = lasting[i]
+        cells.spread[i] = lasting[size + i]
+    for k in range(4):
+        at = (2 * y + k // 2) * of.w + 2 * x + k % 2
+        for i in range(n):
+            cells.log[k][i] = of.log[at + 2 * i]
+            cells.variance[k][i] = of.variance[at + 2 * i]
+            cells.share[i] *= of.valid[at + 2 * i] != 0
+    return True
+
+
+cdef void weigh_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    cdef const showing_t* of = <const showing_t*>args
+    cdef cells_t cells
+    cdef Py_ssize_t y, x, n, k, i, at, filled = 0
+    for y in range(first, last):
+        n = 0
+        x = 0
+        while x + n < of.columns:
+            x += n
+            n = min(<Py_ssize_t>CELLS, of.columns - x)
+            if not set_cells(of, &cells, y, x, n):
+                continue
+            if not of.analyser.one or filled < n:
+                copy_analyser(&of.analyser, &cells, y * of.columns + x, n)
+                filled = n
+            weigh_degree(&cells, n)
+            for k in range(4):
+                at = (2 * y + k // 2) * of.w + 2 * x + k % 2
+                for i in range(n):
+                    if cells.share[i] > 0.0:
+                        of.log[at + 2 * i] = cells.log[k][i]
+
+
+cdef void add_row(float* plane, Py_ssize_t w, const float* above, const float* own,
+                  const float* below, float kept) noexcept nogil:
+    """Multiply a plane's row by `kept`, and add the sums of 3 x 3 numbers around."""
+    cdef Py_ssize_t x
+    cdef float before = 0.0, here = above[0] + own[0] + below[0], after
+    for x in range(w):
+        after = 0.0
+        if x + 1 < w:
+            after = above[x + 1] + own[x + 1] + below[x + 1]
+        plane[x] = kept * plane[x] + (before + here + after)
+        before = here
+        here = after
+
+
+def degree_frame(const float[:, ::1] log not None,
+                 const float[:, :, ::1] analyser not None, constants not None,
+                 float[:, :, ::1] planes not None, float[:, :, ::1] scratch not None,
+                 float[:, :, ::1] lasting not None):
+    """Update the degree of polarization that lasts with a frame.
+
+    log (>= 2 h, >= 2 w) holds log intensities at mid-exposure, NaN where unknown.
+    analyser is as in `lasting_degree`.  constants are the long and the short memory in
+    frames, the squared error that is assumed before the first comparison, and how many
+    times its sigma the degree has to be, squared.  planes (6, h, w) is the state, 0 at
+    first; scratch is (2, h + 2, w), 0 in its first and last rows; lasting (3, h, w)
+    receives the degree, its variance and its share.
+    """
+    cdef Py_ssize_t h = planes.shape[1], w = planes.shape[2], filled = 0
+    cdef Py_ssize_t x, y, n, k, i
+    cdef float most, late, first, sure, error, mean, variance, share
+    cdef analyser_t of
+    cdef cells_t cells
+    cdef float* plane
+    most, late, first, sure = constants
+    if (log.shape[0] < 2 * h or log.shape[1] < 2 * w or planes.shape[0] != PLANES
+            or scratch.shape[0] != 2 or scratch.shape[1] != h + 2
+            or scratch.shape[2] != w or lasting.shape[0] != 3 or lasting.shape[1] != h
+            or lasting.shape[2] != w):
+        raise ValueError("degree_frame: planes, scratch, lasting and log must fit")
+    of.size = 0
+    set_analyser(&of, analyser, h, w)
+    if h * w == 0:
+        return
+    with nogil:
+        for y in range(h):
+            n = 0
+            x = 0
+            while x + n < w:
+                x += n
+                n = min(<Py_ssize_t>CELLS, w - x)
+                if not of.one or filled < n:
+                    copy_analyser(&of, &cells, y * w + x, n)
+                    filled = n
+                for k in range(4):
+                    for i in range(n):
+                        cells.log[k][i] = log[2 * y + k // 2, 2 * (x + i) + k % 2]
+                find_degree(&cells, n)
+                for i in range(n):
+                    scratch[0, y + 1, x + i] = scratch[1, y + 1, x + i] = 0.0
+                    if cells.degree[i] != cells.degree[i]:
+                        continue
+                    error = cells.degree[i] - planes[MEAN, y, x + i]
+                    if planes[SEEN, y, x + i] > 0.0:
+                        scratch[0, y + 1, x + i] = error * error
+                        scratch[1, y + 1, x + i] = 1.0
+                    if planes[SEEN, y, x + i] < most:
+                        planes[SEEN, y, x + i] += 1.0
+                    planes[MEAN, y, x + i] += error / planes[SEEN, y, x + i]
+        for y in range(h):
+            for k in range(LONG, PLANES):
+                plane = &scratch[(k - LONG) % 2, y, 0]
+                add_row(&planes[k, y, 0], w, plane, plane + w, plane + 2 * w,
+                        <float>1.0 - <float>1.0 / (most if k < LATE else late))
+            for x in range(w):
+                mean = planes[MEAN, y, x]
+                variance = max(
+                    (planes[LONG, y, x] + first) / (planes[COUNT, y, x] + <float>1.0),
+                    planes[LATE, y, x] / max(planes[LATE_COUNT, y, x], <float>1.0))
+                # Not a quotient: the mean may be 0.
+                share = mean * mean - sure * variance
+                lasting[0, y, x] = mean
+                lasting[1, y, x] = variance
+                lasting[2, y, x] = share / (mean * mean) if share > 0.0 else 0.0
+
+
+def lasting_degree(const float[:, :, ::1] lasting not None,
+                   const float[:, :, ::1] analyser not None, shown not None,
+                   rows not None, team not None):
+    """Weigh the degree of polarization of an image against the one that lasts.
+
+    lasting (3, h, w) is, by macropixel, that degree, its variance, and a factor on its
+    weight (0: not used).  analyser, (24, h, w) or (24, 1, 1), has by place in the
+    macropixel the solution for S0, S1 and S2, the responses to S1 and S2, and the null
+    vector.  shown is (log intensity, its variance, valid), of at least (2 h, 2 w); the
+    log intensities of macropixels in the rows (first, last) that are valid at all four
+    places change.  team is as in `kalman_show`.
+    """
+    cdef Py_ssize_t first, last
+    cdef float[:, ::1] log
+    cdef const float[:, ::1] variance
+    cdef const uint8_t[:, ::1] valid
+    cdef showing_t of
+    cdef size_t address
+    cdef bint wake
+    check_given(shown)
+    log, variance, valid = shown
+    first, last = rows
+    address, wake = team
+    of.rows, of.columns, of.w = lasting.shape[1], lasting.shape[2], log.shape[1]
+    set_analyser(&of.analyser, analyser, of.rows, of.columns)
+    if lasting.shape[0] != 3:
+        raise ValueError("lasting_degree: lasting must be (3, h, w)")
+    if (log.shape[0] < 2 * of.rows or log.shape[1] < 2 * of.columns
+            or variance.shape[0] != log.shape[0] or variance.shape[1] != log.shape[1]
+            or valid.shape[0] != log.shape[0] or valid.shape[1] != log.shape[1]):
+        raise ValueError("lasting_degree: shown must be images that hold (2 h, 2 w)")
+    if first < 0 or last > of.rows:
+        raise ValueError("lasting_degree: rows must lie in the image")
+    if of.rows * of.columns == 0 or first >= last:
+        return
+    of.lasting = &lasting[0, 0, 0]
+    of.log, of.variance, of.valid = &log[0, 0], &variance[0, 0], &valid[0, 0]
+    with nogil:
+        if address and first == 0:
+            team_share(<team_t*>address, wake, weigh_rows, &of, last, 1)
+        else:
+            weigh_rows(&of, first, last)

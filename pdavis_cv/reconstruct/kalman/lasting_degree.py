@@ -1,0 +1,133 @@
+"""The degree of polarization that lasts from frame to frame."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._workers import Workers
+from pdavis_cv.analyser import Analyser
+
+__all__ = ["LastingDegree"]
+
+FRAMES = 10
+"""Memory of the mean and of its variance, frames: half a second of the paper's cameras.
+`studies/lasting_degree.py` compares it with 5 and 20."""
+
+LATE_FRAMES = 2
+"""Memory, frames, of the variance that shows at once that the degree has changed."""
+
+FIRST_ERROR = 0.1
+"""Error of the one comparison that is assumed before the first.  Engineering choice: so
+the degree has to last for a frame or two in all neighbours before it counts."""
+
+SURE = 10.0
+"""The degree is used where it is more than this many times its sigma: unpolarized light
+with structure has an apparent degree that does not last.  `studies/lasting_degree.py`
+compares it with 5 and 20."""
+
+_ROW_NS = 3_000
+"""Time that a row of macropixels takes if it is used, ns."""
+
+_PLANES = 6
+"""Of `_kernels.degree_frame`: mean, frames in it, and two sums with their numbers."""
+
+
+class LastingDegree:
+    """Degree of polarization of each macropixel as frames tell it, and its variance.
+
+    The angle turns, while the degree is mostly a property of what is seen, and lasts.
+    Frames measure it well: the four pixels are exposed at the same time, so that an
+    error of time is the same in all of them, while events err in each pixel apart.  How
+    well the mean of the last frames predicts the next one is measured in the 3 x 3
+    macropixels around each, and is its variance.  Where the degree does not last, that
+    is large, and images stay as they are.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width) of the sensor.
+    response : ndarray of float64, shape (2, 2, 3) or (H, W, 3), or None
+        Response of each pixel (of the cell) to S0, S1, S2; None: ideal polarizers,
+        orthogonal ones on the diagonals.
+    """
+
+    def __init__(
+        self, shape: tuple[int, int], response: NDArray[np.float64] | None,
+    ) -> None:
+        size = tuple(side // 2 for side in shape)
+        self._planes = np.zeros((_PLANES, *size), np.float32)
+        self._scratch = np.zeros((2, size[0] + 2, size[1]), np.float32)
+        # Degree, variance and share, as `_kernels.lasting_degree` takes them.
+        self._lasting = np.zeros((3, *size), np.float32)
+        if response is None:
+            by_place = Analyser.ideal().response[[0, 1, 3, 2]]  # 0, 90 on a diagonal
+        elif response.shape == (2, 2, 3):
+            by_place = response.reshape(4, 3)
+        else:
+            by_place = np.stack([
+                np.moveaxis(response[place], -1, 0) for place in _places(shape)])
+        analyser = Analyser(by_place)
+        one = by_place.shape[2:] or (1, 1)
+        # Numbers of each place, as `_kernels.lasting_degree` takes them.
+        self._analyser = np.concatenate([
+            np.moveaxis(analyser.solution, 0, 1).reshape(-1, *one),
+            analyser.response[:, 1:].astype(np.float32).reshape(-1, *one),
+            analyser.null().reshape(-1, *one)])
+
+    def add_frame(self, log: NDArray[np.float32]) -> None:
+        """Take log intensities at the middle of a frame's exposure, after its update.
+
+        Parameters
+        ----------
+        log : ndarray of float32, shape (H, W)
+            NaN where a pixel has no usable sample.
+        """
+        _kernels.degree_frame(
+            log, self._analyser, (FRAMES, LATE_FRAMES, FIRST_ERROR**2, SURE**2),
+            self._planes, self._scratch, self._lasting)
+
+    def weigh(
+        self, log: NDArray[np.float32], variance: NDArray[np.float32],
+        valid: NDArray[np.uint8], workers: Workers,
+    ) -> None:
+        """Weigh the degree of an image against the one that lasts.
+
+        Log intensities of macropixels change in proportion to S1 and S2: S0 and the
+        angle remain.
+
+        Parameters
+        ----------
+        log, variance : ndarray of float32, shape (H, W)
+            Log intensity, which changes, and its variance.
+        valid : ndarray of uint8, shape (H, W)
+            1: usable.
+        workers : Workers
+            Threads that share the work.
+        """
+        workers.shared(
+            self._lasting.shape[1], lambda first, last, team: _kernels.lasting_degree(
+                self._lasting, self._analyser, (log, variance, valid), (first, last),
+                team), row_ns=_ROW_NS)
+
+    def assign(self, other: LastingDegree) -> None:
+        """Copy the state of an equal object."""
+        self.restore(other.state())
+
+    def state(self) -> Mapping[str, Any]:
+        """Return the state; `restore` copies it."""
+        return {"planes": self._planes.copy(), "lasting": self._lasting.copy()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Return to what `state` returned."""
+        np.copyto(self._planes, state["planes"])
+        np.copyto(self._lasting, state["lasting"])
+
+
+def _places(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+    """Return the slices of the four places in the macropixels, row by row."""
+    rows, columns = (side // 2 * 2 for side in shape)
+    return [(slice(i, rows, 2), slice(j, columns, 2)) for i in (0, 1) for j in (0, 1)]
