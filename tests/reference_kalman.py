@@ -1,6 +1,7 @@
 """The Kalman method in plain float64 NumPy, a pixel at a time."""
 import itertools
 from dataclasses import dataclass, field
+from unittest import mock
 
 import numpy as np
 from reference_tracks import (
@@ -19,9 +20,18 @@ from reference_tracks import (
     steady,
 )
 
+from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
+
 FINE = 1_500
 REST = 1_000_000
 FRAME_SIGMA, LEAK, PER_EVENT = 0.01, 0.02, 0.0003
+
+
+
+def alone(method, t):
+    """Read a filter as if pixels had no neighbours: reference_degree.py is its twin."""
+    with mock.patch.object(LastingDegree, "weigh"):
+        return method.read(t)
 
 
 @dataclass

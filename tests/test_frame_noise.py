@@ -9,7 +9,6 @@ from streams import feed
 from pdavis_cv import EVENT_DTYPE, ApsFrame, KalmanFilter, fuse
 from pdavis_cv.reconstruct.kalman import filter as kalman_filter
 from pdavis_cv.reconstruct.kalman.frame_noise import _SHARED
-from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
 from pdavis_cv.reconstruct.lamp import BLOCK_US, Wave
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
@@ -93,9 +92,7 @@ def test_the_noise_under_a_lamp_is_that_without_its_ripple():
 
 
 @pytest.mark.parametrize("offline", [False, True])
-def test_it_equals_float64_evaluation_where_some_pixels_rest(offline, monkeypatch):
-    # Which has its own twin, in reference_degree.py.
-    monkeypatch.setattr(LastingDegree, "weigh", lambda *_: None)
+def test_it_equals_float64_evaluation_where_some_pixels_rest(offline):
     shape = 3, 4
     rng = np.random.default_rng(5)
     rest = rng.uniform(60, 300, shape)
@@ -109,7 +106,7 @@ def test_it_equals_float64_evaluation_where_some_pixels_rest(offline, monkeypatc
     mine._saturated.add_events = lambda events, workers: None
     feed(mine, events, frames)
     t = 600_000
-    estimate = mine.read(t - mine.lookahead_us)
+    estimate = reference_kalman.alone(mine, t - mine.lookahead_us)
     log, variance, _ = reference_kalman.kalman(
         events, frames, shape, 0.2, 0.25, t - mine.lookahead_us, sigma=0.035,
         lookahead_us=mine.lookahead_us, offline=offline)

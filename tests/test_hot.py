@@ -40,7 +40,7 @@ def test_a_hot_pixel_equals_its_twin(mode, hot_until, t):
     feed(method, events[events["t"] <= seen],
          [frame for frame in frames if frame.available_us <= seen])
     method.settle(seen)
-    estimate = method.read(t)
+    estimate = reference_kalman.alone(method, t)
     log, variance, valid = reference_kalman.kalman(
         events[events["t"] <= seen], frames, SHAPE, 0.2, 0.25, t,
         lookahead_us=method.lookahead_us, offline=mode == "offline")

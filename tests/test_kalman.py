@@ -85,7 +85,7 @@ def test_it_equals_float64_evaluation_of_the_equations(
         mine.add_wave(wave)
     feed(mine, events, frames)
     t = stop + later - mine.lookahead_us
-    estimate = mine.read(t)
+    estimate = reference_kalman.alone(mine, t)
     log, variance, valid = reference_kalman.kalman(
         events, frames, SHAPE, on, off, t, sigma=sigma,
         bandwidth=bandwidth or (0, 0, 0), lookahead_us=mine.lookahead_us,
