@@ -57,7 +57,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
     for (i = 0; i < n; i++) {
         float light[4], power[4], c[4], gap = 0.0f, total = NO_LIGHT;
         float s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, cross = 0.0f, variance = 0.0f;
-        float length, inverse, own, u1, u2, apart, sum, weight, more;
+        float length, per_length, per_s0, own, u1, u2, apart, per_sum, weight, more;
         int k;
         for (k = 0; k < 4; k++) {
             light[k] = pd_exp(g->log[k][i]);
@@ -66,7 +66,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
             gap += c[k] * light[k];
             total += c[k] * c[k] * power[k];
         }
-        gap /= total;
+        total = 1.0f / total;       /* divisions take most of the time */
+        gap *= total;
         for (k = 0; k < 4; k++) {       /* as `reconcile` */
             float q = light[k] - power[k] * c[k] * gap;
             s0 += PDAVIS_S(0) * q;
@@ -75,28 +76,30 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
         }
         s0 = s0 > NO_LIGHT ? s0 : NO_LIGHT;
         length = NO_LIGHT + sqrtf(s1 * s1 + s2 * s2);
-        inverse = 1.0f / s0;
-        own = length * inverse;
-        u1 = s1 / length;
-        u2 = s2 / length;
+        per_s0 = 1.0f / s0;
+        per_length = 1.0f / length;
+        own = length * per_s0;
+        u1 = s1 * per_length;
+        u2 = s2 * per_length;
         for (k = 0; k < 4; k++) {
-            float slope = inverse * (
+            float slope = per_s0 * (
                 u1 * PDAVIS_S(1) + u2 * PDAVIS_S(2) - own * PDAVIS_S(0));
             variance += slope * slope * power[k];
             cross += slope * c[k] * power[k];
         }
-        variance -= cross * cross / total;
+        variance -= cross * cross * total;
         variance = variance > 0.0f ? variance : 0.0f;
         apart = g->degree[i] - own;
-        sum = NO_LIGHT + variance + g->spread[i];
-        weight = apart * apart / sum * (1.0f / DOUBTFUL);
-        weight = g->share[i] * variance / (sum * (1.0f + weight * weight));
-        more = 1.0f + weight * apart / own;
+        per_sum = 1.0f / (NO_LIGHT + variance + g->spread[i]);
+        weight = apart * apart * per_sum * (1.0f / DOUBTFUL);
+        weight = g->share[i] * variance * per_sum / (1.0f + weight * weight);
+        more = 1.0f + weight * apart * s0 * per_length;
         more = more > DEGREE_LEAST ? more : DEGREE_LEAST;
         more = (more < DEGREE_MOST ? more : DEGREE_MOST) - 1.0f;
         for (k = 0; k < 4; k++) {
-            float q = 1.0f + more * (PDAVIS_A(1) * s1 + PDAVIS_A(2) * s2) / light[k];
-            g->log[k][i] += pd_log(q > LIGHT_LEAST ? q : LIGHT_LEAST);
+            float q = light[k] + more * (PDAVIS_A(1) * s1 + PDAVIS_A(2) * s2);
+            float least = LIGHT_LEAST * light[k];
+            g->log[k][i] = pd_log(q > least ? q : least);
         }
     }
 }

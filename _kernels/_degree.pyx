@@ -61,61 +61,62 @@ cdef int set_analyser(analyser_t* of, const float[:, :, ::1] numbers, Py_ssize_t
     return 0
 
 
-cdef void copy_analyser(const analyser_t* of, cells_t* cells, Py_ssize_t begin,
+cdef void copy_analyser(const analyser_t* of, cells_t* cells, const Py_ssize_t* numbers,
                         Py_ssize_t n) noexcept nogil:
-    """Copy the analysers of n macropixels from number `begin` on."""
+    """Copy the analysers of n macropixels."""
     cdef Py_ssize_t j, i
-    cdef const float* row
     for j in range(ANALYSER):
-        row = of.numbers + j * of.size + (0 if of.one else begin)
         for i in range(n):
-            cells.analyser[j][i] = row[0 if of.one else i]
+            cells.analyser[j][i] = of.numbers[
+                j * of.size + (0 if of.one else numbers[i])]
 
 
-cdef bint set_cells(const showing_t* of, cells_t* cells, Py_ssize_t y, Py_ssize_t x,
-                    Py_ssize_t n) noexcept nogil:
-    """Copy n macropixels from column x of row y; return whether any is concerned."""
-    cdef Py_ssize_t i, k, at, size = of.rows * of.columns
-    cdef const float* lasting = of.lasting + y * of.columns + x
-    cdef float most = 0.0
+cdef void weigh_cells(const showing_t* of, cells_t* cells, const Py_ssize_t* numbers,
+                      const Py_ssize_t* corners, Py_ssize_t n) noexcept nogil:
+    """Weigh the degrees of n macropixels, whose first pixels are at corners."""
+    cdef Py_ssize_t i, k, place, size = of.rows * of.columns
     for i in range(n):
-        cells.share[i] = lasting[2 * size + i]
-        most = max(most, cells.share[i])
-    if not most > 0.0:
-        return False
-    for i in range(n):
-        cells.degree[i] = lasting[i]
-        cells.spread[i] = lasting[size + i]
+        cells.degree[i] = of.lasting[numbers[i]]
+        cells.spread[i] = of.lasting[size + numbers[i]]
+        cells.share[i] = of.lasting[2 * size + numbers[i]]
     for k in range(4):
-        at = (2 * y + k // 2) * of.w + 2 * x + k % 2
+        place = k // 2 * of.w + k % 2
         for i in range(n):
-            cells.log[k][i] = of.log[at + 2 * i]
-            cells.variance[k][i] = of.variance[at + 2 * i]
-            cells.share[i] *= of.valid[at + 2 * i] != 0
-    return True
+            cells.log[k][i] = of.log[corners[i] + place]
+            cells.variance[k][i] = of.variance[corners[i] + place]
+    weigh_degree(cells, n)
+    for k in range(4):
+        place = k // 2 * of.w + k % 2
+        for i in range(n):
+            of.log[corners[i] + place] = cells.log[k][i]
 
 
 cdef void weigh_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    """Weigh the macropixels of rows whose degree lasts and that are valid."""
     cdef const showing_t* of = <const showing_t*>args
+    cdef const float* share = of.lasting + 2 * of.rows * of.columns
+    cdef const uint8_t* valid
     cdef cells_t cells
-    cdef Py_ssize_t y, x, n, k, i, at, filled = 0
+    cdef Py_ssize_t[CELLS] numbers, corners
+    cdef Py_ssize_t y, x, n = 0
+    cdef bint filled = False
     for y in range(first, last):
-        n = 0
-        x = 0
-        while x + n < of.columns:
-            x += n
-            n = min(<Py_ssize_t>CELLS, of.columns - x)
-            if not set_cells(of, &cells, y, x, n):
-                continue
-            if not of.analyser.one or filled < n:
-                copy_analyser(&of.analyser, &cells, y * of.columns + x, n)
-                filled = n
-            weigh_degree(&cells, n)
-            for k in range(4):
-                at = (2 * y + k // 2) * of.w + 2 * x + k % 2
-                for i in range(n):
-                    if cells.share[i] > 0.0:
-                        of.log[at + 2 * i] = cells.log[k][i]
+        valid = of.valid + 2 * y * of.w
+        for x in range(of.columns):
+            if share[y * of.columns + x] > 0.0 and (
+                    valid[2 * x] and valid[2 * x + 1] and valid[of.w + 2 * x]
+                    and valid[of.w + 2 * x + 1]):
+                numbers[n] = y * of.columns + x
+                corners[n] = 2 * (y * of.w + x)
+                n += 1
+            if n == CELLS or (n and x == of.columns - 1 and y == last - 1):
+                # One analyser for all is copied once.
+                if not (of.analyser.one and filled):
+                    copy_analyser(&of.analyser, &cells, numbers,
+                                  CELLS if of.analyser.one else n)
+                    filled = True
+                weigh_cells(of, &cells, numbers, corners, n)
+                n = 0
 
 
 cdef void add_row(float* plane, Py_ssize_t w, const float* above, const float* own,
@@ -150,6 +151,7 @@ def degree_frame(const float[:, ::1] log not None,
     cdef float most, late, first, sure, error, mean, variance, share
     cdef analyser_t of
     cdef cells_t cells
+    cdef Py_ssize_t[CELLS] numbers
     cdef float* plane
     most, late, first, sure = constants
     if (log.shape[0] < 2 * h or log.shape[1] < 2 * w or planes.shape[0] != PLANES
@@ -168,8 +170,10 @@ def degree_frame(const float[:, ::1] log not None,
             while x + n < w:
                 x += n
                 n = min(<Py_ssize_t>CELLS, w - x)
+                for i in range(n):
+                    numbers[i] = y * w + x + i
                 if not of.one or filled < n:
-                    copy_analyser(&of, &cells, y * w + x, n)
+                    copy_analyser(&of, &cells, numbers, n)
                     filled = n
                 for k in range(4):
                     for i in range(n):

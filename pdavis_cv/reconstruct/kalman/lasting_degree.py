@@ -86,6 +86,8 @@ class LastingDegree:
         log : ndarray of float32, shape (H, W)
             NaN where a pixel has no usable sample.
         """
+        # Others may hold the arrays: they are replaced, never changed.
+        self._planes, self._lasting = self._planes.copy(), np.empty_like(self._lasting)
         _kernels.degree_frame(
             log, self._analyser, (FRAMES, LATE_FRAMES, FIRST_ERROR**2, SURE**2),
             self._planes, self._scratch, self._lasting)
@@ -114,17 +116,16 @@ class LastingDegree:
                 team), row_ns=_ROW_NS)
 
     def assign(self, other: LastingDegree) -> None:
-        """Copy the state of an equal object."""
-        self.restore(other.state())
+        """Take over the state of an equal object."""
+        self._planes, self._lasting = other._planes, other._lasting
 
     def state(self) -> Mapping[str, Any]:
-        """Return the state; `restore` copies it."""
-        return {"planes": self._planes.copy(), "lasting": self._lasting.copy()}
+        """Return the state, which nothing changes later."""
+        return {"planes": self._planes, "lasting": self._lasting}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Return to what `state` returned."""
-        np.copyto(self._planes, state["planes"])
-        np.copyto(self._lasting, state["lasting"])
+        self._planes, self._lasting = state["planes"], state["lasting"]
 
 
 def _places(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
