@@ -91,6 +91,7 @@ SHARED = (
     "_smoothed.pxd",
     "_stencil.h",
     "_team.h",
+    "_team.pxd",
     "_tracks.pxd",
     "_types.pxd",
     "_update.pxd",

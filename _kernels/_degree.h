@@ -7,14 +7,16 @@
 
 /* Macropixels that are computed together. */
 #define PDAVIS_CELLS 64
+/* Numbers of an analyser, and its parts at place k: solution, responses, null vector. */
 #define PDAVIS_ANALYSER 24
 #define PDAVIS_S(j) g->analyser[3 * k + (j)][i]
 #define PDAVIS_A(j) g->analyser[12 + 2 * k + (j) - 1][i]
 #define PDAVIS_NULL g->analyser[20 + k][i]
 /* Squared difference of the two degrees, relative to its variance, at which the one that
-   lasts has half of its weight: 3 sigma. */
+   lasts has half of its weight: 3 sigma, the usual bound of an outlier. */
 #define DOUBTFUL 9.0f
-/* Bounds of the factors of the degree, and of an intensity. */
+/* Bounds of the factors of the degree, and of an intensity: far beyond what a difference
+   of 3 sigma asks for where the degree is ten sigma; they keep intensities positive. */
 #define DEGREE_LEAST 0.5f
 #define DEGREE_MOST 2.0f
 #define LIGHT_LEAST 0.05f

@@ -2,6 +2,7 @@
 from libc.stdint cimport uint8_t
 
 from _kernels._model cimport check_given
+from _kernels._team cimport team_share, team_t
 
 cdef extern from "_degree.h" nogil:
     enum:
@@ -17,13 +18,8 @@ cdef extern from "_degree.h" nogil:
     void find_degree(cells_t*, Py_ssize_t)
     void weigh_degree(cells_t*, Py_ssize_t)
 
-cdef extern from "_team.h" nogil:
-    ctypedef struct team_t:
-        pass
-    ctypedef void (*pd_rows)(void*, Py_ssize_t, Py_ssize_t) noexcept nogil
-    void team_share(team_t*, bint, pd_rows, void*, Py_ssize_t, Py_ssize_t)
-
 cdef enum:
+    CHUNK = 8       # rows of macropixels that a thread takes at a time: 20 us
     # Planes of `degree_frame`: mean degree; frames in it; sums of squared errors of its
     # predictions, and their numbers, with a long and with a short memory.
     MEAN = 0
@@ -246,6 +242,6 @@ def lasting_degree(const float[:, :, ::1] lasting not None,
     of.log, of.variance, of.valid = &log[0, 0], &variance[0, 0], &valid[0, 0]
     with nogil:
         if address and first == 0:
-            team_share(<team_t*>address, wake, weigh_rows, &of, last, 1)
+            team_share(<team_t*>address, wake, weigh_rows, &of, last, CHUNK)
         else:
             weigh_rows(&of, first, last)

@@ -22,6 +22,7 @@ from _kernels._model cimport (
 from _kernels._segments cimport (
     add_segment, add_segments, begin_segments, begin_sums, de_blur, middle_row,
     segments_t, sums_t)
+from _kernels._team cimport team_share, team_t
 from _kernels._tracks cimport REST_US, at_rest, drift, part_t, start, step, walk_t
 from _kernels._update cimport (
     FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, propagate)
@@ -56,12 +57,6 @@ cdef extern from "_prefetch.h" nogil:
     enum:
         AHEAD "PDAVIS_AHEAD"
     void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
-
-cdef extern from "_team.h" nogil:
-    ctypedef struct team_t:
-        pass
-    ctypedef void (*pd_rows)(void*, Py_ssize_t, Py_ssize_t) noexcept nogil
-    void team_share(team_t*, bint, pd_rows, void*, Py_ssize_t, Py_ssize_t)
 
 cdef struct sum_t:
     # Integrals over the exposure of exp(y), exp(y) n_on and exp(y) n_off, where y is

@@ -18,6 +18,7 @@ from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport (
     enter_smoothed, gap_t, read_smoothed, resting_of, resting_t, show_resting)
+from _kernels._team cimport pd_rows, team_share, team_t
 from _kernels._tracks cimport REST_US, at_rest, start, walk_t
 
 cdef extern from "_prefetch.h" nogil:
@@ -30,12 +31,6 @@ cdef extern from "_rest.h" nogil:
     void smooth_row(const float*, const float*, const float*, const float*,
                     const float*, const float*, float, float, float, Py_ssize_t, float*,
                     float*, unsigned char*)
-
-cdef extern from "_team.h" nogil:
-    ctypedef struct team_t:
-        pass
-    ctypedef void (*pd_rows)(void*, Py_ssize_t, Py_ssize_t) noexcept nogil
-    void team_share(team_t*, bint, pd_rows, void*, Py_ssize_t, Py_ssize_t)
 
 cdef enum:
     # Rows, and groups of lanes, that a thread takes at a time: about 10 us.

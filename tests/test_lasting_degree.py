@@ -165,14 +165,16 @@ def test_it_is_the_mean_weighted_by_the_inverse_variances():
 
 @pytest.mark.parametrize("pixels", [False, True])
 def test_threads_change_nothing(pixels):
-    shape = 130, 140
+    shape = 1300, 140       # so that a band takes long enough to be shared
     response = response_of(shape, 3 if pixels else None)
     method = fed(LastingDegree(shape, response if pixels else None), response)
     images = []
     for threads in (1, 2, 5):
         log = light_of(response, degree=0.5).astype(np.float32)
         variance, valid = shown(shape)
-        method.weigh(log, variance, valid, Workers(threads))
+        workers = Workers(threads)
+        method.weigh(log, variance, valid, workers)
+        assert (workers._pool is not None) == (threads > 1)
         images.append(log)
     np.testing.assert_array_equal(images[0], images[1])
     np.testing.assert_array_equal(images[0], images[2])
