@@ -30,6 +30,46 @@ typedef struct {
     float analyser[PDAVIS_ANALYSER][PDAVIS_CELLS];
 } cells_t;
 
+/* Mark with 1 the n macropixels of two rows whose degree counts, and that are valid (1)
+   at all four places. */
+PDAVIS_CLONES PDAVIS_UNUSED static void mark_lasting(
+    const float *restrict share, const unsigned char *restrict upper,
+    const unsigned char *restrict lower, ptrdiff_t n, unsigned char *restrict marks)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++)
+        marks[i] = upper[2 * i] & upper[2 * i + 1] & lower[2 * i] & lower[2 * i + 1]
+            & (share[i] > 0.0f);
+}
+
+/* Copy two rows of pixels to the places of n macropixels. */
+PDAVIS_INLINE void to_places(
+    const float *restrict upper, const float *restrict lower, ptrdiff_t n,
+    float *restrict p0, float *restrict p1, float *restrict p2, float *restrict p3)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        p0[i] = upper[2 * i];
+        p1[i] = upper[2 * i + 1];
+        p2[i] = lower[2 * i];
+        p3[i] = lower[2 * i + 1];
+    }
+}
+
+/* The other way. */
+PDAVIS_INLINE void from_places(
+    const float *restrict p0, const float *restrict p1, const float *restrict p2,
+    const float *restrict p3, ptrdiff_t n, float *restrict upper, float *restrict lower)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        upper[2 * i] = p0[i];
+        upper[2 * i + 1] = p1[i];
+        lower[2 * i] = p2[i];
+        lower[2 * i + 1] = p3[i];
+    }
+}
+
 /* Degree of polarization of n macropixels, from log intensities; NaN without light. */
 PDAVIS_CLONES PDAVIS_UNUSED static void find_degree(cells_t *restrict g, ptrdiff_t n)
 {
@@ -52,42 +92,48 @@ PDAVIS_CLONES PDAVIS_UNUSED static void find_degree(cells_t *restrict g, ptrdiff
 
 /* Change the log intensities of n macropixels, in proportion to S1 and S2, so that the
    degree of polarization becomes the mean of its own and the one that lasts, weighted by
-   their inverse variances. */
+   their inverse variances.  Those without a share stay as they are. */
 PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdiff_t n)
 {
+    float light[4][PDAVIS_CELLS], power[4][PDAVIS_CELLS], more[PDAVIS_CELLS];
+    float s1[PDAVIS_CELLS], s2[PDAVIS_CELLS];
     ptrdiff_t i;
+    int k;
+    /* Three short loops: a long one waits for its own results. */
+    for (k = 0; k < 4; k++)
+        for (i = 0; i < n; i++) {
+            float q = pd_exp(g->log[k][i]);
+            light[k][i] = q;
+            power[k][i] = g->variance[k][i] * q * q;
+        }
     for (i = 0; i < n; i++) {
-        float light[4], power[4], c[4], gap = 0.0f, total = NO_LIGHT;
-        float s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, cross = 0.0f, variance = 0.0f;
-        float length, per_length, per_s0, own, u1, u2, apart, per_sum, weight, more;
-        int k;
+        float gap = 0.0f, total = NO_LIGHT, s0 = 0.0f, cross = 0.0f, variance = 0.0f;
+        float length, per_length, per_s0, own, u1, u2, apart, per_sum, weight, by;
+        float of1 = 0.0f, of2 = 0.0f;
         for (k = 0; k < 4; k++) {
-            light[k] = pd_exp(g->log[k][i]);
-            power[k] = g->variance[k][i] * light[k] * light[k];
-            c[k] = PDAVIS_NULL;
-            gap += c[k] * light[k];
-            total += c[k] * c[k] * power[k];
+            gap += PDAVIS_NULL * light[k][i];
+            total += PDAVIS_NULL * PDAVIS_NULL * power[k][i];
         }
         total = 1.0f / total;       /* divisions take most of the time */
         gap *= total;
         for (k = 0; k < 4; k++) {       /* as `reconcile` */
-            float q = light[k] - power[k] * c[k] * gap;
+            float q = light[k][i] - power[k][i] * PDAVIS_NULL * gap;
             s0 += PDAVIS_S(0) * q;
-            s1 += PDAVIS_S(1) * q;
-            s2 += PDAVIS_S(2) * q;
+            of1 += PDAVIS_S(1) * q;
+            of2 += PDAVIS_S(2) * q;
         }
         s0 = s0 > NO_LIGHT ? s0 : NO_LIGHT;
-        length = NO_LIGHT + sqrtf(s1 * s1 + s2 * s2);
+        length = NO_LIGHT + sqrtf(of1 * of1 + of2 * of2);
         per_s0 = 1.0f / s0;
         per_length = 1.0f / length;
         own = length * per_s0;
-        u1 = s1 * per_length;
-        u2 = s2 * per_length;
+        u1 = of1 * per_length;
+        u2 = of2 * per_length;
         for (k = 0; k < 4; k++) {
             float slope = per_s0 * (
                 u1 * PDAVIS_S(1) + u2 * PDAVIS_S(2) - own * PDAVIS_S(0));
-            variance += slope * slope * power[k];
-            cross += slope * c[k] * power[k];
+            variance += slope * slope * power[k][i];
+            cross += slope * PDAVIS_NULL * power[k][i];
         }
         variance -= cross * cross * total;
         variance = variance > 0.0f ? variance : 0.0f;
@@ -95,15 +141,20 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
         per_sum = 1.0f / (NO_LIGHT + variance + g->spread[i]);
         weight = apart * apart * per_sum * (1.0f / DOUBTFUL);
         weight = g->share[i] * variance * per_sum / (1.0f + weight * weight);
-        more = 1.0f + weight * apart * s0 * per_length;
-        more = more > DEGREE_LEAST ? more : DEGREE_LEAST;
-        more = (more < DEGREE_MOST ? more : DEGREE_MOST) - 1.0f;
-        for (k = 0; k < 4; k++) {
-            float q = light[k] + more * (PDAVIS_A(1) * s1 + PDAVIS_A(2) * s2);
-            float least = LIGHT_LEAST * light[k];
-            g->log[k][i] = pd_log(q > least ? q : least);
-        }
+        by = 1.0f + weight * apart * s0 * per_length;
+        by = by > DEGREE_LEAST ? by : DEGREE_LEAST;
+        more[i] = (by < DEGREE_MOST ? by : DEGREE_MOST) - 1.0f;
+        s1[i] = of1;
+        s2[i] = of2;
     }
+    for (k = 0; k < 4; k++)
+        for (i = 0; i < n; i++) {
+            float q = light[k][i]
+                + more[i] * (PDAVIS_A(1) * s1[i] + PDAVIS_A(2) * s2[i]);
+            float least = LIGHT_LEAST * light[k][i];
+            q = pd_log(q > least ? q : least);
+            g->log[k][i] = g->share[i] > 0.0f ? q : g->log[k][i];
+        }
 }
 
 #endif

@@ -1,5 +1,6 @@
 """The degree of polarization that lasts: docs/theory/kalman.md derives it."""
 from libc.stdint cimport uint8_t
+from libc.string cimport memchr
 
 from _kernels._model cimport check_given
 from _kernels._team cimport team_share, team_t
@@ -15,11 +16,18 @@ cdef extern from "_degree.h" nogil:
         float spread[CELLS]
         float share[CELLS]
         float analyser[ANALYSER][CELLS]
+    void mark_lasting(const float*, const unsigned char*, const unsigned char*,
+                      Py_ssize_t, unsigned char*)
+    void to_places(const float*, const float*, Py_ssize_t, float*, float*, float*,
+                   float*)
+    void from_places(const float*, const float*, const float*, const float*, Py_ssize_t,
+                     float*, float*)
     void find_degree(cells_t*, Py_ssize_t)
     void weigh_degree(cells_t*, Py_ssize_t)
 
 cdef enum:
     CHUNK = 8       # rows of macropixels that a thread takes at a time: 20 us
+    BRIDGED = 4     # most unused macropixels within a run: a run costs more than these
     # Planes of `degree_frame`: mean degree; frames in it; sums of squared errors of its
     # predictions, and their numbers, with a long and with a short memory.
     MEAN = 0
@@ -57,34 +65,109 @@ cdef int set_analyser(analyser_t* of, const float[:, :, ::1] numbers, Py_ssize_t
     return 0
 
 
-cdef void copy_analyser(const analyser_t* of, cells_t* cells, const Py_ssize_t* numbers,
-                        Py_ssize_t n) noexcept nogil:
-    """Copy the analysers of n macropixels."""
+cdef struct run_t:
+    # Adjacent macropixels of a row: number of the first one and index of its first
+    # pixel, and which of the cells they are.
+    Py_ssize_t number, corner
+    Py_ssize_t at, n
+
+cdef struct group_t:
+    # Runs of macropixels that are computed together.
+    cells_t cells
+    run_t[CELLS] runs
+    Py_ssize_t count, n     # of runs, of cells
+    bint filled             # whether all cells have the one analyser
+
+
+cdef void copy_analyser(const analyser_t* of, cells_t* cells,
+                        const run_t* run) noexcept nogil:
+    """Copy the analysers of a run, each with its own."""
     cdef Py_ssize_t j, i
     for j in range(ANALYSER):
-        for i in range(n):
-            cells.analyser[j][i] = of.numbers[
-                j * of.size + (0 if of.one else numbers[i])]
+        for i in range(run.n):
+            cells.analyser[j][run.at + i] = of.numbers[j * of.size + run.number + i]
 
 
-cdef void weigh_cells(const showing_t* of, cells_t* cells, const Py_ssize_t* numbers,
-                      const Py_ssize_t* corners, Py_ssize_t n) noexcept nogil:
-    """Weigh the degrees of n macropixels, whose first pixels are at corners."""
-    cdef Py_ssize_t i, k, place, size = of.rows * of.columns
+cdef void fill_analyser(const analyser_t* of, group_t* group) noexcept nogil:
+    """Copy the one analyser of all macropixels to all cells."""
+    cdef Py_ssize_t j, i
+    for j in range(ANALYSER):
+        for i in range(CELLS):
+            group.cells.analyser[j][i] = of.numbers[j]
+    group.filled = True
+
+
+cdef void empty(group_t* group) noexcept nogil:
+    """Take the runs out of a group."""
+    group.count = 0
+    group.n = 0
+
+
+cdef run_t* add_run(group_t* group, const analyser_t* of, const float* log,
+                    Py_ssize_t w, Py_ssize_t number, Py_ssize_t corner,
+                    Py_ssize_t n) noexcept nogil:
+    """Add n macropixels, their log intensities and analysers, to a group."""
+    cdef run_t* run = &group.runs[group.count]
+    cdef cells_t* cells = &group.cells
+    run.number, run.corner, run.at, run.n = number, corner, group.n, n
+    group.count += 1
+    group.n += n
+    if not of.one:
+        copy_analyser(of, cells, run)
+    elif not group.filled:
+        fill_analyser(of, group)
+    to_places(log + corner, log + corner + w, n, &cells.log[0][run.at],
+              &cells.log[1][run.at], &cells.log[2][run.at], &cells.log[3][run.at])
+    return run
+
+
+cdef void weigh_group(const showing_t* of, group_t* group) noexcept nogil:
+    """Weigh the degrees of a group and write its log intensities back."""
+    cdef cells_t* cells = &group.cells
+    cdef const run_t* run
+    cdef float* upper
+    cdef Py_ssize_t i
+    if group.n == 0:
+        return
+    weigh_degree(cells, group.n)
+    for i in range(group.count):
+        run = &group.runs[i]
+        upper = of.log + run.corner
+        from_places(&cells.log[0][run.at], &cells.log[1][run.at],
+                    &cells.log[2][run.at], &cells.log[3][run.at], run.n, upper,
+                    upper + of.w)
+    empty(group)
+
+
+cdef void add_to_weigh(const showing_t* of, group_t* group, Py_ssize_t number,
+                       Py_ssize_t corner, const uint8_t* marks,
+                       Py_ssize_t n) noexcept nogil:
+    """Add n macropixels to a group with all that `weigh_degree` takes.
+
+    Those whose mark is 0 have no share.
+    """
+    cdef Py_ssize_t i, size = of.rows * of.columns
+    cdef cells_t* cells = &group.cells
+    cdef const float* lasting = of.lasting + number
+    cdef const float* variance = of.variance + corner
+    cdef const run_t* run = add_run(
+        group, &of.analyser, of.log, of.w, number, corner, n)
+    to_places(variance, variance + of.w, n, &cells.variance[0][run.at],
+              &cells.variance[1][run.at], &cells.variance[2][run.at],
+              &cells.variance[3][run.at])
     for i in range(n):
-        cells.degree[i] = of.lasting[numbers[i]]
-        cells.spread[i] = of.lasting[size + numbers[i]]
-        cells.share[i] = of.lasting[2 * size + numbers[i]]
-    for k in range(4):
-        place = k // 2 * of.w + k % 2
-        for i in range(n):
-            cells.log[k][i] = of.log[corners[i] + place]
-            cells.variance[k][i] = of.variance[corners[i] + place]
-    weigh_degree(cells, n)
-    for k in range(4):
-        place = k // 2 * of.w + k % 2
-        for i in range(n):
-            of.log[corners[i] + place] = cells.log[k][i]
+        cells.degree[run.at + i] = lasting[i]
+        cells.spread[run.at + i] = lasting[size + i]
+        cells.share[run.at + i] = lasting[2 * size + i] * marks[i]
+
+
+cdef inline Py_ssize_t position(const uint8_t* marks, int mark, Py_ssize_t first,
+                                Py_ssize_t n) noexcept nogil:
+    """Return where the next mark is from `first` on; n: nowhere."""
+    cdef const uint8_t* found = NULL
+    if first < n:
+        found = <const uint8_t*>memchr(marks + first, mark, n - first)
+    return n if found == NULL else found - marks
 
 
 cdef void weigh_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
@@ -92,27 +175,35 @@ cdef void weigh_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nog
     cdef const showing_t* of = <const showing_t*>args
     cdef const float* share = of.lasting + 2 * of.rows * of.columns
     cdef const uint8_t* valid
-    cdef cells_t cells
-    cdef Py_ssize_t[CELLS] numbers, corners
-    cdef Py_ssize_t y, x, n = 0
-    cdef bint filled = False
+    cdef group_t group
+    cdef uint8_t[CELLS] marks
+    cdef Py_ssize_t y, part, x, n, begin, end, after, some, number, corner
+    empty(&group)
+    group.filled = False
     for y in range(first, last):
-        valid = of.valid + 2 * y * of.w
-        for x in range(of.columns):
-            if share[y * of.columns + x] > 0.0 and (
-                    valid[2 * x] and valid[2 * x + 1] and valid[of.w + 2 * x]
-                    and valid[of.w + 2 * x + 1]):
-                numbers[n] = y * of.columns + x
-                corners[n] = 2 * (y * of.w + x)
-                n += 1
-            if n == CELLS or (n and x == of.columns - 1 and y == last - 1):
-                # One analyser for all is copied once.
-                if not (of.analyser.one and filled):
-                    copy_analyser(&of.analyser, &cells, numbers,
-                                  CELLS if of.analyser.one else n)
-                    filled = True
-                weigh_cells(of, &cells, numbers, corners, n)
-                n = 0
+        for part in range((of.columns + CELLS - 1) // CELLS):
+            x = part * CELLS
+            n = min(<Py_ssize_t>CELLS, of.columns - x)
+            number = y * of.columns + x
+            corner = 2 * (y * of.w + x)
+            valid = of.valid + corner
+            mark_lasting(share + number, valid, valid + of.w, n, marks)
+            begin = position(marks, 1, 0, n)
+            while begin < n:
+                end = position(marks, 0, begin, n)
+                after = position(marks, 1, end, n)
+                while after < n and after - end <= BRIDGED:
+                    end = position(marks, 0, after, n)
+                    after = position(marks, 1, end, n)
+                while begin < end:
+                    some = min(end - begin, CELLS - group.n)
+                    add_to_weigh(of, &group, number + begin, corner + 2 * begin,
+                                 marks + begin, some)
+                    begin += some
+                    if group.n == CELLS:
+                        weigh_group(of, &group)
+                begin = after
+    weigh_group(of, &group)
 
 
 cdef void add_row(float* plane, Py_ssize_t w, const float* above, const float* own,
@@ -142,12 +233,11 @@ def degree_frame(const float[:, ::1] log not None,
     first; scratch is (2, h + 2, w), 0 in its first and last rows; lasting (3, h, w)
     receives the degree, its variance and its share.
     """
-    cdef Py_ssize_t h = planes.shape[1], w = planes.shape[2], filled = 0
-    cdef Py_ssize_t x, y, n, k, i
+    cdef Py_ssize_t h = planes.shape[1], w = planes.shape[2]
+    cdef Py_ssize_t part, x, y, n, k, i
     cdef float most, late, first, sure, error, mean, variance, share
     cdef analyser_t of
-    cdef cells_t cells
-    cdef Py_ssize_t[CELLS] numbers
+    cdef group_t group
     cdef float* plane
     most, late, first, sure = constants
     if (log.shape[0] < 2 * h or log.shape[1] < 2 * w or planes.shape[0] != PLANES
@@ -160,26 +250,19 @@ def degree_frame(const float[:, ::1] log not None,
     if h * w == 0:
         return
     with nogil:
+        group.filled = False
         for y in range(h):
-            n = 0
-            x = 0
-            while x + n < w:
-                x += n
+            for part in range((w + CELLS - 1) // CELLS):
+                x = part * CELLS
                 n = min(<Py_ssize_t>CELLS, w - x)
-                for i in range(n):
-                    numbers[i] = y * w + x + i
-                if not of.one or filled < n:
-                    copy_analyser(&of, &cells, numbers, n)
-                    filled = n
-                for k in range(4):
-                    for i in range(n):
-                        cells.log[k][i] = log[2 * y + k // 2, 2 * (x + i) + k % 2]
-                find_degree(&cells, n)
+                empty(&group)
+                add_run(&group, &of, &log[2 * y, 2 * x], log.shape[1], y * w + x, 0, n)
+                find_degree(&group.cells, n)
                 for i in range(n):
                     scratch[0, y + 1, x + i] = scratch[1, y + 1, x + i] = 0.0
-                    if cells.degree[i] != cells.degree[i]:
+                    if group.cells.degree[i] != group.cells.degree[i]:
                         continue
-                    error = cells.degree[i] - planes[MEAN, y, x + i]
+                    error = group.cells.degree[i] - planes[MEAN, y, x + i]
                     if planes[SEEN, y, x + i] > 0.0:
                         scratch[0, y + 1, x + i] = error * error
                         scratch[1, y + 1, x + i] = 1.0

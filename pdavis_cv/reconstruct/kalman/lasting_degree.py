@@ -31,7 +31,7 @@ with structure has an apparent degree.  Chosen on the real DAVIS346, which has n
 polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.03 %.
 `studies/lasting_degree.py` compares both with 20 on specimens that no score uses."""
 
-_CELL_NS = 15
+_CELL_NS = 9
 """Time that a macropixel takes, ns."""
 
 _PLANES = 6
