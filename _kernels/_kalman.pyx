@@ -328,7 +328,6 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     s.var_base += slot.added
     slot.theta2 = 0.0
     slot.middle = 0.0
-    slot.node.level = sample.log
     slot.node.h_on = 0.0
     slot.node.h_off = 0.0
     s.part = 0.0
@@ -536,8 +535,6 @@ cdef inline void predict(const using_t* of, state_t* s, const sample_t* sample,
     cdef bint steady = of.lamp.blocks == 0
     if s.samples == 1:
         s.base = sample.log - blur.log
-    slot.node.level = <float>(
-        sample.log - blur.log + h_on * s.theta_on + h_off * s.theta_off)
     slot.node.h_on = <float>h_on
     slot.node.h_off = <float>h_off
     slot.middle = blur.middle
@@ -547,7 +544,9 @@ cdef inline void predict(const using_t* of, state_t* s, const sample_t* sample,
     group.h_off[i] = h_off
     group.innovation[i] = sample.log - s.base - blur.log
     group.third[i] = third_difference(
-        s, sample.log if steady else slot.node.level, slot.moved)
+        s, sample.log if steady else <float>(
+            sample.log - blur.log + h_on * s.theta_on + h_off * s.theta_off),
+        slot.moved)
     group.rests[i] = s.quiet >= THIRD and group.unit[i] == 0.0
 
 
@@ -575,6 +574,10 @@ cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
                         state_t* s, float* middle) noexcept nogil:
     """Copy the updated state from the group; complete the smoother's node."""
     cdef double p_noise = group.p_noise[i]
+    # Of the sample as `measure` has linearized it, so that R belongs to it.
+    slot.node.level = <float>(
+        s.base + group.innovation[i] + group.h_on[i] * s.theta_on
+        + group.h_off[i] * s.theta_off)
     slot.node.noise = <float>group.noise[i]
     # The smoother counts a possible noise event in full: its squared bias is added.
     slot.node.drift = <float>(

@@ -265,7 +265,8 @@ class Pixel:
         if error**2 > 16 * (self.P[0, 0] + noise):
             self.P[0, 0] += error**2
             added += error**2
-        self.nodes.append(Node(mid, at, sample, np.zeros(2), noise, added))
+        self.nodes.append(Node(
+            mid, at, self.x[0] + error, np.zeros(2), noise, added))
         v = self.P[0, 0] + noise
         K = self.P[:, 0] / v
         K[1:] = 0
@@ -369,6 +370,7 @@ class Pixel:
         if error**2 > 16 * v:
             self.P[0, 0] += error**2
             added += error**2
+        level = self.x[0] + error + H[1:] @ self.x[1:]
         self.nodes.append(Node(mid, at, level, H[1:], noise,
                                added + theta2 * p_noise**2))
         PH = self.P @ H

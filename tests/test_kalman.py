@@ -369,6 +369,22 @@ def test_frames_after_a_time_make_offline_images_better(nominal_recording):
     assert np.degrees(error["offline"]) < 0.35
 
 
+@pytest.mark.parametrize("dn", [6.0, 12.0, 50.0])
+def test_after_the_last_frame_offline_images_are_those_of_the_filter(dn):
+    # Both linearize a sample where the filter sees the light.  Logarithms of the noisy
+    # samples themselves would give 6 % less light at 6 DN.  The filter's first base has
+    # a variance of 100, and the smoother's none.
+    methods = [make((10, 12), mode=mode) for mode in ("buffered", "offline")]
+    rng = np.random.default_rng(3)
+    for start in range(0, 1_000_000, 50_000):
+        noisy = rng.normal(dn, np.sqrt(4 + dn / 10), (10, 12)).clip(1)
+        for method in methods:
+            method.add_frame(ApsFrame(noisy, start, start + 10_000))
+    filtered, smoothed = (method.read(960_000) for method in methods)
+    np.testing.assert_allclose(
+        smoothed.log_intensity, filtered.log_intensity, atol=1e-3)
+
+
 def test_a_pixel_without_a_sample_before_t_is_known_from_the_one_after():
     method = make((1, 2), mode="offline", lookahead_us=200_000)
     events = np.zeros(1, EVENT_DTYPE)

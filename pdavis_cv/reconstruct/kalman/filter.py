@@ -407,8 +407,7 @@ class KalmanFilter(Reconstructor):
         one = self._ahead(due, seen) if due else self
         one._show(t, log, variance, valid.view(np.uint8))
         self._saturated.fill(t, one._unknown, log, variance, valid, self.workers)
-        if one._smoother is None:   # which uses later frames instead
-            one._lasting.weigh(log, variance, valid.view(np.uint8), self.workers)
+        one._lasting.weigh(log, variance, valid.view(np.uint8), self.workers)
         return Estimate(log, variance, valid)
 
     def settle(self, t_us: int) -> None:
