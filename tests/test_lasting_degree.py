@@ -77,6 +77,8 @@ def test_it_equals_its_twin(given, shape):
     before = log.copy()
     method.weigh(log, variance, valid, Workers(1))
     np.testing.assert_allclose(log, expected, atol=2e-4)
+    used = cells(valid).all(-1) & (method.state()["lasting"][2] > 0)
+    np.testing.assert_array_equal(cells(log)[~used], cells(before)[~used])
     if min(shape) > 2:
         assert np.abs(log - before).max() > 0.01
     odd = [side // 2 * 2 for side in shape]
