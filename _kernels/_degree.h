@@ -96,7 +96,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void find_degree(cells_t *restrict g, ptrdiff
 PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdiff_t n)
 {
     float light[4][PDAVIS_CELLS], power[4][PDAVIS_CELLS], more[PDAVIS_CELLS];
-    float s1[PDAVIS_CELLS], s2[PDAVIS_CELLS];
+    float s1_of[PDAVIS_CELLS], s2_of[PDAVIS_CELLS];
     ptrdiff_t i;
     int k;
     /* Three short loops: a long one waits for its own results. */
@@ -108,8 +108,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
         }
     for (i = 0; i < n; i++) {
         float gap = 0.0f, total = NO_LIGHT, s0 = 0.0f, cross = 0.0f, variance = 0.0f;
-        float length, per_length, per_s0, own, u1, u2, apart, per_sum, weight, by;
-        float of1 = 0.0f, of2 = 0.0f;
+        float length, per_length, per_s0, own, u1, u2, apart, per_sum, weight, factor;
+        float s1 = 0.0f, s2 = 0.0f;
         for (k = 0; k < 4; k++) {
             gap += PDAVIS_NULL * light[k][i];
             total += PDAVIS_NULL * PDAVIS_NULL * power[k][i];
@@ -119,16 +119,16 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
         for (k = 0; k < 4; k++) {       /* as `reconcile` */
             float q = light[k][i] - power[k][i] * PDAVIS_NULL * gap;
             s0 += PDAVIS_S(0) * q;
-            of1 += PDAVIS_S(1) * q;
-            of2 += PDAVIS_S(2) * q;
+            s1 += PDAVIS_S(1) * q;
+            s2 += PDAVIS_S(2) * q;
         }
         s0 = s0 > NO_LIGHT ? s0 : NO_LIGHT;
-        length = NO_LIGHT + sqrtf(of1 * of1 + of2 * of2);
+        length = NO_LIGHT + sqrtf(s1 * s1 + s2 * s2);
         per_s0 = 1.0f / s0;
         per_length = 1.0f / length;
         own = length * per_s0;
-        u1 = of1 * per_length;
-        u2 = of2 * per_length;
+        u1 = s1 * per_length;
+        u2 = s2 * per_length;
         for (k = 0; k < 4; k++) {
             float slope = per_s0 * (
                 u1 * PDAVIS_S(1) + u2 * PDAVIS_S(2) - own * PDAVIS_S(0));
@@ -141,16 +141,16 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
         per_sum = 1.0f / (NO_LIGHT + variance + g->spread[i]);
         weight = apart * apart * per_sum * (1.0f / DOUBTFUL);
         weight = g->share[i] * variance * per_sum / (1.0f + weight * weight);
-        by = 1.0f + weight * apart * s0 * per_length;
-        by = by > DEGREE_LEAST ? by : DEGREE_LEAST;
-        more[i] = (by < DEGREE_MOST ? by : DEGREE_MOST) - 1.0f;
-        s1[i] = of1;
-        s2[i] = of2;
+        factor = 1.0f + weight * apart * s0 * per_length;
+        factor = factor > DEGREE_LEAST ? factor : DEGREE_LEAST;
+        more[i] = (factor < DEGREE_MOST ? factor : DEGREE_MOST) - 1.0f;
+        s1_of[i] = s1;
+        s2_of[i] = s2;
     }
     for (k = 0; k < 4; k++)
         for (i = 0; i < n; i++) {
             float q = light[k][i]
-                + more[i] * (PDAVIS_A(1) * s1[i] + PDAVIS_A(2) * s2[i]);
+                + more[i] * (PDAVIS_A(1) * s1_of[i] + PDAVIS_A(2) * s2_of[i]);
             float least = LIGHT_LEAST * light[k][i];
             q = pd_log(q > least ? q : least);
             g->log[k][i] = g->share[i] > 0.0f ? q : g->log[k][i];

@@ -26,7 +26,7 @@ cdef extern from "_degree.h" nogil:
     void weigh_degree(cells_t*, Py_ssize_t)
 
 cdef enum:
-    CHUNK = 8       # rows of macropixels that a thread takes at a time: 20 us
+    CHUNK = 8       # rows of macropixels that a thread takes at a time: 12 us
     BRIDGED = 4     # most unused macropixels within a run: a run costs more than these
     # Planes of `degree_frame`: mean degree; frames in it; sums of squared errors of its
     # predictions, and their numbers, with a long and with a short memory.

@@ -98,9 +98,14 @@ cdef inline void rebalance(const balance_t* m, const policy_t* policy,
     Their sum is that of the prior.  For a pixel whose ratio is farther from the prior's
     than the line's error explains, the prior is widened.
     """
-    cdef double total = s.prior_on + s.prior_off, travel = 0.25 * total * m.weight
+    cdef double total = s.prior_on + s.prior_off
+    # Half of the events lead in one direction, by the mean threshold each.
+    cdef double travel = 0.5 * m.weight * (0.5 * total)
     cdef double before, part, swing, error, ratio, believed
     cdef double least = policy.part_least, spread = policy.ratio_sigma
+    # If a pixel's ratio is off by this spread, its sum of events grows by so many
+    # thresholds per event.
+    cdef double trend = 0.5 * spread
     if m.var_all <= 0.0:
         return
     # A line fitted to N periods has an error of line_error / (2 N)^2.  1 / (2 N) is
@@ -113,7 +118,7 @@ cdef inline void rebalance(const balance_t* m, const policy_t* policy,
     if swing >= 1.0:
         return
     error = 4.0 * (m.var_on / m.var_all - part * part)
-    swing -= 0.25 * spread * spread
+    swing -= trend * trend
     swing = swing if swing > error else error
     error = error if error > 4.0 / (travel * travel) else 4.0 / (travel * travel)
     error = policy.line_error * (error if error < swing else swing)

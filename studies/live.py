@@ -107,8 +107,12 @@ def image(folder: Path, args: argparse.Namespace) -> None:
     used = (time.process_time() - cpu) / (time.monotonic() - begun)
     told(f"first {LEARN_S:g} s", [value for t, value in late if t < LEARN_S])
     told("after", [value for t, value in late if t >= LEARN_S])
-    worst = sorted(late, key=lambda one: -one[1])[:8]
-    print("worst at", ", ".join(f"{t:.1f} s: {v:.0f}" for t, v in sorted(worst)))
+    # An image whose successor is due is skipped, so that ages alone do not show for how
+    # long none has come.
+    gaps = [(t, 1e3 * (t - before)) for (before, _), (t, _) in itertools.pairwise(late)]
+    for name, values in (("oldest", late), ("longest gaps", gaps)):
+        worst = sorted(values, key=lambda one: -one[1])[:8]
+        print(name, ", ".join(f"{v:.0f} ms at {t:.1f} s" for t, v in sorted(worst)))
     print(f"{used:.2f} CPU-s per s, skipped {stats.skipped_images}, dropped "
           f"{stats.dropped_events}, {stats.events_per_s / 1e6:.2f} Mev/s, load "
           f"{os.getloadavg()[0]:.1f}")

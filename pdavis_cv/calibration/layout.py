@@ -102,13 +102,15 @@ def place_signals(
     Raises
     ------
     ValueError
-        If there are fewer than eight samples.
+        If there is no such source, or there are fewer than eight samples.
     """
+    if source not in _COLLECTORS:
+        raise ValueError(
+            f"source must be one of {sorted(_COLLECTORS)}, got {source!r}")
     height, width = recording.info.sensor_size
     x, y, w, h = roi or (0, 0, width, height)
     packets = recording.packets(start_us, stop_us)
-    collect = _from_frames if source == "frames" else _from_events
-    times, signal = collect(packets, (x, y, x + w, y + h))
+    times, signal = _COLLECTORS[source](packets, (x, y, x + w, y + h))
     if len(times) < 8:
         raise ValueError(
             f"a layout needs at least eight samples of {source}, got {len(times)}")
@@ -163,6 +165,10 @@ def _from_events(
         return np.zeros(0, np.int64), np.zeros((0, 4))
     times = origin + _BIN_US * np.arange(1, last + 2)
     return times, np.cumsum(sums[:last + 1], axis=0) / pixels
+
+
+_COLLECTORS = {"frames": _from_frames, "events": _from_events}
+"""By source what returns times, and the mean log intensity of each place."""
 
 
 def detect_layout(

@@ -5,9 +5,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-__all__ = ["Network", "make_network"]
+__all__ = ["WIDTH", "Network"]
 
 WIDTH = 16
+"""Planes of each hidden layer."""
 
 
 class ConvGru(nn.Module):
@@ -70,26 +71,3 @@ class Network(nn.Module):
             if self.direct:
                 y = torch.cat((y, x[:, -self.direct:]), 1)
             return self.pred(y), h1, h2
-
-
-def make_network(name: str) -> Network:
-    """Make a network with initial weights.
-
-    ``firenet`` maps the bins of one channel to its intensity.  ``joint`` maps bins and
-    integrals of all channels to ln S0 at each of the four pixels, as corrections of
-    their slow integrals, and to S1/S0 and S2/S0.
-    """
-    if name == "firenet":
-        net = Network(5, 1)
-        bias = net.pred.bias
-        assert bias is not None
-        nn.init.constant_(bias, 0.5)
-        return net
-    net = Network(28, 6, direct=8)
-    with torch.no_grad():
-        net.pred.weight[:, WIDTH:] = 0
-        for c in range(4):
-            net.pred.weight[c, WIDTH + 1::2] = 0.1
-            net.pred.weight[c, WIDTH + 2 * c + 1] = 0.5
-        nn.init.zeros_(net.pred.bias)  # type: ignore[arg-type]
-    return net

@@ -12,12 +12,10 @@ import torch
 from pdavis_cv._beside import write_beside
 from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.training.clips import UNIT, Chunk, Clips
-from pdavis_cv.training.networks import WIDTH, make_network
+from pdavis_cv.training.networks import WIDTH
+from pdavis_cv.training.tasks import Task, task_of
 
 __all__ = ["Recipe", "Trainer", "train"]
-
-DARKEST = 1e-2
-"""Intensity below which ``firenet`` counts as dark, where mean S0 is 1."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +59,11 @@ class Trainer:
     def __init__(self, recipe: Recipe) -> None:
         self.recipe = recipe
         torch.manual_seed(recipe.seed)
-        self.net = make_network(recipe.network)
+        self._task = task_of(recipe.network)
+        self.net = self._task.network()
         self.optimizer = torch.optim.Adam(self.net.parameters(), lr=recipe.rate)
         self.clips = Clips(recipe.batch, recipe.side, recipe.seed)
-        self.planes = recipe.batch * (4 if recipe.network == "firenet" else 1)
-        shape = (self.planes, WIDTH, recipe.side, recipe.side)
+        shape = (recipe.batch * self._task.runs, WIDTH, recipe.side, recipe.side)
         self.states = [torch.zeros(shape), torch.zeros(shape)]
         self.step = 0
         self.pixel_steps = 0  # number of cells times windows so far
@@ -79,7 +77,7 @@ class Trainer:
             group["lr"] = rate * min(1, (self.step + 1) / 100)
         chunk = self.clips.chunk(recipe.windows)
         outputs = self._forward(chunk)
-        loss, scores = score(outputs, chunk, recipe.network)
+        loss, scores = score(outputs, chunk, self._task)
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
@@ -89,11 +87,9 @@ class Trainer:
         return scores
 
     def _forward(self, chunk: Chunk) -> torch.Tensor:
-        keep = (~chunk.fresh).float()
-        if self.recipe.network == "firenet":
-            keep = keep.repeat_interleave(4)
+        keep = (~chunk.fresh).float().repeat_interleave(self._task.runs)
         h1, h2 = (h.detach() * keep.view(-1, 1, 1, 1) for h in self.states)
-        inputs = planes(chunk, self.recipe.network)
+        inputs = self._task.inputs(chunk)
         outputs = []
         with torch.autocast("cpu", torch.bfloat16, enabled=self.recipe.half):
             for x in inputs:
@@ -155,41 +151,17 @@ class Trainer:
             "pixel_steps": self.pixel_steps, **about})
 
 
-def planes(chunk: Chunk, network: str) -> torch.Tensor:
-    """Return a network's inputs, shape (K, planes, C, H, W)."""
-    k, n, _, bins, h, w = chunk.voxels.shape
-    if network == "firenet":
-        return chunk.voxels.reshape(k, n * 4, bins, h, w)
-    return torch.cat((chunk.voxels.reshape(k, n, 4 * bins, h, w),
-                      chunk.integrals.reshape(k, n, 8, h, w)), 2)
-
-
-def _measured(
-    outputs: torch.Tensor, network: str
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return ln S0 at each pixel, or of each cell, and S1/S0 and S2/S0."""
-    if network == "joint":
-        return outputs[:, :, :4], outputs[:, :, 4:]
-    i0, i45, i90, i135 = outputs.clamp(min=DARKEST).unbind(2)
-    s0 = (i0 + i45 + i90 + i135) / 2
-    polar = torch.stack(((i0 - i90) / s0, (i45 - i135) / s0), 2)
-    return torch.log(s0)[:, :, None], polar
-
-
 def score(
-    outputs: torch.Tensor, chunk: Chunk, network: str
+    outputs: torch.Tensor, chunk: Chunk, task: Task
 ) -> tuple[torch.Tensor, dict[str, float]]:
     """Return the loss, and errors by kind of scene.
 
     The loss is the sum of the mean absolute errors of S1/S0, S2/S0 and DoLP (with the
     first two alone, DoLP would become too small where the angle is uncertain), and a
-    third of that of ln S0 up to one gain per clip and chunk.  For ``firenet`` it also
-    has half of that of intensity, relative to mean S0.
+    third of that of ln S0 up to one gain per clip and chunk, and the task's own part.
     """
-    log_s0, polar = _measured(outputs, network)
-    true_s0, true = chunk.log_s0, chunk.polar
-    if network == "firenet":
-        true_s0 = torch.logsumexp(true_s0, 2, keepdim=True) - math.log(4)
+    log_s0, polar = task.measured(outputs)
+    true_s0, true = task.true_s0(chunk.log_s0), chunk.polar
     weight = chunk.age / (chunk.age + 4)
     weight = (weight / weight.mean())[..., None, None, None]
     off = log_s0 - true_s0
@@ -200,11 +172,7 @@ def score(
         torch.linalg.vector_norm(p, dim=2, keepdim=True) for p in (polar, true))
     loss = (2 * ((polar - true).abs() * weight).mean() + light.mean() / 3
             + ((degree - true_degree).abs() * weight).mean())
-    if network == "firenet":
-        mean = torch.exp(true_s0).mean((0, 2, 3, 4), keepdim=True)
-        loss = loss + ((outputs - chunk.light / mean).abs() * weight).mean() / 2
-    else:
-        loss = loss + 0.01 * gain.abs().mean()
+    loss = loss + task.own_loss(outputs, chunk, true_s0, gain, weight)
     with torch.no_grad():
         scores = {"loss": float(loss.detach()), "light": float(light.mean())}
         (s1, s2), (t1, t2) = polar.unbind(2), true.unbind(2)
