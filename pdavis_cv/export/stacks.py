@@ -136,21 +136,28 @@ class StackFile(ABC):
         self._log_path = beside.with_name(f".{beside.name}.unfinished.log")
         self._identity = hashlib.sha256(to_json(
             {**self.facts, "kind": type(self).__name__}).encode()).digest()
-        self._log: BinaryIO = self._log_path.open("ab", buffering=0)
         try:
+            self._log: BinaryIO = self._log_path.open("ab", buffering=0)
             sole(self._log, self.path)
-        except BaseException:       # what the other process writes stays
-            self._log.close()
-            raise
-        try:
             if not (self.resume and self._continue()):
                 self._data: BinaryIO = self.unfinished.open("wb")
                 self._data.write(bytes(HEADER))
                 self._log.truncate(0)
                 self._log.write(self._identity)
-        except BaseException:
-            self.discard()
+        except BaseException:   # an interrupt may come at any of these lines
+            self._release()
+            if not self.resume and self._sole():
+                self.discard()
             raise
+
+    def _sole(self) -> bool:
+        """Return whether no other process writes the same output."""
+        try:
+            with self._log_path.open("ab") as log:
+                sole(log, self.path)
+        except OSError:
+            return False
+        return True
 
     @property
     def count(self) -> int:
