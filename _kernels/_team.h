@@ -50,6 +50,9 @@ static inline pd_count pd_now(void)     /* ns */
 /* If the first thread waits for so much longer than its own part took, the other one has
    no processor: nothing is shared for a while. */
 #define PD_LATE_NS 100000
+/* After a kernel that shares its rows, the next one of the same image follows within
+   such a time: the other thread stays awake. */
+#define PD_SOON_NS 100000
 #define PD_ALONE_NS 100000000
 
 typedef void (*pd_rows)(void *args, ptrdiff_t first, ptrdiff_t last);
@@ -73,6 +76,7 @@ typedef struct {
     pd_count posted;        /* images posted for the other thread, */
     pd_count served;        /* and left by it: it uses them no more */
     pd_count asleep;        /* whether `wake` must be released for it to go on */
+    pd_count soon_until;    /* ns; until then more to share is expected */
     pd_count alone_until;   /* ns; until then nothing is shared */
     PyThread_type_lock wake;
 } team_t;
@@ -129,7 +133,8 @@ static inline int team_needed(team_t *team, ptrdiff_t finished)
 static inline void team_sleep(team_t *team, ptrdiff_t finished)
 {
     int spins = 0;
-    while (PD_LOAD(&team->open) && spins < PD_SPINS + PD_YIELDS) {
+    while ((PD_LOAD(&team->open) && spins < PD_SPINS + PD_YIELDS)
+           || pd_now() < PD_LOAD(&team->soon_until)) {
         if (team_needed(team, finished))
             return;
         if (++spins > PD_SPINS)
@@ -188,10 +193,11 @@ static inline void team_share(team_t *team, int wake, pd_rows work, void *args,
         team_wake(team);
     while (share_step(&team->share, 1, &last))
         ;
+    ended = pd_now();
+    PD_STORE(&team->soon_until, ended + PD_SOON_NS);
     PD_STORE(&team->open, (pd_count)0);
     if (!PD_LOAD(&team->inside))
         return;
-    ended = pd_now();
     while (PD_LOAD(&team->inside))
         if (++spins > PD_SPINS)
             PD_YIELD();
