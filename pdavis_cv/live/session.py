@@ -19,6 +19,7 @@ from pdavis_cv.fusion.options import FusionKeywords, names_options
 from pdavis_cv.live.address import open_source
 from pdavis_cv.live.base import endless
 from pdavis_cv.live.clock import HostClock
+from pdavis_cv.live.garbage import ShortSearches
 from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.recorder import Recorder
 from pdavis_cv.live.statistics import Counter, Patience, SessionStats
@@ -253,8 +254,9 @@ class Session:
     def _fuse(self) -> None:
         """Make images from the packets that have arrived; runs in its own thread."""
         try:
-            while not self._closed and self._step():
-                pass
+            with ShortSearches(active=self._lossy) as searches:
+                while not self._closed and self._step():
+                    searches.go_on()
         except Exception as error:      # any kind is passed on to the reader of images
             self._finish("failed", error)
             return
