@@ -1,8 +1,12 @@
 """Many recordings: names, rows, failures, and what a run leaves behind."""
+import contextlib
 import csv
 import json
 import shutil
+import subprocess
+import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import batch_works
@@ -21,6 +25,7 @@ from pdavis_cv import (
 )
 from pdavis_cv.batch.jobs import Job, describe
 from pdavis_cv.batch.results import Results
+from pdavis_cv.batch.worker import _deadline, _OutOfTimeError
 from pdavis_cv.tools.main import main
 
 PLAIN = FusionOptions(method="cf", layout="pdavis")
@@ -219,6 +224,50 @@ def test_a_thread_ends_at_its_time_too(three, tmp_path):
         row = run(three[:1], tmp_path / "out", work=_spin, timeout_s=0.05,
                   executor=executor)[0]
     assert row["error"] == "not done after 0.05 s"
+
+
+def test_a_debugger_works_after_a_thread_has_ended_at_its_time():
+    """In CPython 3.11 a cancelled exception of a thread makes tracing hang."""
+    code = """
+import contextlib, sys, threading, time
+from pdavis_cv.batch.worker import _deadline, _OutOfTimeError
+
+def work():
+    with contextlib.suppress(_OutOfTimeError), _deadline(0.01):
+        while True:
+            pass
+    with _deadline(100):
+        pass
+
+def traced():
+    return 5
+
+thread = threading.Thread(target=work)
+thread.start()
+thread.join()
+sys.settrace(lambda *_: None)
+print(traced())
+"""
+    out = subprocess.run([sys.executable, "-P", "-c", code], timeout=60, check=True,
+                         capture_output=True, text=True)
+    assert out.stdout == "5\n"
+
+
+def test_an_alarm_that_comes_when_the_work_has_ended_is_silenced():
+    raised = []
+
+    def work():
+        try:
+            for _ in range(300):
+                with contextlib.suppress(_OutOfTimeError), _deadline(1e-4):
+                    time.sleep(1e-4)
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert not raised
 
 
 # In a finalizer Python prints the first alarm, and it is swallowed there.

@@ -39,6 +39,10 @@ class _OutOfTimeError(BaseException):
     """
 
 
+class _SilencedError(BaseException):
+    """Takes the place of an `_OutOfTimeError` that came when the work had ended."""
+
+
 def perform(
     job: Job, out: str, *, timeout_s: float | None = None, attempt: int = 1
 ) -> tuple[Row, bool]:
@@ -210,28 +214,33 @@ def _alarm_of_thread(seconds: float) -> Iterator[None]:
     """
     thread = ctypes.c_ulong(threading.get_ident())
     raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
-    over, lock = threading.Event(), threading.Lock()
+    over, lock, rang = threading.Event(), threading.Lock(), threading.Event()
 
     def ring() -> None:
         wait = seconds
         while not over.wait(wait):
             with lock:
                 if not over.is_set():
+                    rang.set()
                     raise_in(thread, ctypes.py_object(_OutOfTimeError))
             wait = _RING_AGAIN_S
 
     def silence() -> None:
         with lock:
             over.set()
-            raise_in(thread, None)  # cancels an exception that is still pending
+        # One that is pending is replaced and caught.  It is not cancelled with None:
+        # CPython 3.11 would then go on looking for it, and hang under a debugger.
+        with contextlib.suppress(_SilencedError):
+            while rang.is_set():
+                raise_in(thread, ctypes.py_object(_SilencedError))
 
-    threading.Thread(target=ring, daemon=True).start()
     try:
+        threading.Thread(target=ring, daemon=True).start()  # may ring before it returns
         yield
     finally:
         try:
             silence()
-        except _OutOfTimeError:  # raised before it was cancelled
+        except _OutOfTimeError:  # raised before it was replaced
             silence()
             raise
 
