@@ -115,9 +115,10 @@ def _dask_pool(address: str | None, workers: int | None) -> Pool:
         raise ImportError(
             "executor dask needs the extra [batch]: pip install 'dask[distributed]'"
         ) from error
-    # Port 0 is any free one; without an address Dask takes 8787, or warns.
+    # Port 0 is any free one.  Without an address Dask tries 8787, and warns if another
+    # program has it; without a host the page would be open to the network.
     cluster = distributed.LocalCluster(
-        n_workers=workers, threads_per_worker=1, dashboard_address=":0"
+        n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
     ) if address is None else None
     client = distributed.Client(address if cluster is None else cluster)
     # With pure=True, Dask would return cached rows instead of repeating a job.
