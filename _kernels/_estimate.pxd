@@ -2,7 +2,7 @@
 from libc.stdint cimport int64_t
 
 from _kernels._hot cimport is_hot
-from _kernels._lag cimport corner, lead, lead_variance
+from _kernels._lag cimport PER_TURN, corner, lead, lead_variance
 from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport (
@@ -12,8 +12,12 @@ from _kernels._tracks cimport (
 cdef extern from *:
     """
     #define LEAST_VARIANCE 1e-8     /* ln^2: the resolution of float32 */
+    /* Time constants of a pixel over which the slope of its output is a mean;
+       studies/lag_slope.py. */
+    #define SLOPE_SPAN 1.0
     """
     const double LEAST_VARIANCE
+    const double SLOPE_SPAN
 
 cdef struct reading_t:
     walk_t walk             # position at the last event at or before the time
@@ -137,11 +141,57 @@ cdef inline void walk_to(walk_t* walk, int64_t t, const stored_t* store,
         step(walk, store, refractory)
 
 
+cdef inline double output_slope(const walk_t* walk, const part_t* part,
+                                const stored_t* store, int64_t known, double on,
+                                double off, double level, const lamp_t* lamp,
+                                const tuning_t* tuning, const state_t* s,
+                                double t) noexcept nogil:
+    """Slope of a pixel's output at t, 1/s, from which its lag is found.
+
+    Between two known events it is the mean over a time constant around t, because time
+    stamps of events jitter.  It begins at the last event but one at the earliest, and
+    with a refractory period at the last one: a walk does not know what was lost before.
+    Elsewhere it is the slope at t.
+    """
+    cdef walk_t later
+    cdef part_t side
+    cdef double half, begin, end, first = <double>walk.t, rise
+    cdef double slope = (on if part.p else -off) * part.rate + part.ripple_rate
+    if lamp.blocks > 0 or never(walk.t) or walk.next < 0 or (
+            store[walk.next].t > known):
+        return slope
+    half = corner(tuning, level)
+    if half <= 0.0:
+        return slope
+    half = 1e6 * PER_TURN * SLOPE_SPAN / (2.0 * half)
+    if t - half >= first and t + half <= <double>store[walk.next].t:
+        return slope        # the mean slope of a parabola is that in its middle
+    if tuning.refractory_us <= 0.0 and not never(walk.t_prev):
+        first = <double>walk.t_prev
+    begin = t - half if t - half > first else first
+    end = t + half if t + half < <double>known else <double>known
+    if end <= begin:
+        return slope
+    later = walk[0]
+    while later.next >= 0 and <double>store[later.next].t <= end:
+        step(&later, store, tuning.refractory_us)
+    side = part_at(&later, store, known, on, off, lamp, 0.0, tuning, s, end)
+    rise = on * (later.n_on - walk.n_on) - off * (later.n_off - walk.n_off) + (
+        on if side.p else -off) * side.fraction
+    if begin < <double>walk.t:
+        rise += (on if walk.p else -off) * (<double>walk.t - begin) / (
+            <double>walk.t - first)
+    else:
+        side = part_at(walk, store, known, on, off, lamp, 0.0, tuning, s, begin)
+        rise -= (on if side.p else -off) * side.fraction
+    return 1e6 * rise / (end - begin)
+
+
 cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
                             const stored_t* store, const tuning_t* tuning,
                             const lamp_t* lamp, const state_t* s) noexcept nogil:
     """Set part, counts, level and lag at t; r.walk has been advanced to t."""
-    cdef double theta, hz = 0.0
+    cdef double hz = 0.0
     r.n_on = r.walk.n_on
     r.n_off = r.walk.n_off
     if lamp.blocks > 0:
@@ -155,12 +205,11 @@ cdef inline void read_level(reading_t* r, int64_t t, int64_t known,
         r.n_off -= r.p_noise
     if r.part.p:
         r.n_on += r.part.fraction
-        theta = s.theta_on
     else:
         r.n_off += r.part.fraction
-        theta = -s.theta_off
     r.level = s.base + s.theta_on * r.n_on - s.theta_off * r.n_off + r.part.ripple
-    r.lag = lead(theta * r.part.rate + r.part.ripple_rate, r.level, tuning)
+    r.lag = lead(output_slope(&r.walk, &r.part, store, known, s.theta_on, s.theta_off,
+                              r.level, lamp, tuning, s, <double>t), r.level, tuning)
 
 
 cdef inline double counts_variance(const state_t* s, double n_on,

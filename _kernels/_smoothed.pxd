@@ -6,7 +6,7 @@ of a threshold crossed since the last event: see `course_of`.
 from libc.stdint cimport int64_t
 
 from _kernels._estimate cimport (
-    LEAST_VARIANCE, part_at, part_variance, theta_squared, walk_to)
+    LEAST_VARIANCE, output_slope, part_at, part_variance, theta_squared, walk_to)
 from _kernels._hot cimport is_hot
 from _kernels._lag cimport corner, lead, lead_variance
 from _kernels._lamp cimport lamp_t
@@ -273,7 +273,8 @@ cdef inline void read_smoothed(int64_t t, int64_t known, const stored_t* store,
     level += theta * part.fraction + part.ripple
     # Constant light has no lag.
     u = 0.0 if resting else lead(
-        theta * part.rate + part.ripple_rate, level, tuning)
+        output_slope(&walk, &part, store, known, on, off, level, lamp, tuning, NULL,
+                     <double>t), level, tuning)
     out[0] = <float>(level + u)
     if v < 0:
         variance[0] = 0.0

@@ -47,9 +47,9 @@ class Found:
 
 
 def kernel_constant(file: str, name: str) -> float:
-    """Return the number that a kernel gives a name, as ``name = 1.5``."""
+    """Return the number of a name, as ``name = 1.5`` or ``#define name 1.5``."""
     text = (ROOT / "_kernels" / file).read_text()
-    found = re.search(rf"\b{name}\s*=\s*([-\d.e+]+)", text)
+    found = re.search(rf"\b{name}\s*(?:=\s*)?([-\d.e+]+)", text)
     if found is None:
         raise LookupError(f"{file} must give {name} a number, found none")
     return float(found.group(1))

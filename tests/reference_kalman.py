@@ -1,9 +1,10 @@
 """The Kalman method in plain float64 NumPy, a pixel at a time."""
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from unittest import mock
 
 import numpy as np
+from reference_noise import Noise
 from reference_tracks import (
     UNKNOWN,
     US,
@@ -24,85 +25,13 @@ from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
 
 FINE = 1_500
 REST = 1_000_000
-FRAME_SIGMA, LEAK, PER_EVENT = 0.01, 0.02, 0.0003
-
+LEAK = 0.02
 
 
 def alone(method, t):
     """Read a filter as if pixels had no neighbours: reference_degree.py is its twin."""
     with mock.patch.object(LastingDegree, "weigh"):
         return method.read(t)
-
-
-@dataclass
-class Noise:
-    """Noise of events at rest, of motion and of frames, estimated from innovations."""
-
-    p_noise: float = 0.5
-    motion: float = 0.002
-    noise_count: float = 0.0
-    noise_weight: float = 0.0
-    per_event: float = PER_EVENT
-    matrix: np.ndarray = 0.0    # of motion and events, normal equations
-    product: np.ndarray = 0.0
-    of_frames: np.ndarray = field(default_factory=lambda: np.array([4.0, 0.1]))
-    normal: np.ndarray = 0.0    # of both, normal equations: matrix and right-hand side
-    right: np.ndarray = 0.0
-    drift: float = 0.0          # variance of thresholds from frame to frame, relative
-    product_of_drift: float = 0.0
-    weight_of_drift: float = 0.0
-    change: tuple = ()          # of the frame before, and its information matrix
-
-    def follow(self, sums):
-        """Drift by what two frames say of a common change of the thresholds."""
-        normal, right = np.eye(2) / 0.1**2, np.zeros(2)
-        for _, _, _, _, (by, e, v), *_ in sums:
-            normal, right = normal + np.outer(by, by) / v, right + by * e / v
-        change = np.linalg.solve(normal, right)
-        information = np.linalg.inv(np.linalg.inv(normal) + 0.002**2 * np.eye(2))
-        if self.change:
-            before, known = self.change
-            self.product_of_drift += (information @ change) @ (known @ before)
-            self.weight_of_drift += np.sum(information * known)
-        self.change = change, information
-        self.drift = max(self.product_of_drift, 0) / (
-            self.weight_of_drift + 0.005**-4)
-
-    def at(self, per_dn):
-        """Variance of a sample in light of 1 / per_dn DN."""
-        return self.of_frames @ (per_dn**2, per_dn) + FRAME_SIGMA**2
-
-    def adapt(self, sums):
-        for *_, w, excess in sums:
-            self.normal = self.normal + np.outer(w, w)
-            self.right = self.right + w * (excess + w @ self.of_frames)
-        prior = 2 * 2.31 * np.diag([1 / 4.0**2, 1 / 0.1**2])
-        normal, right = self.normal + prior, self.right + prior @ (4.0, 0.1)
-        x = np.array([4.0, 0.1])
-        for k in (0, 1) * 20:
-            x[k] = np.clip((right[k] - normal[k, 1 - k] * x[1 - k]) / normal[k, k],
-                           (1, 0.005)[k], (400, 1)[k])
-        self.of_frames = x
-        noise_count, noise_weight = np.sum(
-            [each[:2] for each in sums], axis=0) if sums else np.zeros(2)
-        self.noise_count += noise_count
-        self.noise_weight += noise_weight
-        self.p_noise = (25 + self.noise_count) / (50 + self.noise_weight)
-        u = np.array([each[2] for each in sums]).reshape(-1, 2)
-        weight = 1 / (u[:, 0] @ u[:, 0] + 2 / 0.05**2)
-        self.matrix = self.matrix + weight * u.T @ u
-        self.product = self.product + weight * u.T @ [each[3] for each in sums]
-        x = np.array([0.002, PER_EVENT])
-        normal = self.matrix + np.diag([1, 400])
-        right = self.product + np.array([1, 400]) * x
-        for k in (0, 1) * 20:
-            x[k] = np.clip((right[k] - normal[k, 1 - k] * x[1 - k]) / normal[k, k],
-                           (0, PER_EVENT)[k], (1, 0.5)[k])
-        self.motion, self.per_event = x
-        self.follow(sums)
-        for name in ("noise_count", "noise_weight", "matrix", "product", "normal",
-                     "right", "product_of_drift", "weight_of_drift"):
-            setattr(self, name, getattr(self, name) * np.exp(-1 / 20))
 
 
 @dataclass
@@ -217,7 +146,7 @@ class Pixel:
                     n[0 if p else 1] += part
         return n
 
-    def value(self, t, known, since, level, p_noise=0.0):
+    def value(self, t, known, since, level, p_noise=0.0, mean=False):
         i = self.next(t)
         n = (self.counts(since, i) if i >= since else -self.counts(i, since))
         _, on, off = self.x
@@ -227,14 +156,40 @@ class Pixel:
         if p_noise:
             n[0 if self.events[i - 1][1] else 1] -= p_noise
         y = on * n[0] - off * n[1] + ripple
-        return n, y, *self.lag(p, rate, slope, spread, level + y)
+        slope += (on if p else -off) * rate
+        if mean:
+            slope = self.mean_slope(i, t, known, level + y, slope)
+        return n, y, *self.lag(slope, spread, level + y)
 
-    def lag(self, p, rate, slope, spread, log):
-        """What the photoreceptor's lag adds; the variance of it and of the part."""
+    def mean_slope(self, i, t, known, log, slope):
+        """Slope of the output, a mean over its time constant between known events."""
+        hz = self.bandwidth[0] + self.bandwidth[1] * np.exp(log)
+        if (self.ripple is not steady or hz == 0 or not 0 < i < len(self.events)
+                or self.events[i][0] > known):
+            return slope
+        half = 1e6 / (2 * np.pi * hz) / 2
+        first = self.events[i - 2 if i > 1 and not self.deaf else i - 1][0]
+        begin, end = max(t - half, first), min(t + half, known)
+        if begin >= end:
+            return slope
+        return (self.change(i, end, known) - self.change(i, begin, known)) / (
+            US * (end - begin))
+
+    def change(self, i, t, known):
+        """Change of the output from event i - 1 to t, linear before it."""
         _, on, off = self.x
-        theta2 = self.x[1:].mean() ** 2
+        last, p = self.events[i - 1]
+        if t < last:
+            return (on if p else -off) * (t - last) / (last - self.events[i - 2][0])
+        at = self.next(t)
+        p, fraction, *_ = self.part(at, t, known, 0.0)
+        return self.path(i, at) @ self.x[1:] + (on if p else -off) * fraction
+
+    def lag(self, slope, spread, log):
+        """What the photoreceptor's lag adds; the variance of it and of the part."""
+        off, theta2 = self.x[2], self.x[1:].mean() ** 2
         hz, per_level, sigma = self.bandwidth
-        u = lead((on if p else -off) * rate + slope, np.exp(log), hz, per_level)
+        u = lead(slope, np.exp(log), hz, per_level)
         return u, theta2 * spread[0], lead_variance(
             u, theta2 * spread[1], off * spread[2], np.exp(log), hz, per_level, sigma)
 
@@ -392,7 +347,8 @@ class Pixel:
             v = self.P[0, 0] + self.x[1:].mean()**2 * LEAK * US * (t - self.reference)
             return self.x[0], v + self.moves, v <= 0.25
         p_noise = self.p_noise(i, known)
-        n, y, u, spread, lag = self.value(t, known, self.since, self.x[0], p_noise)
+        n, y, u, spread, lag = self.value(
+            t, known, self.since, self.x[0], p_noise, mean=True)
         F = np.array([1.0, n[0], -n[1]])
         theta2 = self.x[1:].mean() ** 2
         if self.reference is not None and self.settled(i, t, known, self.reference):
@@ -525,7 +481,8 @@ class Pixel:
         p, fraction, rate, *spread, ripple, slope = self.part(i, t, known, level)
         sign = np.array([1, 0]) if p else np.array([0, -1])
         level += fraction * (sign @ theta) + ripple
-        u, spread, lag = self.lag(p, rate, slope, spread, level)
+        slope = self.mean_slope(i, t, known, level, slope + rate * (sign @ theta))
+        u, spread, lag = self.lag(slope, spread, level)
         if not here:
             return level + u, 0.0, False
         following = i < len(self.events) and self.events[i][0] <= known
