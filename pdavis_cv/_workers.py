@@ -6,13 +6,16 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import TypeVar
 
 from pdavis_cv._kernels import ImageQueue
 
-__all__ = ["LEAST_BAND_NS", "Workers", "usable_cores", "yield_to_others"]
+__all__ = ["LEAST_BAND_NS", "SpareTime", "Workers", "take_turn", "usable_cores",
+           "yield_to_others"]
 
 LEAST_ROWS = 16
 """Smallest band, in rows, of work whose cost depends on what the pixels see."""
@@ -23,7 +26,18 @@ its end is noticed (65,000 to 130,000 were measured on two virtual cores)."""
 
 
 _LOW = 10
-"""Nice value of threads whose work can wait.  Engineering choice."""
+"""Nice value of threads whose work can wait.  Engineering choice.  With Linux's policy
+SCHED_IDLE in its place, live images come more regularly on a quiet machine (at most 40
+to 50 ms after each other, not 50 to 70), but up to 1 s late beside a busy program: the
+thread then holds Python's lock and does not get to run."""
+
+_PATIENCE = 4.0
+"""Longest wait for spare time, relative to what the work before it took, so that work
+that can wait gets a fifth of a core at least.  Engineering choice."""
+
+_mine = threading.local()
+
+Item = TypeVar("Item")
 
 
 class Workers:
@@ -122,8 +136,58 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def yield_to_others() -> None:
-    """Let all other threads go first on busy cores, where threads have a priority."""
+class SpareTime:
+    """The time in which a thread waits for data, left to threads whose work can wait.
+
+    Without it they take cores, caches and Python's lock in turns with that thread,
+    whatever their priority.
+    """
+
+    def __init__(self) -> None:
+        self._spare = threading.Event()
+        self._spare.set()
+        self._resumed_s = time.perf_counter()
+
+    def of(self, items: Iterator[Item]) -> Iterator[Item]:
+        """Iterate over items: it is spare time while the next one is waited for."""
+        try:
+            while True:
+                self._spare.set()
+                item = next(items, None)
+                self._spare.clear()
+                if item is None:
+                    return
+                yield item
+        finally:
+            self.end()
+
+    def end(self) -> None:
+        """Make all time spare from now on."""
+        self._spare.set()
+
+    def wait(self) -> None:
+        """Wait for spare time, but not for long (`_PATIENCE`)."""
+        worked_s = time.perf_counter() - self._resumed_s
+        self._spare.wait(_PATIENCE * worked_s)
+        self._resumed_s = time.perf_counter()
+
+
+def yield_to_others(spare: SpareTime | None = None) -> None:
+    """Let all other threads go first on busy cores, where threads have a priority.
+
+    Parameters
+    ----------
+    spare : SpareTime, optional
+        Of the thread that matters most; `take_turn` then waits for it.
+    """
+    _mine.spare = spare
     if sys.platform == "linux":
         with contextlib.suppress(OSError):      # a sandbox may forbid it
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW)
+
+
+def take_turn() -> None:
+    """Wait for spare time before the next piece of work, in a thread that yields."""
+    spare = getattr(_mine, "spare", None)
+    if spare is not None:
+        spare.wait()

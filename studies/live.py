@@ -91,10 +91,22 @@ def told(name: str, values: Sequence[float]) -> None:
           f"most {max(values):.1f} ms", flush=True)
 
 
+def stolen_ms() -> float:
+    """Return the time for which the host of a virtual machine gave it no core, ms.
+
+    Summed over the cores, since the start, in steps of a tick; 0 on other systems.
+    """
+    try:
+        total = Path("/proc/stat").read_text().partition("\n")[0].split()
+    except OSError:
+        return 0.0
+    return 1e3 * int(total[8]) / os.sysconf("SC_CLK_TCK")
+
+
 def image(folder: Path, args: argparse.Namespace) -> None:
     """Print the latency from an event's time to the image that shows it."""
     source = ReplaySource(SCENES[args.scene](folder, args.rate), "fan", loop=True)
-    late: list[tuple[float, float]] = []
+    late: list[tuple[float, float, float]] = []
     begun, cpu = time.monotonic(), time.process_time()
     with Session(source, method=args.method, fps=args.fps,
                  threads=args.threads) as session:
@@ -102,17 +114,22 @@ def image(folder: Path, args: argparse.Namespace) -> None:
             shown = session.read(60)
             assert shown is not None
             now = time.monotonic()
-            late.append((passed, 1e3 * (now - session.clock.host_s(shown.t_us))))
+            late.append((passed, 1e3 * (now - session.clock.host_s(shown.t_us)),
+                         stolen_ms()))
         stats = session.stats
     used = (time.process_time() - cpu) / (time.monotonic() - begun)
-    told(f"first {LEARN_S:g} s", [value for t, value in late if t < LEARN_S])
-    told("after", [value for t, value in late if t >= LEARN_S])
+    told(f"first {LEARN_S:g} s", [value for t, value, _ in late if t < LEARN_S])
+    told("after", [value for t, value, _ in late if t >= LEARN_S])
     # An image whose successor is due is skipped, so that ages alone do not show for how
     # long none has come.
-    gaps = [(t, 1e3 * (t - before)) for (before, _), (t, _) in itertools.pairwise(late)]
-    for name, values in (("oldest", late), ("longest gaps", gaps)):
-        worst = sorted(values, key=lambda one: -one[1])[:8]
-        print(name, ", ".join(f"{v:.0f} ms at {t:.1f} s" for t, v in sorted(worst)))
+    each = [(now, age, 1e3 * (now - before), stolen - stolen_before) for (
+        (before, _, stolen_before), (now, age, stolen)) in itertools.pairwise(late)]
+    for name, values in (
+            ("oldest", [(age, now, stolen) for now, age, _, stolen in each]),
+            ("longest gaps", [(gap, now, stolen) for now, _, gap, stolen in each])):
+        worst = sorted(sorted(values)[-8:], key=lambda one: one[1])
+        print(name, ", ".join(f"{v:.0f} ms at {t:.1f} s" + (
+            f" ({stolen:.0f} ms stolen)" if stolen else "") for v, t, stolen in worst))
     print(f"{used:.2f} CPU-s per s, skipped {stats.skipped_images}, dropped "
           f"{stats.dropped_events}, {stats.events_per_s / 1e6:.2f} Mev/s, load "
           f"{os.getloadavg()[0]:.1f}")

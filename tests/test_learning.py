@@ -1,5 +1,6 @@
 """What is learned of a camera: from a beginning, or while the stream passes."""
 import pickle
+import threading
 import weakref
 
 import numpy as np
@@ -12,8 +13,8 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays,
 )
+from pdavis_cv._workers import SpareTime
 from pdavis_cv.analysis import Scorer
-from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import Fusion, learning
 from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.fusion.online_learning import FIRST_LOOK_S, OnlineLearning
@@ -294,21 +295,41 @@ def test_the_stream_is_looked_at_ever_more_rarely(realistic):
         again.restore(online.state())
         assert again.look() == online.look()
         assert again.next_us == online.next_us
-    # Each estimate is gone on with after an eighth of the time more,
+    # Each estimate is gone on with after an eighth of the time more.
     assert times == [1_500_000, 1_562_500, 2_000_000, 2_125_000, 3_000_000, 3_250_000,
                      5_000_000, 5_500_000]
-    # and later where so many events make the estimate take longer, half of it at most.
-    for number, delay_us in ((100_000, 62_500), (300_000, 150_000), (800_000, 250_000)):
-        busy = OnlineLearning(online._learning)
-        busy.begin(1_000_000, 1_010_000)
-        events = np.zeros(number, EVENT_DTYPE)
-        events["t"] = np.linspace(1_000_000, 1_499_999, number)
-        busy.camera.add_events(events)
-        again = OnlineLearning(online._learning)
-        again.restore(busy.state())
-        for one in (busy, again):
-            assert one.look() == {}
-            assert one.next_us == 1_500_000 + delay_us
     late = OnlineLearning(online._learning)
     late.begin(1_000_000, 1_700_000)         # it took long to arrive
     assert late.next_us == 2_000_000
+
+
+def test_a_late_estimate_is_waited_for_or_asked_for_again(realistic, monkeypatch):
+    recording, _ = realistic
+    learning = Learning(
+        recording, FusionOptions(causal=True), {}, KalmanFilter.needs)
+    done, estimate = threading.Event(), learning.estimate
+
+    def late(camera):
+        assert done.wait(60)
+        return estimate(camera)
+
+    monkeypatch.setattr(learning, "estimate", late)
+    live = OnlineLearning(learning, SpareTime())
+    live.begin(1_000_000, 1_010_000)
+    assert live.look() == {}
+    for number in range(30):
+        assert live.next_us == 1_562_500 + 20_000 * number
+        assert live.look() == {}
+    waiting = OnlineLearning(learning)
+    waiting.begin(1_000_000, 1_010_000)
+    assert waiting.look() == {}
+    threading.Timer(0.1, done.set).start()
+    waiting.look()      # returns once the estimate is there
+    assert done.is_set()
+    assert waiting.next_us == 2_000_000
+    assert live.next_us == 2_162_500
+    live._pending.result(60)
+    live.look()
+    # What was to be looked at meanwhile, at 2 s, is left to the look after it.
+    assert live.next_us == 3_000_000
+    assert live._pending is None

@@ -22,7 +22,10 @@ from pdavis_cv import (
     fuse,
     open_source,
 )
+from pdavis_cv._workers import SpareTime
 from pdavis_cv.data import example_recording
+from pdavis_cv.fusion import Fusion
+from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.live.clock import HostClock, in_order
 from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.inbox import Inbox, Waiting
@@ -254,6 +257,47 @@ def test_reading_never_waits_for_fusing(recording, tmp_path):
     assert images[-1].t_us > 900_000
     with pdavis_cv.open_recording(path, layout=Layout.PDAVIS) as written:
         np.testing.assert_array_equal(written.events(), recording.events())
+
+
+def test_images_go_on_while_the_camera_is_being_estimated(recording, monkeypatch):
+    done, asked = threading.Event(), threading.Event()
+    estimate, turns = Learning.estimate, []
+
+    def slow(learning, camera):
+        asked.set()
+        assert done.wait(PATIENCE_S)
+        return estimate(learning, camera)
+
+    monkeypatch.setattr(Learning, "estimate", slow)
+    monkeypatch.setattr(SpareTime, "wait", lambda spare: turns.append(
+        threading.current_thread().name))
+    source = device(recording, speed=1.0, loop=True)
+    with Session(source, **OPTIONS, method="kalman") as session:
+        first = session.read(PATIENCE_S).t_us
+        # It is due .56 s after the first frame.
+        while session.read(PATIENCE_S).t_us < first + 1_500_000:
+            assert not done.is_set()
+        assert asked.is_set()
+        done.set()
+        while not turns:
+            session.read(PATIENCE_S)
+    assert set(turns) == {"pdavis-learning_0"}
+
+
+def test_nothing_is_read_before_the_method_is_ready(recording, monkeypatch):
+    order = []
+
+    class Watched(ReplaySource):
+        def packets(self):
+            order.append("read")
+            return super().packets()
+
+    prepare = Fusion.prepare
+    monkeypatch.setattr(Fusion, "prepare", lambda fusion: (
+        prepare(fusion), order.append("ready"))[0])
+    with Session(Watched(recording, "test", speed=0.0), **OPTIONS) as session:
+        assert session.read(PATIENCE_S) is not None
+    assert order[:2] == ["ready", "read"]
 
 
 def test_jumps_count_where_they_come_soon_after_each_other():

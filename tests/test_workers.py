@@ -8,11 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from pdavis_cv import FusionOptions, fuse
+from pdavis_cv import FusionOptions, _workers, fuse
 from pdavis_cv._workers import (
     LEAST_BAND_NS,
     LEAST_ROWS,
+    SpareTime,
     Workers,
+    take_turn,
     usable_cores,
     yield_to_others,
 )
@@ -136,6 +138,48 @@ def test_a_thread_that_yields_lowers_its_own_priority_only(monkeypatch, allowed)
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(own).result() == (max(before, 10) if allowed else before)
     assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == before
+
+
+def test_time_is_spare_while_the_next_item_is_waited_for():
+    spare, while_waiting = SpareTime(), []
+
+    def source():
+        for number in range(3):
+            while_waiting.append(spare._spare.is_set())
+            yield number
+
+    for _ in spare.of(source()):
+        assert not spare._spare.is_set()
+    assert while_waiting == [True] * 3
+    assert spare._spare.is_set()
+    left = spare.of(iter([1, 2]))
+    assert next(left) == 1
+    left.close()
+    assert spare._spare.is_set()
+
+
+def test_work_waits_for_spare_time_but_not_for_long(monkeypatch):
+    class Never:
+        def __init__(self):
+            self.waited = []
+
+        def wait(self, timeout):
+            self.waited.append(timeout)
+
+    now = iter([10.0, 12.0, 20.0, 20.5, 22.5])
+    monkeypatch.setattr(_workers.time, "perf_counter", lambda: next(now))
+    spare = SpareTime()
+    spare._spare = Never()
+    take_turn()                 # this thread does not yield
+
+    def work():
+        yield_to_others(spare)
+        take_turn()             # after 2 s of work
+        take_turn()             # .5 s after the wait
+        return spare._spare.waited
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(work).result() == [8.0, 2.0]
 
 
 def test_there_is_a_core_to_work_on():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import pdavis_cv
 from pdavis_cv._kernels import ImageQueue
-from pdavis_cv._workers import Workers
+from pdavis_cv._workers import SpareTime, Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
@@ -100,6 +100,7 @@ class Fusion:
         self._lookahead_us = probe.lookahead_us
         self._learning = Learning(recording, options, parameters, self.needs)
         self._workers = Workers(options.threads)
+        self._spare = SpareTime() if recording.realtime else None
         self._clock_us = self._learning.prior.clock_us
         self.roi, self.margin = roi, probe.margin
         self.window = window_of(
@@ -178,6 +179,11 @@ class Fusion:
         """Time of the last image, None before the first."""
         return self._t
 
+    def prepare(self) -> None:
+        """Do before the first `advance` what needs no data if ``causal`` is True."""
+        if self._state is None:
+            self._make_state()
+
     def advance(self) -> bool:
         """Process data up to the next image's time; return False at the end."""
         t = self._next_time()
@@ -229,6 +235,11 @@ class Fusion:
         return self._frame_us(self._state.method, self._t)
 
     # ---- repositioning -------------------------------------------------------
+
+    def close(self) -> None:
+        """Let an estimate that is still being made end soon; nothing more is read."""
+        if self._spare is not None:
+            self._spare.end()
 
     def rewind(self) -> None:
         """Go back to before the first image.
@@ -395,6 +406,8 @@ class Fusion:
                 None if after_us is None else after_us + 1 - max(clock_us, 0))
         elif self._packets is None:
             self._packets = source.packets()
+            if self._spare is not None:
+                self._packets = self._spare.of(self._packets)
         self._feed = Feed(
             self._packets, by_arrival=self.options.causal,
             has_frames=source.info.frame_count != 0, stop_us=source.info.stop_us,
@@ -423,7 +436,7 @@ class Fusion:
         """Make the state with the parameters for the first image."""
         tuning = self._initial_tuning()
         if self._learning.wanted and self.options.causal:
-            self._online = OnlineLearning(self._learning)
+            self._online = OnlineLearning(self._learning, self._spare)
         self._state = make_state(
             self.method_factory(self.window, self._workers), self.window,
             None if self._online is None else self._online.camera,
@@ -480,8 +493,7 @@ class Fusion:
 
     def _feed_to(self, target: int) -> None:
         """Feed everything up to target, inclusive; learn at the scheduled times."""
-        if self._state is None:
-            self._make_state()
+        self.prepare()
         if self._feed is None:
             self._open_feed()
         assert self._feed is not None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv._workers import yield_to_others
+from pdavis_cv._workers import SpareTime, yield_to_others
 from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
 from pdavis_cv.selfcal import Bandwidth, CameraEstimate
@@ -20,19 +20,14 @@ FIRST_LOOK_S = 0.5
 """Time of the first estimate from a passing stream, in s of stream time after the first
 frame; the next ones follow at twice, four times ... that."""
 
-_LEAST_DELAY, _MOST_DELAY = 1 / 8, 1 / 2
-"""An estimate from the first T seconds is applied after T / 8 to T / 2 more, as it is
-computed while the stream goes on.  The later, the worse: left-out frames of
-`davis346.aedat4` are predicted with an error of 0.359 if it is applied at T + T / 8, of
-0.358 at T and of 0.366 at T + T / 4."""
+_DELAY = 1 / 8
+"""An estimate from the first T seconds is applied after T / 8 more, as it is computed
+while the stream goes on.  The later, the worse: left-out frames of `davis346.aedat4`
+are predicted with an error of 0.359 if it is applied at T + T / 8, of 0.358 at T and of
+0.366 at T + T / 4."""
 
-_US_PER_EVENT = 0.5
-"""Delay for each event so far, us, between these limits.  Engineering choice, with a
-margin: on two cores that fuse 1 Mev/s meanwhile (``studies/live.py image``) an estimate
-takes up to 0.35 us per event: 0.06 to 0.17, 0.2 to 0.4, 0.6 to 0.7 and 0.7 to 1.2 s for
-T of 0.5, 1, 2 and 4 s, events all over the sensor and a fan at 1.1 Mev/s.  Images would
-wait for it at T + T / 8.  With fewer than 250,000 events per second the delay is T / 8,
-with 1 Mev/s T / 2."""
+_AGAIN_US = 20_000
+"""Stream time after which an estimate that is not there is asked for again, us."""
 
 _WORTHWHILE = 0.05
 """Least change of a parameter that is applied: of the ln of the corner frequency, or
@@ -50,18 +45,22 @@ class OnlineLearning:
     """Re-estimates the parameters while a stream passes.
 
     The estimator is fed the same data as the method.  At a look, the estimate from the
-    data so far is started in a thread.  When it is applied depends on the number of
-    events so far, not on how long the thread takes.  The method's state then continues
-    with the new tuning: past data are not processed again.
+    data so far is started in a thread, and it is applied after an eighth of their time
+    more.  The method's state then continues with the new tuning: past data are not
+    processed again.
 
     Parameters
     ----------
     learning : Learning
         Which parameters are estimated.
+    spare : SpareTime, optional
+        Of the thread that makes images, which go on without an estimate that is not
+        there in time; it is applied when it is there.  None: such an estimate is waited
+        for, so that all images depend on the stream alone.
     """
 
-    def __init__(self, learning: Learning) -> None:
-        self._learning = learning
+    def __init__(self, learning: Learning, spare: SpareTime | None = None) -> None:
+        self._learning, self._spare = learning, spare
         self.tuning = learning.prior
         self.camera = learning.estimator()
         self.next_us: int | None = None
@@ -77,22 +76,17 @@ class OnlineLearning:
         """
         if self._start_us is None:
             self._start_us = start_us
-            while self._look_us() < now_us:
-                self._looks += 1
-            self.next_us = self._look_us()
+            self._look_from(now_us)
 
-    def _look_us(self) -> int:
+    def _look_from(self, t_us: int) -> None:
+        """Let the next look be the first one at t_us or later."""
         assert self._start_us is not None
-        return self._start_us + round(1e6 * FIRST_LOOK_S * 2.0 ** self._looks)
-
-    def _delay_us(self, passed_us: int) -> int:
-        """Return how long after a look its estimate is applied, us.
-
-        It depends on the stream alone, as every image does, not on the computer.
-        """
-        needed_us = int(_US_PER_EVENT * self.camera.events_taken)
-        return max(int(_LEAST_DELAY * passed_us),
-                   min(needed_us, int(_MOST_DELAY * passed_us)))
+        while True:
+            self.next_us = self._start_us + round(
+                1e6 * FIRST_LOOK_S * 2.0 ** self._looks)
+            if self.next_us >= t_us:
+                return
+            self._looks += 1
 
     def look(self) -> dict[str, Any]:
         """Do what is due at `next_us`; return the parameters that change.
@@ -104,7 +98,10 @@ class OnlineLearning:
         before = self.tuning
         if self._pending is None:
             self._pending = self._started()
-            self.next_us += self._delay_us(self.next_us - self._start_us)
+            self.next_us += round(_DELAY * (self.next_us - self._start_us))
+            return {}
+        if self._spare is not None and not self._pending.done():
+            self.next_us += _AGAIN_US
             return {}
         estimate, self._pending = self._pending.result(), None
         clock = estimate.clock_offset
@@ -122,8 +119,7 @@ class OnlineLearning:
                 and not _is_better(estimate.bandwidth, checked_bandwidth(known))):
             estimate = dataclasses.replace(estimate, bandwidth=None)
         self.tuning = self._learning.tuned(before, estimate)
-        self._looks += 1
-        self.next_us = self._look_us()
+        self._look_from(self.next_us + 1)
         return self.tuning.changes(before)
 
     def _started(self) -> Future[CameraEstimate]:
@@ -132,7 +128,7 @@ class OnlineLearning:
 
         def estimated() -> CameraEstimate:
             """Estimate from a copy, as the original is fed meanwhile."""
-            yield_to_others()   # when it is used does not depend on how long it takes
+            yield_to_others(self._spare)
             camera = self._learning.estimator()
             camera.restore(passed)
             return self._learning.estimate(camera)

@@ -51,8 +51,6 @@ class LiveSource(Source):
 
     Attributes
     ----------
-    realtime : bool
-        False: the source waits for its reader, so that nothing is lost.
     speed : float
         Stream time per real time; 1 for every camera.
     """

@@ -42,14 +42,17 @@ KEPT_IMAGES = 8
 """Most images that wait for a slow reader; beyond, the oldest is skipped."""
 KEPT_EVENTS_US = 200_000
 """Stream time for which events are kept, to draw pictures of them, us."""
-LEAST_IMAGES_S = 0.1
-"""Longest host time between two images, however late fusing is, s."""
+LEAST_IMAGES_S = 0.04
+"""Host time after the last image from which on the next one is made even if it is late,
+s.  Engineering choice."""
 
 class _Arriving(Source):
     """The source that fusing reads: the packets of a session's inbox."""
 
-    def __init__(self, info: RecordingInfo, packets: Iterator[Packet]) -> None:
-        self._info, self._packets = info, packets
+    def __init__(
+        self, info: RecordingInfo, packets: Iterator[Packet], realtime: bool
+    ) -> None:
+        self._info, self._packets, self.realtime = info, packets, realtime
 
     @property
     def info(self) -> RecordingInfo:
@@ -153,7 +156,7 @@ class Session:
         else:
             self._source = open_source(where, layout=options.layout)
             self.info, name = self._source.info, str(where)
-        realtime = bool(getattr(self._source, "realtime", False))
+        realtime = self._source is not None and self._source.realtime
         self._log = ProblemLog(name)
         self._lossy = realtime
         self._speed = float(getattr(self._source, "speed", 1.0))
@@ -178,6 +181,7 @@ class Session:
         self._last_image_s = -np.inf
         self._threads: list[threading.Thread] = []
         self._wanted: Fusion | None = None
+        self._ready = threading.Event()
         try:
             self._fusion = self._fusion_of(options)
             if record is not None:
@@ -195,7 +199,8 @@ class Session:
             thread.start()
 
     def _fusion_of(self, options: FusionOptions) -> Fusion:
-        return Fusion(_Arriving(self.info, _Tap(self._inbox, self._keep)), options)
+        return Fusion(_Arriving(
+            self.info, _Tap(self._inbox, self._keep), self._lossy), options)
 
     # ---- reading -----------------------------------------------------------------
 
@@ -203,6 +208,7 @@ class Session:
         """Take packets from the source; runs in a thread of its own."""
         assert self._source is not None
         error: Exception | None = None
+        self._ready.wait()
         try:
             for packet in self._source.packets():
                 if self._closed:
@@ -255,9 +261,12 @@ class Session:
         """Make images from the packets that have arrived; runs in its own thread."""
         try:
             with ShortSearches(active=self._lossy) as searches:
+                self._fusion.prepare()
+                self._ready.set()
                 while not self._closed and self._step():
                     searches.go_on()
         except Exception as error:      # any kind is passed on to the reader of images
+            self._ready.set()
             self._finish("failed", error)
             return
         why = self._inbox.error
@@ -319,6 +328,7 @@ class Session:
             self._change.notify_all()
 
     def _finish(self, state: str, error: Exception | None) -> None:
+        self._fusion.close()
         with self._change:
             self._state, self._error = state, error
             self._change.notify_all()
@@ -345,6 +355,7 @@ class Session:
         if self._source is None:
             self._fusion = wanted
         else:
+            wanted.prepare()
             self._wanted = wanted
 
     # ---- images ------------------------------------------------------------------

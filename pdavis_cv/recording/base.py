@@ -419,7 +419,15 @@ class Source(ABC):
     """Packets in time order that may be readable only once: a file or a camera.
 
     Use as a context manager, or call `close`.
+
+    Attributes
+    ----------
+    realtime : bool
+        True: data that are not read in time are lost.  False: the source waits for its
+        reader.
     """
+
+    realtime: bool = False
 
     @property
     @abstractmethod
