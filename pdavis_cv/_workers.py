@@ -146,7 +146,6 @@ class SpareTime:
     def __init__(self) -> None:
         self._spare = threading.Event()
         self._spare.set()
-        self._resumed_s = time.perf_counter()
 
     def of(self, items: Iterator[Item]) -> Iterator[Item]:
         """Iterate over items: it is spare time while the next one is waited for."""
@@ -165,11 +164,9 @@ class SpareTime:
         """Make all time spare from now on."""
         self._spare.set()
 
-    def wait(self) -> None:
-        """Wait for spare time, but not for long (`_PATIENCE`)."""
-        worked_s = time.perf_counter() - self._resumed_s
-        self._spare.wait(_PATIENCE * worked_s)
-        self._resumed_s = time.perf_counter()
+    def wait(self, longest_s: float) -> None:
+        """Wait for spare time, at most for longest_s."""
+        self._spare.wait(longest_s)
 
 
 def yield_to_others(spare: SpareTime | None = None) -> None:
@@ -180,7 +177,7 @@ def yield_to_others(spare: SpareTime | None = None) -> None:
     spare : SpareTime, optional
         Of the thread that matters most; `take_turn` then waits for it.
     """
-    _mine.spare = spare
+    _mine.spare, _mine.resumed_s = spare, time.perf_counter()
     if sys.platform == "linux":
         with contextlib.suppress(OSError):      # a sandbox may forbid it
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOW)
@@ -190,4 +187,5 @@ def take_turn() -> None:
     """Wait for spare time before the next piece of work, in a thread that yields."""
     spare = getattr(_mine, "spare", None)
     if spare is not None:
-        spare.wait()
+        spare.wait(_PATIENCE * (time.perf_counter() - _mine.resumed_s))
+        _mine.resumed_s = time.perf_counter()

@@ -269,7 +269,7 @@ def test_images_go_on_while_the_camera_is_being_estimated(recording, monkeypatch
         return estimate(learning, camera)
 
     monkeypatch.setattr(Learning, "estimate", slow)
-    monkeypatch.setattr(SpareTime, "wait", lambda spare: turns.append(
+    monkeypatch.setattr(SpareTime, "wait", lambda spare, _: turns.append(
         threading.current_thread().name))
     source = device(recording, speed=1.0, loop=True)
     with Session(source, **OPTIONS, method="kalman") as session:

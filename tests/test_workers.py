@@ -159,27 +159,29 @@ def test_time_is_spare_while_the_next_item_is_waited_for():
 
 
 def test_work_waits_for_spare_time_but_not_for_long(monkeypatch):
-    class Never:
-        def __init__(self):
-            self.waited = []
-
-        def wait(self, timeout):
-            self.waited.append(timeout)
-
-    now = iter([10.0, 12.0, 20.0, 20.5, 22.5])
+    now, spare, waited = iter([10.0, 12.0, 20.0, 20.5, 22.5]), SpareTime(), []
     monkeypatch.setattr(_workers.time, "perf_counter", lambda: next(now))
-    spare = SpareTime()
-    spare._spare = Never()
-    take_turn()                 # this thread does not yield
+    monkeypatch.setattr(spare, "wait", waited.append)
 
     def work():
-        yield_to_others(spare)
+        yield_to_others(spare)  # at 10 s
         take_turn()             # after 2 s of work
-        take_turn()             # .5 s after the wait
-        return spare._spare.waited
+        take_turn()             # .5 s after that wait
 
     with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(work).result() == [8.0, 2.0]
+        pool.submit(work).result()
+    assert waited == [8.0, 2.0]
+    take_turn()                 # this thread does not yield
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_wait_for_spare_time_ends(ended):
+    spare = SpareTime()
+    busy = spare.of(iter([1]))
+    next(busy)
+    if ended:
+        spare.end()
+    spare.wait(600.0 if ended else 1e-3)    # returns
 
 
 def test_there_is_a_core_to_work_on():
