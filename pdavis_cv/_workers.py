@@ -95,8 +95,11 @@ class Workers:
         try:
             work(0, own)
         finally:
-            for one in waiting:
-                one.result()
+            try:
+                for one in waiting:
+                    one.result()
+            finally:        # else an exception and what it came through keep each other
+                del waiting, one
 
     def shared(
         self, height: int, work: Callable[[int, int, tuple[int, bool]], object],

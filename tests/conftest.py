@@ -1,6 +1,8 @@
 """Fixtures and hooks of every test."""
 import gc
 import os
+import threading
+import time
 from pathlib import Path
 
 import hypothesis
@@ -39,6 +41,24 @@ def _no_file_stays_open():
         gc.collect()  # a traceback may hold one until its cycle is broken
     left = {path for _, path in _open_files() - before}
     assert not left, f"left open: {sorted(left)}"
+
+
+@pytest.fixture
+def threads_ended():
+    """Return a function that tells whether the package's threads of the test ended."""
+    before = set(threading.enumerate())
+
+    def ended(patience_s=0.0):
+        until_s = time.monotonic() + patience_s
+        while left := [thread for thread in set(threading.enumerate()) - before
+                       if thread.name.startswith("pdavis")]:
+            if time.monotonic() >= until_s:
+                print("threads left:", left)
+                return False
+            time.sleep(0.05)
+        return True
+
+    return ended
 
 
 def _open_files():

@@ -1,7 +1,5 @@
 """The page in a real browser: headless Chromium, through Playwright."""
 import shutil
-import threading
-import time
 
 import numpy as np
 import pytest
@@ -162,7 +160,7 @@ def test_a_live_source_is_shownwith_its_statistics(browser, recording):
         assert page.is_hidden("#timeline")
 
 
-def test_without_its_token_the_page_is_refused(browser, recording):
+def test_without_its_token_the_page_is_refused(browser, recording, threads_ended):
     with serve(recording, host="0.0.0.0", port=0, **OPTIONS) as running, (
             browser.new_page()) as page:
         page.set_default_timeout(PATIENCE_MS)
@@ -171,11 +169,7 @@ def test_without_its_token_the_page_is_refused(browser, recording):
         page.goto(here + "?token=" + running.token)
         drawn(page, 1)
     # What a refused client still sends is received for up to a second.
-    until_s = time.monotonic() + 10
-    while (left := [t.name for t in threading.enumerate()
-                    if t.name.startswith("pdavis")]) and time.monotonic() < until_s:
-        time.sleep(0.05)
-    assert not left
+    assert threads_ended(10)
 
 
 def test_the_page_works_over_tls(browser, recording, tmp_path):

@@ -1,6 +1,5 @@
 """VideoCapture on live sources: cv2's manners of a camera."""
 import pickle
-import threading
 
 import numpy as np
 import pytest
@@ -73,12 +72,12 @@ def test_a_live_source_has_neither_a_length_nor_positions(recording):
 
 
 @pytest.mark.parametrize("backend", [0, CAP_PDAVIS])
-def test_an_address_is_opened_here(backend):
+def test_an_address_is_opened_here(backend, threads_ended):
     with VideoCapture(ADDRESS, backend, **OPTIONS) as capture:
         assert capture.getBackendName() == "PDAVIS"
         ok, picture = capture.read()
         assert (ok, picture.shape) == (True, (4, 4, 3))
-    assert not any(thread.name.startswith("pdavis") for thread in threading.enumerate())
+    assert threads_ended()
 
 
 def test_a_device_that_is_gone_gives_false_and_says_why(recording):

@@ -1,13 +1,15 @@
-"""Searches for cyclic garbage while live sessions run."""
+"""Cyclic garbage: methods make none, and live sessions search for it less."""
 import gc
-import time
+import types
 
 import pytest
 
-from pdavis_cv import Layout, Session
+from pdavis_cv import Layout, Session, fuse, open_recording
 from pdavis_cv.data import example_recording
 from pdavis_cv.live import garbage
 from pdavis_cv.live.garbage import ShortSearches
+
+HOLDS_STATES = ("pdavis_cv.fusion", "pdavis_cv.reconstruct", "pdavis_cv._workers")
 
 
 @pytest.fixture(autouse=True)
@@ -15,6 +17,26 @@ def nothing_left_out():
     assert not gc.get_freeze_count()
     yield
     gc.unfreeze()
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"mode": "causal"}, {"mode": "offline"}, {"method": "cf", "denoise": True},
+    {"method": "events"}, {"method": "events", "offsets": "redundancy"}])
+def test_what_a_method_holds_is_freed_at_once(options):
+    with open_recording(example_recording(), layout=Layout.PDAVIS) as recording:
+        gc.collect()
+        gc.disable()
+        try:
+            assert sum(1 for _ in fuse(recording, fps=200, threads=2, **options)) > 10
+            gc.set_debug(gc.DEBUG_SAVEALL)
+            gc.collect()
+            ours = [one for one in gc.garbage
+                    if type(one).__module__.startswith(HOLDS_STATES)]
+        finally:
+            gc.set_debug(0)
+            gc.garbage.clear()
+            gc.enable()
+    assert not ours
 
 
 def test_lasting_objects_are_left_out_in_the_block_only():
@@ -29,13 +51,15 @@ def test_lasting_objects_are_left_out_in_the_block_only():
 
 
 def test_what_is_made_until_the_session_settles_is_left_out_once(monkeypatch):
-    monkeypatch.setattr(garbage, "SETTLED_S", 0.05)
+    now_s = [1000.0]
+    monkeypatch.setattr(
+        garbage, "time", types.SimpleNamespace(monotonic=lambda: now_s[0]))
     with ShortSearches() as searches:
         before = gc.get_freeze_count()
         lasting = [[] for _ in range(1000)]
         searches.go_on()
         assert gc.get_freeze_count() == before
-        time.sleep(0.06)
+        now_s[0] += garbage.SETTLED_S
         searches.go_on()
         assert gc.get_freeze_count() >= before + len(lasting)
         before = gc.get_freeze_count()

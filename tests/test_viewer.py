@@ -8,7 +8,6 @@ import socket
 import struct
 import subprocess
 import sys
-import threading
 import time
 import types
 
@@ -529,7 +528,7 @@ def test_a_thousand_connections_leave_the_server_alive(served):
         assert time.monotonic() < until_s
 
 
-def test_closing_ends_streams_and_threads(recording):
+def test_closing_ends_streams_and_threads(recording, threads_ended):
     running = serve(recording, port=0, **OPTIONS)
     link = http.client.HTTPConnection("127.0.0.1", running.port, timeout=PATIENCE_S)
     with contextlib.closing(link):
@@ -539,11 +538,7 @@ def test_closing_ends_streams_and_threads(recording):
         while answer.read(65_536):
             pass
     # What the client still sends is received for up to a second.
-    until_s = time.monotonic() + PATIENCE_S
-    while (left := [t.name for t in threading.enumerate()
-                    if t.name.startswith("pdavis")]) and time.monotonic() < until_s:
-        time.sleep(0.05)
-    assert not left
+    assert threads_ended(PATIENCE_S)
 
 
 def test_a_port_that_is_taken_is_an_error(served, recording):

@@ -1,8 +1,10 @@
+import gc
 import multiprocessing
 import os
 import pickle
 import sys
 import threading
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -79,8 +81,17 @@ def test_what_a_band_raises_is_raised():
         if first:
             raise ValueError(f"row {first}")
 
-    with pytest.raises(ValueError, match="row 32"):
-        Workers(2).rows(64, work)
+    workers = Workers(2)
+    gone = weakref.ref(workers)
+    with pytest.raises(ValueError, match="row 32") as caught:
+        workers.rows(64, work)
+    gc.collect()
+    gc.disable()
+    try:
+        del caught, workers
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_several_threads_may_share_workers_and_a_copy_works_on():

@@ -170,7 +170,7 @@ class EventRedundancy(Reconstructor):
         self._unsolved = False
         self._fed = 0                   # calls that changed the state so far
         self._ahead: tuple[EventRedundancy, int] | None = None
-        self._shown = self              # the object that answered the last read
+        self._answered: EventRedundancy | None = None   # the last read, if a copy did
         self._solved: NDArray[np.float32] | None = None
 
     def _tune(self) -> None:
@@ -207,7 +207,7 @@ class EventRedundancy(Reconstructor):
 
         It is 1 where the data do not determine the gains.
         """
-        ratio: NDArray[np.float32] = self._shown._solution[0]
+        ratio: NDArray[np.float32] = (self._answered or self)._solution[0]
         return ratio.copy()
 
     @property
@@ -298,8 +298,8 @@ class EventRedundancy(Reconstructor):
         t = checked_time("t_us", t_us)
         self._clock.check_read(t + self.lookahead_us)
         log = output(out, self.shape, np.float32)
-        self._shown = self._compared(t) if self._due(t) else self
-        return self._shown._estimate(t, log)
+        self._answered = self._compared(t) if self._due(t) else None
+        return (self._answered or self)._estimate(t, log)
 
     def _compared(self, t: int) -> EventRedundancy:
         """Return a copy that has made the comparisons up to t, inclusive.
