@@ -1,4 +1,5 @@
 """Log intensity of a pixel at one time from its state and events.  Inline only."""
+from libc.math cimport sqrt
 from libc.stdint cimport int64_t
 
 from _kernels._hot cimport is_hot
@@ -7,7 +8,7 @@ from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport (
     REST_VARIANCE, ahead, at_rest, between, drift, moving, never, part_t,
-    quiet, p_rest, start, step, still, walk_t)
+    quiet, p_rest, stamps_apart, start, step, still, walk_t)
 
 cdef extern from *:
     """
@@ -78,7 +79,7 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
         if <double>known > t:
             part = quiet(walk, <double>known, lamp, hz, tuning.refractory_us, t)
         else:
-            part = ahead(walk, on, off, lamp, hz, tuning.refractory_us, t)
+            part = ahead(walk, on, off, lamp, hz, tuning, t)
     if tuning.still_us <= 0.0 or lamp.blocks > 0:
         return part
     rest = p_rest(gap, tuning.still_us)
@@ -87,7 +88,7 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
     part.fraction *= 1.0 - rest
     part.rate *= 1.0 - rest
     if held:
-        moves = moving(walk, <double>known - <double>walk.t, tuning.refractory_us)
+        moves = moving(walk, <double>known - <double>walk.t, tuning)
         if <double>known > t:       # the table of `ahead` includes this factor
             part.fraction *= moves
             part.rate *= moves
@@ -149,13 +150,13 @@ cdef inline double output_slope(const walk_t* walk, const part_t* part,
     """Slope of a pixel's output at t, 1/s, from which its lag is found.
 
     Between two known events it is the mean over a time constant around t, because time
-    stamps of events jitter.  It begins at the last event but one at the earliest, and
-    with a refractory period at the last one: a walk does not know what was lost before.
-    Elsewhere it is the slope at t.
+    stamps of events jitter; over longer if they jitter by more than that.  It begins at
+    the last event but one at the earliest, and with a refractory period at the last
+    one: a walk does not know what was lost before.  Elsewhere it is the slope at t.
     """
     cdef walk_t later
     cdef part_t side
-    cdef double half, begin, end, first = <double>walk.t, rise
+    cdef double half, begin, end, first = <double>walk.t, rise, apart
     cdef double slope = (on if part.p else -off) * part.rate + part.ripple_rate
     if lamp.blocks > 0 or never(walk.t) or walk.next < 0 or (
             store[walk.next].t > known):
@@ -164,6 +165,9 @@ cdef inline double output_slope(const walk_t* walk, const part_t* part,
     if half <= 0.0:
         return slope
     half = 1e6 * PER_TURN * SLOPE_SPAN / (2.0 * half)
+    if tuning.jitter_us > 0.0:
+        apart = stamps_apart(tuning)
+        half = sqrt(half * half + apart * apart)
     if t - half >= first and t + half <= <double>store[walk.next].t:
         return slope        # the mean slope of a parabola is that in its middle
     if tuning.refractory_us <= 0.0 and not never(walk.t_prev):

@@ -24,7 +24,7 @@ enum {
 typedef struct {
     double t, known;            /* time to read; events are known up to then, us */
     float since_epoch;          /* time since the variances' reference time, s */
-    float still_us, leak_per_s, refractory_us;
+    float still_us, leak_per_s, refractory_us, least_gap_us;
     float noise_per_event, motion_variance, p_noise;
     float hz, hz_per_intensity, sigma;          /* bandwidth, relative standard error */
     float least_variance, valid_variance;
@@ -93,7 +93,8 @@ PDAVIS_INLINE float p_rest_of(float gap, float still_us)
 
 /* Part of a threshold, its slope and the variances of both, from the table. */
 PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
-                           float refractory, ptrdiff_t from, ptrdiff_t n)
+                           float refractory, float least, ptrdiff_t from,
+                           ptrdiff_t n)
 {
     const float knee = AHEAD_KNEE * AHEAD_FINE, most = AHEAD_NODES - 1 - AHEAD_KNEE;
     const float shift = AHEAD_KNEE * AHEAD_FINE / AHEAD_COARSE;
@@ -101,7 +102,7 @@ PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
     for (i = from; i < n; i++) {
         float gap = l->before[i] - refractory, active_us = g->since[i] - refractory;
         float u, fine, coarse, near, w, node;
-        gap = gap > (float)AHEAD_LEAST_US ? gap : (float)AHEAD_LEAST_US;
+        gap = gap > least ? gap : least;
         u = (active_us > 0.0f ? active_us : 0.0f) / gap;
         fine = u * (float)(1.0 / AHEAD_FINE);
         coarse = u * (float)(1.0 / AHEAD_COARSE) - shift;
@@ -135,7 +136,7 @@ PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
 {
     const float refractory = r->refractory_us;
     ptrdiff_t i;
-    look_up(l, g, refractory, from, n);
+    look_up(l, g, refractory, r->least_gap_us, from, n);
     for (i = from; i < n; i++) {
         float before = l->before[i], since = g->since[i], gap = g->gap[i];
         float over = g->over[i], reset = since < refractory ? since : refractory;

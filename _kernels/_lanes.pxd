@@ -9,7 +9,7 @@ from libc.stdint cimport int64_t
 from _kernels._estimate cimport LEAST_VARIANCE
 from _kernels._lag cimport PER_TURN     # with the constants that _lanes.h shares
 from _kernels._model cimport state_t, tuning_t
-from _kernels._tracks cimport walk_t
+from _kernels._tracks cimport least_gap, walk_t
 
 cdef extern from "_lanes.h" nogil:
     enum:
@@ -22,6 +22,7 @@ cdef extern from "_lanes.h" nogil:
         float still_us
         float leak_per_s
         float refractory_us
+        float least_gap_us
         float noise_per_event
         float motion_variance
         float p_noise
@@ -84,6 +85,7 @@ cdef inline reader_t reader_of(const tuning_t* tuning, int64_t t, int64_t known,
     reader.still_us = <float>tuning.still_us
     reader.leak_per_s = <float>tuning.leak_per_s
     reader.refractory_us = <float>max(tuning.refractory_us, 0.0)
+    reader.least_gap_us = <float>least_gap(tuning)
     reader.noise_per_event = <float>tuning.noise_per_event
     reader.motion_variance = <float>tuning.motion_variance
     reader.p_noise = <float>max(tuning.p_noise, 0.0)

@@ -139,6 +139,16 @@ cdef inline double p_rest(double gap, double still_us) noexcept nogil:
     return gap / (1.0 + gap)
 
 
+cdef inline double stamps_apart(const tuning_t* tuning) noexcept nogil:
+    """Return the standard deviation of the difference of two events' stamps, us."""
+    return sqrt(2.0) * tuning.jitter_us
+
+
+cdef inline double least_gap(const tuning_t* tuning) noexcept nogil:
+    """Return the least gap (us) that tells how fast light changes after it."""
+    return max(AHEAD_LEAST_US, stamps_apart(tuning))
+
+
 cdef inline double sensitive_us(int64_t t0, int64_t t1,
                                 double refractory) noexcept nogil:
     """Return how long a pixel was sensitive between two events, us."""
@@ -386,15 +396,16 @@ cdef inline int node_of(double u, double* part) noexcept nogil:
 
 
 cdef inline double moving(const walk_t* walk, double gap,
-                          double refractory) noexcept nogil:
+                          const tuning_t* tuning) noexcept nogil:
     """Probability that light still moves if no event follows the last one for `gap`.
     """
-    cdef double before = <double>(walk.t - walk.t_prev) - refractory, w
+    cdef double refractory = tuning.refractory_us, w
+    cdef double before = <double>(walk.t - walk.t_prev) - refractory
     cdef const float* low
     cdef int node
     if never(walk.t_prev):
         return 1.0
-    before = before if before > AHEAD_LEAST_US else AHEAD_LEAST_US
+    before = max(before, least_gap(tuning))
     gap = gap - refractory if gap > refractory else 0.0
     node = node_of(gap / before, &w)
     if node == AHEAD_NODES - 1:
@@ -445,7 +456,7 @@ cdef inline part_t still(const walk_t* walk, const lamp_t* lamp, double hz,
 
 
 cdef inline part_t ahead(const walk_t* walk, double on, double off,
-                         const lamp_t* lamp, double hz, double refractory,
+                         const lamp_t* lamp, double hz, const tuning_t* tuning,
                          double t) noexcept nogil:
     """Part crossed at t, extrapolated from the last two events.
 
@@ -456,6 +467,7 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
     flickering lamp this holds for the light minus the ripple.
     """
     cdef part_t part = nothing(walk.p)
+    cdef double refractory = tuning.refractory_us
     cdef double gap = <double>(walk.t - walk.t_prev) - refractory, u, change
     cdef double since = t - <double>walk.t, room = 1.0, w, _
     cdef int node
@@ -479,8 +491,7 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         room = 1.0 - room / on if part.p else 1.0 + room / off
         room = room if room > ROOM_LEAST else ROOM_LEAST
         room = room if room < ROOM_MOST else ROOM_MOST
-    if gap < AHEAD_LEAST_US:
-        gap = AHEAD_LEAST_US
+    gap = max(gap, least_gap(tuning))
     u = (since - refractory if since > refractory else 0.0) / (gap * room)
     node = node_of(u, &w)
     if node == AHEAD_NODES - 1:

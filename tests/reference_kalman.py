@@ -60,6 +60,7 @@ class Pixel:
         self.nodes, self.past, self.pull = [], None, 0.0
         self.odds, self.moves, self.seen = -6.91, 0.0, None
         self.holds, self.held = False, 0.0      # the part at rest, in mode causal
+        self.apart = 0.0    # standard deviation of the difference of two stamps
         self.quiet = []     # ln of the samples from the last that follows an event
 
     def part(self, i, t, known, log):
@@ -84,7 +85,8 @@ class Pixel:
                     *(after(last[0], ripple, t) if i else (0.0, 0.0)))
         else:
             part = (quiet(before, *last, known, ripple, self.deaf, t) if known > t
-                    else ahead(before, *last, steps, ripple, self.deaf, t))
+                    else ahead(before, *last, steps, ripple, self.deaf, t,
+                               max(200, self.apart)))
             gap = max(known - last[0], last[0] - before[0]) if before else np.inf
         if self.ripple is not steady:
             return part
@@ -92,7 +94,7 @@ class Pixel:
         p, fraction, rate, var, rate_var, fall, *rest_of = part
         moves, kept = 1 - rest, 0.0
         if held is not None and before:
-            moves *= moving(before, *last, known, self.deaf)
+            moves *= moving(before, *last, known, self.deaf, max(200, self.apart))
             kept = (1 - moves) * held
         elif held is not None:
             kept = held
@@ -162,12 +164,15 @@ class Pixel:
         return n, y, *self.lag(slope, spread, level + y)
 
     def mean_slope(self, i, t, known, log, slope):
-        """Slope of the output, a mean over its time constant between known events."""
+        """Slope of the output: a mean between known events over its time constant.
+
+        It is longer where stamps jitter by more than that.
+        """
         hz = self.bandwidth[0] + self.bandwidth[1] * np.exp(log)
         if (self.ripple is not steady or hz == 0 or not 0 < i < len(self.events)
                 or self.events[i][0] > known):
             return slope
-        half = 1e6 / (2 * np.pi * hz) / 2
+        half = np.hypot(1e6 / (2 * np.pi * hz) / 2, self.apart)
         first = self.events[i - 2 if i > 1 and not self.deaf else i - 1][0]
         begin, end = max(t - half, first), min(t + half, known)
         if begin >= end:
@@ -499,7 +504,7 @@ class Pixel:
 
 def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0, 0),
            lookahead_us=50_000, offline=False, offset_dn=0.0, waves=(),
-           refractory_us=0.0):
+           refractory_us=0.0, jitter_us=0.0):
     """Log intensity, variance and validity at t_us, from what acts on it."""
     wait_us = min(lookahead_us, 50_000)
     on, off = np.broadcast_to(on, shape), np.broadcast_to(off, shape)
@@ -512,7 +517,7 @@ def kalman(events, frames, shape, on, off, t_us, *, sigma=0.035, bandwidth=(0, 0
         pixel = pixels[at] = Pixel(
             on[at], off[at], sigma, bandwidth, lamp, noise, offset_dn,
             refractory_us)
-        pixel.holds = wait_us == 0
+        pixel.holds, pixel.apart = wait_us == 0, np.sqrt(2) * jitter_us
         mine = events[(events["y"] == at[0]) & (events["x"] == at[1])]
         pixel.events = [(int(t), int(p)) for t, p in zip(mine["t"], mine["p"],
                                                         strict=True)]

@@ -154,14 +154,14 @@ def prior():
             sys.modules.pop(name, None)
 
 
-def moving(before, t0, p0, known, deaf):
+def moving(before, t0, p0, known, deaf, least=200):
     """Probability that light moves that was silent from t0 to the time known."""
-    u = max(known - t0 - deaf, 0) / max(t0 - before[0] - deaf, 200)
+    u = max(known - t0 - deaf, 0) / max(t0 - before[0] - deaf, least)
     nodes, table = prior()
     return np.interp(u, nodes, table[0 if before[1] == p0 else 1][:, 4])
 
 
-def ahead(before, t0, p0, steps, r, deaf, t):
+def ahead(before, t0, p0, steps, r, deaf, t, least=200):
     if before is None:
         return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
     gap, p, same, room = t0 - before[0] - deaf, p0, before[1] == p0, 1.0
@@ -174,7 +174,7 @@ def ahead(before, t0, p0, steps, r, deaf, t):
             same = before[1] == p or crossed < 0.5
             gap = gap / max(crossed, 0.1)
         room = np.clip(1 - (r(t)[0] - r(t0)[0]) / steps[1 - p], 0.3, 2)
-    gap = max(gap, 200)
+    gap = max(gap, least)
     u = max(t - t0 - deaf, 0) / (gap * room)
     nodes, table = prior()
     if u >= nodes[-1]:

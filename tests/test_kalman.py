@@ -72,14 +72,16 @@ def recordings(draw):
        st.sampled_from([*BANDWIDTHS, SLOW]), st.sampled_from([0.0, 0.035]),
        st.sampled_from([0, 7, 30_000, 49_000, 400_000]),
        st.sampled_from([30_000, 120_000, 500_000]), st.sampled_from([0.0, 2.0]),
-       st.sampled_from([0.0, 900.0]))
+       st.sampled_from([0.0, 900.0]), st.sampled_from([0.0, 700.0, 30_000.0]))
 def test_it_equals_float64_evaluation_of_the_equations(
-        stream, mode, maps, bandwidth, sigma, later, ahead, offset, refractory):
+        stream, mode, maps, bandwidth, sigma, later, ahead, offset, refractory,
+        jitter):
     events, frames, waves, stop = stream
     on, off = MAPS if maps else (0.2, 0.25)
     offline = {"lookahead_us": ahead} if mode == "offline" else {}
     mine = make(on=on, off=off, mode=mode, threshold_sigma=sigma, bandwidth=bandwidth,
-                offset_dn=offset, refractory_us=refractory, **offline)
+                offset_dn=offset, refractory_us=refractory, jitter_us=jitter,
+                **offline)
     # What the channels' redundancy adds where frames are poor is another matter.
     mine._saturated.add_events = lambda events, workers: None
     for wave in waves:
@@ -91,7 +93,7 @@ def test_it_equals_float64_evaluation_of_the_equations(
         events, frames, SHAPE, on, off, t, sigma=sigma,
         bandwidth=bandwidth or (0, 0, 0), lookahead_us=mine.lookahead_us,
         offline=mode == "offline", offset_dn=offset, waves=waves,
-        refractory_us=refractory)
+        refractory_us=refractory, jitter_us=jitter)
     # What events say of pixels without a sample is another matter.
     measured = variance > 0
     for got, want, close in (

@@ -91,8 +91,8 @@ class Learning:
                 f"{given['bandwidth']!r}")
         known = {**self._of_calibration(options), **given}
         wanted = {name for name in needs.learned if name not in known}
-        if wanted == {"refractory_us"}:
-            wanted = set()      # alone it does not justify reading ahead
+        if needs.frames and wanted <= {"jitter_us", "refractory_us"}:
+            wanted = set()      # alone they do not justify reading ahead
         if options.thresholds == "in-situ":
             # Thresholds of each pixel need a window of data that a passing stream
             # does not keep.
@@ -118,6 +118,8 @@ class Learning:
                 TYPICAL_BANDWIDTH if options.causal else None)
         if "refractory_us" in wanted:
             known["refractory_us"] = 0.0
+        if "jitter_us" in wanted:
+            known["jitter_us"] = 0.0
         if "noise" in wanted:
             known["noise"] = self._noise(0.0)
         if "ratio_sigma" in wanted & needs.learned:
@@ -212,6 +214,8 @@ class Learning:
         scaled = "scale" in self.wanted and estimate.common_scale_sigma > 0
         if "refractory_us" in self.wanted and estimate.refractory is not None:
             found["refractory_us"] = estimate.refractory.us
+        if "jitter_us" in self.wanted and estimate.jitter is not None:
+            found["jitter_us"] = estimate.jitter.us
         if "thresholds" in self.wanted or scaled:
             tuning = dataclasses.replace(
                 tuning, theta_on=estimate.theta_on.astype(np.float32),

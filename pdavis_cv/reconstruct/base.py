@@ -67,8 +67,8 @@ class Needs:
         Whether the method uses `Reconstructor.add_wave`.
     learned : frozenset of str
         Parameters to estimate from the recording if the caller states none:
-        ``"bandwidth"``, ``"noise"``, ``"refractory_us"``, as `KalmanFilter` takes them,
-        and ``"ratio_sigma"``, as `EventRedundancy` does.
+        ``"bandwidth"``, ``"noise"``, ``"refractory_us"``, ``"jitter_us"``, as
+        `KalmanFilter` takes them, and ``"ratio_sigma"``, as `EventRedundancy` does.
     prior : frozenset of str
         Parameters to take from calibration and sensor if the caller states none:
         ``"threshold_sigma"`` and ``"offset_dn"``, as `KalmanFilter` takes them.

@@ -54,7 +54,7 @@ TUNING_DTYPE = np.dtype([
     ("shot_variance", "<f8"), ("offset_dn", "<f8"), ("valid_variance", "<f8"),
     ("motion_variance", "<f8"), ("p_noise", "<f8"), ("still_us", "<f8"),
     ("refractory_us", "<f8"), ("threshold_drift", "<f8"),
-    ("holds_part", "<f8"), ("needs_sample", "<f8")])
+    ("holds_part", "<f8"), ("needs_sample", "<f8"), ("jitter_us", "<f8")])
 """Parameters of the filter, in the order of the fields.
 
 Process noise: variance of the sum of events per second and per event, thresholds^2.
@@ -66,8 +66,9 @@ Interpolation: error variance of interpolation between events, thresholds^2; pro
 that an event of a pixel at rest is noise; gap between two events at which rest and
 motion are equally likely, us (0: all gaps are interpolated); refractory period, us.
 Then the variance of the thresholds' relative change from frame to frame; whether a
-pixel at rest keeps ``part`` (1) or not (0); and whether images leave out pixels without
-a sample (1), because something else replaces them, or not (0)."""
+pixel at rest keeps ``part`` (1) or not (0); whether images leave out pixels without
+a sample (1), because something else replaces them, or not (0); and the standard
+deviation of events' time stamps, us."""
 
 SAMPLE_DTYPE = np.dtype([("log", "<f4"), ("variance", "<f4"), ("per_dn", "<f4")])
 """A frame's sample of one pixel: ln intensity, variance of its read and shot noise

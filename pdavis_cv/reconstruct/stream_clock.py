@@ -13,7 +13,7 @@ from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BANDWIDTH_SIGMA", "NEVER", "StreamClock", "checked_bandwidth",
-           "checked_noise", "checked_refractory", "checked_threshold",
+           "checked_duration", "checked_noise", "checked_threshold",
            "checked_threshold_sigma", "steps"]
 
 BANDWIDTH_SIGMA = 0.03
@@ -166,9 +166,8 @@ def checked_noise(value: Sequence[float]) -> tuple[float, float, float, float]:
     return sigma, per_s, per_event, share
 
 
-def checked_refractory(value: float) -> float:
-    """Return a refractory period in us, checked."""
+def checked_duration(name: str, value: float) -> float:
+    """Return a time in us, checked; name is that of the argument."""
     if not (np.isfinite(value) and value >= 0):
-        raise ValueError(
-            f"refractory_us must be finite and not negative, got {value}")
+        raise ValueError(f"{name} must be finite and not negative, got {value}")
     return float(value)

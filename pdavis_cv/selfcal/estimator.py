@@ -18,6 +18,7 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths, fit_bandwidth
 from pdavis_cv.selfcal.clock_offset import ClockOffset, fit_clock_offset
 from pdavis_cv.selfcal.common_scale import CommonScale, fit_common_scale
+from pdavis_cv.selfcal.jitter import Jitter, fit_jitter
 from pdavis_cv.selfcal.noise import fit_event_noise
 from pdavis_cv.selfcal.pixel_sample import (
     FILTER_NOISE,
@@ -36,12 +37,13 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 __all__ = ["OF_EVENTS", "QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
 QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise", "refractory_us",
-                        "clock_offset", "ratio_sigma"})
+                        "jitter_us", "clock_offset", "ratio_sigma"})
 """Quantities that a `SelfCalibration` can estimate: thresholds of every pixel (which
 include the common scale), or only that scale; bandwidth; event noise; refractory
-period; offset of the frames' clock; spread of the pixels' ratios of thresholds."""
+period; jitter of the events' stamps; offset of the frames' clock; spread of the pixels'
+ratios of thresholds."""
 
-OF_EVENTS = frozenset({"ratio_sigma"})
+OF_EVENTS = frozenset({"jitter_us", "ratio_sigma"})
 """The quantities that are estimated from events alone."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
@@ -77,6 +79,9 @@ class CameraEstimate:
     refractory : Refractory or None
         How long pixels are held in reset after an event; None if it was not estimated
         or there are too few events.  The other quantities account for it.
+    jitter : Jitter or None
+        Jitter of the events' time stamps, from events alone; None if it was not or
+        could not be estimated, as under a flickering lamp.
     clock_offset : ClockOffset or None
         Shift of the frames' time stamps to the clock of the events; None if it was not
         estimated.  The other quantities are estimated with shifted stamps, if the shift
@@ -98,6 +103,7 @@ class CameraEstimate:
     noise: float | None = None
     common_scale_sigma: float = 0.0
     refractory: Refractory | None = None
+    jitter: Jitter | None = None
     clock_offset: ClockOffset | None = None
     ratio_spread: RatioSpread | None = None
     nominal_sigma: float = 0.0
@@ -253,6 +259,8 @@ class SelfCalibration:
                 "every_pixel=False")
         spread = (fit_ratio_spread(self._window, self._nominal)
                   if "ratio_sigma" in wanted else None)
+        jitter = (fit_jitter(self._window)
+                  if "jitter_us" in wanted and not self._window.flickers else None)
         sample = None if OF_EVENTS.issuperset(wanted) else select_busy_pixels(
             self._window, self._nominal, self._leak_hz)
         found: Bandwidth | None = None
@@ -268,13 +276,13 @@ class SelfCalibration:
         moved_us = 0 if "clock_offset" in wanted else clock_offset_us
         if sample is not None:
             sample = sample.with_frames_moved(moved_us)
-            if "refractory_us" in wanted and not len(self._window.waves):
+            if "refractory_us" in wanted and not self._window.flickers:
                 refractory = fit_refractory(sample)
                 if refractory is not None:
                     sample = sample.with_refractory(refractory.us)
             stamped = sample
             # A lamp's ripple triggers events that hide the timing of the scene's.
-            if "clock_offset" in wanted and not len(self._window.waves):
+            if "clock_offset" in wanted and not self._window.flickers:
                 clock = fit_clock_offset(stamped, known)
                 sample = stamped.with_frames_moved(clock.applied_us)
             first = sample
@@ -310,14 +318,14 @@ class SelfCalibration:
             return CameraEstimate(
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common,
-                refractory=refractory, clock_offset=clock, ratio_spread=spread,
-                nominal_sigma=nominal_sigma)
+                refractory=refractory, jitter=jitter, clock_offset=clock,
+                ratio_spread=spread, nominal_sigma=nominal_sigma)
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
             common_scale_sigma=0.0 if scale is None else scale.sigma,
-            refractory=refractory, clock_offset=clock, ratio_spread=spread,
-            nominal_sigma=nominal_sigma)
+            refractory=refractory, jitter=jitter, clock_offset=clock,
+            ratio_spread=spread, nominal_sigma=nominal_sigma)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,

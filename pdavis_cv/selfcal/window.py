@@ -29,6 +29,10 @@ SENSOR_MAX_US, SENSOR_MAX_EVENTS = 10_000_000, 5_000_000
 USABLE_DN = 8
 """Least DN of a usable sample of a busy pixel."""
 
+LIT_SHARE = 0.25
+"""Greatest share of blocks in which flicker that was found counts as a false alarm: a
+lamp is seen in nearly all, but light that turns fast was taken for one in one of 15."""
+
 _EVER = -(2**62), 2**62
 """Times in us before and after all stamps; their sums fit into 64 bits."""
 
@@ -183,6 +187,12 @@ class PixelWindow:
     def waves(self) -> NDArray[Any]:
         """The lamp's waves, a record per block (WAVE_DTYPE)."""
         return self._lamp.waves
+
+    @property
+    def flickers(self) -> bool:
+        """Whether a lamp flickers in more than `LIT_SHARE` of the blocks."""
+        return bool(len(self.waves)) and (
+            float(np.mean(self.waves["turns_per_us"] > 0)) > LIT_SHARE)
 
     @property
     def nbytes(self) -> int:

@@ -38,8 +38,8 @@ from pdavis_cv.reconstruct.stream_clock import (
     NEVER,
     StreamClock,
     checked_bandwidth,
+    checked_duration,
     checked_noise,
-    checked_refractory,
     checked_threshold,
     checked_threshold_sigma,
 )
@@ -131,6 +131,9 @@ class KalmanFilter(Reconstructor):
     refractory_us : float
         How long a pixel is held in reset after an event, us; the change lost meanwhile
         is restored from the slope before and after.
+    jitter_us : float
+        Standard deviation of the events' time stamps, us: a slope is found over longer
+        than that, to undo the lag and to extrapolate.
     response : array_like of shape (2, 2, 3) or (H, W, 3), optional
         Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
         orthogonal ones on the diagonals.
@@ -156,8 +159,9 @@ class KalmanFilter(Reconstructor):
     """
 
     method = "kalman"
-    needs = Needs(lamp=True, learned=frozenset({"bandwidth", "noise", "refractory_us"}),
-                  prior=frozenset({"threshold_sigma", "offset_dn"}))
+    needs = Needs(
+        lamp=True, prior=frozenset({"threshold_sigma", "offset_dn"}),
+        learned=frozenset({"bandwidth", "jitter_us", "noise", "refractory_us"}))
     causal_parameters = MappingProxyType({"mode": "causal"})
     margin = WHOLE_SENSOR  # the noise of motion is learned from all pixels' innovations
     lookahead_us: int
@@ -168,7 +172,8 @@ class KalmanFilter(Reconstructor):
         threshold_sigma: ArrayLike = THRESHOLD_SIGMA,
         bandwidth: Sequence[float] | None = None,
         noise: Sequence[float] = NOISE, offset_dn: float = 0.0,
-        refractory_us: float = 0.0, response: ArrayLike | None = None,
+        refractory_us: float = 0.0, jitter_us: float = 0.0,
+        response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         if mode not in _LOOKAHEADS:
@@ -196,7 +201,8 @@ class KalmanFilter(Reconstructor):
             raise ValueError(
                 f"offset_dn must be finite and not negative, got {offset_dn}")
         self._offset_dn = float(offset_dn)
-        self._refractory_us = checked_refractory(refractory_us)
+        self._refractory_us = checked_duration("refractory_us", refractory_us)
+        self._jitter_us = checked_duration("jitter_us", jitter_us)
         self._tuning = np.zeros(1, TUNING_DTYPE)
         self._tuning["offset_dn"] = self._offset_dn
         self._tuning["valid_variance"] = VALID_VARIANCE
@@ -239,6 +245,7 @@ class KalmanFilter(Reconstructor):
         for name, value in zip(names, (*self._bandwidth, *self._noise), strict=True):
             self._tuning[name] = value
         self._tuning["refractory_us"] = self._refractory_us
+        self._tuning["jitter_us"] = self._jitter_us
         self._tracks.refractory_us = self._refractory_us
 
     def _adapt(self) -> None:
@@ -276,8 +283,8 @@ class KalmanFilter(Reconstructor):
             "theta_on", "theta_off", "threshold_sigma", "frames_moved_us"}
         if unknown:
             raise TypeError(
-                "retune takes bandwidth, noise, refractory_us, theta_on, theta_off, "
-                "threshold_sigma and frames_moved_us, got "
+                "retune takes bandwidth, noise, refractory_us, jitter_us, theta_on, "
+                "theta_off, threshold_sigma and frames_moved_us, got "
                 f"{', '.join(sorted(unknown))}")
         before, moved_us = self._lags(), learned.get("frames_moved_us", 0)
         if "threshold_sigma" in learned:
@@ -297,8 +304,9 @@ class KalmanFilter(Reconstructor):
                 inflate_for_stamps(self._states, moved_us / self._interval_us)
             self._frames = ()   # waiting frames still have the old time stamps
         if "refractory_us" in learned:
-            before_us, self._refractory_us = self._refractory_us, checked_refractory(
-                learned["refractory_us"])
+            before_us, self._refractory_us = (
+                self._refractory_us,
+                checked_duration("refractory_us", learned["refractory_us"]))
             if self._interval_us:
                 inflate_for_resets(
                     self._states, (self._refractory_us - before_us) / self._interval_us)
@@ -313,6 +321,8 @@ class KalmanFilter(Reconstructor):
             self._begin_thresholds()
         if "noise" in learned:
             self._noise = checked_noise(learned["noise"])
+        if "jitter_us" in learned:
+            self._jitter_us = checked_duration("jitter_us", learned["jitter_us"])
         self._tune()
         self._changed()
 
@@ -335,7 +345,7 @@ class KalmanFilter(Reconstructor):
                 "mode": self._mode, "lookahead_us": self.lookahead_us,
                 "threshold_sigma": self._sigma, "bandwidth": self._bandwidth,
                 "noise": self._noise, "offset_dn": self._offset_dn,
-                "refractory_us": self._refractory_us,
+                "refractory_us": self._refractory_us, "jitter_us": self._jitter_us,
                 "response": self._saturated.response}
 
     @property
@@ -516,6 +526,7 @@ class KalmanFilter(Reconstructor):
         """Copy the state of another filter, except that of saturated pixels."""
         self._noise, self._bandwidth = other._noise, other._bandwidth
         self._refractory_us = other._refractory_us
+        self._jitter_us = other._jitter_us
         self._theta_on, self._theta_off = other._theta_on, other._theta_off
         self._sigma = other._sigma
         np.copyto(self._tuning, other._tuning)
