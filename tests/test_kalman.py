@@ -35,6 +35,7 @@ SHAPE = (3, 4)
 MAPS = np.random.default_rng(9).uniform(0.1, 0.3, (2, *SHAPE))
 BANDWIDTHS = [None, (250.0, 0.0, 0.1), (20.0, 8.0, 0.3)]
 SLOW = (4.0, 0.5, 0.2)      # some events within a time constant
+SINGULAR = 2 * 2 / 0.05
 
 
 def make(shape=SHAPE, on=0.2, off=0.25, **options):
@@ -96,10 +97,14 @@ def test_it_equals_float64_evaluation_of_the_equations(
         refractory_us=refractory, jitter_us=jitter)
     # What events say of pixels without a sample is another matter.
     measured = variance > 0
-    for got, want, close in (
-            (estimate.log_intensity, log, {"atol": 2e-3, "rtol": 1e-4}),
-            (estimate.variance, variance, {"atol": 1e-5, "rtol": 5e-3})):
-        np.testing.assert_allclose(got[measured], want[measured], **close)
+    np.testing.assert_allclose(
+        estimate.log_intensity[measured], log[measured], atol=2e-3, rtol=1e-4)
+    # Where light falls nearly too fast to be followed, the slope hardly tells the lag
+    # u: its variance is divided by d(slope) / du squared, of which an error of u is 80
+    # times as large a part (d >= f / 20, its change 2 f at most).
+    ill = SINGULAR * np.abs(estimate.log_intensity - log) * bool(bandwidth)
+    error = np.abs(estimate.variance - variance)
+    assert (error <= 1e-5 + (5e-3 + ill) * variance)[measured].all()
     np.testing.assert_array_equal(estimate.valid[measured], valid[measured])
 
 
