@@ -65,7 +65,7 @@ cdef packed struct tuning_t:
     double threshold_drift  # variance of the relative change from frame to frame
     double holds_part       # 1: a pixel at rest keeps its part; 0: it does not
     double needs_sample     # 1: images leave out pixels without a sample; 0: none
-    double jitter_us        # standard deviation of events' time stamps
+    double jitter_us        # standard deviation of events' time stamps, us
 
 cdef packed struct sample_t:
     float log               # ln intensity

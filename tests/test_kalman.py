@@ -35,7 +35,7 @@ SHAPE = (3, 4)
 MAPS = np.random.default_rng(9).uniform(0.1, 0.3, (2, *SHAPE))
 BANDWIDTHS = [None, (250.0, 0.0, 0.1), (20.0, 8.0, 0.3)]
 SLOW = (4.0, 0.5, 0.2)      # some events within a time constant
-SINGULAR = 2 * 2 / 0.05
+SINGULAR = 2 * 2 / 0.05     # see below: 80
 
 
 def make(shape=SHAPE, on=0.2, off=0.25, **options):

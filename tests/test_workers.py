@@ -4,6 +4,7 @@ import os
 import pickle
 import sys
 import threading
+import time
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 
@@ -192,7 +193,11 @@ def test_a_wait_for_spare_time_ends(ended):
     next(busy)
     if ended:
         spare.end()
-    spare.wait(600.0 if ended else 1e-3)    # returns
+    longest_s = 600.0 if ended else 1e-3
+    begin_s = time.monotonic()
+    spare.wait(longest_s)
+    assert spare._spare.is_set() == ended
+    assert time.monotonic() - begin_s < 60
 
 
 def test_there_is_a_core_to_work_on():

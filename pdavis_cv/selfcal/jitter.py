@@ -40,14 +40,15 @@ have turned."""
 
 _MIN_RUNS, _MIN_SHARE = 100, 0.25
 """Least number of runs of one sign in an octave, and their least share of all runs: it
-is 1/8 where signs are random, as those of noise events."""
+is 1/8 where signs are random, as those of noise events.  Engineering choice."""
 
 _MEDIAN_ERROR = 1.166
 """Relative standard error of the median of n absolute values of normal numbers, times
 sqrt(n).  As runs overlap, a fourth of them counts."""
 
 _SIGMAS = 2.0
-"""Standard errors by which a third difference must be below `_TOLD`."""
+"""Standard errors by which a third difference must be below `_TOLD`.  Engineering
+choice."""
 
 
 class Jitter(NamedTuple):
@@ -59,7 +60,7 @@ class Jitter(NamedTuple):
         Standard deviation.  It includes what the light's changes contribute to third
         differences, and where stamps have lost their order, it may be larger.
     sigma_us : float
-        Standard error.
+        Standard error; equal to `us` if that is only a lower bound.
     """
 
     us: float

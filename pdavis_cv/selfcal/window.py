@@ -31,7 +31,8 @@ USABLE_DN = 8
 
 LIT_SHARE = 0.25
 """Greatest share of blocks in which flicker that was found counts as a false alarm: a
-lamp is seen in nearly all, but light that turns fast was taken for one in one of 15."""
+lamp is seen in nearly all, but light that turned fast was taken for one in one of 15.
+Engineering choice."""
 
 _EVER = -(2**62), 2**62
 """Times in us before and after all stamps; their sums fit into 64 bits."""
