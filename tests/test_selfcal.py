@@ -14,7 +14,8 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.model import WAVE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
-from pdavis_cv.selfcal import SelfCalibration, window
+from pdavis_cv.selfcal import SelfCalibration, common_scale, window
+from pdavis_cv.selfcal.bandwidth import fit_bandwidth
 from pdavis_cv.selfcal.estimator import QUANTITIES
 from pdavis_cv.selfcal.likelihood import (
     NORMAL,
@@ -27,6 +28,7 @@ from pdavis_cv.selfcal.pixel_sample import (
     INNOVATIONS_DTYPE,
     PIXEL_DTYPE,
     READING_DTYPE,
+    PixelSample,
     candidates_of,
     select_busy_pixels,
 )
@@ -175,6 +177,44 @@ def test_many_candidates_find_the_same_as_each_alone(recording):
     together = sample.innovations(candidates)
     alone = [sample.innovations(candidates[i:i + 1])[0] for i in range(90)]
     assert together.tolist() == [each.tolist() for each in alone]
+
+
+@pytest.mark.parametrize(("least", "step"), [(1000, 1), (20, 3), (7, 9)])
+def test_a_part_of_the_pixels_is_what_one_in_so_many_tells(recording, least, step):
+    sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
+    assert len(sample.pixels) == 64
+    part = sample.thinned(least)
+    assert part.pixels.tolist() == sample.pixels[::step].tolist()
+    candidates = candidates_of([(250.0, 0.0), (0.0, 8.0)])
+    assert part.innovations(candidates).tolist() == sample.innovations(
+        candidates, step).tolist()
+    for change in (PixelSample.without_dim_samples, PixelSample.with_leak_in_frames,
+                   lambda one: one.with_thresholds_scaled(0.8, 1.2)):
+        np.testing.assert_array_equal(
+            change(part)._readings(1)[1], change(sample)._readings(step)[1])
+    np.testing.assert_array_equal(
+        part.between_like_events(0.0)._frames,
+        sample.between_like_events(0.0)._frames[:, ::step])
+    inside = [sample.gaps_us[0][:0], *(
+        np.diff(sample._events["t"][one["start"]:one["stop"]])
+        for one in sample._traits[::step])]
+    np.testing.assert_array_equal(part.gaps_us[0], np.concatenate(inside))
+
+
+def test_searches_that_meet_are_followed_once(recording, monkeypatch):
+    sample = select_busy_pixels(looked_on(recording)._window, NOMINAL, (0.2, 0.08))
+    law, fits = (250.0, 0.0), []
+
+    def counted(sample):
+        fits.append(sample)
+        return fit_bandwidth(sample)
+
+    monkeypatch.setattr(common_scale, "fit_bandwidth", counted)
+    found = common_scale.fit_common_scale(sample, law)
+    both = len(fits)
+    again = common_scale.fit_common_scale(sample, law, before=found)
+    assert len(fits) == 2 * both    # the third search ends where the first one did
+    assert again.on == pytest.approx(found.on, rel=1e-3)
 
 
 def test_blocks_of_time_add_up_to_what_the_whole_sample_tells(recording):

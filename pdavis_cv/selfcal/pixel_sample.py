@@ -90,6 +90,9 @@ READING_DTYPE = np.dtype([
 """A frame's ln intensity (ln DN/ms), the variance of its read and shot noise (0: not
 usable), its exposure, and the time up to which events are used (us)."""
 
+_READING = np.dtype(f"V{READING_DTYPE.itemsize}")
+"""The same as one item, which NumPy copies at once and not field by field."""
+
 CANDIDATE_DTYPE = np.dtype([
     ("noise_per_s", "<f8"), ("noise_per_event", "<f8"), ("drift", "<f8"),
     ("hz", "<f8"), ("hz_per_intensity", "<f8"), ("frame_sigma", "<f8"),
@@ -187,9 +190,33 @@ class PixelSample:
             usable, (READ_NOISE_DN**2 + light / DN_PER_SHOT) / light**2, 0)
 
     def _copy(self) -> PixelSample:
-        """Return a copy of the sample that may be changed."""
+        """Return a copy of the sample; its arrays are the same."""
         other = copy(self)
         other._packed = {}
+        return other
+
+    def _copy_with_frames(self) -> PixelSample:
+        """Return a copy of the sample whose frames may be changed."""
+        other = self._copy()
+        other._frames = self._frames.view(_READING).copy().view(READING_DTYPE)
+        return other
+
+    def thinned(self, least: int) -> PixelSample:
+        """Return a part of the pixels, spread evenly: at least `least`, or all."""
+        every = max(len(self.pixels) // least, 1)
+        if every == 1:
+            return self
+        other = self._copy()
+        other.pixels, other._traits = self.pixels[::every], self._traits[::every].copy()
+        counts = self._traits["stop"] - self._traits["start"]
+        pixel = np.repeat(np.arange(len(counts)), counts)
+        other._events = self._events.take(np.flatnonzero(pixel % every == 0))
+        other._traits["stop"] = np.cumsum(counts[::every])
+        other._traits["start"] = other._traits["stop"] - counts[::every]
+        for name in ("_dn", "_usable", "_exposure_ms"):
+            setattr(other, name, getattr(self, name)[:, ::every])
+        other._frames = np.ascontiguousarray(
+            self._frames.view(_READING)[:, ::every]).view(READING_DTYPE)
         return other
 
     def with_thresholds_scaled(self, on: float, off: float) -> PixelSample:
@@ -229,8 +256,7 @@ class PixelSample:
 
         An uncorrected leak makes the photoreceptors appear up to 7 % too slow.
         """
-        other = self._copy()
-        other._frames = self._frames.copy()
+        other = self._copy_with_frames()
         middle = other._frames["middle"]
         rate = self.leak_hz[0] * float(self._traits["theta_on"].mean()) / 1e6
         if middle.size:
@@ -239,8 +265,7 @@ class PixelSample:
 
     def with_frames_moved(self, us: int) -> PixelSample:
         """Return the sample with the frames' times shifted by us."""
-        other = self._copy()
-        other._frames = self._frames.copy()
+        other = self._copy_with_frames()
         for name in ("begin", "middle", "end", "known"):
             other._frames[name] += us
         return other
@@ -299,8 +324,7 @@ class PixelSample:
         return find
 
     def _with_usable(self, usable: NDArray[np.bool_]) -> PixelSample:
-        other = self._copy()
-        other._frames = self._frames.copy()
+        other = self._copy_with_frames()
         other._frames["variance"][~usable] = 0
         return other
 
@@ -356,12 +380,13 @@ class PixelSample:
     def _readings(self, every: int) -> tuple[NDArray[np.void], NDArray[np.void]]:
         """Return one in `every` pixels, and their usable frames, pixel after pixel."""
         if every not in self._packed:
-            frames = np.ascontiguousarray(self._frames[:, ::every].T)
-            usable = frames["variance"] > 0
+            usable = self._frames["variance"][:, ::every] > 0
+            pixel, k = np.nonzero(usable.T)
             traits = self._traits[::every].copy()
-            ends = np.append(0, np.cumsum(usable.sum(1)))
-            traits["first"], traits["last"] = ends[:-1], ends[1:]
-            self._packed[every] = traits, frames[usable]
+            traits["last"] = np.cumsum(usable.sum(0))
+            traits["first"][1:] = traits["last"][:-1]
+            self._packed[every] = traits, self._frames.view(_READING).ravel().take(
+                k * len(self._traits) + every * pixel).view(READING_DTYPE)
         return self._packed[every]
 
     def systematics(
@@ -392,8 +417,7 @@ class PixelSample:
 
     def _with_offset(self, offset_dn: float) -> PixelSample:
         """Return the sample with an offset added to frames, without dim values."""
-        other = self._copy()
-        other._frames = self._frames.copy()
+        other = self._copy_with_frames()
         dn = self._dn + np.float32(offset_dn)
         other._read(dn, self._usable & (dn >= MIN_DN))
         return other
