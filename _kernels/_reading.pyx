@@ -182,8 +182,9 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
     """List the pixels that are not at rest from `now` on; return how many.
 
     listing is (pixels, flags by pixel).  The listed pixels are examined, or all of them
-    if `every` is set; those that are not at rest are marked as changed and written to
-    the beginning of pixels, in order.  planes (4, h, w) receives the parameters of the
+    if `every` is set; those that are not at rest are written to the beginning of
+    pixels, in order, and marked as changed unless they keep their place, and with it
+    their lane.  planes (4, h, w) receives the parameters of the
     others, from which `kalman_show` reads them; epoch is the time that their variances
     refer to, at or after every sample.  Where the tuning has needs_sample set, pixels
     without a sample count as at rest, whatever their events, until `every` is set
@@ -232,8 +233,9 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
             # The smoothed course of a hot pixel does not fit the planes' polynomial.
             elif (k.tracks[i].first >= 0 or not at_rest(k.tracks[i].last >> 1, now)
                     or smooth and is_hot(&k.states[i])):
-                flag[i] = LISTED | CHANGED | NEW_STATE
-                pixels[n] = <int32_t>i
+                if every or pixels[n] != i:
+                    flag[i] = LISTED | CHANGED | NEW_STATE
+                    pixels[n] = <int32_t>i
                 n += 1
             else:
                 flag[i] = 0

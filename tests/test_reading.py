@@ -105,3 +105,24 @@ def test_pixels_of_stored_events_are_listed_once_and_marked():
     assert flags[0, 1] == 19
     assert flags[3, 5] == 3
     assert flags.sum() == 22
+
+
+def test_pixels_that_keep_their_place_in_the_list_keep_their_lanes():
+    given = arguments(_kernels.kalman_rest)
+    given["now"], given["every"] = 5_000_000, False
+    given["tracks"]["last"] = 2 * given["now"]      # all of them may be moving
+    given["tracks"]["last"][0, 2] = 0
+    pixels, flags = given["listing"]
+    pixels[:] = -1
+    pixels[:6] = 0, 1, 2, 4, 3, 5
+    flags.flat[:6] = 1, 3, 1, 1, 1, 1
+    assert _kernels.kalman_rest(*given.values()) == 5
+    assert pixels[:5].tolist() == [0, 1, 3, 4, 5]
+    # 3 and 5 have moved up, 4 was there already; 2 has come to rest.
+    assert flags.flat[:6].tolist() == [1, 3, 0, 19, 1, 19]
+    flags.flat[:6] = 1, 3, 0, 1, 1, 1
+    assert _kernels.kalman_rest(*given.values()) == 5
+    assert flags.flat[:6].tolist() == [1, 3, 0, 1, 1, 1]
+    given["every"] = True
+    assert _kernels.kalman_rest(*given.values()) == SIZE - 1
+    assert set(np.delete(flags.ravel(), 2).tolist()) == {19}
