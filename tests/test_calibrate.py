@@ -1,5 +1,6 @@
 """pdavis calibrate: from simulated recordings of known chips to a calibration file."""
 import json
+import re
 
 import numpy as np
 import pytest
@@ -60,6 +61,9 @@ def test_all_parts_go_into_one_file_with_a_report_each(files, tmp_path, capsys):
     assert np.std(ratio - true) < 0.015     # nominal values would leave 0.047
     printed = capsys.readouterr().out
     assert "0 deg at 500 nm: extinction ratio" in printed
+    assert "refractory period: none that frames confirm; shortest gap" in printed
+    jitter = re.search(r"stamps: jitter by (\d+) \+- \d+ us at most", printed)
+    assert 0 < int(jitter[1]) < 300     # the camera has none
     try:
         import matplotlib  # noqa: F401
     except ImportError:

@@ -298,6 +298,17 @@ def _thresholds(
         page.say("frames' stamps", f"off by {clock.us / 1000:+.2f} +- "
                  f"{clock.sigma_us / 1000:.2f} ms"
                  + ("" if clock.significant else ": not significant"))
+    reset = found.refractory
+    if reset is not None:
+        page.say("refractory period", f"{reset.us:.0f} +- {reset.sigma_us:.0f} us"
+                 if reset.us else "none that frames confirm; shortest gap between two "
+                 f"events of a pixel {reset.sigma_us:.0f} us")
+    jitter = found.jitter
+    if jitter is not None:
+        page.say("events' stamps", "jitter by " + (
+            f"{jitter.us:.0f} us or more: they have lost their order"
+            if jitter.sigma_us >= jitter.us else
+            f"{jitter.us:.0f} +- {jitter.sigma_us:.0f} us at most"))
     return measured_parts(found), page
 
 
