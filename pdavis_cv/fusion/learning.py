@@ -104,12 +104,15 @@ class Learning:
             wanted.add("scale")     # biases or data sheet give it only roughly
             if "threshold_sigma" in needs.prior and "threshold_sigma" not in known:
                 wanted.add("ratio_sigma")   # how far pixels are from that scale
+        elif "ratio_sigma" in wanted and options.thresholds is None and (
+                self._calibration is None or self._calibration.theta_on is None):
+            wanted.add("event_scale")
         clock = _stated_clock(options)
         if needs.learned and needs.frames and clock is None:
             wanted.add("clock_offset")
         self.wanted = frozenset(
             wanted if source.info.frame_count != 0
-            else wanted & OF_EVENTS & needs.learned)
+            else wanted & OF_EVENTS & (needs.learned | {"event_scale"}))
         self.uses_frames = not self.wanted <= OF_EVENTS
         self._stated = _stated_bandwidth(self._calibration)
         if "bandwidth" in wanted:
@@ -211,7 +214,8 @@ class Learning:
         if "ratio_sigma" in self._needs.learned & self.wanted and (
                 estimate.ratio_spread is not None):
             found["ratio_sigma"] = estimate.ratio_spread.sigma
-        scaled = "scale" in self.wanted and estimate.common_scale_sigma > 0
+        scaled = estimate.common_scale_sigma > 0 and not (
+            self.wanted.isdisjoint({"scale", "event_scale"}))
         if "refractory_us" in self.wanted and estimate.refractory is not None:
             found["refractory_us"] = estimate.refractory.us
         if "jitter_us" in self.wanted and estimate.jitter is not None:

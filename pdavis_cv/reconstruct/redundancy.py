@@ -180,18 +180,33 @@ class EventRedundancy(Reconstructor):
             self._tuning[name] = value
 
     def retune(self, **learned: Any) -> None:
-        """Continue with another bandwidth or spread (see `Reconstructor.retune`)."""
-        unknown = learned.keys() - {"bandwidth", "ratio_sigma"}
+        """Continue with other thresholds, bandwidth or spread (see `Reconstructor`).
+
+        Past sums of events stay as they are; the gains follow within their memory.
+        """
+        unknown = learned.keys() - {"theta_on", "theta_off", "bandwidth", "ratio_sigma"}
         if unknown:
-            raise TypeError("retune takes bandwidth and ratio_sigma, got "
-                            f"{', '.join(sorted(unknown))}")
+            raise TypeError(
+                "retune takes theta_on, theta_off, bandwidth and ratio_sigma, got "
+                f"{', '.join(sorted(unknown))}")
         if "ratio_sigma" in learned:
             self._policy["ratio_sigma"] = positive(
                 "ratio_sigma", learned["ratio_sigma"])
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
+        if not {"theta_on", "theta_off"}.isdisjoint(learned):
+            self._take_thresholds(learned.get("theta_on", self._theta_on),
+                                  learned.get("theta_off", self._theta_off))
         self._tune()
         self._changed()
+
+    def _take_thresholds(self, on: ArrayLike, off: ArrayLike) -> None:
+        self._theta_on = checked_threshold("theta_on", on, self.shape)
+        self._theta_off = checked_threshold("theta_off", off, self.shape)
+        for part, theta in (("on", self._theta_on), ("off", self._theta_off)):
+            # What the balance has told of the ratio stays.
+            self._states[f"theta_{part}"] *= theta / self._states[f"prior_{part}"]
+            self._states[f"prior_{part}"] = theta
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -329,6 +344,7 @@ class EventRedundancy(Reconstructor):
         if not isinstance(other, EventRedundancy) or other.shape != self.shape:
             raise ValueError(f"other must be an equal EventRedundancy, got {other!r}")
         self._bandwidth = other._bandwidth
+        self._theta_on, self._theta_off = other._theta_on, other._theta_off
         self._policy["ratio_sigma"] = other._policy["ratio_sigma"]
         self._tune()
         self._tracks.assign(other._tracks)

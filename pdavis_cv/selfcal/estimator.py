@@ -18,6 +18,7 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths, fit_bandwidth
 from pdavis_cv.selfcal.clock_offset import ClockOffset, fit_clock_offset
 from pdavis_cv.selfcal.common_scale import CommonScale, fit_common_scale
+from pdavis_cv.selfcal.event_scale import fit_event_scale
 from pdavis_cv.selfcal.jitter import Jitter, fit_jitter
 from pdavis_cv.selfcal.noise import fit_event_noise
 from pdavis_cv.selfcal.pixel_sample import (
@@ -31,19 +32,20 @@ from pdavis_cv.selfcal.ratio_spread import RatioSpread, fit_ratio_spread
 from pdavis_cv.selfcal.refractory import Refractory, fit_refractory
 from pdavis_cv.selfcal.thresholds import shrink_to_population, variance_inflation
 from pdavis_cv.selfcal.uncertainty import frame_systematics
-from pdavis_cv.selfcal.window import Item, PixelWindow, SensorWindow
+from pdavis_cv.selfcal.window import CellWindow, Item, PixelWindow, SensorWindow
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 
 __all__ = ["OF_EVENTS", "QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
-QUANTITIES = frozenset({"thresholds", "scale", "bandwidth", "noise", "refractory_us",
-                        "jitter_us", "clock_offset", "ratio_sigma"})
+QUANTITIES = frozenset({"thresholds", "scale", "event_scale", "bandwidth", "noise",
+                        "refractory_us", "jitter_us", "clock_offset", "ratio_sigma"})
 """Quantities that a `SelfCalibration` can estimate: thresholds of every pixel (which
-include the common scale), or only that scale; bandwidth; event noise; refractory
-period; jitter of the events' stamps; offset of the frames' clock; spread of the pixels'
-ratios of thresholds."""
+include the common scale), or only that scale, from frames or, where they do not tell
+it, from events, or from events alone; bandwidth; event noise; refractory period; jitter
+of the events' stamps; offset of the frames' clock; spread of the pixels' ratios of
+thresholds."""
 
-OF_EVENTS = frozenset({"jitter_us", "ratio_sigma"})
+OF_EVENTS = frozenset({"event_scale", "jitter_us", "ratio_sigma"})
 """The quantities that are estimated from events alone."""
 
 _MIN_INFLATION, _MAX_INFLATION = (1e-4, 1e-3), 4.0
@@ -140,7 +142,7 @@ class SelfCalibration:
 
     It is fed in order of time like a `Reconstructor`: a frame at its mid-exposure,
     corrected by the camera's calibration.  It keeps the last 10 s, 100 frames or 1
-    million events of at most 16384 pixels, 40 MB at most; with `every_pixel` also the
+    million events of at most 16384 pixels, 42 MB at most; with `every_pixel` also the
     first 10 s or 5 million events of all pixels, 65 MB and the frames.
 
     Parameters
@@ -191,7 +193,7 @@ class SelfCalibration:
         self._nominal, self._sensor, self._dark = nominal, sensor, bool(dark)
         self._stated, self._leak_hz = stated_bandwidth, leak_hz
         self._sigma = float(threshold_sigma)
-        self._window = PixelWindow(self.shape)
+        self._window, self._cells = PixelWindow(self.shape), CellWindow(self.shape)
         self._whole = SensorWindow(self.shape) if every_pixel else None
         self._taken = 0
 
@@ -216,6 +218,7 @@ class SelfCalibration:
         if len(events):
             self._taken += len(events)
             self._window.add_events(events)
+            self._cells.add_events(events)
             if self._whole is not None:
                 self._whole.add(events)
 
@@ -272,7 +275,7 @@ class SelfCalibration:
         known = None if "bandwidth" in wanted or bandwidth is None else (
             checked_bandwidth(bandwidth))
         refractory: Refractory | None = None
-        nominal_sigma = 0.0
+        nominal_sigma, told = 0.0, False
         moved_us = 0 if "clock_offset" in wanted else clock_offset_us
         if sample is not None:
             sample = sample.with_frames_moved(moved_us)
@@ -293,6 +296,7 @@ class SelfCalibration:
                 likeliest, clock = _scale_and_clock(
                     stamped, law, clock, known, found is not None)
                 scale = likeliest if likeliest.significant else None
+                told = likeliest.determined
                 if (scale is None and likeliest.determined
                         and not likeliest.off_nominal):
                     nominal_sigma = likeliest.error_of_nominal
@@ -308,7 +312,14 @@ class SelfCalibration:
                 noise = fit_event_noise(sample, law)
         if found is not None and self._stated is not None:
             found = combine_bandwidths(self._stated, found)
-        factors = (1.0, 1.0) if scale is None else (scale.on, scale.off)
+        factors, scale_sigma = (1.0, 1.0), 0.0
+        if scale is not None:
+            factors, scale_sigma = (scale.on, scale.off), scale.sigma
+        elif not self._window.flickers and (
+                "event_scale" in wanted or ("scale" in wanted and not told)):
+            by_events = fit_event_scale(self._cells, self._nominal)
+            if by_events is not None and by_events.significant:
+                factors, scale_sigma = (by_events.factor,) * 2, by_events.sigma
         nominal = tuple(np.asarray(value, np.float64) * factor for value, factor in zip(
             self._nominal, factors, strict=True))
         if "thresholds" in wanted and self._whole is not None:
@@ -323,7 +334,7 @@ class SelfCalibration:
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
-            common_scale_sigma=0.0 if scale is None else scale.sigma,
+            common_scale_sigma=scale_sigma,
             refractory=refractory, jitter=jitter, clock_offset=clock,
             ratio_spread=spread, nominal_sigma=nominal_sigma)
 
@@ -360,18 +371,20 @@ class SelfCalibration:
     @property
     def nbytes(self) -> int:
         """Bytes of the data kept."""
-        return self._window.nbytes + (
+        return self._window.nbytes + self._cells.nbytes + (
             0 if self._whole is None else self._whole.nbytes)
 
     def state(self) -> Mapping[str, Any]:
         """Return the data kept; they are never changed in place."""
         return {"taken": self._taken, "window": self._window.state(),
+                "cells": self._cells.state(),
                 "whole": None if self._whole is None else self._whole.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Return to what `state` returned."""
         self._taken = state["taken"]
         self._window.restore(state["window"])
+        self._cells.restore(state["cells"])
         if self._whole is not None:
             self._whole.restore(state["whole"])
 

@@ -15,13 +15,17 @@ from pdavis_cv.reconstruct.tracks import as_bytes
 from pdavis_cv.recording.base import ApsFrame, joined
 from pdavis_cv.selfcal.uncertainty import PixelActivity
 
-__all__ = ["USABLE_DN", "Interval", "Item", "PixelWindow", "SensorWindow"]
+__all__ = ["USABLE_DN", "CellWindow", "Interval", "Item", "PixelWindow",
+           "SensorWindow"]
 
 MAX_PIXELS = 16_384
 """Most pixels that are kept; the busy ones among them are enough to fit a camera."""
 
 MAX_FRAMES, MAX_US, MAX_EVENTS = 100, 10_000_000, 1_000_000
 """Upper bounds of a `PixelWindow`: frames, time, events (13 MB)."""
+
+MAX_CELLS, MAX_CELL_EVENTS = 1024, 100_000
+"""Upper bounds of a `CellWindow`: macropixels, events (1.3 MB)."""
 
 SENSOR_MAX_US, SENSOR_MAX_EVENTS = 10_000_000, 5_000_000
 """Upper bounds of a `SensorWindow`: time, events (65 MB)."""
@@ -215,6 +219,71 @@ class PixelWindow:
         self._intervals, self._pending = deque(intervals), list(pending)
         self._counts = counts.copy()
         self._lamp.restore(lamp)
+
+
+class CellWindow:
+    """The last events of a random subset of the macropixels.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width) of the sensor.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        (height, width) of the sensor.
+    cells : ndarray of intp, shape (2, N)
+        Rows and columns of the macropixels that are kept.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.shape = shape
+        rows, columns = (side // 2 for side in shape)
+        # The same each time; all of them on a small sensor.
+        number = np.random.default_rng(0).permutation(rows * columns)[:MAX_CELLS]
+        self.cells = np.stack(np.divmod(np.sort(number), max(columns, 1)))
+        self._place = np.full(shape, -1, np.int32)
+        for i, (y, x) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+            self._place[2 * self.cells[0] + y, 2 * self.cells[1] + x] = (
+                4 * np.arange(len(number)) + i)
+        self._parts: deque[NDArray[Any]] = deque()
+        self._count = 0
+        self._chosen = np.empty(0, EVENT_DTYPE)     # scratch
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        """Take events of the whole sensor."""
+        if len(self._chosen) < len(events):
+            self._chosen = np.empty(len(events), EVENT_DTYPE)
+        n = _kernels.sample_events(events, self._place, self._chosen)
+        self._parts.append(as_bytes(self._chosen[:n]).copy().view(EVENT_DTYPE))
+        self._count += n
+        while self._count - len(self._parts[0]) >= MAX_CELL_EVENTS:
+            self._count -= len(self._parts.popleft())
+
+    @property
+    def events(self) -> NDArray[Any]:
+        """The last events; ``x`` is 4 i + j for pixel j of macropixel i, row by row.
+
+        Which they are does not depend on how the stream is cut into packets.
+        """
+        if not self._parts:
+            return np.empty(0, EVENT_DTYPE)
+        return joined(list(self._parts))[-MAX_CELL_EVENTS:]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what is kept."""
+        return (self.cells.nbytes + self._place.nbytes
+                + sum(part.nbytes for part in self._parts))
+
+    def state(self) -> tuple[NDArray[Any], ...]:
+        """Return what is kept; never changed later."""
+        return tuple(self._parts)
+
+    def restore(self, state: tuple[NDArray[Any], ...]) -> None:
+        """Take over what `state` returned."""
+        self._parts, self._count = deque(state), sum(map(len, state))
 
 
 class SensorWindow:

@@ -293,7 +293,6 @@ class KalmanFilter(Reconstructor):
             change_spread(self._states, spread, self._sigma)
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
-            self._saturated.retune(self._bandwidth)
         if moved_us or "bandwidth" in learned:
             lag_us = 1e6 * np.abs(self._lags() - before + 1e-6 * moved_us)
             if self._interval_us:       # thresholds have been learned
@@ -319,6 +318,9 @@ class KalmanFilter(Reconstructor):
                     setattr(self, f"_{name}", checked_threshold(
                         name, learned[name], self.shape))
             self._begin_thresholds()
+        self._saturated.retune(
+            self._bandwidth, None if {"theta_on", "theta_off"}.isdisjoint(learned)
+            else (self._theta_on, self._theta_off))
         if "noise" in learned:
             self._noise = checked_noise(learned["noise"])
         if "jitter_us" in learned:

@@ -72,6 +72,8 @@ class Saturated:
         self.response = None if response is None else np.array(response, np.float64)
         self._shape, self._bandwidth = shape, bandwidth
         self._thresholds, self._lookahead_us = (theta_on, theta_off), lookahead_us
+        # By pixel of the virtual sensor: its flat sensor index.
+        self._grid = np.empty((0, 0), np.intp)
         # [place, i]: flat sensor index of the pixel at that place of macropixel i.
         self._pixels = np.empty((4, 0), np.intp)
         # By macropixel of the sensor: its number i, -1: none.
@@ -107,30 +109,38 @@ class Saturated:
         cells = np.minimum(np.arange(rows * columns), count - 1)
         # (place, cell) to (row, column) of all pixels.
         places = pixels[:, cells].reshape(2, 2, rows, columns)
-        grid = places.transpose(2, 0, 3, 1).reshape(2 * rows, 2 * columns)
-
-        def gathered(values: ArrayLike) -> NDArray[np.float64]:
-            by_pixel = np.broadcast_to(values, self._shape + np.shape(values)[2:])
-            return by_pixel.reshape(-1, *by_pixel.shape[2:])[grid].astype(np.float64)
-
+        self._grid = places.transpose(2, 0, 3, 1).reshape(2 * rows, 2 * columns)
         response = self.response
         if response is not None and response.shape != (2, 2, 3):
-            response = gathered(response)
-        on, off = (gathered(theta) for theta in self._thresholds)
+            response = self._gathered(response)
+        on, off = (self._gathered(theta) for theta in self._thresholds)
         self._method = EventRedundancy(
-            grid.shape, theta_on=on, theta_off=off, response=response,
+            self._grid.shape, theta_on=on, theta_off=off, response=response,
             lookahead_us=self._lookahead_us, bandwidth=self._law(level))
+
+    def _gathered(self, values: ArrayLike) -> NDArray[np.float64]:
+        """Return values of the sensor's pixels for those of the virtual sensor."""
+        by_pixel = np.broadcast_to(values, self._shape + np.shape(values)[2:])
+        return by_pixel.reshape(-1, *by_pixel.shape[2:])[self._grid].astype(np.float64)
 
     def _law(self, level: float) -> tuple[float, float, float]:
         # The bandwidth is that at one level of light, as no frame measures the light.
         hz, slope, sigma = self._bandwidth
         return hz + slope * math.exp(level), 0.0, sigma
 
-    def retune(self, bandwidth: tuple[float, float, float]) -> None:
-        """Continue with another bandwidth."""
+    def retune(
+        self, bandwidth: tuple[float, float, float],
+        thresholds: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> None:
+        """Continue with another bandwidth and, if they are given, thresholds."""
         self._bandwidth = bandwidth
         if self._method is not None and self._level is not None:
             self._method.retune(bandwidth=self._law(self._level))
+        if thresholds is not None:
+            self._thresholds = thresholds
+            if self._method is not None:
+                on, off = (self._gathered(theta) for theta in thresholds)
+                self._method.retune(theta_on=on, theta_off=off)
 
     def add_frame(
         self, frame: ApsFrame, sample: NDArray[np.float32], noise: NDArray[np.float32],
@@ -232,7 +242,7 @@ class Saturated:
     def assign(self, other: Saturated) -> None:
         """Copy the state of an equal object."""
         self._bandwidth, self._bound = other._bandwidth, other._bound
-        self._early = other._early
+        self._thresholds, self._early = other._thresholds, other._early
         if other._method is None or other._level is None:
             self._level, self._method = other._level, None
             return
