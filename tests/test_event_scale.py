@@ -46,12 +46,15 @@ def test_thresholds_stated_right_are_kept(right):
     assert not found.significant
 
 
-@pytest.mark.parametrize("factor", [0.5, 0.7, 1.5, 2.5])
+@pytest.mark.parametrize("factor", [0.4, 0.5, 0.7, 1.5, 2.5])
 def test_a_factor_on_the_stated_thresholds_is_found(right, factor):
-    """Sums of events scale with the thresholds, so that only the factor changes."""
+    """Sums of events scale with the thresholds, so that only the factor changes.
+
+    What is stated too large is not corrected: a lag looks the same.
+    """
     cells = kept(right.events())
     found = fit_event_scale(cells, [theta * factor for theta in NOMINAL])
-    assert found.significant
+    assert found.significant == (factor < 1)
     assert found.ln == pytest.approx(-math.log(factor), abs=3 * found.sigma)
     assert found.factor == math.exp(found.ln)
     assert 0.05 < found.sigma < 0.1

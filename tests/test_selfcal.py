@@ -298,7 +298,7 @@ def test_the_window_is_bounded_and_recent(recording, monkeypatch):
     assert len(short._window.intervals) == 12
     assert short._window.intervals[-1].exposure_us.max() == (
         whole._window.intervals[-1].exposure_us.max())
-    assert short.nbytes < 0.6 * whole.nbytes
+    assert short._window.nbytes < 0.6 * whole._window.nbytes
     assert short.estimate(wanted=BOTH).bandwidth.hz == pytest.approx(250, rel=0.25)
 
 
@@ -306,6 +306,7 @@ def test_the_window_is_bounded_and_recent(recording, monkeypatch):
 def test_the_number_of_events_is_bounded(recording, monkeypatch, every_pixel):
     monkeypatch.setattr(window, "MAX_EVENTS", 2000)
     monkeypatch.setattr(window, "SENSOR_MAX_EVENTS", 2000)
+    monkeypatch.setattr(window, "MAX_CELL_EVENTS", 100)
     camera = looked_on(recording, every_pixel=every_pixel)
     assert camera.full
     assert camera.nbytes < (1 + every_pixel) * 6000 * 13
@@ -313,13 +314,14 @@ def test_the_number_of_events_is_bounded(recording, monkeypatch, every_pixel):
 
 def test_without_frames_memory_is_bounded_too(monkeypatch):
     monkeypatch.setattr(window, "MAX_EVENTS", 500)
+    monkeypatch.setattr(window, "MAX_CELL_EVENTS", 200)
     camera = SelfCalibration((4, 4), every_pixel=False)
     empty = camera.nbytes
     events = np.zeros(100, EVENT_DTYPE)
     for i in range(100):
         events["t"] = i
         camera.add_events(events)
-    assert camera.nbytes <= empty + 500 * 13
+    assert camera.nbytes <= empty + (500 + 300) * 13
     assert camera.estimate(wanted=BOTH).bandwidth is None
 
 

@@ -52,14 +52,15 @@ _QUALITY_LEAST = 1e-4
 """Least ratio of eigenvalues, so that its ln is finite; numerical."""
 
 _APART = 3.0
-"""Standard errors by which a scale that is applied differs from the nominal one: jitter
-of stamps and a low bandwidth make it .12 too small, a refractory period .2 too large."""
+"""Standard errors by which a scale that is applied is larger than the nominal one.  A
+smaller one is not applied: a low bandwidth, jitter of stamps, and events that are lost
+also make intensities look like a power of the light below 1."""
 
 _LEAST_FALL, _LEAST_GAIN, _SIGMAS = 0.12, 1.8, 4.0
 """Least `fall` and `gain` at which the nominal thresholds are given up, and standard
 errors that the fall must have.  Light with structure makes a wrong scale fit better,
-but by .08 at most; lost events have a gain of 1.4 at most.  True scales beyond a third
-have .14 and 2.4 at least (studies/event_scale.py)."""
+but with a gain of .7 at most.  True scales beyond a third have a fall of .14 and a gain
+of 2.4 at least (studies/event_scale.py)."""
 
 
 class EventScale(NamedTuple):
@@ -128,7 +129,7 @@ def fit_event_scale(
     gain = fall / max(scale * scale, _MODEL_SIGMA**2)
     ln, sigma = scale + _BIAS, math.hypot(float(each.std()) / n, _MODEL_SIGMA)
     return EventScale(
-        ln, sigma, fall, gain, abs(ln) > _APART * sigma and gain > _LEAST_GAIN
+        ln, sigma, fall, gain, ln > _APART * sigma and gain > _LEAST_GAIN
         and fall > max(_LEAST_FALL, _SIGMAS * float(falls.std()) / n))
 
 
