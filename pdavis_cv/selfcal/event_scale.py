@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._workers import take_turn
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.reconstruct.redundancy import STEP_US, WINDOW, EventRedundancy
+from pdavis_cv.reconstruct.redundancy import (
+    STEP_US,
+    VALID_QUALITY,
+    WINDOW,
+    EventRedundancy,
+)
 from pdavis_cv.selfcal.likelihood import vertex
 from pdavis_cv.selfcal.window import CellWindow
 
@@ -110,12 +115,14 @@ def fit_event_scale(
     Returns
     -------
     EventScale or None
-        None if there are too few events.
+        None if there are too few events, or no light that they agree on.
     """
     misfit = _misfit_of(window, nominal)
     if misfit is None:
         return None
     few = misfit.part(_COARSE_CELLS)
+    if few(0.0).mean() > math.log(VALID_QUALITY):
+        return None     # noise: with thresholds stated too small it is far less
     scale = vertex(_GRID, np.array([few(x).mean() for x in _GRID]))
     for step in _STEPS:
         x = scale + step * np.array([-1.0, 0.0, 1.0])
