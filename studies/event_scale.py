@@ -45,11 +45,10 @@ def scale_of(preset, scene, seed, lost=0.0):
 
 
 def told(name, scales):
-    """Print scales; return falls and gains of those that are larger than nominal."""
+    """Print scales, and return those that are found."""
     scales = [one for one, _ in filter(None, scales)]
-    off = [one for one in scales if one.ln > event_scale._APART * one.sigma]
     print(name, *(f"{one.ln:+.2f} ({one.fall:.2f})" for one in scales))
-    return [(one.fall, one.gain) for one in off]
+    return scales
 
 
 def study(quick=False):
@@ -75,12 +74,11 @@ def study(quick=False):
     print("errors", *(f"{error:+.3f}" for error in errors))
     least = event_scale._LEAST_FALL
     return [
-        Found("event_scale._LEAST_GAIN", max(
-            (gain for fall, gain in structure if fall > least), default=0),
-              event_scale._LEAST_GAIN, at_least=True),
-        Found("event_scale._LEAST_GAIN", min(gain for _, gain in true),
+        Found("event_scale._LEAST_FALL", max(one.fall for one in structure), least,
+              at_least=True),
+        Found("event_scale._LEAST_GAIN", min(one.gain for one in true),
               event_scale._LEAST_GAIN, at_most=True),
-        Found("event_scale._LEAST_FALL", min(fall for fall, _ in true), least,
+        Found("event_scale._LEAST_FALL", min(one.fall for one in true), least,
               at_most=True),
         Found("event_scale._BIAS", event_scale._BIAS - float(np.mean(errors)),
               event_scale._BIAS, 0.4),

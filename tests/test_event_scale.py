@@ -160,6 +160,17 @@ def test_the_window_is_bounded_and_does_not_depend_on_packets(right, monkeypatch
     assert cut.nbytes < 20_000
 
 
+def test_a_quiet_stream_of_many_packets_takes_no_memory(right):
+    cells, events = CellWindow(SIZE), right.events()
+    for _ in range(1000):
+        cells.add_events(events[:0])
+    assert len(cells._parts) <= 1
+    for one in range(5000):
+        cells.add_events(events[one:one + 1])
+    assert len(cells._parts) < 4
+    np.testing.assert_array_equal(cells.events["t"], events["t"][:5000])
+
+
 def test_an_estimator_asks_events_where_frames_do_not_tell(real):
     recording, true = real
     found = []

@@ -32,11 +32,12 @@ _STEPS = (0.14, 0.07)
 """Steps (ln) of the parabolas that refine it."""
 
 _CELLS, _COARSE_CELLS, _LEAST_CELLS = 32, 8, 12
-"""Most macropixels, those with the most events; those for the grid; the fewest."""
+"""Most macropixels, those with the most events; those for the grid; the fewest.
+Engineering choice: what the estimate costs."""
 
 _LEAST_EVENTS, _MOST_EVENTS = 20, 20_000
 """Fewest events of each pixel, about a swing of the light and back, and most of all of
-them, the last ones: what the estimate costs."""
+them, the last ones.  Engineering choice."""
 
 _EVERY_US = round(WINDOW) * STEP_US
 """Interval at which the misfit is read: the memory of the moments."""
@@ -46,7 +47,7 @@ _LEAST_US = 4 * _EVERY_US
 
 _MAX_BALANCE = 0.5
 """Greatest distance of ln(ON / OFF events) from the nominal ratio.  In light that makes
-pixels leak, events say little of thresholds."""
+pixels leak, events say little of thresholds.  Engineering choice."""
 
 _BIAS, _MODEL_SIGMA = 0.06, 0.05
 """What the least misfit's scale (ln) is too small by, because noise of the events is
@@ -59,13 +60,15 @@ _QUALITY_LEAST = 1e-4
 _APART = 3.0
 """Standard errors by which a scale that is applied is larger than the nominal one.  A
 smaller one is not applied: a low bandwidth, jitter of stamps, and events that are lost
-also make intensities look like a power of the light below 1."""
+also make intensities look like a power of the light below 1.  Engineering choice, made
+when such cameras had become worse (docs/theory/selfcal.md)."""
 
 _LEAST_FALL, _LEAST_GAIN, _SIGMAS = 0.12, 1.8, 4.0
 """Least `fall` and `gain` at which the nominal thresholds are given up, and standard
-errors that the fall must have.  Light with structure makes a wrong scale fit better,
-but with a gain of .7 at most.  True scales beyond a third have a fall of .14 and a gain
-of 2.4 at least (studies/event_scale.py)."""
+errors that the fall must have (engineering choice).  Light with structure makes a wrong
+scale fit better by .08 at most; passing stripes, if a scale were searched in them, with
+a gain of .7.  True scales beyond a third have a fall of .14 and a gain of 2.4 at least
+(studies/event_scale.py)."""
 
 
 class EventScale(NamedTuple):

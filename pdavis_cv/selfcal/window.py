@@ -24,8 +24,9 @@ MAX_PIXELS = 16_384
 MAX_FRAMES, MAX_US, MAX_EVENTS = 100, 10_000_000, 1_000_000
 """Upper bounds of a `PixelWindow`: frames, time, events (13 MB)."""
 
-MAX_CELLS, MAX_CELL_EVENTS = 1024, 100_000
-"""Upper bounds of a `CellWindow`: macropixels, events (1.3 MB)."""
+MAX_CELLS, MAX_CELL_EVENTS, _CELL_PARTS = 1024, 100_000, 32
+"""Upper bounds of a `CellWindow`: macropixels, events (1.3 MB); and about in how many
+arrays they are kept."""
 
 SENSOR_MAX_US, SENSOR_MAX_EVENTS = 10_000_000, 5_000_000
 """Upper bounds of a `SensorWindow`: time, events (65 MB)."""
@@ -256,7 +257,11 @@ class CellWindow:
         if len(self._chosen) < len(events):
             self._chosen = np.empty(len(events), EVENT_DTYPE)
         n = _kernels.sample_events(events, self._place, self._chosen)
-        self._parts.append(as_bytes(self._chosen[:n]).copy().view(EVENT_DTYPE))
+        mine = as_bytes(self._chosen[:n]).copy().view(EVENT_DTYPE)
+        # Small packets are joined: a quiet stream would fill memory with empty ones.
+        if self._parts and len(self._parts[-1]) + n <= MAX_CELL_EVENTS // _CELL_PARTS:
+            mine = joined([self._parts.pop(), mine])
+        self._parts.append(mine)
         self._count += n
         while self._count - len(self._parts[0]) >= MAX_CELL_EVENTS:
             self._count -= len(self._parts.popleft())
