@@ -84,6 +84,7 @@ SHARED = (
     "_redundancy.h",
     "_rest.h",
     "_rows.pxd",
+    "_sampled_part.h",
     "_scenes.h",
     "_segments.h",
     "_segments.pxd",

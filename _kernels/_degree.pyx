@@ -28,15 +28,18 @@ cdef extern from "_degree.h" nogil:
 cdef enum:
     CHUNK = 8       # rows of macropixels that a thread takes at a time: 12 us
     BRIDGED = 4     # most unused macropixels within a run: a run costs more than these
-    # Planes of `degree_frame`: mean degree; frames in it; sums of squared errors of its
-    # predictions, and their numbers, with a long and with a short memory.
+    # Planes of `degree_frame`: mean degree; frames in it; error of its last prediction;
+    # sums over neighbours, with a long memory, of products of errors of consecutive
+    # frames, of squared errors, and their number, and of these two with a short memory.
     MEAN = 0
     SEEN = 1
-    LONG = 2
-    COUNT = 3
-    LATE = 4
-    LATE_COUNT = 5
-    PLANES = 6
+    LAST = 2
+    PRODUCT = 3
+    LONG = 4
+    COUNT = 5
+    LATE = 6
+    LATE_COUNT = 7
+    PLANES = 8
 
 cdef struct analyser_t:
     # Of macropixels; one: the same for all.
@@ -229,19 +232,19 @@ def degree_frame(const float[:, ::1] log not None,
     log (>= 2 h, >= 2 w) holds log intensities at mid-exposure, NaN where unknown.
     analyser is as in `lasting_degree`.  constants are the long and the short memory in
     frames, the squared error that is assumed before the first comparison, and how many
-    times its sigma the degree has to be, squared.  planes (6, h, w) is the state, 0 at
-    first; scratch is (2, h + 2, w), 0 in its first and last rows; lasting (3, h, w)
+    times its sigma the degree has to be, squared.  planes (8, h, w) is the state, 0 at
+    first; scratch is (3, h + 2, w), 0 in its first and last rows; lasting (3, h, w)
     receives the degree, its variance and its share.
     """
     cdef Py_ssize_t h = planes.shape[1], w = planes.shape[2]
     cdef Py_ssize_t part, x, y, n, k, i
-    cdef float most, late, first, sure, error, mean, variance, share
+    cdef float most, late, first, sure, error, mean, own, latest, compared, share
     cdef analyser_t of
     cdef group_t group
     cdef float* plane
     most, late, first, sure = constants
     if (log.shape[0] < 2 * h or log.shape[1] < 2 * w or planes.shape[0] != PLANES
-            or scratch.shape[0] != 2 or scratch.shape[1] != h + 2
+            or scratch.shape[0] != 3 or scratch.shape[1] != h + 2
             or scratch.shape[2] != w or lasting.shape[0] != 3 or lasting.shape[1] != h
             or lasting.shape[2] != w):
         raise ValueError("degree_frame: planes, scratch, lasting and log must fit")
@@ -259,30 +262,40 @@ def degree_frame(const float[:, ::1] log not None,
                 add_run(&group, &of, &log[2 * y, 2 * x], log.shape[1], y * w + x, 0, n)
                 find_degree(&group.cells, n)
                 for i in range(n):
-                    scratch[0, y + 1, x + i] = scratch[1, y + 1, x + i] = 0.0
+                    for k in range(3):
+                        scratch[k, y + 1, x + i] = 0.0
+                    latest = planes[LAST, y, x + i]
+                    planes[LAST, y, x + i] = 0.0
                     if group.cells.degree[i] != group.cells.degree[i]:
                         continue
                     error = group.cells.degree[i] - planes[MEAN, y, x + i]
                     if planes[SEEN, y, x + i] > 0.0:
                         scratch[0, y + 1, x + i] = error * error
                         scratch[1, y + 1, x + i] = 1.0
+                        scratch[2, y + 1, x + i] = error * latest
+                        planes[LAST, y, x + i] = error
                     if planes[SEEN, y, x + i] < most:
                         planes[SEEN, y, x + i] += 1.0
                     planes[MEAN, y, x + i] += error / planes[SEEN, y, x + i]
         for y in range(h):
-            for k in range(LONG, PLANES):
-                plane = &scratch[(k - LONG) % 2, y, 0]
+            for k in range(PRODUCT, PLANES):
+                plane = &scratch[2 if k == PRODUCT else (k - LONG) % 2, y, 0]
                 add_row(&planes[k, y, 0], w, plane, plane + w, plane + 2 * w,
                         <float>1.0 - <float>1.0 / (most if k < LATE else late))
             for x in range(w):
                 mean = planes[MEAN, y, x]
-                variance = max(
-                    (planes[LONG, y, x] + first) / (planes[COUNT, y, x] + <float>1.0),
-                    planes[LATE, y, x] / max(planes[LATE_COUNT, y, x], <float>1.0))
+                compared = <float>1.0 / (planes[COUNT, y, x] + <float>1.0)
+                error = (planes[LONG, y, x] + first) * compared
+                latest = planes[LATE, y, x] / max(
+                    planes[LATE_COUNT, y, x], <float>1.0)
+                # What errors of consecutive frames share is not noise of a frame.
+                own = error / max(planes[SEEN, y, x], <float>1.0) + max(
+                    planes[PRODUCT, y, x] * compared, <float>0.0)
+                own = min(own, error)
                 # Not a quotient: the mean may be 0.
-                share = mean * mean - sure * variance
+                share = mean * mean - sure * max(error, latest)
                 lasting[0, y, x] = mean
-                lasting[1, y, x] = variance
+                lasting[1, y, x] = max(own, latest - (error - own))
                 lasting[2, y, x] = share / (mean * mean) if share > 0.0 else 0.0
 
 

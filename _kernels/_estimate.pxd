@@ -7,8 +7,8 @@ from _kernels._lag cimport PER_TURN, corner, lead, lead_variance
 from _kernels._lamp cimport lamp_t
 from _kernels._model cimport state_t, stored_t, track_t, tuning_t
 from _kernels._tracks cimport (
-    REST_VARIANCE, ahead, at_rest, between, drift, moving, never, part_t,
-    quiet, p_rest, stamps_apart, start, step, still, walk_t)
+    REST_VARIANCE, ahead, ahead_of_sample, at_rest, between, drift, moving, never,
+    part_t, quiet, p_rest, stamps_apart, start, step, still, walk_t)
 
 cdef extern from *:
     """
@@ -51,6 +51,11 @@ cdef inline bint holds(const state_t* s, const walk_t* walk,
             and walk.t <= s.sampled_us and not never(walk.t))
 
 
+cdef inline double theta_squared(const state_t* s) noexcept nogil:
+    """Square of the mean threshold, the unit of the variance of a part."""
+    return 0.25 * (s.theta_on + s.theta_off) * (s.theta_on + s.theta_off)
+
+
 cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t known,
                            double on, double off, const lamp_t* lamp, double hz,
                            const tuning_t* tuning, const state_t* s,
@@ -59,7 +64,8 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
 
     It is the mean over motion and rest, weighted by the probability of rest (see
     `silence`).  At rest the part is the one that the state s holds since the samples
-    after the last event, if it holds one (NULL: it does not).
+    after the last event, if it holds one (NULL: it does not), and where nothing is
+    known after t, these samples tell of motion, too.
     """
     cdef part_t part
     cdef double gap, rest, moves
@@ -78,6 +84,10 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
         gap = max(<double>(walk.t - walk.t_prev), <double>known - <double>walk.t)
         if <double>known > t:
             part = quiet(walk, <double>known, lamp, hz, tuning.refractory_us, t)
+        elif held and lamp.blocks == 0:
+            return ahead_of_sample(
+                walk, p_rest(gap, tuning.still_us) if tuning.still_us > 0.0 else 0.0,
+                s.part, s.var_base / theta_squared(s), s.sampled_us, tuning, t)
         else:
             part = ahead(walk, on, off, lamp, hz, tuning, t)
     if tuning.still_us <= 0.0 or lamp.blocks > 0:
@@ -89,9 +99,8 @@ cdef inline part_t part_at(const walk_t* walk, const stored_t* store, int64_t kn
     part.rate *= 1.0 - rest
     if held:
         moves = moving(walk, <double>known - <double>walk.t, tuning)
-        if <double>known > t:       # the table of `ahead` includes this factor
-            part.fraction *= moves
-            part.rate *= moves
+        part.fraction *= moves      # the table of `ahead` includes this factor
+        part.rate *= moves
         part.fraction += (1.0 - (1.0 - rest) * moves) * s.part
     return part
 
@@ -222,11 +231,6 @@ cdef inline double counts_variance(const state_t* s, double n_on,
     return (s.var_base + n_on * n_on * s.var_on + n_off * n_off * s.var_off
             + 2.0 * (n_on * s.cov_base_on - n_off * s.cov_base_off
                      - n_on * n_off * s.cov_on_off))
-
-
-cdef inline double theta_squared(const state_t* s) noexcept nogil:
-    """Square of the mean threshold, the unit of the variance of a part."""
-    return 0.25 * (s.theta_on + s.theta_off) * (s.theta_on + s.theta_off)
 
 
 cdef inline double part_variance(const state_t* s, int64_t sampled,

@@ -333,6 +333,8 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     s.part = 0.0
     hand_over(s, sample, group, i)
     group.part[i] = 0.0
+    group.silent[i] = 0.0
+    group.motion[i] = 0.0
     group.n_on[i] = 0.0
     group.n_off[i] = 0.0
     group.h_on[i] = 0.0
@@ -405,9 +407,7 @@ cdef inline bint find_blur(const using_t* of, const track_t* old,
         add_segment(segments, sums, middle_row(row), &at_mid, store, known,
                     <double>mid, <double>mid, s, level, tuning)
         return True
-    total.whole = 0.0
-    total.on = 0.0
-    total.off = 0.0
+    total.whole = total.on = total.off = 0.0
     integrate(&total, &walk, store, begin, end, known, s, level, tuning, lamp)
     blur.log = log_f(<float>(total.whole / <double>(end - begin)))
     blur.n_on = total.on / total.whole
@@ -461,8 +461,7 @@ cdef void prepare(const using_t* of, Py_ssize_t pixel, group_t* group,
     slot.node.n_on = s.seen_on
     slot.node.n_off = s.seen_off
     if fresh:
-        n_on = 0
-        n_off = 0
+        n_on = n_off = 0
         level = sample.log
         s.var_base = FIRST_VARIANCE
     else:
@@ -514,6 +513,9 @@ cdef void prepare(const using_t* of, Py_ssize_t pixel, group_t* group,
         s.part = 0.0
     group.n_on[i] = n_on
     group.n_off[i] = n_off
+    group.silent[i] = (tuning.holds_part > 0.0 and of.lamp.blocks == 0
+                       and at_mid.t <= of.exposures[slot.x].begin)
+    group.motion[i] = noise
     group.noise[i] = noise
     group.learn[i] = learn
     group.unit[i] = unit

@@ -11,6 +11,7 @@
 #include "_clones.h"
 #include "_extrapolation.h"
 #include "_math.h"
+#include "_sampled_part.h"
 
 enum {
     LANES = 64,                 /* pixels of one lanes_t */
@@ -27,6 +28,7 @@ typedef struct {
     float still_us, leak_per_s, refractory_us, least_gap_us;
     float noise_per_event, motion_variance, p_noise;
     float hz, hz_per_intensity, sigma;          /* bandwidth, relative standard error */
+    float holds;                /* 1: the part that samples have measured is kept */
     float least_variance, valid_variance;
     int bare;                   /* 1: variance and validity are not written */
     int smooth;                 /* 1: samples after t are used */
@@ -156,10 +158,36 @@ PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
         rest = p_rest_of(before > since ? before : since, r->still_us);
         g->v[i] = (1.0f - rest) * (var + rest * part * part);
         g->rate_var[i] = (1.0f - rest) * (rate_var + rest * rate * rate);
-        g->part[i] = (1.0f - rest) * part
-            + (1.0f - (1.0f - rest) * (moving * g->found[i][4]))
-            * ((1.0f - l->after[i]) * l->held[i]);
+        g->part[i] = (1.0f - rest) * part;
         g->rate[i] = (1.0f - rest) * rate;
+    }
+}
+
+/* The same where a sample came after the last event: see _sampled_part.h. */
+PDAVIS_INLINE void expect_after_sample(const lanes_t *restrict l, shown_t *restrict g,
+                                       const reader_t *restrict r, ptrdiff_t from,
+                                       ptrdiff_t n)
+{
+    const float refractory = r->refractory_us, since_epoch = US_PER_S * r->since_epoch;
+    ptrdiff_t i;
+    for (i = from; i < n; i++) {
+        float since = g->since[i], before = l->before[i], gap = g->gap[i];
+        float active = since > refractory ? since - refractory : 0.0f;
+        float reset = since < refractory ? since : refractory;
+        float at = active - (l->age[i] + since_epoch), per_s = US_PER_S / gap;
+        float mean = 0.5f * (l->theta_on[i] + l->theta_off[i]), moves = 1.0f - g->over[i];
+        float first = moves * (l->same[i] > 0.0f ? AHEAD[0][1] : AHEAD[AHEAD_NODES][1]);
+        float rest = p_rest_of(before > since ? before : since, r->still_us);
+        float own = r->holds * l->measured[i] * (1.0f - l->after[i]);
+        sampled_t s;
+        at = at > 0.0f ? at / active : 0.0f;
+        s = part_of_sample(g->found[i], active / gap, at, 1.0f - moves * (1.0f - rest),
+                           l->held[i], l->var_base[i] / (mean * mean),
+                           first * reset / gap);
+        g->part[i] = own > 0.0f ? s.part : g->part[i];
+        g->v[i] = own > 0.0f ? s.var : g->v[i];
+        g->rate[i] = own > 0.0f ? per_s * s.rate : g->rate[i];
+        g->rate_var[i] = own > 0.0f ? per_s * per_s * s.rate_var : g->rate_var[i];
     }
 }
 
@@ -314,6 +342,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void show_lanes(
         expect_quiet(l, g, r, from, n);
     else
         expect_ahead(l, g, r, from, n);
+    if (r->holds > 0.0f && !r->smooth)
+        expect_after_sample(l, g, r, from, n);
     if (r->smooth)
         add_course(l, g, r, from, n);
     else

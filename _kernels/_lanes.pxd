@@ -29,6 +29,7 @@ cdef extern from "_lanes.h" nogil:
         float hz
         float hz_per_intensity
         float sigma
+        float holds
         float least_variance
         float valid_variance
         bint bare
@@ -92,6 +93,7 @@ cdef inline reader_t reader_of(const tuning_t* tuning, int64_t t, int64_t known,
     reader.hz = <float>tuning.bandwidth_hz
     reader.hz_per_intensity = <float>tuning.bandwidth_hz_per_intensity
     reader.sigma = <float>tuning.bandwidth_sigma
+    reader.holds = <float>tuning.holds_part
     reader.least_variance = <float>LEAST_VARIANCE
     reader.valid_variance = <float>tuning.valid_variance
     reader.bare = bare
@@ -108,7 +110,7 @@ cdef inline void enter_state(lanes_t* lanes, Py_ssize_t i, const state_t* s,
                              int64_t epoch, const tuning_t* tuning) noexcept nogil:
     """Write what a pixel's lane takes from its state, which changes with frames."""
     cdef double u = tuning.offset_dn * s.pull
-    lanes.held[i] = <float>s.part if tuning.holds_part > 0.0 and s.samples > 0 else 0.0
+    lanes.held[i] = <float>s.part
     lanes.offset[i] = <float>(u * u)
     lanes.measured[i] = s.samples > 0
     lanes.base[i] = <float>s.base

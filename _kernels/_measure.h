@@ -40,8 +40,9 @@ typedef struct {
     double var_base[TOGETHER], cov_base_on[TOGETHER], cov_base_off[TOGETHER];
     double var_on[TOGETHER], cov_on_off[TOGETHER], var_off[TOGETHER];
     double prior_on[TOGETHER], prior_off[TOGETHER], pull[TOGETHER];
-    /* state_t.part, and the part crossed at this sample. */
-    double held[TOGETHER], part[TOGETHER];
+    /* state_t.part, and the part crossed at this sample; 1, or 0: an event came during
+       the exposure; variance in noise that a pixel at rest does not have. */
+    double held[TOGETHER], part[TOGETHER], silent[TOGETHER], motion[TOGETHER];
     double n_on[TOGETHER], n_off[TOGETHER];     /* events since the sample before */
     /* measured = base + h_on theta_on + h_off theta_off + noise; innovation; d(log) /
        d(DN), of the sample and where it is linearized.  noise is that of motion first. */
@@ -197,7 +198,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         double g1 = g->cov_base_on[i] + on * g->var_on[i] + off * g->cov_on_off[i];
         double g2 = g->cov_base_off[i] + on * g->cov_on_off[i] + off * g->var_off[i];
         double v = g0 + on * g1 + off * g2 + g->noise[i], ratio = e * e / v, jump;
-        double k0, k1, k2, learn = g->learn[i], weight;
+        double k0, k1, k2, rest, learn = g->learn[i], weight;
         double by_on = g->theta_on[i] * (g->n_on[i] + on);
         double by_off = g->theta_off[i] * (off - g->n_off[i]);
         /* Lost events or a wrong sample make the base jump, but not the thresholds. */
@@ -220,7 +221,11 @@ PDAVIS_CLONES PDAVIS_UNUSED static void measure(
         k2 = learn * (g2 / v);
         g->base[i] += k0 * e;
         g->pull[i] += k0 * (g->sample_per_dn[i] - g->pull[i]);
-        g->held[i] += k0 * (g->part[i] - g->held[i]);
+        /* At rest the sample measures the part, too: its noise is that of the frame. */
+        rest = 1.0 - (g->noise[i] - g->motion[i]) / v;
+        rest = g->silent[i] > 0.0 ? rest : k0;
+        g->held[i] += rest * (g->part[i] - g->held[i])
+                      + (rest - k0) * e / g->event_step[i];
         g->var_base[i] = g->var_base[i] + jump - k0 * g0;
         g->cov_base_on[i] -= k0 * g1;
         g->cov_base_off[i] -= k0 * g2;

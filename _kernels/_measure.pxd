@@ -32,6 +32,8 @@ cdef extern from "_measure.h" nogil:
         double pull[TOGETHER]
         double held[TOGETHER]
         double part[TOGETHER]
+        double silent[TOGETHER]
+        double motion[TOGETHER]
         double n_on[TOGETHER]
         double n_off[TOGETHER]
         double h_on[TOGETHER]

@@ -75,10 +75,20 @@ cdef extern from *:
 
 cdef extern from "_extrapolation.h":
     const float AHEAD[][8]    # AHEAD_PITCH
+    enum:
+        AHEAD_PITCH
     const int AHEAD_NODES
     const int AHEAD_KNEE
     const double AHEAD_FINE
     const double AHEAD_COARSE
+
+cdef extern from "_sampled_part.h" nogil:
+    ctypedef struct sampled_t:
+        float part
+        float rate
+        float var
+        float rate_var
+    sampled_t part_of_sample(const float*, float, float, float, float, float, float)
 
 cdef struct walk_t:
     # A position in a pixel's events: the last two events passed, the index of the next
@@ -411,7 +421,7 @@ cdef inline double moving(const walk_t* walk, double gap,
     if node == AHEAD_NODES - 1:
         return 0.0
     low = AHEAD[node if walk.p_prev == walk.p else AHEAD_NODES + node]
-    return low[4] + w * (low[12] - low[4])
+    return low[4] + w * (low[AHEAD_PITCH + 4] - low[4])
 
 
 cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
@@ -498,10 +508,10 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         add_ripple(&part, lamp, hz, walk.t, t)
         return part
     low = AHEAD[node if same else AHEAD_NODES + node]
-    part.fraction = low[0] + w * (low[8] - low[0])
-    part.rate = low[1] + w * (low[9] - low[1])
-    part.var = low[2] + w * (low[10] - low[2])
-    part.rate_var = low[3] + w * (low[11] - low[3])
+    part.fraction = low[0] + w * (low[AHEAD_PITCH] - low[0])
+    part.rate = low[1] + w * (low[AHEAD_PITCH + 1] - low[1])
+    part.var = low[2] + w * (low[AHEAD_PITCH + 2] - low[2])
+    part.rate_var = low[3] + w * (low[AHEAD_PITCH + 3] - low[3])
     if same:
         part.fall = 0.0 if part.p else 1e6 / gap
     part.fraction *= room
@@ -514,4 +524,44 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         add_in_reset(&part, since, gap, AHEAD[0 if same else AHEAD_NODES][1],
                      refractory)
     add_ripple(&part, lamp, hz, walk.t, t)
+    return part
+
+
+cdef inline part_t ahead_of_sample(const walk_t* walk, double rest, double held,
+                                   double noise, int64_t sampled,
+                                   const tuning_t* tuning, double t) noexcept nogil:
+    """Part crossed at t as `ahead` finds it and a sample has measured it.
+
+    rest is the probability of rest; held the part that the sample at `sampled`, after
+    the last event, has measured, with the variance noise.  The lamp is steady.
+    """
+    cdef part_t part = nothing(walk.p)
+    cdef double refractory = tuning.refractory_us, since = t - <double>walk.t
+    cdef double gap = max(<double>(walk.t - walk.t_prev) - refractory,
+                          least_gap(tuning))
+    cdef double active = since - refractory if since > refractory else 0.0
+    cdef double reset = since if since < refractory else refractory
+    cdef double after = active - (t - <double>sampled), w
+    cdef float[AHEAD_PITCH] row
+    cdef bint same = walk.p_prev == walk.p
+    cdef const float* low
+    cdef sampled_t found
+    cdef int node = node_of(active / gap, &w), i
+    if never(walk.t_prev) or node == AHEAD_NODES - 1:
+        part.fraction = held
+        part.var = 0.0
+        return part
+    low = AHEAD[node if same else AHEAD_NODES + node]
+    for i in range(AHEAD_PITCH):
+        row[i] = <float>(low[i] + w * (low[AHEAD_PITCH + i] - low[i]))
+    found = part_of_sample(
+        row, <float>(active / gap), <float>(after / active if after > 0.0 else 0.0),
+        <float>rest, <float>held, <float>noise,
+        <float>(AHEAD[0 if same else AHEAD_NODES][1] * reset / gap))
+    part.fraction = found.part
+    part.var = found.var
+    part.rate = found.rate * 1e6 / gap
+    part.rate_var = found.rate_var * PER_S2 / (gap * gap)
+    if same:
+        part.fall = 0.0 if part.p else 1e6 / gap
     return part

@@ -24,16 +24,19 @@ class Reference:
         self.memories = frames, late_frames
         self.first, self.sure = first_error**2, sure
         self.mean, self.seen = np.zeros((2, h, w))
-        self.sums = np.zeros((2, 2, h, w))      # long and late: errors, number
+        # long and late: errors, number, products
+        self.sums = np.zeros((2, 3, h, w))
+        self.last = np.zeros((h, w))
 
     def add_frame(self, log):
         stokes = np.einsum("yxjk,yxk->yxj", self.solution, np.exp(cells(log)))
         degree = np.hypot(stokes[..., 1], stokes[..., 2]) / stokes[..., 0]
         usable = np.isfinite(degree)
         compared = usable & (self.seen > 0)
-        errors = np.where(compared, degree - self.mean, 0)**2
+        error = np.where(compared, degree - self.mean, 0)
+        products, self.last = error * self.last, error
         for memory, sums in zip(self.memories, self.sums, strict=True):
-            for total, values in zip(sums, (errors, compared), strict=True):
+            for total, values in zip(sums, (error**2, compared, products), strict=True):
                 total *= 1 - 1 / memory
                 wide = np.pad(values.astype(float), 1)
                 h, w = values.shape
@@ -44,12 +47,15 @@ class Reference:
 
     def lasting(self):
         """Return degree, variance, share."""
-        (errors, count), (late, number) = self.sums
-        variance = np.maximum(
-            (errors + self.first) / (count + 1), late / np.maximum(number, 1))
+        (errors, count, products), (late, number, _) = self.sums
+        error = (errors + self.first) / (count + 1)
+        latest = late / np.maximum(number, 1)
+        own = error / np.maximum(self.seen, 1) + np.maximum(products / (count + 1), 0)
+        own = np.minimum(own, error)
         with np.errstate(divide="ignore"):
-            share = np.maximum(1 - self.sure**2 * variance / self.mean**2, 0)
-        return self.mean, variance, share
+            share = np.maximum(
+                1 - self.sure**2 * np.maximum(error, latest) / self.mean**2, 0)
+        return self.mean, np.maximum(own, latest - (error - own)), share
 
     def weigh(self, log, variance, valid):
         """Return the log intensities of an image."""

@@ -10,6 +10,7 @@ from reference_tracks import (
     US,
     after,
     ahead,
+    ahead_of_sample,
     between,
     lead,
     lead_variance,
@@ -83,6 +84,11 @@ class Pixel:
             kept = held if held and self.ripple is steady else 0.0
             return (last[1], kept, 0.0, UNKNOWN, 0.0, 0.0,
                     *(after(last[0], ripple, t) if i else (0.0, 0.0)))
+        elif held is not None and known <= t and self.ripple is steady:
+            gap = max(known - last[0], last[0] - before[0]) if before else np.inf
+            return ahead_of_sample(
+                before, *last, self.deaf, t, max(200, self.apart), silence(gap), held,
+                self.P[0, 0] / self.x[1:].mean()**2, self.reference)
         else:
             part = (quiet(before, *last, known, ripple, self.deaf, t) if known > t
                     else ahead(before, *last, steps, ripple, self.deaf, t,
@@ -98,8 +104,7 @@ class Pixel:
             kept = (1 - moves) * held
         elif held is not None:
             kept = held
-        going = moves if known > t else 1 - rest
-        return (p, going * fraction + kept, going * rate,
+        return (p, moves * fraction + kept, moves * rate,
                 (1 - rest) * (var + rest * fraction**2),
                 (1 - rest) * (rate_var + rest * rate**2), fall, *rest_of)
 
@@ -340,7 +345,10 @@ class Pixel:
             K[1:] = 0
         self.x = self.x + K * error
         self.pull += K[0] * (per_dn - self.pull)
-        self.held += K[0] * (taken - self.held)
+        silent = self.holds and self.ripple is steady and not (
+            at and self.events[at - 1][0] > begin)
+        still = 1 - (noise - motion) / v if silent else K[0]
+        self.held += still * (taken - self.held) + (still - K[0]) * error / event_step
         self.P = self.P - np.outer(K, PH) - np.outer(PH, K) + v * np.outer(K, K)
         self.x[1:] = np.clip(self.x[1:], 0.3 * self.prior, 3 * self.prior)
         self.since, self.reference = at, mid

@@ -192,6 +192,44 @@ def ahead(before, t0, p0, steps, r, deaf, t, least=200):
             spread[1] * (1e6 / gap) ** 2, fall, *after(t0, r, t))
 
 
+def ahead_of_sample(before, t0, p0, deaf, t, least, rest, held, noise, sampled):
+    """As `ahead` where a sample has measured the part held, with the variance noise."""
+    nodes, table = prior()
+    if before is None:
+        return p0, held, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    gap, kind = max(t0 - before[0] - deaf, least), int(before[1] != p0)
+    active = max(t - t0 - deaf, 0)
+    u = active / gap
+    if u >= nodes[-1]:
+        return p0, held, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    fraction, rate, _, rate_var, share, spread, middle, common = (
+        np.interp(u, nodes, column) for column in table[kind].T)
+    share = max(share, 1e-6)
+    lost = table[kind][0, 1] * min(t - t0, deaf) / gap
+    s = max(active - (t - sampled), 0) / active if active else 0.0
+    # Joint normal distribution of the parts now and at the sample, of light that moves.
+    mean, slope = fraction / share, rate / share
+    then = s * mean + 4 * s * (1 - s) * (middle - mean / 2)
+    joint = s * spread**2 * max(1 - 4 * (1 - common) * (1 - s)**2, 0)
+    variance = (s * spread)**2 + max(noise, 1e-6)
+    far = held - lost - then
+    part = mean + lost + joint / variance * far
+    odds = (normal(far, variance) / normal(held, 1 / 3 + max(noise, 1e-6))
+            * (1 - rest) * share / (1 - (1 - rest) * share))
+    moves = odds / (1 + odds)
+    faster = slope + joint / variance * far / max(u, 1 / 16)
+    var = moves * (spread**2 - joint**2 / variance + (1 - moves) * (part - held)**2)
+    rate_var = moves * ((rate_var + rate**2) / share - slope**2
+                        + (1 - moves) * faster**2)
+    return (p0, held + moves * (part - held), moves * faster * 1e6 / gap, var,
+            rate_var * (1e6 / gap)**2, 1e6 / gap if not kind and p0 == 0 else 0.0, 0.0,
+            0.0)
+
+
+def normal(x, variance):
+    return np.exp(-x**2 / 2 / variance) / np.sqrt(variance)
+
+
 def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
     """Of u in u (hz + k e^u) = rate / 2 pi, k = slope_hz * level, by its derivatives.
 

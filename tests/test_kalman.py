@@ -277,7 +277,8 @@ def test_a_complete_calibration_takes_the_pixels_differences_out(
     assert scorer.score.dolp_error < dolp
     # With the noise of pixels that differ, 92 to 98 % of the errors were covered.
     assert 0.55 < scorer.score.aop_coverage < 0.85
-    assert 0.55 < scorer.score.dolp_coverage < 0.85
+    # A degree that lasts is better known than the channels, whose sigmas are given.
+    assert 0.55 < scorer.score.dolp_coverage < (0.85 if mode == "offline" else 0.95)
 
 
 def test_read_and_shot_noise_count_as_often_as_they_are_told_to():

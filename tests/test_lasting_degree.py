@@ -155,14 +155,32 @@ def test_it_is_the_mean_weighted_by_the_inverse_variances():
         weighed.append(stokes_of(log.astype(float), response))
     own, mean = (np.hypot(s[..., 1], s[..., 2]) / s[..., 0] for s in (
         np.array(single), np.array(weighed)))
-    # A mean of 10 predicts one frame; the larger one of two variances is taken.
+    # A tenth of the error with which a mean of 10 predicts one frame; more where the
+    # last two frames happen to show a larger one.
     frames = lasting_degree.FRAMES
-    least = own.var(0).mean() * (1 + 1 / frames) + (
-        lasting_degree.FIRST_ERROR**2 / (9 * frames + 1))
+    least = (own.var(0).mean() * (1 + 1 / frames) + (
+        lasting_degree.FIRST_ERROR**2 / (9 * frames + 1))) / frames
     assert least < spread < 1.8 * least
+    # The mean with gain 1/10 errs by less: 1 / (2 10 - 1) of the frame's variance.
+    error = np.mean((method.state()["lasting"][0] - 0.6)**2)
+    assert error < spread
     # The error that an image makes itself shrinks by the weight of what lasts.
-    assert mean.std(0).mean() / own.std(0).mean() == pytest.approx(
-        spread / (spread + own.var(0).mean()), abs=0.1)
+    weight = method.state()["lasting"][2].mean() * own.var(0).mean() / (
+        spread + own.var(0).mean())
+    assert mean.std(0).mean() / own.std(0).mean() == pytest.approx(1 - weight, abs=0.1)
+
+
+def test_a_degree_that_drifts_is_as_uncertain_as_its_mean_lags_behind():
+    shape = 20, 20
+    response = response_of(shape)
+    method, rng = LastingDegree(shape, None), np.random.default_rng(8)
+    for degree in np.linspace(0.3, 0.8, 40):
+        log = light_of(response, degree=degree)
+        method.add_frame((log + rng.normal(0, 0.01, shape)).astype(np.float32))
+    mean, variance, _ = method.state()["lasting"]
+    lag = np.mean(0.8 - mean)
+    assert 0.08 < lag < 0.15
+    assert 0.8 * lag < np.sqrt(variance.mean()) < 1.3 * lag
 
 
 @pytest.mark.parametrize("pixels", [False, True])
@@ -213,15 +231,15 @@ def test_the_kernel_refuses_what_does_not_fit(change, message):
 
 @pytest.mark.parametrize("change", [
     {"log": np.zeros((5, 8), np.float32)}, {"planes": np.zeros((5, 3, 4), np.float32)},
-    {"scratch": np.zeros((2, 3, 4), np.float32)},
+    {"scratch": np.zeros((3, 3, 4), np.float32)},
     {"lasting": np.zeros((3, 3, 5), np.float32)},
     {"analyser": np.zeros((24, 2, 1), np.float32)}])
 def test_the_kernel_of_frames_refuses_what_does_not_fit(change):
     given = {"log": np.zeros((6, 8), np.float32),
              "analyser": np.zeros((24, 1, 1), np.float32),
              "constants": (10.0, 2.0, 0.01, 100.0),
-             "planes": np.zeros((6, 3, 4), np.float32),
-             "scratch": np.zeros((2, 5, 4), np.float32),
+             "planes": np.zeros((8, 3, 4), np.float32),
+             "scratch": np.zeros((3, 5, 4), np.float32),
              "lasting": np.zeros((3, 3, 4), np.float32)}
     _kernels.degree_frame(**given)
     with pytest.raises(ValueError, match="must"):

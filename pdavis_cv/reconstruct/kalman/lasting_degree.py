@@ -34,8 +34,8 @@ polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.
 _CELL_NS = 9
 """Time that a macropixel takes, ns."""
 
-_PLANES = 6
-"""Of `_kernels.degree_frame`: mean, frames in it, and two sums with their numbers."""
+_PLANES = 8
+"""Of `_kernels.degree_frame`: mean, frames in it, last error, sums and numbers."""
 
 
 class LastingDegree:
@@ -45,8 +45,9 @@ class LastingDegree:
     Frames measure it well: the four pixels are exposed at the same time, so that an
     error of time is the same in all of them, while events err in each pixel apart.  How
     well the mean of the last frames predicts the next one is measured in the 3 x 3
-    macropixels around each, and is its variance.  Where the degree does not last, that
-    is large, and images stay as they are.
+    macropixels around each.  Its variance is what this error has in excess of the noise
+    of the frame.  Where the degree does not last, that is large, and images stay as
+    they are.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ class LastingDegree:
     ) -> None:
         size = tuple(side // 2 for side in shape)
         self._planes = np.zeros((_PLANES, *size), np.float32)
-        self._scratch = np.zeros((2, size[0] + 2, size[1]), np.float32)
+        self._scratch = np.zeros((3, size[0] + 2, size[1]), np.float32)
         # Degree, variance and share, as `_kernels.lasting_degree` takes them.
         self._lasting = np.zeros((3, *size), np.float32)
         if response is None:
