@@ -71,6 +71,9 @@ typedef struct {
     float since[LANES], gap[LANES], w[LANES], over[LANES];
     int32_t node[LANES];
     float found[LANES][AHEAD_PITCH];    /* the table's values there */
+    /* Probability of rest by silence alone; part crossed while in reset. */
+    float rest[LANES], reset[LANES];
+    float columns[AHEAD_PITCH][LANES];  /* the same, where a sample needs them */
     /* Part of a threshold crossed since the last event, and its slope; v: variance of
        the part, later of log intensity; rate_var: variance of the slope, later of the
        lag. */
@@ -156,6 +159,8 @@ PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
         rate_var *= per_s * per_s;
         g->fall[i] = moving * l->same[i] * per_s;
         rest = p_rest_of(before > since ? before : since, r->still_us);
+        g->rest[i] = 1.0f - moving * (1.0f - rest);
+        g->reset[i] = first * reset * per_gap;
         g->v[i] = (1.0f - rest) * (var + rest * part * part);
         g->rate_var[i] = (1.0f - rest) * (rate_var + rest * rate * rate);
         g->part[i] = (1.0f - rest) * part;
@@ -169,21 +174,28 @@ PDAVIS_INLINE void expect_after_sample(const lanes_t *restrict l, shown_t *restr
                                        ptrdiff_t n)
 {
     const float refractory = r->refractory_us, since_epoch = US_PER_S * r->since_epoch;
-    ptrdiff_t i;
+    ptrdiff_t i, c;
+    for (i = from; i < n; i++)      /* rows with gaps would not be vectorised */
+        for (c = 0; c < AHEAD_PITCH; c++)
+            g->columns[c][i] = g->found[i][c];
     for (i = from; i < n; i++) {
-        float since = g->since[i], before = l->before[i], gap = g->gap[i];
+        float since = g->since[i], per_gap = 1.0f / g->gap[i];
         float active = since > refractory ? since - refractory : 0.0f;
-        float reset = since < refractory ? since : refractory;
-        float at = active - (l->age[i] + since_epoch), per_s = US_PER_S / gap;
-        float mean = 0.5f * (l->theta_on[i] + l->theta_off[i]), moves = 1.0f - g->over[i];
-        float first = moves * (l->same[i] > 0.0f ? AHEAD[0][1] : AHEAD[AHEAD_NODES][1]);
-        float rest = p_rest_of(before > since ? before : since, r->still_us);
+        float at = active - (l->age[i] + since_epoch), per_s = US_PER_S * per_gap;
+        float mean = 0.5f * (l->theta_on[i] + l->theta_off[i]);
         float own = r->holds * l->measured[i] * (1.0f - l->after[i]);
+        ahead_t row;
         sampled_t s;
-        at = at > 0.0f ? at / active : 0.0f;
-        s = part_of_sample(g->found[i], active / gap, at, 1.0f - moves * (1.0f - rest),
-                           l->held[i], l->var_base[i] / (mean * mean),
-                           first * reset / gap);
+        at = (at > 0.0f ? at : 0.0f) / (active > 1.0f ? active : 1.0f);
+        row.part = g->columns[0][i];
+        row.rate = g->columns[1][i];
+        row.rate_var = g->columns[3][i];
+        row.moving = g->columns[4][i];
+        row.spread = g->columns[5][i];
+        row.middle = g->columns[6][i];
+        row.common = g->columns[7][i];
+        s = part_of_sample(row, active * per_gap, at, g->rest[i], l->held[i],
+                           l->var_base[i] / (mean * mean), g->reset[i]);
         g->part[i] = own > 0.0f ? s.part : g->part[i];
         g->v[i] = own > 0.0f ? s.var : g->v[i];
         g->rate[i] = own > 0.0f ? per_s * s.rate : g->rate[i];

@@ -83,12 +83,20 @@ cdef extern from "_extrapolation.h":
     const double AHEAD_COARSE
 
 cdef extern from "_sampled_part.h" nogil:
+    ctypedef struct ahead_t:
+        float part
+        float rate
+        float rate_var
+        float moving
+        float spread
+        float middle
+        float common
     ctypedef struct sampled_t:
         float part
         float rate
         float var
         float rate_var
-    sampled_t part_of_sample(const float*, float, float, float, float, float, float)
+    sampled_t part_of_sample(ahead_t, float, float, float, float, float, float)
 
 cdef struct walk_t:
     # A position in a pixel's events: the last two events passed, the index of the next
@@ -405,6 +413,11 @@ cdef inline int node_of(double u, double* part) noexcept nogil:
     return node + AHEAD_KNEE
 
 
+cdef inline double column(const float* low, int c, double w) noexcept nogil:
+    """Return column c of AHEAD a fraction w beyond the row `low`."""
+    return low[c] + w * (low[AHEAD_PITCH + c] - low[c])
+
+
 cdef inline double moving(const walk_t* walk, double gap,
                           const tuning_t* tuning) noexcept nogil:
     """Probability that light still moves if no event follows the last one for `gap`.
@@ -421,7 +434,7 @@ cdef inline double moving(const walk_t* walk, double gap,
     if node == AHEAD_NODES - 1:
         return 0.0
     low = AHEAD[node if walk.p_prev == walk.p else AHEAD_NODES + node]
-    return low[4] + w * (low[AHEAD_PITCH + 4] - low[4])
+    return column(low, 4, w)
 
 
 cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
@@ -508,10 +521,10 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         add_ripple(&part, lamp, hz, walk.t, t)
         return part
     low = AHEAD[node if same else AHEAD_NODES + node]
-    part.fraction = low[0] + w * (low[AHEAD_PITCH] - low[0])
-    part.rate = low[1] + w * (low[AHEAD_PITCH + 1] - low[1])
-    part.var = low[2] + w * (low[AHEAD_PITCH + 2] - low[2])
-    part.rate_var = low[3] + w * (low[AHEAD_PITCH + 3] - low[3])
+    part.fraction = column(low, 0, w)
+    part.rate = column(low, 1, w)
+    part.var = column(low, 2, w)
+    part.rate_var = column(low, 3, w)
     if same:
         part.fall = 0.0 if part.p else 1e6 / gap
     part.fraction *= room
@@ -542,18 +555,23 @@ cdef inline part_t ahead_of_sample(const walk_t* walk, double rest, double held,
     cdef double active = since - refractory if since > refractory else 0.0
     cdef double reset = since if since < refractory else refractory
     cdef double after = active - (t - <double>sampled), w
-    cdef float[AHEAD_PITCH] row
     cdef bint same = walk.p_prev == walk.p
     cdef const float* low
+    cdef ahead_t row
     cdef sampled_t found
-    cdef int node = node_of(active / gap, &w), i
+    cdef int node = node_of(active / gap, &w)
     if never(walk.t_prev) or node == AHEAD_NODES - 1:
         part.fraction = held
         part.var = 0.0
         return part
     low = AHEAD[node if same else AHEAD_NODES + node]
-    for i in range(AHEAD_PITCH):
-        row[i] = <float>(low[i] + w * (low[AHEAD_PITCH + i] - low[i]))
+    row.part = <float>column(low, 0, w)
+    row.rate = <float>column(low, 1, w)
+    row.rate_var = <float>column(low, 3, w)
+    row.moving = <float>column(low, 4, w)
+    row.spread = <float>column(low, 5, w)
+    row.middle = <float>column(low, 6, w)
+    row.common = <float>column(low, 7, w)
     found = part_of_sample(
         row, <float>(active / gap), <float>(after / active if after > 0.0 else 0.0),
         <float>rest, <float>held, <float>noise,
