@@ -82,6 +82,17 @@ cdef extern from "_extrapolation.h":
     const double AHEAD_FINE
     const double AHEAD_COARSE
 
+cdef enum:
+    # Columns of AHEAD; the last three are those of light that moves.
+    PART = 0
+    RATE = 1
+    VAR = 2
+    RATE_VAR = 3
+    MOVES = 4
+    SPREAD = 5
+    MIDDLE = 6
+    COMMON = 7
+
 cdef extern from "_sampled_part.h" nogil:
     ctypedef struct ahead_t:
         float part
@@ -434,7 +445,7 @@ cdef inline double moving(const walk_t* walk, double gap,
     if node == AHEAD_NODES - 1:
         return 0.0
     low = AHEAD[node if walk.p_prev == walk.p else AHEAD_NODES + node]
-    return column(low, 4, w)
+    return column(low, MOVES, w)
 
 
 cdef inline part_t quiet(const walk_t* walk, double known, const lamp_t* lamp,
@@ -521,10 +532,10 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
         add_ripple(&part, lamp, hz, walk.t, t)
         return part
     low = AHEAD[node if same else AHEAD_NODES + node]
-    part.fraction = column(low, 0, w)
-    part.rate = column(low, 1, w)
-    part.var = column(low, 2, w)
-    part.rate_var = column(low, 3, w)
+    part.fraction = column(low, PART, w)
+    part.rate = column(low, RATE, w)
+    part.var = column(low, VAR, w)
+    part.rate_var = column(low, RATE_VAR, w)
     if same:
         part.fall = 0.0 if part.p else 1e6 / gap
     part.fraction *= room
@@ -565,13 +576,13 @@ cdef inline part_t ahead_of_sample(const walk_t* walk, double rest, double held,
         part.var = 0.0
         return part
     low = AHEAD[node if same else AHEAD_NODES + node]
-    row.part = <float>column(low, 0, w)
-    row.rate = <float>column(low, 1, w)
-    row.rate_var = <float>column(low, 3, w)
-    row.moving = <float>column(low, 4, w)
-    row.spread = <float>column(low, 5, w)
-    row.middle = <float>column(low, 6, w)
-    row.common = <float>column(low, 7, w)
+    row.part = <float>column(low, PART, w)
+    row.rate = <float>column(low, RATE, w)
+    row.rate_var = <float>column(low, RATE_VAR, w)
+    row.moving = <float>column(low, MOVES, w)
+    row.spread = <float>column(low, SPREAD, w)
+    row.middle = <float>column(low, MIDDLE, w)
+    row.common = <float>column(low, COMMON, w)
     found = part_of_sample(
         row, <float>(active / gap), <float>(after / active if after > 0.0 else 0.0),
         <float>rest, <float>held, <float>noise,
