@@ -71,9 +71,9 @@ typedef struct {
     float since[LANES], gap[LANES], w[LANES], over[LANES];
     int32_t node[LANES];
     float found[LANES][AHEAD_PITCH];    /* the table's values there */
+    float columns[AHEAD_PITCH][LANES];  /* the same, where a sample needs them */
     /* Probability of rest by silence alone; part crossed while in reset. */
     float rest[LANES], reset[LANES];
-    float columns[AHEAD_PITCH][LANES];  /* the same, where a sample needs them */
     /* Part of a threshold crossed since the last event, and its slope; v: variance of
        the part, later of log intensity; rate_var: variance of the slope, later of the
        lag. */

@@ -3,16 +3,14 @@
 #ifndef PDAVIS_CV_SAMPLED_PART_H
 #define PDAVIS_CV_SAMPLED_PART_H
 
-#include <math.h>
-
 #include "_clones.h"
-#include "_extrapolation.h"
 #include "_math.h"
 
 #define LEAST_NOISE 1e-6f       /* thresholds^2; numerical */
 #define LEAST_SHARE 1e-6f       /* least probability of motion; numerical */
 #define LEAST_TIME 0.0625f      /* gaps; the resolution of the table */
 #define ODDS_MOST 50.0f         /* ln; numerical */
+#define AT_REST_VARIANCE (1 / 3.0f)     /* thresholds^2: anywhere in the dead band */
 
 /* A row of the table; a copy of it, as a pointer keeps gcc from vectorising. */
 typedef struct {
@@ -32,7 +30,7 @@ typedef struct {
 PDAVIS_INLINE sampled_t part_of_sample(ahead_t row, float u, float at, float rest,
                                        float held, float noise, float reset)
 {
-    /* Divisions take most of the time. */
+    /* Reciprocals, as divisions take most of the time. */
     float per_share = 1.0f / (row.moving > LEAST_SHARE ? row.moving : LEAST_SHARE);
     float moving = (1.0f - rest) * row.moving, still, odds, per_v, gain, far, per_still;
     float mean = row.part * per_share, rate = row.rate * per_share;
@@ -49,7 +47,7 @@ PDAVIS_INLINE sampled_t part_of_sample(ahead_t row, float u, float at, float res
     far = held - reset - expected;
     part = mean + reset + gain * far;
     /* Bayes' rule: light at rest lies anywhere in the dead band. */
-    per_still = 1.0f / ((float)(1.0 / 3.0) + noise);
+    per_still = 1.0f / (AT_REST_VARIANCE + noise);
     odds = 0.5f * (held * held * per_still - far * far * per_v);
     odds = odds < ODDS_MOST ? odds : ODDS_MOST;
     odds = odds > -ODDS_MOST ? odds : -ODDS_MOST;
@@ -62,6 +60,7 @@ PDAVIS_INLINE sampled_t part_of_sample(ahead_t row, float u, float at, float res
     s.part = held + moving * error;
     s.var = moving * (spread2 - gain * common + still * error * error);
     s.rate_var = (row.rate_var + row.rate * row.rate) * per_share - rate * rate;
+    s.rate_var = s.rate_var > 0.0f ? s.rate_var : 0.0f;
     rate += gain * far / u;
     s.rate = moving * rate;
     s.rate_var = moving * (s.rate_var + still * rate * rate);

@@ -219,7 +219,7 @@ def ahead_of_sample(before, t0, p0, deaf, t, least, rest, held, noise, sampled):
     moves = odds / (1 + odds)
     faster = slope + joint / variance * far / max(u, 1 / 16)
     var = moves * (spread**2 - joint**2 / variance + (1 - moves) * (part - held)**2)
-    rate_var = moves * ((rate_var + rate**2) / share - slope**2
+    rate_var = moves * (max((rate_var + rate**2) / share - slope**2, 0)
                         + (1 - moves) * faster**2)
     return (p0, held + moves * (part - held), moves * faster * 1e6 / gap, var,
             rate_var * (1e6 / gap)**2, 1e6 / gap if not kind and p0 == 0 else 0.0, 0.0,
