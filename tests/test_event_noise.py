@@ -10,7 +10,7 @@ from pdavis_cv.reconstruct.kalman.threshold_drift import (
     frame_drift,
 )
 from pdavis_cv.selfcal import SelfCalibration
-from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.simulation import Camera, RotatingPolarizer, Texture
 
 
 @pytest.mark.parametrize(("motion", "each"), [(0.3, 0.1), (0.0, 0.2), (0.5, 0.0003)])
@@ -128,14 +128,10 @@ def test_each_direction_of_a_drift_counts_by_its_information():
                               ) == pytest.approx(2 * 0.01**2, rel=0.02)
 
 
-@pytest.mark.parametrize(("drift", "noise_hz", "found"), [
-    (0.1, 0, {0.1}), (0.0, 10, {5.0, 15.0}), (0.1, 10, {5.0, 15.0})])
-def test_thresholds_that_drift_are_no_noise_of_events(drift, noise_hz, found):
-    """They move sums from frame to frame alike; 15 thresholds^2/s were found."""
+def noise_found(scene, noise_hz, **faults):
+    """Process noise found in 1.5 s of a scene, to which noise events are added."""
     recording, _ = Camera.preset(
-        "nominal", seed=3, size=(8, 8), faults={
-            "drift_on": drift, "drift_off": -drift}).record(
-                RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.5)
+        "nominal", seed=3, size=(8, 8), faults=faults).record(scene, 1.5)
     rng = np.random.default_rng(0)
     noise = np.zeros(round(noise_hz * 1.5 * 64), EVENT_DTYPE)
     noise["t"] = rng.integers(0, 1_500_000, len(noise))
@@ -149,5 +145,19 @@ def test_thresholds_that_drift_are_no_noise_of_events(drift, noise_hz, found):
         events = events[until:]
         look.add_frame(frame)
     look.add_events(events)
-    estimate = look.estimate(wanted={"noise"}, bandwidth=(250.0, 0.0))
-    assert estimate.noise in found
+    return look.estimate(wanted={"noise"}, bandwidth=(250.0, 0.0)).noise
+
+
+@pytest.mark.parametrize(("drift", "noise_hz", "found"), [
+    (0.1, 0, {0.1}), (0.0, 10, {5.0, 15.0}), (0.1, 10, {5.0, 15.0})])
+def test_thresholds_that_drift_are_no_noise_of_events(drift, noise_hz, found):
+    """They move sums from frame to frame alike; 15 thresholds^2/s were found."""
+    polarizer = RotatingPolarizer(rpm=202.6, start_angle=0.3)
+    assert noise_found(polarizer, noise_hz, drift_on=drift, drift_off=-drift) in found
+
+
+@pytest.mark.parametrize(("noise_hz", "found"), [(0, {0.1}), (10, {5.0, 15.0})])
+def test_errors_of_de_blurring_are_no_noise_of_events(noise_hz, found):
+    """A texture turns between events, which errs in one frame and not in the next."""
+    texture = Texture(velocity=(576.0, 168.0), seed=4)
+    assert noise_found(texture, noise_hz) in found

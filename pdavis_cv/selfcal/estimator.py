@@ -20,7 +20,7 @@ from pdavis_cv.selfcal.clock_offset import ClockOffset, fit_clock_offset
 from pdavis_cv.selfcal.common_scale import CommonScale, fit_common_scale
 from pdavis_cv.selfcal.event_scale import fit_event_scale
 from pdavis_cv.selfcal.jitter import Jitter, fit_jitter
-from pdavis_cv.selfcal.noise import fit_event_noise
+from pdavis_cv.selfcal.noise import FRAME_SIGMAS, fit_event_noise
 from pdavis_cv.selfcal.pixel_sample import (
     FILTER_NOISE,
     MIN_DN,
@@ -309,7 +309,7 @@ class SelfCalibration:
                 found = fit_bandwidth(sample)
                 law = found.law
             if "noise" in wanted:
-                noise = fit_event_noise(sample, law)
+                noise = fit_event_noise(sample, law, FRAME_SIGMAS)
         if found is not None and self._stated is not None:
             found = combine_bandwidths(self._stated, found)
         factors, scale_sigma = (1.0, 1.0), 0.0
