@@ -4,7 +4,8 @@ from libc.stdint cimport uint8_t
 from _kernels._rows cimport (
     bilinear_row, check_places, plane_of_place, row_stride, scratch_row)
 from _kernels._types cimport pixel_t
-from _kernels._weighted cimport check_weighted, variance_row, weighted_row, weighted_t
+from _kernels._weighted cimport (
+    BORDER_SLOPE, check_weighted, variance_row, weighted_row, weighted_t)
 
 
 def superpixel(const pixel_t[:, ::1] mosaic not None,
@@ -30,14 +31,16 @@ def superpixel(const pixel_t[:, ::1] mosaic not None,
 
 
 def bilinear(const pixel_t[:, ::1] mosaic not None,
-             const Py_ssize_t[::1] places not None,
+             const Py_ssize_t[::1] places not None, bint uncertain,
              float[::1] scratch not None,
              float[:, :, ::1] out not None):
     """Interpolate each channel of mosaic (h, w), sides >= 2, into out (4, h, w).
 
-    scratch is 2 * (w + 32) + 32 floats.
+    At borders it is extrapolated linearly, or if its samples are uncertain with
+    BORDER_SLOPE of the slope.  scratch is 2 * (w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y
+    cdef float slope = BORDER_SLOPE if uncertain else 1.0
     cdef Py_ssize_t plane[4]
     cdef float* to[4]
     cdef float* own
@@ -56,7 +59,7 @@ def bilinear(const pixel_t[:, ::1] mosaic not None,
             to[1] = &out[plane[1], y, 0]
             to[2] = &out[plane[2], y, 0]
             to[3] = &out[plane[3], y, 0]
-            bilinear_row(&mosaic[0, 0], y, h, w, own, other, to)
+            bilinear_row(&mosaic[0, 0], y, h, w, slope, own, other, to)
 
 
 def binned(const pixel_t[:, ::1] mosaic not None,
@@ -89,8 +92,9 @@ def binned(const pixel_t[:, ::1] mosaic not None,
         lower[k] = scratch_row(&scratch[0], 6 + k, 2 * w)
     with nogil:
         for y in range(h):
-            bilinear_row(&mosaic[0, 0], 2 * y, 2 * h, 2 * w, own, other, upper)
-            bilinear_row(&mosaic[0, 0], 2 * y + 1, 2 * h, 2 * w, own, other, lower)
+            bilinear_row(&mosaic[0, 0], 2 * y, 2 * h, 2 * w, 1.0, own, other, upper)
+            bilinear_row(&mosaic[0, 0], 2 * y + 1, 2 * h, 2 * w, 1.0, own, other,
+                         lower)
             for k in range(4):
                 to = &out[plane[k], y, 0]
                 for x in range(w):
@@ -135,10 +139,10 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
                       float[:, :, ::1] out not None):
     """Interpolate mosaic into quad, its variance (of ln I) into out; reconcile them.
 
-    The same bits as `bilinear`, `bilinear_variance`, `mismatch` with the three numbers
-    of spread (empty: without it) and `reconcile` with null, but row by row, so that
-    intermediate results stay in the cache.  Only rows (first, last) are written;
-    scratch is 2 * (w + 32) + 32 floats.
+    The same bits as `bilinear` of uncertain samples, `bilinear_variance`, `mismatch`
+    with the three numbers of spread (empty: without it) and `reconcile` with null, but
+    row by row, so that intermediate results stay in the cache.  Only rows (first, last)
+    are written; scratch is 2 * (w + 32) + 32 floats.
     """
     cdef weighted_t image
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], first, last, y, c

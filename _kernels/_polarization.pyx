@@ -102,6 +102,6 @@ def polarize(const pixel_t[:, ::1] mosaic not None,
         to[c] = row[plane[c]]
     with nogil:
         for y in range(h):
-            bilinear_row(&mosaic[0, 0], y, h, w, row[4], row[5], to)
+            bilinear_row(&mosaic[0, 0], y, h, w, 1.0, row[4], row[5], to)
             polarization_row(row[0], row[1], row[2], row[3], gain, w,
                              &aop[y, 0], &dolp[y, 0])

@@ -6,14 +6,14 @@ from _kernels._types cimport pixel_t
 
 cdef extern from "_stencil.h" nogil:
     void bilinear_row_u8(
-        const uint8_t*, const uint8_t*, const uint8_t*, int, Py_ssize_t, float*, float*,
-        float*, float*, float*, float*)
-    void bilinear_row_u16(
-        const uint16_t*, const uint16_t*, const uint16_t*, int, Py_ssize_t, float*,
+        const uint8_t*, const uint8_t*, const uint8_t*, int, float, Py_ssize_t, float*,
         float*, float*, float*, float*, float*)
+    void bilinear_row_u16(
+        const uint16_t*, const uint16_t*, const uint16_t*, int, float, Py_ssize_t,
+        float*, float*, float*, float*, float*, float*)
     void bilinear_row_f32(
-        const float*, const float*, const float*, int, Py_ssize_t, float*, float*,
-        float*, float*, float*, float*)
+        const float*, const float*, const float*, int, float, Py_ssize_t, float*,
+        float*, float*, float*, float*, float*)
     void aop_row(const float*, const float*, Py_ssize_t, float*)
     void dolp_row(const float*, const float*, const float*, Py_ssize_t, float*)
     void mix_row(
@@ -61,9 +61,13 @@ cdef inline void plane_of_place(
 
 
 cdef inline void bilinear_row(
-        const pixel_t* mosaic, Py_ssize_t y, Py_ssize_t h, Py_ssize_t w, float* own,
-        float* other, float** to) noexcept nogil:
-    """Row y of the planes; to[p] receives the channel at place p of the cell."""
+        const pixel_t* mosaic, Py_ssize_t y, Py_ssize_t h, Py_ssize_t w, float slope,
+        float* own, float* other, float** to) noexcept nogil:
+    """Row y of the planes; to[p] receives the channel at place p of the cell.
+
+    Beyond a border a channel continues at this share of the slope between its last two
+    samples.
+    """
     cdef Py_ssize_t up = y - 1, down = y + 1, p = 2 * (y & 1), q = 2 - p
     cdef int edge = up < 0 or down == h
     if up < 0:
@@ -73,11 +77,11 @@ cdef inline void bilinear_row(
         up = h - 2
         down = h - 4 if h > 3 else h - 2
     if pixel_t is uint8_t:
-        bilinear_row_u8(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge, w,
-                        own, other, to[p], to[p + 1], to[q], to[q + 1])
+        bilinear_row_u8(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge,
+                        slope, w, own, other, to[p], to[p + 1], to[q], to[q + 1])
     elif pixel_t is uint16_t:
-        bilinear_row_u16(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge, w,
-                         own, other, to[p], to[p + 1], to[q], to[q + 1])
+        bilinear_row_u16(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge,
+                         slope, w, own, other, to[p], to[p + 1], to[q], to[q + 1])
     else:
-        bilinear_row_f32(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge, w,
-                         own, other, to[p], to[p + 1], to[q], to[q + 1])
+        bilinear_row_f32(mosaic + y * w, mosaic + up * w, mosaic + down * w, edge,
+                         slope, w, own, other, to[p], to[p + 1], to[q], to[q + 1])

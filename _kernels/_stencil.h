@@ -28,40 +28,44 @@
 
 /* One row of the four planes.  `near` and `far` are the rows above and below, or,
    at the top and bottom (edge = 1), the nearest row of the other parity and the next
-   one of that parity: the missing row is extrapolated as 2 near - far.  own and
-   other point one float into scratch rows of w + 2.  The planes come by place in the
-   cell: even and odd column of this row's parity, then of the other's. */
+   one of that parity: the missing row is extrapolated as near + slope (near - far),
+   columns likewise.  own and other point one float into scratch rows of w + 2.  The
+   planes come by place in the cell: even and odd column of this row's parity, then of
+   the other's. */
 #define PDAVIS_BILINEAR(T, SUFFIX)                                                   \
     PDAVIS_CLONES PDAVIS_UNUSED static void bilinear_row_##SUFFIX(                   \
         const T *restrict row, const T *near_row, const T *far_row, int edge,        \
-        ptrdiff_t w, float *restrict own, float *restrict other,                     \
+        float slope, ptrdiff_t w, float *restrict own, float *restrict other,        \
         float *restrict own0, float *restrict own1, float *restrict other0,          \
         float *restrict other1)                                                      \
     {                                                                                \
         const ptrdiff_t line = 64 / sizeof(T);                                       \
+        const float more = 1.0f + slope;                                             \
         ptrdiff_t x;                                                                 \
         PDAVIS_BLOCKS_OF(line, w, own[i] = (float)row[i]);                           \
         if (edge)                                                                    \
             for (x = 0; x < w; x++) {                                                \
                 float near_dn = (float)near_row[x];                                  \
-                float beyond = 2.0f * near_dn - (float)far_row[x];                   \
+                float beyond = more * near_dn - slope * (float)far_row[x];           \
                 other[x] = 0.5f * (beyond + near_dn);                                \
             }                                                                        \
         else                                                                         \
             PDAVIS_BLOCKS_OF(                                                        \
                 line, w, other[i] = 0.5f * ((float)near_row[i] + (float)far_row[i]));\
-        spread_row(own, w, own0, own1);                                              \
-        spread_row(other, w, other0, other1);                                        \
+        spread_row(own, slope, w, own0, own1);                                       \
+        spread_row(other, slope, w, other0, other1);                                 \
     }
 
 /* Samples of two channels alternate in a row (one float of room at either end):
    give each its own value where it has one and else the mean of its neighbours. */
 PDAVIS_INLINE void spread_row(
-    float *restrict row, ptrdiff_t w, float *restrict even, float *restrict odd)
+    float *restrict row, float slope, ptrdiff_t w, float *restrict even,
+    float *restrict odd)
 {
     ptrdiff_t x = 0, far_left = w > 3 ? 3 : 1, far_right = w > 3 ? w - 4 : w - 2;
-    row[-1] = 2.0f * row[1] - row[far_left];
-    row[w] = 2.0f * row[w - 2] - row[far_right];
+    float more = 1.0f + slope;
+    row[-1] = more * row[1] - slope * row[far_left];
+    row[w] = more * row[w - 2] - slope * row[far_right];
     if (w >= PDAVIS_BLOCK) {
         /* the last block overlaps its predecessor and starts at an even column too */
         ptrdiff_t b, last = (w - PDAVIS_BLOCK) & ~(ptrdiff_t)1;

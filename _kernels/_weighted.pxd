@@ -3,6 +3,14 @@ from _kernels._rows cimport (
     bilinear_row, bilinear_row_f32, check_places, plane_of_place, row_stride,
     scratch_row)
 
+cdef extern from *:
+    """
+    /* Share of the slope with which an uncertain channel continues beyond a border:
+       docs/theory/demosaicing.md derives it. */
+    #define BORDER_SLOPE 0.5f
+    """
+    const float BORDER_SLOPE
+
 cdef extern from "_channels.h" nogil:
     void mismatch_row(
         const float*, const float*, const float*, const float*, float, float, float,
@@ -66,8 +74,8 @@ cdef inline void variance_row(
     """
     cdef Py_ssize_t up = y - 1 if y else 1, down = y + 1 if y + 1 < h else h - 2
     cdef Py_ssize_t p = 2 * (y & 1), q = 2 - p, c, column
-    bilinear_row_f32(variance + y * w, variance + up * w, variance + down * w, 0, w,
-                     own, other, to[p], to[p + 1], to[q], to[q + 1])
+    bilinear_row_f32(variance + y * w, variance + up * w, variance + down * w, 0,
+                     1.0, w, own, other, to[p], to[p + 1], to[q], to[q + 1])
     for c in range(4):
         column = c & 1
         if column == 1:
@@ -84,7 +92,7 @@ cdef inline void weighted_row(
     cdef float* to[4]
     for c in range(4):
         to[c] = q[of.plane[c]]
-    bilinear_row(of.mosaic, y, h, w, of.own, of.other, to)
+    bilinear_row(of.mosaic, y, h, w, BORDER_SLOPE, of.own, of.other, to)
     for c in range(4):
         to[c] = v[of.plane[c]]
     variance_row(of.variance, y, h, w, of.own, of.other, to)

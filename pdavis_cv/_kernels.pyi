@@ -161,7 +161,8 @@ def aop_event_stokes(
     span: float, correct: bool, epoch: _F64, turns: NDArray[Any], out: _F32,
 ) -> int: ...
 def bilinear(
-    mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
+    mosaic: NDArray[_Pixel], places: NDArray[np.intp], uncertain: bool, scratch: _F32,
+    out: _F32,
 ) -> None: ...
 def bilinear_variance(
     variance: _F32, places: NDArray[np.intp], scratch: _F32, out: _F32

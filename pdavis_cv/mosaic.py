@@ -88,8 +88,9 @@ def demosaic(
         methods use all samples; `demosaic_valid` returns which pixels are affected.
     variance : ndarray of float32, shape (H, W), optional
         Variance of each usable sample's logarithm.  ``"guided"`` then adds less of the
-        residual of its first fit, as part of it is noise; the other methods do not use
-        it.
+        residual of its first fit, as part of it is noise.  ``"bilinear"`` extrapolates
+        at borders with half of the slope, which carries the errors of two samples.  The
+        other methods do not use it.
 
     Returns
     -------
@@ -142,7 +143,8 @@ def demosaic(
         _kernels.guided(mosaic, clean, noise, places, _GUIDED,
                         scratch_rows(131, width), out)
     else:
-        _kernels.bilinear(mosaic, places, scratch_rows(2, width), out)
+        _kernels.bilinear(
+            mosaic, places, variance is not None, scratch_rows(2, width), out)
     return out
 
 

@@ -12,20 +12,21 @@ def superpixel(mosaic, layout):
     return np.stack([cells[place] for place in layout.places]).astype(F32)
 
 
-def mean_of_neighbours(rows):
+def mean_of_neighbours(rows, slope):
     """Mean of the rows above and below, the missing ones extrapolated."""
-    n = len(rows)
-    top = 2 * rows[1] - rows[3 if n > 3 else 1]
-    bottom = 2 * rows[n - 2] - rows[n - 4 if n > 3 else n - 2]
+    n, slope = len(rows), F32(slope)
+    more = F32(1) + slope
+    top = more * rows[1] - slope * rows[3 if n > 3 else 1]
+    bottom = more * rows[n - 2] - slope * rows[n - 4 if n > 3 else n - 2]
     padded = np.concatenate([top[None], rows, bottom[None]])
     return (padded[:-2] + padded[2:]) * F32(0.5)
 
 
-def bilinear(mosaic, layout):
+def bilinear(mosaic, layout, slope=1.0):
     own = mosaic.astype(F32)
-    beside = mean_of_neighbours(own.T).T
-    above = mean_of_neighbours(own)
-    diagonal = mean_of_neighbours(above.T).T
+    beside = mean_of_neighbours(own.T, slope).T
+    above = mean_of_neighbours(own, slope)
+    diagonal = mean_of_neighbours(above.T, slope).T
     y, x = np.indices(mosaic.shape) % 2
     return np.stack([
         np.where(y == p // 2, np.where(x == p % 2, own, beside),

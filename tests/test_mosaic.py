@@ -22,6 +22,34 @@ def test_bilinear_equals_its_twin(shape, dtype):
     np.testing.assert_array_equal(got, reference.bilinear(mosaic, Layout.PDAVIS))
     np.testing.assert_array_equal(mosaic, before)
     assert got.dtype == np.float32
+    uncertain = pdavis_cv.demosaic(
+        mosaic, Layout.PDAVIS, variance=np.ones(shape, np.float32))
+    np.testing.assert_array_equal(
+        uncertain, reference.bilinear(mosaic, Layout.PDAVIS, slope=0.5))
+
+
+def test_uncertain_samples_are_extrapolated_with_the_least_error():
+    """Fields whose mean square difference grows as r^1.5, known up to an error of .1.
+
+    For these the weights 5/4 and -1/4 are best (docs/theory/demosaicing.md).
+    """
+    rng, n = np.random.default_rng(7), 64
+    frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
+    frequency[0, 0] = np.inf
+    errors = {False: 0.0, True: 0.0}
+    for _ in range(40):
+        # In two dimensions a spectrum k^-(2 + a) has differences r^a.
+        waves = np.fft.rfft2(rng.normal(size=(n, n))) * frequency**-1.75
+        truth = np.fft.irfft2(waves, (n, n))
+        truth = np.float32(truth / truth.std())
+        mosaic = truth + np.float32(0.1) * rng.normal(size=truth.shape)
+        for uncertain in errors:
+            planes = pdavis_cv.demosaic(
+                mosaic.astype(np.float32), Layout.PDAVIS,
+                variance=np.full(truth.shape, 0.01, np.float32) if uncertain else None)
+            off = (planes - truth)[:, 0]
+            errors[uncertain] += np.mean(off**2)
+    assert errors[True] < 0.85 * errors[False]
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -205,11 +233,11 @@ def test_the_kernels_check_sizes_themselves():
     mosaic, places = np.zeros((4, 4), np.uint8), np.arange(4, dtype=np.intp)
     out, scratch = np.zeros((4, 4, 4), np.float32), np.zeros(104, np.float32)
     with pytest.raises(ValueError, match="sides >= 2"):
-        kernels.bilinear(mosaic[:1], places, scratch, out)
+        kernels.bilinear(mosaic[:1], places, False, scratch, out)
     with pytest.raises(ValueError, match="scratch"):
-        kernels.bilinear(mosaic, places, scratch[:90], out)
+        kernels.bilinear(mosaic, places, False, scratch[:90], out)
     with pytest.raises(ValueError, match="permutation"):
-        kernels.bilinear(mosaic, places + 1, scratch, out)
+        kernels.bilinear(mosaic, places + 1, False, scratch, out)
     with pytest.raises(ValueError, match="permutation"):
         kernels.superpixel(mosaic, places * 0, out[:, :2, :2].copy())
     with pytest.raises(ValueError, match="superpixel: mosaic"):

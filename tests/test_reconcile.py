@@ -121,7 +121,7 @@ def test_one_pass_by_rows_equals_one_step_after_another(shape, spread, own_null)
     mosaic = rng.uniform(1, 100, shape).astype(np.float32)
     samples = rng.uniform(1e-4, 1e-1, shape).astype(np.float32)
     null = rng.normal(size=(4, *shape)).astype(np.float32) if own_null else IDEAL
-    quad = demosaic(mosaic, Layout.PDAVIS)
+    quad = demosaic(mosaic, Layout.PDAVIS, variance=samples)
     variance = demosaic_variance(
         samples, Layout.PDAVIS, valid=np.ones(shape, bool))
     if spread:
