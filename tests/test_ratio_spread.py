@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from reference_redundancy import Macropixel
 
-from pdavis_cv import fuse, recording_from_arrays
+from pdavis_cv import KalmanFilter, fuse, recording_from_arrays
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
 from pdavis_cv.selfcal import SelfCalibration
 from pdavis_cv.selfcal.ratio_spread import LEAST_SPREAD, _line_ratios
@@ -143,3 +143,25 @@ def test_a_wide_chip_is_measured_better_than_with_the_prior():
         return np.sqrt(np.nanmean(off**2))
 
     assert error() < 0.9 * error(ratio_sigma=RATIO_SIGMA)
+
+
+@pytest.mark.parametrize(("light", "sigma"), [(1e5, 0.05), (0.05, RATIO_SIGMA)])
+def test_kalman_hands_it_on_where_frames_saturate(light, sigma):
+    """In dim light noise events, not those of the light, decide how ratios differ."""
+    recording, _ = Camera.preset("nominal", seed=1, size=(4, 4)).record(
+        RotatingPolarizer(rpm=60.78, s0=light), 0.3)
+    method = KalmanFilter((4, 4), theta_on=0.16, theta_off=0.18, ratio_sigma=0.07)
+    frame, *_ = (frame for packet in recording.packets() for frame in packet.frames)
+    method.add_frame(frame)
+    method.settle(200_000)
+    inner = method._saturated._method
+    assert inner.parameters["ratio_sigma"] == max(0.07, sigma)
+    method.retune(ratio_sigma=0.05)
+    assert inner.parameters["ratio_sigma"] == sigma
+    assert method.parameters["ratio_sigma"] == 0.05
+    copy = KalmanFilter((4, 4), **method.parameters)
+    copy.assign(method)
+    assert copy._saturated._method.parameters["ratio_sigma"] == sigma
+    copy = KalmanFilter((4, 4), **method.parameters)
+    copy.restore(method.snapshot())
+    assert copy._saturated._method.parameters["ratio_sigma"] == sigma

@@ -91,7 +91,7 @@ class Learning:
                 f"{given['bandwidth']!r}")
         known = {**self._of_calibration(options), **given}
         wanted = {name for name in needs.learned if name not in known}
-        if needs.frames and wanted <= {"jitter_us", "refractory_us"}:
+        if needs.frames and wanted <= {"jitter_us", "ratio_sigma", "refractory_us"}:
             wanted = set()      # alone they do not justify reading ahead
         if options.thresholds == "in-situ":
             # Thresholds of each pixel need a window of data that a passing stream

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, sensor_shape, whole_number
+from pdavis_cv._checks import output, positive, sensor_shape, whole_number
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.reconstruct.base import (
     WHOLE_SENSOR,
@@ -34,6 +34,7 @@ from pdavis_cv.reconstruct.kalman.smoother import Smoother
 from pdavis_cv.reconstruct.kalman.waiting import WaitingFrame
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.model import NODE_DTYPE, STATE_DTYPE, TUNING_DTYPE
+from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
 from pdavis_cv.reconstruct.stream_clock import (
     NEVER,
     StreamClock,
@@ -134,6 +135,8 @@ class KalmanFilter(Reconstructor):
     jitter_us : float
         Standard deviation of the events' time stamps, us: a slope is found over longer
         than that, to undo the lag and to extrapolate.
+    ratio_sigma : float
+        As for `EventRedundancy`, which estimates the pixels that every frame saturates.
     response : array_like of shape (2, 2, 3) or (H, W, 3), optional
         Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
         orthogonal ones on the diagonals.
@@ -161,7 +164,8 @@ class KalmanFilter(Reconstructor):
     method = "kalman"
     needs = Needs(
         lamp=True, prior=frozenset({"threshold_sigma", "offset_dn"}),
-        learned=frozenset({"bandwidth", "jitter_us", "noise", "refractory_us"}))
+        learned=frozenset({"bandwidth", "jitter_us", "noise", "ratio_sigma",
+                           "refractory_us"}))
     causal_parameters = MappingProxyType({"mode": "causal"})
     margin = WHOLE_SENSOR  # the noise of motion is learned from all pixels' innovations
     lookahead_us: int
@@ -173,7 +177,7 @@ class KalmanFilter(Reconstructor):
         bandwidth: Sequence[float] | None = None,
         noise: Sequence[float] = NOISE, offset_dn: float = 0.0,
         refractory_us: float = 0.0, jitter_us: float = 0.0,
-        response: ArrayLike | None = None,
+        ratio_sigma: float = RATIO_SIGMA, response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         if mode not in _LOOKAHEADS:
@@ -203,6 +207,7 @@ class KalmanFilter(Reconstructor):
         self._offset_dn = float(offset_dn)
         self._refractory_us = checked_duration("refractory_us", refractory_us)
         self._jitter_us = checked_duration("jitter_us", jitter_us)
+        self._ratio_sigma = positive("ratio_sigma", ratio_sigma)
         self._tuning = np.zeros(1, TUNING_DTYPE)
         self._tuning["offset_dn"] = self._offset_dn
         self._tuning["valid_variance"] = VALID_VARIANCE
@@ -214,7 +219,7 @@ class KalmanFilter(Reconstructor):
         self._tuning["needs_sample"] = 1        # `Saturated.fill` replaces the others
         self._saturated = Saturated(
             self.shape, self._theta_on, self._theta_off, response, self.lookahead_us,
-            self._bandwidth)
+            self._bandwidth, self._ratio_sigma)
         self._begin()
         self._tune()
         self._begin_thresholds()
@@ -283,8 +288,8 @@ class KalmanFilter(Reconstructor):
             "theta_on", "theta_off", "threshold_sigma", "frames_moved_us"}
         if unknown:
             raise TypeError(
-                "retune takes bandwidth, noise, refractory_us, jitter_us, theta_on, "
-                "theta_off, threshold_sigma and frames_moved_us, got "
+                "retune takes bandwidth, noise, refractory_us, jitter_us, ratio_sigma, "
+                "theta_on, theta_off, threshold_sigma and frames_moved_us, got "
                 f"{', '.join(sorted(unknown))}")
         before, moved_us = self._lags(), learned.get("frames_moved_us", 0)
         if "threshold_sigma" in learned:
@@ -318,8 +323,11 @@ class KalmanFilter(Reconstructor):
                     setattr(self, f"_{name}", checked_threshold(
                         name, learned[name], self.shape))
             self._begin_thresholds()
+        if "ratio_sigma" in learned:
+            self._ratio_sigma = positive("ratio_sigma", learned["ratio_sigma"])
         self._saturated.retune(
-            self._bandwidth, None if {"theta_on", "theta_off"}.isdisjoint(learned)
+            self._bandwidth, self._ratio_sigma,
+            None if {"theta_on", "theta_off"}.isdisjoint(learned)
             else (self._theta_on, self._theta_off))
         if "noise" in learned:
             self._noise = checked_noise(learned["noise"])
@@ -348,7 +356,7 @@ class KalmanFilter(Reconstructor):
                 "threshold_sigma": self._sigma, "bandwidth": self._bandwidth,
                 "noise": self._noise, "offset_dn": self._offset_dn,
                 "refractory_us": self._refractory_us, "jitter_us": self._jitter_us,
-                "response": self._saturated.response}
+                "ratio_sigma": self._ratio_sigma, "response": self._saturated.response}
 
     @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -12,7 +12,7 @@ from pdavis_cv import _kernels
 from pdavis_cv._workers import Workers
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.frames import log_exposure
-from pdavis_cv.reconstruct.redundancy import EventRedundancy, null_of
+from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA, EventRedundancy, null_of
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["VALID_VARIANCE", "Saturated"]
@@ -62,16 +62,19 @@ class Saturated:
         How far beyond the time of `fill` the stream will have been fed, us.
     bandwidth : (float, float, float)
         As for `KalmanFilter`.
+    ratio_sigma : float
+        As for `EventRedundancy`; pixels in dim light have at least its default.
     """
 
     def __init__(
         self, shape: tuple[int, int], theta_on: ArrayLike, theta_off: ArrayLike,
         response: ArrayLike | None, lookahead_us: int,
-        bandwidth: tuple[float, float, float],
+        bandwidth: tuple[float, float, float], ratio_sigma: float,
     ) -> None:
         self.response = None if response is None else np.array(response, np.float64)
         self._shape, self._bandwidth = shape, bandwidth
         self._thresholds, self._lookahead_us = (theta_on, theta_off), lookahead_us
+        self._ratio_sigma = ratio_sigma
         # By pixel of the virtual sensor: its flat sensor index.
         self._grid = np.empty((0, 0), np.intp)
         # [place, i]: flat sensor index of the pixel at that place of macropixel i.
@@ -80,6 +83,7 @@ class Saturated:
         self._cell_of = np.empty((0, 0), np.int32)
         self._bound = np.zeros(shape, np.float32)
         self._level: float | None = None    # log intensity that `_law` is evaluated at
+        self._dim = False       # whether most of these pixels are dim, not saturated
         self._early: tuple[NDArray[Any], ...] = ()  # events before the first frame
         self._method: EventRedundancy | None = None
         # Cache of `_missing_of`: its last argument and its result.
@@ -87,7 +91,7 @@ class Saturated:
             NDArray[np.uint8], NDArray[np.intp]]] | None = None
         null_of(self.response, shape)  # refuses an impossible response
 
-    def _make(self, pixels: NDArray[np.intp], level: float) -> None:
+    def _make(self, pixels: NDArray[np.intp], level: float, dim: bool) -> None:
         """Set up the virtual sensor.
 
         Parameters
@@ -96,8 +100,10 @@ class Saturated:
             Flat sensor indices of n macropixels.
         level : float
             Log intensity that sets the speed of their photoreceptors.
+        dim : bool
+            Whether most of their bad samples are dim, not saturated.
         """
-        self._pixels, self._level = pixels, level
+        self._pixels, self._level, self._dim = pixels, level, dim
         self._filled = None
         count = pixels.shape[1]
         columns = min(count, COLUMNS)
@@ -116,7 +122,8 @@ class Saturated:
         on, off = (self._gathered(theta) for theta in self._thresholds)
         self._method = EventRedundancy(
             self._grid.shape, theta_on=on, theta_off=off, response=response,
-            lookahead_us=self._lookahead_us, bandwidth=self._law(level))
+            lookahead_us=self._lookahead_us, bandwidth=self._law(level),
+            ratio_sigma=self._spread())
 
     def _gathered(self, values: ArrayLike) -> NDArray[np.float64]:
         """Return values of the sensor's pixels for those of the virtual sensor."""
@@ -128,14 +135,20 @@ class Saturated:
         hz, slope, sigma = self._bandwidth
         return hz + slope * math.exp(level), 0.0, sigma
 
+    def _spread(self) -> float:
+        # In dim light leak and noise events, which are not the same in all pixels, are
+        # a large part of the events.  The learned spread is that of brighter pixels.
+        return max(self._ratio_sigma, RATIO_SIGMA) if self._dim else self._ratio_sigma
+
     def retune(
-        self, bandwidth: tuple[float, float, float],
+        self, bandwidth: tuple[float, float, float], ratio_sigma: float,
         thresholds: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> None:
-        """Continue with another bandwidth and, if they are given, thresholds."""
-        self._bandwidth = bandwidth
+        """Continue with others and, if they are given, other thresholds."""
+        self._bandwidth, self._ratio_sigma = bandwidth, ratio_sigma
         if self._method is not None and self._level is not None:
-            self._method.retune(bandwidth=self._law(self._level))
+            self._method.retune(
+                bandwidth=self._law(self._level), ratio_sigma=self._spread())
         if thresholds is not None:
             self._thresholds = thresholds
             if self._method is not None:
@@ -155,7 +168,9 @@ class Saturated:
             pixels = _cells_with(poor)
             if pixels.size:
                 # Photoreceptors are the faster, the brighter these pixels are.
-                self._make(pixels, min(level, float(np.median(sample[poor]))))
+                light = min(level, float(np.median(sample[poor])))
+                # A saturated pixel's sample is full scale.
+                self._make(pixels, light, dim=light < level - math.log(2))
             else:
                 self._level = level
             self._begin_with(frame.mid_us, workers)
@@ -243,18 +258,19 @@ class Saturated:
         """Copy the state of an equal object."""
         self._bandwidth, self._bound = other._bandwidth, other._bound
         self._thresholds, self._early = other._thresholds, other._early
+        self._ratio_sigma, self._dim = other._ratio_sigma, other._dim
         if other._method is None or other._level is None:
             self._level, self._method = other._level, None
             return
         if self._method is None or not np.array_equal(self._pixels, other._pixels):
-            self._make(other._pixels, other._level)
+            self._make(other._pixels, other._level, other._dim)
         assert self._method is not None
         self._method.assign(other._method)
 
     def state(self) -> Mapping[str, Any]:
         """Return copies of everything."""
         return {"bound": self._bound, "pixels": self._pixels, "level": self._level,
-                "early": self._early,
+                "dim": self._dim, "early": self._early,
                 "method": None if self._method is None else self._method.snapshot()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -262,7 +278,7 @@ class Saturated:
         self._bound, self._level = state["bound"], state["level"]
         self._early, self._method = state["early"], None
         if state["method"] is not None:
-            self._make(state["pixels"], state["level"])
+            self._make(state["pixels"], state["level"], state["dim"])
             assert self._method is not None
             self._method.restore(state["method"])
 
