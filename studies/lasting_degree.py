@@ -97,7 +97,7 @@ def study(quick: bool) -> list[Found]:
         still = [texture_error(*one) for one in moving]
     print(f"without: DoLP error {without:.4f}, texture {np.mean(still):.4f}")
     swings = []
-    for swing, hz in SWINGS:
+    for swing, hz in SWINGS[1::2] if quick else SWINGS:
         recordings = [swinging(seed, swing, hz) for seed in seeds[:2]]
         with mock.patch.object(
                 lasting_degree.LastingDegree, "weigh", return_value=None):
@@ -106,7 +106,7 @@ def study(quick: bool) -> list[Found]:
         print(f"swing of {swing:g} at {hz:g} Hz: DoLP error {plain:.4f} without, x "
               f"{swings[-1]:.3f}")
     gains, losses = {}, {}
-    for multiple in MULTIPLES:
+    for multiple in (lasting_degree.SURE,) if quick else MULTIPLES:
         with mock.patch.object(lasting_degree, "SURE", multiple):
             gains[multiple] = degree_error(turning) / without
             losses[multiple] = max(
