@@ -2,7 +2,7 @@
 
 A `SelfCalibration` is fed a stream and returns a `CameraEstimate`: contrast thresholds,
 bandwidth of the photoreceptors, event noise, refractory period and jitter of the
-events' stamps, with covariances.
+events' stamps, leak and noise events at rest, with standard errors.
 The package works on arrays only: it reads no files, recordings or calibrations.
 """
 from pdavis_cv.selfcal.bandwidth import Bandwidth, combine_bandwidths
@@ -12,6 +12,7 @@ from pdavis_cv.selfcal.jitter import Jitter
 from pdavis_cv.selfcal.priors import LEAK_HZ, TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
 from pdavis_cv.selfcal.ratio_spread import RatioSpread
 from pdavis_cv.selfcal.refractory import Refractory
+from pdavis_cv.selfcal.rest_rates import RestRates
 
 __all__ = [
     "LEAK_HZ",
@@ -23,6 +24,7 @@ __all__ = [
     "Jitter",
     "RatioSpread",
     "Refractory",
+    "RestRates",
     "SelfCalibration",
     "combine_bandwidths",
 ]
