@@ -165,3 +165,16 @@ def test_kalman_hands_it_on_where_frames_saturate(light, sigma):
     copy = KalmanFilter((4, 4), **method.parameters)
     copy.restore(method.snapshot())
     assert copy._saturated._method.parameters["ratio_sigma"] == sigma
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_kalman_learns_it_unless_it_is_stated(causal):
+    recording, sigma = taken(0.15, seconds=1.5)
+
+    def in_force(**options):
+        image, = fuse(recording, times_us=[1_400_000], causal=causal, method="kalman",
+                      nominal_thresholds=NOMINAL, **options)
+        return image.provenance["parameters"]["ratio_sigma"]
+
+    assert in_force() == pytest.approx(sigma, rel=0.3)
+    assert in_force(ratio_sigma=0.07) == 0.07

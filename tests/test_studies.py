@@ -8,7 +8,7 @@ import pytest
 STUDIES = Path(__file__).resolve().parent.parent / "studies"
 NAMES = sorted(path.stem for path in STUDIES.glob("*.py") if path.stem != "common")
 LONG = ("batch", "demosaic_constants", "demosaic_events", "event_scale", "held_cameras",
-        "lamp_detection", "lasting_degree", "selfcal_bandwidth",
+        "kalman_ratio_spread", "lamp_detection", "lasting_degree", "selfcal_bandwidth",
         "selfcal_clock_offset", "selfcal_common_scale", "selfcal_law",
         "selfcal_least_gain", "selfcal_tails", "selfcal_thresholds")
 

@@ -90,7 +90,9 @@ class Learning:
                 "bandwidth must be 'in-situ', (hz, hz_per_intensity) or None, got "
                 f"{given['bandwidth']!r}")
         known = {**self._of_calibration(options), **given}
-        wanted = {name for name in needs.learned if name not in known}
+        wanted = set(needs.learned - known.keys())
+        # Others that are wanted below only tell how certain these are.
+        self._learned = frozenset(wanted)
         if needs.frames and wanted <= {"jitter_us", "ratio_sigma", "refractory_us"}:
             wanted = set()      # alone they do not justify reading ahead
         if options.thresholds == "in-situ":
@@ -125,7 +127,7 @@ class Learning:
             known["jitter_us"] = 0.0
         if "noise" in wanted:
             known["noise"] = self._noise(0.0)
-        if "ratio_sigma" in wanted & needs.learned:
+        if "ratio_sigma" in wanted & self._learned:
             known["ratio_sigma"] = RATIO_SIGMA
         self.prior = Tuning(on, off, known, clock or ClockOffset(
             0.0, CLOCK_OFFSET_SIGMA_US))
@@ -211,7 +213,7 @@ class Learning:
             found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
         if "noise" in self.wanted and estimate.noise is not None:
             found["noise"] = self._noise(estimate.noise)
-        if "ratio_sigma" in self._needs.learned & self.wanted and (
+        if "ratio_sigma" in self._learned & self.wanted and (
                 estimate.ratio_spread is not None):
             found["ratio_sigma"] = estimate.ratio_spread.sigma
         scaled = estimate.common_scale_sigma > 0 and not (

@@ -63,8 +63,7 @@ def fit_event_noise(
     # More noise of frames leaves less for events: if none is found, this is the result.
     costs = _costs(sample, law, 0.0, frame_sigmas[:1])
     if np.argmin(costs):
-        if len(frame_sigmas) > 1:
-            costs = _costs(sample, law, 0.0, frame_sigmas)
+        costs = _costs(sample, law, 0.0, frame_sigmas)
         drifting = _costs(sample, law, DRIFT**2, frame_sigmas)
         if costs.min() - drifting.min() > 2 * _EVIDENCE:
             costs = drifting

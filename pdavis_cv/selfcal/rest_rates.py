@@ -17,14 +17,16 @@ moves by so little crosses no threshold of usual cameras, .15 to .4."""
 
 _MOST_HZ = 30.0
 """Rate of events above which a pixel is not at rest, or is hot: light that repeats at
-the rate of the frames looks steady in them, but makes hundreds per second."""
+the rate of the frames looks steady in them, but makes hundreds per second.  Engineering
+choice: noisy pixels make up to 15."""
 
 _LEAST_FRAMES, _LEAST_SECONDS = 5, 0.25
-"""Least number of samples of a pixel, and time that they must span."""
+"""Least number of samples of a pixel, and time (s) that they must span.  Engineering
+choice."""
 
 _CLASS, _LEAST_PIXELS = 2.0, 20
 """Ratio of the ends of a class of intensity, and the least number of its pixels: the
-standard error is that of the mean of so many, by their scatter."""
+standard error is that of the mean of so many, by their scatter.  Engineering choice."""
 
 
 class RestRates(NamedTuple):
