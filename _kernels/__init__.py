@@ -45,14 +45,13 @@ from ._leaky import (
     leak_held,
     leak_read,
     leak_shown,
-    log_frame,
     mean_around,
 )
 from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import fade_bgr, hue_bgr, polar_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
-from ._reading import kalman_read, kalman_rest, kalman_show
+from ._reading import kalman_read, kalman_show
 from ._redundancy import (
     redundancy_sample,
     redundancy_shown,
@@ -60,6 +59,8 @@ from ._redundancy import (
     saturated_events,
     saturated_fill,
 )
+from ._rest import kalman_rest
+from ._samples import kalman_samples, log_frame
 from ._scenes import (
     analysed,
     fan_stokes,
@@ -111,6 +112,7 @@ __all__ = [
     "kalman_frame",
     "kalman_read",
     "kalman_rest",
+    "kalman_samples",
     "kalman_show",
     "lamp_push",
     "lamp_wave",

@@ -209,94 +209,147 @@ cdef void weigh_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nog
     weigh_group(of, &group)
 
 
-cdef void add_row(float* plane, Py_ssize_t w, const float* above, const float* own,
-                  const float* below, float kept) noexcept nogil:
-    """Multiply a plane's row by `kept`, and add the sums of 3 x 3 numbers around."""
-    cdef Py_ssize_t x
+cdef struct frame_t:
+    # What `degree_frame` shares among threads; h and w count macropixels.
+    Py_ssize_t h, w, stride     # stride: of log
+    const float* log
+    analyser_t analyser
+    float most, late, first, sure
+    const float* before         # planes, before and after the frame
+    float* planes
+    float* scratch
+    float* lasting
+
+
+cdef void compare_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    """Find the degrees of rows, and by how much they differ from the means before."""
+    cdef const frame_t* of = <const frame_t*>args
+    cdef Py_ssize_t size = of.h * of.w, padded = (of.h + 2) * of.w
+    cdef Py_ssize_t y, part, x, n, i, at
+    cdef group_t group
+    cdef float* row
+    cdef float degree, error, seen
+    group.filled = False
+    for y in range(first, last):
+        for part in range((of.w + CELLS - 1) // CELLS):
+            x = part * CELLS
+            n = min(<Py_ssize_t>CELLS, of.w - x)
+            empty(&group)
+            add_run(&group, &of.analyser, of.log + 2 * (y * of.stride + x), of.stride,
+                    y * of.w + x, 0, n)
+            find_degree(&group.cells, n)
+            for i in range(n):
+                at = y * of.w + x + i
+                row = of.scratch + of.w + at
+                row[0] = 0.0
+                row[padded] = 0.0
+                row[2 * padded] = 0.0
+                degree = group.cells.degree[i]
+                seen = of.before[SEEN * size + at]
+                error = degree - of.before[MEAN * size + at]
+                of.planes[MEAN * size + at] = of.before[MEAN * size + at]
+                of.planes[SEEN * size + at] = seen
+                of.planes[LAST * size + at] = 0.0
+                if degree != degree:
+                    continue
+                if seen > 0.0:
+                    row[0] = error * error
+                    row[padded] = 1.0
+                    row[2 * padded] = error * of.before[LAST * size + at]
+                    of.planes[LAST * size + at] = error
+                if seen < of.most:
+                    seen += 1.0
+                of.planes[SEEN * size + at] = seen
+                of.planes[MEAN * size + at] += error / seen
+
+
+cdef void add_row(const frame_t* of, Py_ssize_t plane, Py_ssize_t row, Py_ssize_t y,
+                  float kept) noexcept nogil:
+    """Multiply a plane's row by `kept`; add the sums of 3 x 3 numbers of the scratch.
+    """
+    cdef Py_ssize_t w = of.w, x, at = (plane * of.h + y) * w
+    cdef const float* above = of.scratch + (row * (of.h + 2) + y) * w
+    cdef const float* own = above + w
+    cdef const float* below = own + w
     cdef float before = 0.0, here = above[0] + own[0] + below[0], after
     for x in range(w):
         after = 0.0
         if x + 1 < w:
             after = above[x + 1] + own[x + 1] + below[x + 1]
-        plane[x] = kept * plane[x] + (before + here + after)
+        of.planes[at + x] = kept * of.before[at + x] + (before + here + after)
         before = here
         here = after
 
 
+cdef void sum_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    """Sum the errors around each macropixel of rows, and write what lasts."""
+    cdef const frame_t* of = <const frame_t*>args
+    cdef Py_ssize_t size = of.h * of.w, y, x, k
+    cdef const float* p
+    cdef float error, mean, own, latest, compared, share
+    for y in range(first, last):
+        for k in range(PRODUCT, PLANES):
+            add_row(of, k, 2 if k == PRODUCT else (k - LONG) % 2, y, <float>1.0
+                    - <float>1.0 / (of.most if k < LATE else of.late))
+        for x in range(y * of.w, (y + 1) * of.w):
+            p = of.planes + x
+            mean = p[MEAN * size]
+            compared = <float>1.0 / (p[COUNT * size] + <float>1.0)
+            error = (p[LONG * size] + of.first) * compared
+            latest = p[LATE * size] / max(p[LATE_COUNT * size], <float>1.0)
+            # What errors of consecutive frames share is not noise of a frame.
+            own = error / max(p[SEEN * size], <float>1.0) + max(
+                p[PRODUCT * size] * compared, <float>0.0)
+            own = min(own, error)
+            # Not a quotient: the mean may be 0.
+            share = mean * mean - of.sure * max(error, latest)
+            of.lasting[x] = mean
+            of.lasting[size + x] = max(own, latest - (error - own))
+            of.lasting[2 * size + x] = share / (mean * mean) if share > 0.0 else 0.0
+
+
 def degree_frame(const float[:, ::1] log not None,
                  const float[:, :, ::1] analyser not None, constants not None,
+                 const float[:, :, ::1] before not None,
                  float[:, :, ::1] planes not None, float[:, :, ::1] scratch not None,
-                 float[:, :, ::1] lasting not None):
+                 float[:, :, ::1] lasting not None, team not None):
     """Update the degree of polarization that lasts with a frame.
 
     log (>= 2 h, >= 2 w) holds log intensities at mid-exposure, NaN where unknown.
     analyser is as in `lasting_degree`.  constants are the long and the short memory in
     frames, the squared error that is assumed before the first comparison, and how many
-    times its sigma the degree has to be, squared.  planes (8, h, w) is the state, 0 at
-    first; scratch is (3, h + 2, w), 0 in its first and last rows; lasting (3, h, w)
-    receives the degree, its variance and its share.
+    times its sigma the degree has to be, squared.  before (8, h, w) is the state, 0 at
+    first, and planes receives the next one; scratch is (3, h + 2, w), 0 in its first
+    and last rows; lasting (3, h, w) receives the degree, its variance and its share.
+    team is as in `kalman_show`.
     """
     cdef Py_ssize_t h = planes.shape[1], w = planes.shape[2]
-    cdef Py_ssize_t part, x, y, n, k, i
-    cdef float most, late, first, sure, error, mean, own, latest, compared, share
-    cdef analyser_t of
-    cdef group_t group
-    cdef float* plane
-    most, late, first, sure = constants
+    cdef frame_t of
+    cdef team_t* shared
+    cdef size_t address
+    cdef bint wake
+    of.most, of.late, of.first, of.sure = constants
+    address, wake = team
     if (log.shape[0] < 2 * h or log.shape[1] < 2 * w or planes.shape[0] != PLANES
+            or before.shape[0] != PLANES or before.shape[1] != h or before.shape[2] != w
             or scratch.shape[0] != 3 or scratch.shape[1] != h + 2
             or scratch.shape[2] != w or lasting.shape[0] != 3 or lasting.shape[1] != h
             or lasting.shape[2] != w):
         raise ValueError("degree_frame: planes, scratch, lasting and log must fit")
-    of.size = 0
-    set_analyser(&of, analyser, h, w)
+    set_analyser(&of.analyser, analyser, h, w)
     if h * w == 0:
         return
+    of.h, of.w, of.stride, of.log = h, w, log.shape[1], &log[0, 0]
+    of.before, of.planes = &before[0, 0, 0], &planes[0, 0, 0]
+    of.scratch, of.lasting = &scratch[0, 0, 0], &lasting[0, 0, 0]
+    shared = <team_t*>address
     with nogil:
-        group.filled = False
-        for y in range(h):
-            for part in range((w + CELLS - 1) // CELLS):
-                x = part * CELLS
-                n = min(<Py_ssize_t>CELLS, w - x)
-                empty(&group)
-                add_run(&group, &of, &log[2 * y, 2 * x], log.shape[1], y * w + x, 0, n)
-                find_degree(&group.cells, n)
-                for i in range(n):
-                    for k in range(3):
-                        scratch[k, y + 1, x + i] = 0.0
-                    latest = planes[LAST, y, x + i]
-                    planes[LAST, y, x + i] = 0.0
-                    if group.cells.degree[i] != group.cells.degree[i]:
-                        continue
-                    error = group.cells.degree[i] - planes[MEAN, y, x + i]
-                    if planes[SEEN, y, x + i] > 0.0:
-                        scratch[0, y + 1, x + i] = error * error
-                        scratch[1, y + 1, x + i] = 1.0
-                        scratch[2, y + 1, x + i] = error * latest
-                        planes[LAST, y, x + i] = error
-                    if planes[SEEN, y, x + i] < most:
-                        planes[SEEN, y, x + i] += 1.0
-                    planes[MEAN, y, x + i] += error / planes[SEEN, y, x + i]
-        for y in range(h):
-            for k in range(PRODUCT, PLANES):
-                plane = &scratch[2 if k == PRODUCT else (k - LONG) % 2, y, 0]
-                add_row(&planes[k, y, 0], w, plane, plane + w, plane + 2 * w,
-                        <float>1.0 - <float>1.0 / (most if k < LATE else late))
-            for x in range(w):
-                mean = planes[MEAN, y, x]
-                compared = <float>1.0 / (planes[COUNT, y, x] + <float>1.0)
-                error = (planes[LONG, y, x] + first) * compared
-                latest = planes[LATE, y, x] / max(
-                    planes[LATE_COUNT, y, x], <float>1.0)
-                # What errors of consecutive frames share is not noise of a frame.
-                own = error / max(planes[SEEN, y, x], <float>1.0) + max(
-                    planes[PRODUCT, y, x] * compared, <float>0.0)
-                own = min(own, error)
-                # Not a quotient: the mean may be 0.
-                share = mean * mean - sure * max(error, latest)
-                lasting[0, y, x] = mean
-                lasting[1, y, x] = max(own, latest - (error - own))
-                lasting[2, y, x] = share / (mean * mean) if share > 0.0 else 0.0
+        if address:
+            team_share(shared, wake, compare_rows, &of, h, CHUNK)
+            team_share(shared, wake, sum_rows, &of, h, CHUNK)
+        else:
+            compare_rows(&of, 0, h)
+            sum_rows(&of, 0, h)
 
 
 def lasting_degree(const float[:, :, ::1] lasting not None,

@@ -7,7 +7,7 @@ high-passed log intensity (docs/theory/events.md).
 """
 from libc.stdint cimport int64_t, uint8_t
 
-from _kernels._math cimport expm1_f, log_f
+from _kernels._math cimport expm1_f
 from _kernels._check cimport far
 from _kernels._types cimport event_t
 
@@ -200,26 +200,6 @@ def mean_around(const float[:, ::1] own not None, const float[:, ::1] count not 
                 if 0 <= dy < h and n > 0:
                     add_row(&own[dy, x + dx], n, &out[y, x])
             divide_row(&count[y, 0], w, &out[y, 0])
-
-
-def log_frame(const float[:, ::1] dn not None, const uint8_t[:, ::1] usable not None,
-              const float[::1] log_exposure not None, float[:, ::1] out not None,
-              uint8_t[:, ::1] valid not None):
-    """Write ln(max(dn, 1)) - log_exposure[column], and usable where dn >= 1."""
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1]
-    cdef Py_ssize_t y, x
-    cdef float one = 1.0, v
-    if (dn.shape[0] != h or usable.shape[0] != h or valid.shape[0] != h
-            or dn.shape[1] != w or usable.shape[1] != w or valid.shape[1] != w
-            or log_exposure.shape[0] != w):
-        raise ValueError("log_frame: all arrays must have one shape")
-    with nogil:
-        for y in range(h):
-            for x in range(w):
-                v = dn[y, x]
-                valid[y, x] = (usable[y, x] != 0) & (v >= one)
-                v = v if v >= one else one       # a NaN becomes the floor
-                out[y, x] = log_f(v) - log_exposure[x]
 
 
 cdef inline float gain_of(float log_v, float floor) noexcept nogil:

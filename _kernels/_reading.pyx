@@ -7,19 +7,19 @@ moving in a lane (see _lanes.h).
 from libc.stdint cimport int32_t, int64_t, uint8_t
 from libc.string cimport memchr, memcpy
 
-from _kernels._estimate cimport (
-    LEAST_VARIANCE, left_out, read_pixel, rest_of, rest_t, walk_to)
+from _kernels._estimate cimport LEAST_VARIANCE, read_pixel, walk_to
 from _kernels._hot cimport is_hot
-from _kernels._lamp cimport lamp_of, lamp_t
+from _kernels._known cimport LATER, PLANES, SMOOTH_PLANES, known_t, show_planes
+from _kernels._lamp cimport lamp_of
 from _kernels._lanes cimport (
     LANES, enter_events, enter_state, lanes_t, reader_of, reader_t, show_lanes, shown_t)
-from _kernels._listing cimport CHANGED, LEFT_OUT, LISTED, NEW_STATE, RESTS
+from _kernels._listing cimport CHANGED, LISTED, NEW_STATE, RESTS
 from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport (
     enter_smoothed, gap_t, read_smoothed, resting_of, resting_t, show_resting)
 from _kernels._team cimport pd_rows, team_share, team_t
-from _kernels._tracks cimport REST_US, at_rest, start, walk_t
+from _kernels._tracks cimport REST_US, at_rest, walk_t
 
 cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
@@ -39,12 +39,6 @@ cdef enum:
     SOON = 8
 
 cdef enum:
-    # Number of planes of pixels at rest, without and with later samples.
-    PLANES = 4
-    SMOOTH_PLANES = 6
-    LATER = PLANES      # the first plane that comes from later samples
-
-cdef enum:
     # Flag of a pixel at rest whose state has changed; an event would have listed it.
     AT_REST = CHANGED | NEW_STATE
 
@@ -53,18 +47,6 @@ cdef struct images_t:
     float* log
     float* variance
     uint8_t* valid
-
-cdef struct known_t:
-    # Data and parameters of all pixels, and the time to read.
-    const stored_t* store
-    const track_t* tracks
-    const state_t* states
-    const gap_t* gaps       # NULL: later samples are not used
-    const tuning_t* tuning
-    lamp_t lamp
-    int64_t t
-    int64_t known
-    int64_t epoch
 
 
 cdef inline void show_one(const known_t* k, Py_ssize_t at,
@@ -146,101 +128,6 @@ def kalman_read(int64_t t, int64_t known, int64_t epoch, chain not None,
     with nogil:
         for i in range(first * w, last * w):
             show_one(&k, i, &out)
-
-
-cdef inline void show_planes(const known_t* k, Py_ssize_t at, float* planes,
-                             Py_ssize_t size) noexcept nogil:
-    """Write the parameters of a pixel at rest to the planes."""
-    cdef walk_t walk
-    cdef rest_t rest
-    cdef resting_t smoothed
-    start(&walk, &k.tracks[at])
-    walk.n_on = k.tracks[at].n_on
-    walk.n_off = k.tracks[at].n_off
-    if k.gaps == NULL:
-        rest = rest_of(&k.states[at], &walk, k.epoch, k.tuning)
-        planes[at] = rest.level
-        planes[size + at] = rest.variance
-        planes[2 * size + at] = rest.per_s
-        planes[3 * size + at] = rest.offset
-        return
-    smoothed = resting_of(&k.gaps[at], &walk, &k.states[at], k.epoch, k.tuning)
-    planes[at] = smoothed.level
-    planes[size + at] = smoothed.v0
-    planes[2 * size + at] = smoothed.v1
-    planes[3 * size + at] = smoothed.offset
-    planes[4 * size + at] = smoothed.slope
-    planes[5 * size + at] = smoothed.v2
-
-
-def kalman_rest(int64_t now, int64_t epoch, bint every,
-                const tuning_t[::1] tuning not None,
-                const track_t[:, ::1] tracks not None,
-                const state_t[:, ::1] states not None,
-                const gap_t[:, ::1] gaps not None, listing not None,
-                float[:, :, ::1] planes not None):
-    """List the pixels that are not at rest from `now` on; return how many.
-
-    listing is (pixels, flags by pixel).  The listed pixels are examined, or all of them
-    if `every` is set; those that are not at rest are written to the beginning of
-    pixels, in order, and marked as changed unless they keep their place, and with it
-    their lane.  planes (4, h, w) receives the parameters of the
-    others, from which `kalman_show` reads them; epoch is the time that their variances
-    refer to, at or after every sample.  Where the tuning has needs_sample set, pixels
-    without a sample count as at rest, whatever their events, until `every` is set
-    again.  tracks must chain the events that are not counted in it yet.  gaps is the
-    result of `smooth_gap`, which knows all pixels, and planes then has shape
-    (6, h, w); it is (0, 0) if later samples are not used.
-    """
-    cdef int32_t[::1] pixels
-    cdef uint8_t[:, ::1] flags
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, n = 0
-    cdef bint smooth = gaps.shape[0] > 0
-    cdef known_t k
-    cdef uint8_t* flag
-    cdef float* plane
-    check_given(listing)
-    pixels, flags = listing
-    if (states.shape[0] != h or states.shape[1] != w or flags.shape[0] != h
-            or flags.shape[1] != w or planes.shape[1] != h or planes.shape[2] != w
-            or planes.shape[0] != (SMOOTH_PLANES if smooth else PLANES)
-            or pixels.shape[0] != h * w
-            or smooth and (gaps.shape[0] != h or gaps.shape[1] != w)):
-        raise ValueError("kalman_rest: all images must have one shape")
-    if tuning.shape[0] != 1:
-        raise ValueError("kalman_rest: tuning must be one record")
-    if h * w == 0:
-        return 0
-    k.tracks, k.states, k.tuning = &tracks[0, 0], &states[0, 0], &tuning[0]
-    k.gaps, k.epoch = NULL, epoch
-    if smooth:
-        k.gaps = &gaps[0, 0]
-    flag = &flags[0, 0]
-    plane = &planes[0, 0, 0]
-    with nogil:
-        for i in range(h * w):
-            if not every and not flag[i] & LISTED:
-                continue
-            if not smooth and left_out(&k.states[i], k.tuning):
-                flag[i] = LEFT_OUT
-                plane[i] = 0.0
-                plane[h * w + i] = -1.0     # no sample
-                plane[2 * h * w + i] = 0.0
-                plane[3 * h * w + i] = 0.0
-            elif not smooth and is_hot(&k.states[i]):
-                flag[i] = LEFT_OUT      # its events have no weight
-                show_planes(&k, i, plane, h * w)
-            # The smoothed course of a hot pixel does not fit the planes' polynomial.
-            elif (k.tracks[i].first >= 0 or not at_rest(k.tracks[i].last >> 1, now)
-                    or smooth and is_hot(&k.states[i])):
-                if every or pixels[n] != i:
-                    flag[i] = LISTED | CHANGED | NEW_STATE
-                    pixels[n] = <int32_t>i
-                n += 1
-            else:
-                flag[i] = 0
-                show_planes(&k, i, plane, h * w)
-    return n
 
 
 cdef inline Py_ssize_t found(const int32_t[::1] pixels, Py_ssize_t n,

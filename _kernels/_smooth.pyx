@@ -10,6 +10,7 @@ from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._model cimport (
     check_given, node_t, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport gap_t, past_t, read_smoothed
+from _kernels._team cimport team_share, team_t
 
 cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
@@ -39,6 +40,29 @@ cdef extern from "_smooth.h" nogil:
     void advance_side(side_t*, const nodes_t*, const pair_t*, Py_ssize_t)
     void retreat_side(side_t*, const nodes_t*, const pair_t*, Py_ssize_t)
 
+cdef enum:
+    CHUNK = 4       # rows that a thread takes at a time: 20 us, or more for gaps
+
+cdef struct merging_t:
+    # What `smooth_past` shares among threads.
+    Py_ssize_t w
+    const node_t* nodes
+    const int64_t* times
+    const state_t* states
+    past_t* past
+
+cdef struct meeting_t:
+    # What `smooth_gap` shares among threads; n is the number of frames.
+    Py_ssize_t w, size, n
+    const node_t* nodes
+    const int64_t* times
+    const int32_t* order
+    const int32_t* passed
+    const state_t* states
+    const past_t* past
+    gap_t* out
+    gap_t* following
+
 cdef inline double measured(const node_t* node, double on, double off) noexcept nogil:
     return node.level - node.h_on * on - node.h_off * off
 
@@ -61,20 +85,41 @@ cdef inline void advance(past_t* past, const node_t* node, int64_t t, double on,
     past.n_off = node.n_off
 
 
+cdef void merge_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    cdef const merging_t* of = <const merging_t*>args
+    cdef Py_ssize_t y, x, at
+    for y in range(first, last):
+        for x in range(of.w):
+            at = y * of.w + x
+            if of.nodes[at].noise > 0:
+                advance(&of.past[at], &of.nodes[at], of.times[x],
+                        of.states[at].theta_on, of.states[at].theta_off)
+
+
 def smooth_past(const node_t[:, ::1] nodes not None, const int64_t[::1] times not None,
-                const state_t[:, ::1] states not None, past_t[:, ::1] past not None):
+                const state_t[:, ::1] states not None, past_t[:, ::1] past not None,
+                team not None):
     """Merge a frame into the past: nodes as kalman_frame wrote them, times by column.
+
+    team is as in `kalman_show`.
     """
-    cdef Py_ssize_t h = past.shape[0], w = past.shape[1], y, x
+    cdef Py_ssize_t h = past.shape[0], w = past.shape[1]
+    cdef merging_t of
+    cdef size_t address
+    cdef bint wake
+    address, wake = team
     if (nodes.shape[0] != h or nodes.shape[1] != w or times.shape[0] != w
             or states.shape[0] != h or states.shape[1] != w):
         raise ValueError("smooth_past: all images must have one shape")
+    if h * w == 0:
+        return
+    of.w, of.nodes, of.times = w, &nodes[0, 0], &times[0]
+    of.states, of.past = &states[0, 0], &past[0, 0]
     with nogil:
-        for y in range(h):
-            for x in range(w):
-                if nodes[y, x].noise > 0:
-                    advance(&past[y, x], &nodes[y, x], times[x],
-                            states[y, x].theta_on, states[y, x].theta_off)
+        if address:
+            team_share(<team_t*>address, wake, merge_rows, &of, h, CHUNK)
+        else:
+            merge_rows(&of, 0, h)
 
 
 def smooth_gap(const node_t[:, :, ::1] nodes not None,
@@ -83,17 +128,22 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
                const int32_t[::1] passed not None,
                const state_t[:, ::1] states not None,
                const past_t[:, ::1] past not None, rows not None,
-               gap_t[:, ::1] out not None, gap_t[:, ::1] following not None):
+               gap_t[:, ::1] out not None, gap_t[:, ::1] following not None,
+               team not None):
     """Estimate each pixel's base from the frames before, and from those after, a time.
 
     nodes and times are indexed by slot; order lists the slots in order of time, and
     passed says by column how many of them lie before the time.  following receives the
     same for the next interval, with one more frame passed, if there is one.  Rows
-    (first, last) are written.
+    (first, last) are written.  team is as in `kalman_show`.
     """
     cdef Py_ssize_t h = past.shape[0], w = past.shape[1], n = order.shape[0]
-    cdef Py_ssize_t slots = nodes.shape[0], y, x, i, first, last, width
+    cdef Py_ssize_t slots = nodes.shape[0], i, first, last
+    cdef meeting_t of
+    cdef size_t address
+    cdef bint wake
     first, last = rows
+    address, wake = team
     if (nodes.shape[1] != h or nodes.shape[2] != w or times.shape[0] != slots
             or times.shape[1] != w or passed.shape[0] != w or states.shape[0] != h
             or states.shape[1] != w or out.shape[0] != h or out.shape[1] != w
@@ -107,17 +157,34 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
             raise ValueError("smooth_gap: passed must lie in 0..len(order)")
     if first < 0 or last > h:
         raise ValueError("smooth_gap: rows must lie in the image")
+    if w == 0 or first >= last:
+        return
+    of.w, of.size, of.n = w, h * w, n
+    of.nodes, of.times, of.passed = &nodes[0, 0, 0], &times[0, 0], &passed[0]
+    of.order = NULL
+    if n > 0:
+        of.order = &order[0]
+    of.states, of.past = &states[0, 0], &past[0, 0]
+    of.out, of.following = &out[0, 0], &following[0, 0]
     with nogil:
-        for y in range(first, last):
-            x = 0
-            while x < w:
-                width = 1
-                while (width < SIDE and x + width < w
-                       and passed[x + width] == passed[x]):
-                    width += 1
-                meet(nodes, times, order, passed[x], y, x, width, &states[y, x],
-                     &past[y, x], &out[y, x], &following[y, x])
-                x += width
+        if address and first == 0:
+            team_share(<team_t*>address, wake, meet_rows, &of, last, CHUNK)
+        else:
+            meet_rows(&of, first, last)
+
+
+cdef void meet_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+    cdef const meeting_t* of = <const meeting_t*>args
+    cdef Py_ssize_t y, x, width
+    for y in range(first, last):
+        x = 0
+        while x < of.w:
+            width = 1
+            while (width < SIDE and x + width < of.w
+                   and of.passed[x + width] == of.passed[x]):
+                width += 1
+            meet(of, y, x, width)
+            x += width
 
 
 cdef inline void lay_out(const node_t* of, const int64_t* times, Py_ssize_t n,
@@ -146,16 +213,21 @@ cdef inline void write_side(const side_t* side, Py_ssize_t i,
     out.n_off = side.n_off[i]
 
 
-cdef void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
-               const int32_t[::1] order, Py_ssize_t passed, Py_ssize_t y, Py_ssize_t x,
-               Py_ssize_t width, const state_t* states, const past_t* past, gap_t* out,
-               gap_t* following) noexcept nogil:
+cdef void meet(const meeting_t* of, Py_ssize_t y, Py_ssize_t x,
+               Py_ssize_t width) noexcept nogil:
     """Do `smooth_gap` for `width` pixels from x on with equal numbers passed."""
+    cdef Py_ssize_t at = y * of.w + x, n = of.n, passed = of.passed[x]
+    cdef const node_t* nodes = of.nodes + at
+    cdef const int64_t* times = of.times + x
+    cdef const state_t* states = of.states + at
+    cdef const past_t* past = of.past + at
+    cdef gap_t* out = of.out + at
+    cdef gap_t* following = of.following + at
     cdef pair_t theta
     cdef nodes_t samples
     cdef side_t side
     cdef const node_t* ahead
-    cdef Py_ssize_t i, k, n = order.shape[0]
+    cdef Py_ssize_t i, k
     for i in range(width):
         theta.on[i] = states[i].theta_on
         theta.off[i] = states[i].theta_off
@@ -169,7 +241,8 @@ cdef void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
         if k == passed:
             for i in range(width):
                 write_side(&side, i, &out[i].before)
-        lay_out(&nodes[order[k], y, x], &times[order[k], x], width, NULL, &samples)
+        lay_out(nodes + of.order[k] * of.size, times + of.order[k] * of.w, width, NULL,
+                &samples)
         advance_side(&side, &samples, &theta, width)
     for i in range(width):
         write_side(&side, i, &following[i].before)
@@ -195,8 +268,9 @@ cdef void meet(const node_t[:, :, ::1] nodes, const int64_t[:, ::1] times,
         if k >= passed:
             ahead = NULL
             if k > passed:
-                ahead = &nodes[order[k - 1], y, x]
-            lay_out(&nodes[order[k], y, x], &times[order[k], x], width, ahead, &samples)
+                ahead = nodes + of.order[k - 1] * of.size
+            lay_out(nodes + of.order[k] * of.size, times + of.order[k] * of.w, width,
+                    ahead, &samples)
             retreat_side(&side, &samples, &theta, width)
 
 

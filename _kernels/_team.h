@@ -48,12 +48,13 @@ static inline pd_count pd_now(void)     /* ns */
 #define PD_SPINS 1000
 #define PD_YIELDS 100
 /* If the first thread waits for so much longer than its own part took, the other one has
-   no processor: nothing is shared for a while. */
+   no processor: nothing is shared for so many times that wait, which bounds what waiting
+   costs to a twentieth. */
 #define PD_LATE_NS 100000
+#define PD_ALONE 20
 /* After a kernel that shares its rows, the next one of the same image follows within
    such a time: the other thread stays awake. */
 #define PD_SOON_NS 100000
-#define PD_ALONE_NS 100000000
 
 typedef void (*pd_rows)(void *args, ptrdiff_t first, ptrdiff_t last);
 
@@ -172,7 +173,7 @@ static inline void team_waited(team_t *team, pd_count began, pd_count ended)
 {
     pd_count now = pd_now();
     if (now - ended > ended - began + PD_LATE_NS)
-        team->alone_until = now + PD_ALONE_NS;
+        team->alone_until = now + PD_ALONE * (now - ended);
 }
 
 /* Process n rows in chunks; return when all are done.  wake: whether it is worth to wake

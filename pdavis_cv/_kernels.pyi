@@ -47,6 +47,7 @@ __all__ = [
     "kalman_frame",
     "kalman_read",
     "kalman_rest",
+    "kalman_samples",
     "kalman_show",
     "lamp_push",
     "lamp_wave",
@@ -195,7 +196,7 @@ def correct(
 ) -> None: ...
 def degree_frame(
     log: _F32, analyser: _F32, constants: tuple[float, float, float, float],
-    planes: _F32, scratch: _F32, lasting: _F32,
+    before: _F32, planes: _F32, scratch: _F32, lasting: _F32, team: tuple[int, bool],
 ) -> None: ...
 def denoise_events(
     events: NDArray[Any], start: int, last: int, stop: int, window: int, needed: int,
@@ -227,10 +228,14 @@ def kalman_read(
     t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],
     rows: tuple[int, int], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
+def kalman_samples(
+    dn: _F32, usable: _U8, log_exposure: _F32, read_variance: float,
+    dn_per_shot: float, out: NDArray[Any],
+) -> None: ...
 def kalman_rest(
     now: int, epoch: int, every: bool, tuning: NDArray[Any], tracks: NDArray[Any],
     states: NDArray[Any], gaps: NDArray[Any],
-    listing: tuple[NDArray[np.int32], _U8], planes: _F32,
+    listing: tuple[NDArray[np.int32], _U8], planes: _F32, team: tuple[int, bool],
 ) -> int: ...
 def kalman_show(
     t: int, known: int, epoch: int, chain: _Pair, tuning: NDArray[Any],
@@ -293,10 +298,11 @@ def smooth_gap(
     nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],
     passed: NDArray[np.int32], states: NDArray[Any], past: NDArray[Any],
     rows: tuple[int, int], out: NDArray[Any], following: NDArray[Any],
+    team: tuple[int, bool],
 ) -> None: ...
 def smooth_past(
     nodes: NDArray[Any], times: NDArray[np.int64], states: NDArray[Any],
-    past: NDArray[Any],
+    past: NDArray[Any], team: tuple[int, bool],
 ) -> None: ...
 def smooth_read(
     t: int, known: int, chain: _Pair, model: _Pair, gaps: NDArray[Any],

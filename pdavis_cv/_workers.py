@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -51,17 +52,46 @@ class Workers:
     ----------
     threads : int
         1 = the calling thread only.
-
-    Attributes
-    ----------
-    queue : ImageQueue or None
-        If its thread is at work, it takes part in kernels that are given its `team`.
     """
 
     def __init__(self, threads: int = 1) -> None:
         self.threads = threads
-        self.queue: ImageQueue | None = None
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
+        self._queue: tuple[int, ImageQueue] | None = None
+        self._end: Callable[[], object] = _nothing
+
+    @property
+    def queue(self) -> ImageQueue | None:
+        """Queue of the second of two threads, which is started if there is none.
+
+        None for one thread and for more than two.  The thread stays in compiled code
+        and never asks for Python's lock.
+        """
+        if self.threads != 2:
+            return None
+        # A forked child has the parent's objects, but not its threads.
+        if self._queue is not None and self._queue[0] != os.getpid():
+            self._queue[1].finish_here()
+            self._queue = None
+        if self._queue is None:
+            queue = ImageQueue()
+            thread = threading.Thread(
+                target=queue.serve, name="pdavis_cv-images", daemon=True)
+            thread.start()
+            self._queue = os.getpid(), queue
+            self._end = weakref.finalize(self, _end, queue, thread)
+        return self._queue[1]
+
+    def wait(self, queue: ImageQueue, number: int) -> None:
+        """Return when the image of a number, posted to `queue`, has been finished."""
+        if self._queue is not None and self._queue[0] != os.getpid():
+            queue.finish_here()
+        queue.wait(number)
+
+    def end(self) -> None:
+        """End the queue's thread; it may still finish images that nobody waits for."""
+        self._end()
+        self._queue = None
 
     def rows(
         self, height: int, work: Callable[[int, int], object], least: int = LEAST_ROWS,
@@ -105,7 +135,7 @@ class Workers:
         self, height: int, work: Callable[[int, int, tuple[int, bool]], object],
         least: int = LEAST_ROWS, row_ns: float | None = None,
     ) -> None:
-        """Do as `rows`, for a kernel in which the thread of `queue` can take part.
+        """Do as `rows`; of two threads, the second one is that of `queue`.
 
         Parameters
         ----------
@@ -114,12 +144,28 @@ class Workers:
         height, least, row_ns
             As for `rows`.
         """
-        if self.queue is None:
+        if self.threads == 2:
+            self.together(lambda team: work(0, height, team),
+                          None if row_ns is None else height * row_ns)
+        else:
             self.rows(height, lambda first, last: work(first, last, (0, False)), least,
                       row_ns)
-            return
-        long = row_ns is None or height * row_ns > 2 * LEAST_BAND_NS
-        work(0, height, (self.queue.team, long))
+
+    def together(
+        self, work: Callable[[tuple[int, bool]], Item], ns: float | None = None
+    ) -> Item:
+        """Return work(team) of a kernel that cannot be called for bands.
+
+        Parameters
+        ----------
+        work : callable
+            Receives the kernel's argument ``team``.
+        ns : float, optional
+            Time that it takes, ns, if it is known.
+        """
+        queue = self.queue
+        return work((0, False) if queue is None else (
+            queue.team, ns is None or ns > 2 * LEAST_BAND_NS))
 
     def _started(self) -> ThreadPoolExecutor:
         # A forked child has the parent's objects, but not its threads.
@@ -130,6 +176,16 @@ class Workers:
 
     def __reduce__(self) -> tuple[type[Workers], tuple[int]]:
         return Workers, (self.threads,)
+
+
+def _nothing() -> None:
+    """Do what there is to do before a thread has been started."""
+
+
+def _end(queue: ImageQueue, thread: threading.Thread) -> None:
+    queue.end()
+    if thread is not threading.current_thread():
+        thread.join()
 
 
 def usable_cores() -> int:

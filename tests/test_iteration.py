@@ -21,6 +21,7 @@ from pdavis_cv import (
     source_from_packets,
 )
 from pdavis_cv._kernels import ImageQueue
+from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion.iteration import DEPTH, ReadAhead
@@ -123,15 +124,17 @@ def test_who_waits_takes_part_in_the_work():
         post(queue, log, variance, got)
 
 
-def test_nothing_is_left_to_a_thread_without_a_processor(turning):
+def test_nothing_is_left_to_a_thread_without_a_processor(turning, monkeypatch):
     class Late:
         late = True
 
     fusion = fuse(turning, fps=100)
     assert fusion.advance()
+    want = fusion.image()
+    monkeypatch.setattr(Workers, "queue", Late())
+    got = fusion.image()
     for name in ("quad", "aop", "variance"):
-        np.testing.assert_array_equal(getattr(fusion.image_from(Late())(), name),
-                                      getattr(fusion.image(), name))
+        np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
 
 
 def test_a_queue_is_bounded_and_checks_what_it_is_handed():
@@ -231,11 +234,11 @@ class Breaking:
             raise OSError("the disk is gone")
         return self._fusion.advance()
 
-    def share_with(self, queue):
-        self._fusion.share_with(queue)
+    def begin_image(self):
+        return self._fusion.begin_image()
 
-    def image_from(self, queue):
-        return self._fusion.image_from(queue)
+    def close(self):
+        self._fusion.close()
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 9])

@@ -37,7 +37,7 @@ def arguments(kernel):
             shown=shown()),
         _kernels.kalman_rest: dict(
             now=5, epoch=0, every=True, tuning=tuning, tracks=tracks, states=states,
-            gaps=gaps, listing=(pixels, flags), planes=planes),
+            gaps=gaps, listing=(pixels, flags), planes=planes, team=(0, False)),
         _kernels.kalman_show: dict(
             t=5, known=5, epoch=0, chain=(store, tracks), tuning=tuning, states=states,
             gaps=gaps, listing=(

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdavis_cv
-from pdavis_cv._kernels import ImageQueue
 from pdavis_cv._workers import SpareTime, Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion.camera import (
@@ -202,25 +201,15 @@ class Fusion:
         ValueError
             If `advance` has not been called yet.
         """
+        return self.begin_image()()
+
+    def begin_image(self) -> Callable[[], PolarFrame]:
+        """Return a function that returns `image`; a second thread may work on it."""
         if self._t is None or self._state is None:
             raise ValueError("image must follow a successful advance")
         method = self._state.method
-        return self._images.image(
+        return self._images.begin(
             method, self._t, self._frame_us(method, self._t), self.provenance)
-
-    def share_with(self, queue: ImageQueue | None) -> None:
-        """Let a queue's thread take part in the state's work, if there are two threads.
-
-        More than two share it by bands of rows.
-        """
-        self._workers.queue = queue if self.options.threads == 2 else None
-
-    def image_from(self, queue: ImageQueue) -> Callable[[], PolarFrame]:
-        """Return a function that returns `image`, which a queue's thread finishes."""
-        assert self._t is not None and self._state is not None  # noqa: PT018
-        method = self._state.method
-        return self._images.image_from(
-            queue, method, self._t, self._frame_us(method, self._t), self.provenance)
 
     def made(
         self, samples: Samples, t_us: int, frame_us: int | None,
@@ -237,9 +226,10 @@ class Fusion:
     # ---- repositioning -------------------------------------------------------
 
     def close(self) -> None:
-        """Let an estimate that is still being made end soon; nothing more is read."""
+        """End the second thread, and soon an estimate's; nothing more is read."""
         if self._spare is not None:
             self._spare.end()
+        self._workers.end()
 
     def rewind(self) -> None:
         """Go back to before the first image.

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._kernels import ImageQueue
 from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser, stokes_gain
 from pdavis_cv.calibration.model import Calibration
@@ -114,11 +113,25 @@ class ImageMaker:
         self.shape = ((height // 2, width // 2) if demosaic in HALF_SIZE
                       else (height, width))
 
-    def image(
+    def _here(
         self, method: Reconstructor, t_us: int, frame_us: int | None,
         provenance: Mapping[str, Any],
     ) -> PolarFrame:
-        """Return the image that a method's state gives at t_us.
+        """Return the image of `begin`, made in this thread."""
+        shown = method.shows(t_us)
+        if shown is not None and self._last is not None and self._last[0] is shown:
+            return self._last[1].retimed(t_us, frame_us, provenance)
+        image = self.made(samples_of(method, t_us), t_us, frame_us, provenance)
+        self._last = None if shown is None else (shown, image)
+        return image
+
+    def begin(
+        self, method: Reconstructor, t_us: int, frame_us: int | None,
+        provenance: Mapping[str, Any],
+    ) -> Callable[[], PolarFrame]:
+        """Return a function that returns the image that a method's state gives at t_us.
+
+        Of two threads, the second one may finish it, if that takes long.
 
         Parameters
         ----------
@@ -129,29 +142,10 @@ class ImageMaker:
             Mid-exposure of the last frame used.
         provenance : mapping of str to object
         """
-        shown = method.shows(t_us)
-        if shown is not None and self._last is not None and self._last[0] is shown:
-            return self._last[1].retimed(t_us, frame_us, provenance)
-        image = self.made(samples_of(method, t_us), t_us, frame_us, provenance)
-        self._last = None if shown is None else (shown, image)
-        return image
-
-    def image_from(
-        self, queue: ImageQueue, method: Reconstructor, t_us: int,
-        frame_us: int | None, provenance: Mapping[str, Any],
-    ) -> Callable[[], PolarFrame]:
-        """Return a function that returns the image, which another thread may finish.
-
-        Parameters
-        ----------
-        queue : ImageQueue
-            Receives the image, if it is one that takes long to finish.
-        method, t_us, frame_us, provenance
-            As for `image`.
-        """
-        if (queue.late or not self._whole or self._analyser is not None
+        queue = self._workers.queue
+        if (queue is None or queue.late or not self._whole or self._analyser is not None
                 or method.shows(t_us) is not None):
-            image = self.image(method, t_us, frame_us, provenance)
+            image = self._here(method, t_us, frame_us, provenance)
             return lambda: image
         estimate = method.read(t_us)
         if estimate.variance is None:
@@ -172,7 +166,7 @@ class ImageMaker:
             estimate.valid, method.quality, t_us, frame_us, provenance)
 
         def finished() -> PolarFrame:
-            queue.wait(number)
+            self._workers.wait(queue, number)
             return PolarFrame.adopt(
                 quad, variance=variance, reconciled=True, aop_dolp=(aop, dolp), **about)
 
@@ -189,7 +183,7 @@ class ImageMaker:
         samples : Samples
             Taken over: their arrays belong to the image from here on.
         t_us, frame_us, provenance
-            As for `image`.
+            As for `begin`.
         """
         intensity = self._intensity(samples)
         _, variance, usable, quality = samples

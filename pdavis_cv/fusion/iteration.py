@@ -1,15 +1,12 @@
 """fuse(): iterate over the images of a recording, in one thread or in two."""
 from __future__ import annotations
 
-import os
 import threading
-import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from typing import Any
 
-from pdavis_cv._kernels import ImageQueue
 from pdavis_cv._workers import usable_cores
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.options import FusionOptions, takes_options
@@ -111,8 +108,6 @@ class ReadAhead(Iterator[PolarFrame]):
         self._waiting: deque[Callable[[], PolarFrame]] = deque()
         self._depth = 0
         self._error: Exception | None = None
-        self._queue: tuple[int, ImageQueue] | None = None
-        self._end: Callable[[], object] = _nothing
 
     def __next__(self) -> PolarFrame:
         with self._lock:
@@ -122,46 +117,16 @@ class ReadAhead(Iterator[PolarFrame]):
             if self._error is not None:
                 error, self._error = self._error, None
                 raise error
-            self._end()
-            self._queue = None
-            self._fusion.share_with(None)
+            self._fusion.close()
             raise StopIteration
 
     def _read_on(self) -> None:
         """Read images until enough wait, or until there is an error or the end."""
-        queue = self._started()
         self._depth = min(self._depth + 1, DEPTH)   # the first one is not delayed
         while len(self._waiting) < self._depth and self._error is None:
             try:
                 if not self._fusion.advance():
                     return
-                self._waiting.append(self._fusion.image_from(queue))
+                self._waiting.append(self._fusion.begin_image())
             except Exception as error:  # raised after the images that precede it
                 self._error = error
-
-    def _started(self) -> ImageQueue:
-        """Return the queue, whose thread is started if there is none."""
-        # A forked child has the parent's objects, but not its threads.
-        if self._queue is not None and self._queue[0] != os.getpid():
-            self._queue[1].finish_here()
-            self._queue = None
-        if self._queue is None:
-            queue = ImageQueue()
-            thread = threading.Thread(
-                target=queue.serve, name="pdavis_cv-images", daemon=True)
-            thread.start()
-            self._queue = os.getpid(), queue
-            self._fusion.share_with(queue)
-            self._end = weakref.finalize(self, _end, queue, thread)
-        return self._queue[1]
-
-
-def _nothing() -> None:
-    """Do what there is to do before a thread has been started."""
-
-
-def _end(queue: ImageQueue, thread: threading.Thread) -> None:
-    """End a queue's thread; it may still finish images that nobody waits for."""
-    queue.end()
-    if thread is not threading.current_thread():
-        thread.join()

@@ -13,7 +13,7 @@ from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["FrameHold", "log_exposure", "log_samples"]
+__all__ = ["FrameHold", "log_exposure", "log_samples", "usable_samples"]
 
 
 def log_exposure(frame: ApsFrame) -> NDArray[np.float32]:
@@ -52,10 +52,16 @@ def log_samples(
         exposure = log_exposure(frame)
     log = np.empty(frame.shape, np.float32)
     valid = np.empty(frame.shape, np.bool_)
-    usable = np.ones(frame.shape, np.uint8) if frame.valid is None else (
-        np.ascontiguousarray(frame.valid).view(np.uint8))
-    _kernels.log_frame(frame.dn, usable, exposure, log, valid.view(np.uint8))
+    _kernels.log_frame(
+        frame.dn, usable_samples(frame), exposure, log, valid.view(np.uint8))
     return log, valid
+
+
+def usable_samples(frame: ApsFrame) -> NDArray[np.uint8]:
+    """Return where a frame's ``valid`` is set, or 1 everywhere; shape (H, W)."""
+    if frame.valid is None:
+        return np.ones(frame.shape, np.uint8)
+    return np.ascontiguousarray(frame.valid).view(np.uint8)
 
 
 class FrameHold(Reconstructor):

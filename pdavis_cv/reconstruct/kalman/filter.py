@@ -506,7 +506,7 @@ class KalmanFilter(Reconstructor):
                 self._unsampled = self._unsampled[samples == 0]
             if smoother is not None:
                 smoother.pass_until(
-                    frame.known_us - self.lookahead_us, self._states)
+                    frame.known_us - self.lookahead_us, self._states, self.workers)
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
     def _use(self, frame: WaitingFrame, nodes: NDArray[Any]) -> None:
@@ -523,7 +523,7 @@ class KalmanFilter(Reconstructor):
             team), least=1)
         for sums in innovations:
             self._innovations[:SUMS] += sums
-        self._lasting.add_frame(middles)
+        self._lasting.add_frame(middles, self.workers)
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal filter (see `Reconstructor.assign`)."""

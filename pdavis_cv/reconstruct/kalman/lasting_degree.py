@@ -32,7 +32,10 @@ polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.
 `studies/lasting_degree.py` compares both with 20 on specimens that no score uses."""
 
 _CELL_NS = 9
-"""Time that a macropixel takes, ns."""
+"""Time that a macropixel takes in an image, ns."""
+
+_FRAME_NS = 15
+"""The same in a frame."""
 
 _PLANES = 8
 """Of `_kernels.degree_frame`: mean, frames in it, last error, sums and numbers."""
@@ -81,19 +84,23 @@ class LastingDegree:
             analyser.response[:, 1:].astype(np.float32).reshape(-1, *one),
             analyser.null().reshape(-1, *one)])
 
-    def add_frame(self, log: NDArray[np.float32]) -> None:
+    def add_frame(self, log: NDArray[np.float32], workers: Workers) -> None:
         """Take log intensities at the middle of a frame's exposure, after its update.
 
         Parameters
         ----------
         log : ndarray of float32, shape (H, W)
             NaN where a pixel has no usable sample.
+        workers : Workers
+            Threads that share the work.
         """
         # Others may hold the arrays: they are replaced, never changed.
-        self._planes, self._lasting = self._planes.copy(), np.empty_like(self._lasting)
-        _kernels.degree_frame(
-            log, self._analyser, (FRAMES, LATE_FRAMES, FIRST_ERROR**2, SURE**2),
-            self._planes, self._scratch, self._lasting)
+        before, self._planes = self._planes, np.empty_like(self._planes)
+        self._lasting = np.empty_like(self._lasting)
+        workers.together(lambda team: _kernels.degree_frame(
+            log, self._analyser, (FRAMES, LATE_FRAMES, FIRST_ERROR**2, SURE**2), before,
+            self._planes, self._scratch, self._lasting, team),
+            _FRAME_NS * self._lasting[0].size)
 
     def weigh(
         self, log: NDArray[np.float32], variance: NDArray[np.float32],

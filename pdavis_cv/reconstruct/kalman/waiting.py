@@ -3,7 +3,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdavis_cv.reconstruct.frames import log_samples
+from pdavis_cv import _kernels
+from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
 from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
 from pdavis_cv.reconstruct.model import EXPOSURE_DTYPE, SAMPLE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
@@ -34,12 +35,10 @@ class WaitingFrame:
     __slots__ = ("exposures", "known_us", "samples")
 
     def __init__(self, frame: ApsFrame, lookahead_us: int) -> None:
-        log, valid = log_samples(frame)
-        dn = np.maximum(frame.dn, 1)
         self.samples = np.empty(frame.shape, SAMPLE_DTYPE)
-        self.samples["log"], self.samples["per_dn"] = log, 1 / dn
-        self.samples["variance"] = np.where(
-            valid, (READ_NOISE_DN**2 + dn / DN_PER_SHOT) / dn**2, 0)
+        _kernels.kalman_samples(
+            frame.dn, usable_samples(frame), log_exposure(frame), READ_NOISE_DN**2,
+            DN_PER_SHOT, self.samples)
         self.exposures = np.empty(frame.shape[1], EXPOSURE_DTYPE)
         self.exposures["begin"] = frame.exposure_start_us
         self.exposures["end"] = frame.exposure_end_us
