@@ -47,11 +47,13 @@ static inline pd_count pd_now(void)     /* ns */
    if there is no other thread. */
 #define PD_SPINS 1000
 #define PD_YIELDS 100
-/* If the first thread waits for so much longer than its own part took, the other one has
-   no processor: nothing is shared for so many times that wait, which bounds what waiting
-   costs to a twentieth. */
+/* If the first thread waits for so much longer than its own part took, the other one had
+   no processor.  Such waits may cost a twentieth of the time since PD_PAST_NS ago, 20 ms:
+   an interruption now and then changes nothing.  Beyond that nothing is shared until they
+   are a twentieth again. */
 #define PD_LATE_NS 100000
-#define PD_ALONE 20
+#define PD_SHARE 20
+#define PD_PAST_NS 400000000
 /* After a kernel that shares its rows, the next one of the same image follows within
    such a time: the other thread stays awake. */
 #define PD_SOON_NS 100000
@@ -78,7 +80,7 @@ typedef struct {
     pd_count served;        /* and left by it: it uses them no more */
     pd_count asleep;        /* whether `wake` must be released for it to go on */
     pd_count soon_until;    /* ns; until then more to share is expected */
-    pd_count alone_until;   /* ns; until then nothing is shared */
+    pd_count alone_until;   /* ns; waits are a twentieth then; nothing is shared before */
     PyThread_type_lock wake;
 } team_t;
 
@@ -172,8 +174,10 @@ static inline void team_left(team_t *team)
 static inline void team_waited(team_t *team, pd_count began, pd_count ended)
 {
     pd_count now = pd_now();
+    pd_count past = now - PD_PAST_NS;
     if (now - ended > ended - began + PD_LATE_NS)
-        team->alone_until = now + PD_ALONE * (now - ended);
+        team->alone_until = PD_SHARE * (now - ended)
+            + (team->alone_until > past ? team->alone_until : past);
 }
 
 /* Process n rows in chunks; return when all are done.  wake: whether it is worth to wake
