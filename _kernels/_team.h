@@ -48,9 +48,10 @@ static inline pd_count pd_now(void)     /* ns */
 #define PD_SPINS 1000
 #define PD_YIELDS 100
 /* If the first thread waits for so much longer than its own part took, the other one had
-   no processor.  Such waits may cost a twentieth of the time since PD_PAST_NS ago, 20 ms:
-   an interruption now and then changes nothing.  Beyond that nothing is shared until they
-   are a twentieth again. */
+   no processor.  Such waits may take 1 / PD_SHARE of the time, and PD_PAST_NS / PD_SHARE
+   (20 ms) at once, so that an interruption now and then changes nothing.  After longer
+   waits the first thread works alone until they are that share of the time again.
+   Engineering choices. */
 #define PD_LATE_NS 100000
 #define PD_SHARE 20
 #define PD_PAST_NS 400000000
@@ -80,7 +81,7 @@ typedef struct {
     pd_count served;        /* and left by it: it uses them no more */
     pd_count asleep;        /* whether `wake` must be released for it to go on */
     pd_count soon_until;    /* ns; until then more to share is expected */
-    pd_count alone_until;   /* ns; waits are a twentieth then; nothing is shared before */
+    pd_count alone_until;   /* ns; until then nothing is shared, if it lies ahead */
     PyThread_type_lock wake;
 } team_t;
 

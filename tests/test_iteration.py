@@ -301,6 +301,29 @@ def test_a_source_that_is_read_once_is_not_read_ahead(turning):
         assert isinstance(images, ReadAhead) == (kind is ReadAhead)
 
 
+@pytest.mark.parametrize("options", [{}, {"causal": True}, {"mode": "offline"}])
+def test_two_threads_share_the_images_of_a_source(turning, options):
+    gc.collect()
+    info = RecordingInfo(format="x", sensor_size=turning.info.sensor_size,
+                         layout=Layout.PDAVIS)
+
+    def images(threads):
+        return fuse(source_from_packets(info, turning.packets()), threads=threads,
+                    fps=100, method="kalman", thresholds=(0.15, 0.15), **options)
+
+    two = images(2)
+    next(two)
+    assert len(threads_of_images()) == 1
+    rest = list(two)
+    two.close()
+    assert not threads_of_images()
+    want = list(images(1))[1:]
+    assert len(rest) == len(want) > 10
+    for mine, other in zip(rest, want, strict=True):
+        for name in ("quad", "aop", "dolp", "variance", "valid"):
+            np.testing.assert_array_equal(getattr(mine, name), getattr(other, name))
+
+
 @pytest.mark.gate
 def test_eight_threads_may_share_an_iterator():
     with open_recording(example_recording()) as recording:
