@@ -11,10 +11,12 @@
 #include "_clones.h"
 #include "_extrapolation.h"
 #include "_math.h"
+#include "_prefetch.h"
 #include "_sampled_part.h"
 
 enum {
     LANES = 64,                 /* pixels of one lanes_t */
+    PARTS = 8,                  /* in which the memory of one is asked for */
 };
 
 /* Longest time and gap, us: much longer than until a pixel counts as at rest, so that
@@ -24,7 +26,8 @@ enum {
 
 typedef struct {
     double t, known;            /* time to read; events are known up to then, us */
-    float since_epoch;          /* time since the variances' reference time, s */
+    double epoch;               /* reference time of the variances, us */
+    float since_epoch;          /* time since then, s */
     float still_us, leak_per_s, refractory_us, least_gap_us;
     float noise_per_event, motion_variance, p_noise;
     float hz, hz_per_intensity, sigma;          /* bandwidth, relative standard error */
@@ -38,14 +41,14 @@ typedef struct {
     double last[LANES];         /* time of the last event, us */
     float before[LANES];        /* gap between the last two events, us */
     float same[LANES];          /* 1 if the last two events have the same polarity */
+    /* Filter: polarity of the last event (1: ON); counts since the last sample. */
+    float p[LANES], n_on[LANES], n_off[LANES];
+    /* Above is what events change, below what samples change. */
     float held[LANES];          /* part of a threshold that samples have measured */
-    float after[LANES];         /* 1 if the last event came after them */
     float offset[LANES];        /* variance of the offset common to all frames */
     float measured[LANES];      /* 1, or 0 before the first sample */
     union {
         struct {                /* filter */
-            /* Polarity of the last event (1: ON); counts since the last sample. */
-            float p[LANES], n_on[LANES], n_off[LANES];
             /* State and covariance; time from the last sample to the epoch, us. */
             float base[LANES], theta_on[LANES], theta_off[LANES];
             float var_base[LANES], cov_base_on[LANES], cov_base_off[LANES];
@@ -69,6 +72,7 @@ typedef struct {
     unsigned char valid[LANES];
     /* Time since the last event and last gap, us; place in the table of _tracks.pxd. */
     float since[LANES], gap[LANES], w[LANES], over[LANES];
+    float after[LANES];         /* filter: 1 if the last event came after all samples */
     int32_t node[LANES];
     float found[LANES][AHEAD_PITCH];    /* the table's values there */
     float columns[AHEAD_PITCH][LANES];  /* the same, where a sample needs them */
@@ -84,6 +88,15 @@ typedef struct {
     float slope[LANES], fall[LANES];
     float level[LANES], light[LANES], lag[LANES], step[LANES];
 } shown_t;
+
+/* Ask for the next part of the lanes that are shown later, between parts of the
+   computation of others; return where the part after it begins.  All lines at once would
+   be waited for: there are more of them than a processor fetches together. */
+PDAVIS_INLINE const char *ask(const char *later)
+{
+    PDAVIS_PREFETCH_ALL(later, sizeof(lanes_t) / PARTS);
+    return later + sizeof(lanes_t) / PARTS;
+}
 
 /* Probability that a pixel without an event for a gap is at rest: see _tracks.pxd. */
 PDAVIS_INLINE float p_rest_of(float gap, float still_us)
@@ -133,15 +146,14 @@ PDAVIS_INLINE void look_up(const lanes_t *restrict l, shown_t *restrict g,
     }
 }
 
-/* Extrapolation from the last events, nothing being known after t: see ahead in
-   _tracks.pxd. */
+/* Extrapolation from the last events, nothing being known after t, from the values that
+   have been looked up: see ahead in _tracks.pxd. */
 PDAVIS_INLINE void expect_ahead(const lanes_t *restrict l, shown_t *restrict g,
                                 const reader_t *restrict r, ptrdiff_t from,
                                 ptrdiff_t n)
 {
     const float refractory = r->refractory_us;
     ptrdiff_t i;
-    look_up(l, g, refractory, r->least_gap_us, from, n);
     for (i = from; i < n; i++) {
         float before = l->before[i], since = g->since[i], gap = g->gap[i];
         float over = g->over[i], reset = since < refractory ? since : refractory;
@@ -183,7 +195,7 @@ PDAVIS_INLINE void expect_after_sample(const lanes_t *restrict l, shown_t *restr
         float active = since > refractory ? since - refractory : 0.0f;
         float at = active - (l->age[i] + since_epoch), per_s = US_PER_S * per_gap;
         float mean = 0.5f * (l->theta_on[i] + l->theta_off[i]);
-        float own = r->holds * l->measured[i] * (1.0f - l->after[i]);
+        float own = r->holds * l->measured[i] * (1.0f - g->after[i]);
         ahead_t row;
         sampled_t s;
         at = (at > 0.0f ? at : 0.0f) / (active > 1.0f ? active : 1.0f);
@@ -258,7 +270,7 @@ PDAVIS_INLINE void add_counts(const lanes_t *restrict l, shown_t *restrict g,
     const float since_epoch_us = US_PER_S * r->since_epoch;
     ptrdiff_t i;
     for (i = from; i < n; i++) {
-        float rises = l->p[i], falls = 1.0f - rises, after = l->after[i];
+        float rises = l->p[i], falls = 1.0f - rises, after = g->after[i];
         float theta_on = l->theta_on[i], theta_off = l->theta_off[i];
         float mean = 0.5f * (theta_on + theta_off), theta2 = mean * mean;
         float noise = after * r->p_noise * p_rest_of(l->before[i], r->still_us);
@@ -317,7 +329,8 @@ PDAVIS_INLINE void follow(shown_t *restrict g, const reader_t *restrict r,
     }
 }
 
-/* Variance of the lag: see lead_variance in _lag.pxd. */
+/* Variance of the lag of pixels whose corner frequency follows their light: see
+   lead_variance in _lag.pxd. */
 PDAVIS_INLINE void add_lag(shown_t *restrict g, const reader_t *restrict r,
                            ptrdiff_t from, ptrdiff_t n)
 {
@@ -338,11 +351,27 @@ PDAVIS_INLINE void add_lag(shown_t *restrict g, const reader_t *restrict r,
     }
 }
 
-/* Log intensity, its variance and validity of the pixels from <= i < n <= LANES. */
+/* The same of pixels whose corner frequency is constant. */
+PDAVIS_INLINE void add_constant_lag(shown_t *restrict g, const reader_t *restrict r,
+                                    ptrdiff_t from, ptrdiff_t n)
+{
+    const float hz = r->hz, turn2 = PER_TURN * PER_TURN;
+    ptrdiff_t i;
+    for (i = from; i < n; i++) {
+        float v = r->sigma * g->lag[i] * hz;
+        v = (turn2 * g->rate_var[i] + v * v) / (hz * hz);
+        g->rate_var[i] = v < (float)LAG_VARIANCE_MOST ? v : (float)LAG_VARIANCE_MOST;
+    }
+}
+
+/* Log intensity, its variance and validity of the pixels from <= i < n <= LANES.
+
+   later: the lanes that are shown after the next ones, or any. */
 PDAVIS_CLONES PDAVIS_UNUSED static void show_lanes(
     const lanes_t *restrict l, shown_t *restrict g, const reader_t *restrict r,
-    ptrdiff_t from, ptrdiff_t n)
+    const lanes_t *later, ptrdiff_t from, ptrdiff_t n)
 {
+    const char *at = ask((const char *)later);
     ptrdiff_t i;
     for (i = from; i < n; i++) {
         /* An unused lane may hold an old value later than t. */
@@ -350,16 +379,26 @@ PDAVIS_CLONES PDAVIS_UNUSED static void show_lanes(
         since = since > 0.0 ? since : 0.0;
         g->since[i] = (float)(since < SPAN_MOST ? since : SPAN_MOST);
     }
-    if (r->known > r->t)
+    if (!r->smooth)
+        for (i = from; i < n; i++)
+            g->after[i] = r->epoch - l->last[i] < (double)l->age[i] ? 1.0f : 0.0f;
+    at = ask(at);
+    if (r->known > r->t) {
         expect_quiet(l, g, r, from, n);
-    else
+    } else {
+        look_up(l, g, r->refractory_us, r->least_gap_us, from, n);
+        at = ask(at);
         expect_ahead(l, g, r, from, n);
+    }
+    at = ask(at);
     if (r->holds > 0.0f && !r->smooth)
         expect_after_sample(l, g, r, from, n);
+    at = ask(at);
     if (r->smooth)
         add_course(l, g, r, from, n);
     else
         add_counts(l, g, r, from, n);
+    at = ask(at);
     if (r->hz_per_intensity > 0.0f) {
         follow(g, r, from, n);
     } else {
@@ -368,17 +407,20 @@ PDAVIS_CLONES PDAVIS_UNUSED static void show_lanes(
             float u = g->slope[i] * per_hz, most = (float)LINEAR_LAG_MOST;
             u = u > most ? most : u;
             g->lag[i] = u < -most ? -most : u;
-            g->light[i] = 0.0f;
         }
     }
     for (i = from; i < n; i++)
         g->log[i] = g->level[i] + g->lag[i];
+    at = ask(at);
     if (r->bare)
         return;
-    if (r->hz_per_intensity > 0.0f || r->hz > 0.0f)
+    if (r->hz_per_intensity > 0.0f)
         add_lag(g, r, from, n);
+    else if (r->hz > 0.0f)
+        add_constant_lag(g, r, from, n);
     else
         memset(g->rate_var, 0, sizeof g->rate_var);
+    ask(at);
     for (i = from; i < n; i++) {
         float v = g->v[i], measured = l->measured[i];
         v = v > r->least_variance ? v : r->least_variance;

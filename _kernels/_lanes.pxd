@@ -18,6 +18,7 @@ cdef extern from "_lanes.h" nogil:
     ctypedef struct reader_t:
         double t
         double known
+        double epoch
         float since_epoch
         float still_us
         float leak_per_s
@@ -38,14 +39,13 @@ cdef extern from "_lanes.h" nogil:
         double last[LANES]
         float before[LANES]
         float same[LANES]
-        float held[LANES]
-        float after[LANES]
-        float offset[LANES]
-        float measured[LANES]
-        # of the filter
         float p[LANES]
         float n_on[LANES]
         float n_off[LANES]
+        float held[LANES]
+        float offset[LANES]
+        float measured[LANES]
+        # of the filter
         float base[LANES]
         float theta_on[LANES]
         float theta_off[LANES]
@@ -72,8 +72,8 @@ cdef extern from "_lanes.h" nogil:
         float variance[LANES]
         unsigned char valid[LANES]
         float since[LANES]
-    void show_lanes(const lanes_t*, shown_t*, const reader_t*, Py_ssize_t,
-                    Py_ssize_t)
+    void show_lanes(const lanes_t*, shown_t*, const reader_t*, const lanes_t*,
+                    Py_ssize_t, Py_ssize_t)
 
 
 cdef inline reader_t reader_of(const tuning_t* tuning, int64_t t, int64_t known,
@@ -82,6 +82,7 @@ cdef inline reader_t reader_of(const tuning_t* tuning, int64_t t, int64_t known,
     cdef reader_t reader
     reader.t = <double>t
     reader.known = <double>known
+    reader.epoch = <double>epoch
     reader.since_epoch = <float>(1e-6 * <double>(t - epoch))
     reader.still_us = <float>tuning.still_us
     reader.leak_per_s = <float>tuning.leak_per_s
@@ -125,14 +126,13 @@ cdef inline void enter_state(lanes_t* lanes, Py_ssize_t i, const state_t* s,
     lanes.age[i] = <float>(epoch - s.sampled_us)
 
 
-cdef inline void enter_events(lanes_t* lanes, Py_ssize_t i, const walk_t* walk,
-                              int64_t epoch) noexcept nogil:
+cdef inline void enter_events(lanes_t* lanes, Py_ssize_t i,
+                              const walk_t* walk) noexcept nogil:
     """Write what it takes from its events, after the last one of walk."""
     lanes.last[i] = <double>walk.t
     lanes.before[i] = gap_before(walk)
     # No branches on polarities: they cannot be predicted.
     lanes.same[i] = 1 - (walk.p ^ walk.p_prev)
-    lanes.after[i] = <double>(epoch - walk.t) < lanes.age[i]
     lanes.p[i] = walk.p
     lanes.n_on[i] = <float>walk.n_on
     lanes.n_off[i] = <float>walk.n_off

@@ -145,9 +145,11 @@ cdef inline Py_ssize_t found(const int32_t[::1] pixels, Py_ssize_t n,
 
 cdef struct group_t:
     # Listed pixels begin <= i < end that share a group of lanes; how many of them have
-    # changed, and which lanes they have; 1 for lanes that are not to be shown.
+    # changed, and which lanes they have; whether states of them have; 1 for lanes that
+    # are not to be shown.
     Py_ssize_t begin, end
     Py_ssize_t changed
+    bint new_states
     uint8_t[LANES] lane
     uint8_t[LANES] done
 
@@ -172,7 +174,7 @@ cdef inline bint renewed(const known_t* k, Py_ssize_t at, lanes_t* lanes, Py_ssi
     else:
         if anew:
             enter_state(lanes, i, s, k.epoch, k.tuning)
-        enter_events(lanes, i, &walk, k.epoch)
+        enter_events(lanes, i, &walk)
     flag[0] = LISTED if first < 0 else LISTED | CHANGED
     return True
 
@@ -213,7 +215,7 @@ cdef void look_for_changed(const showing_t* of, group_t* group,
     Pixels outside of [first, last) are done: another thread shows them.
     """
     cdef Py_ssize_t i, at, n = 0, base = number * LANES, lane
-    cdef uint8_t flag, none = 0
+    cdef uint8_t flag, flags = 0, none = 0
     cdef bint outside
     group.begin = max(base, of.begin)
     group.end = min(base + LANES, of.end)
@@ -226,8 +228,10 @@ cdef void look_for_changed(const showing_t* of, group_t* group,
         # No branch: which pixels have had an event cannot be predicted.
         group.lane[n] = <uint8_t>lane
         n += (flag & CHANGED) // CHANGED
+        flags |= flag
         group.done[lane] = outside
     group.changed = n
+    group.new_states = flags & NEW_STATE != 0
     for i in range(n):
         prefetch(&of.known.tracks[of.pixels[base + group.lane[i]]])
 
@@ -240,10 +244,13 @@ cdef void renew_group(const showing_t* of, group_t* group, const group_t* later,
     # Where events after t are known, most of them are read one by one.  That takes a
     # next event and a state, which are asked for meanwhile, some at a time.
     cdef bint ahead = of.known.known > of.known.t
-    for i in range(group.changed):
-        if ahead and i < later.changed:
+    cdef bint states = ahead or later.new_states
+    for i in range(max(group.changed, later.changed if states else 0)):
+        if states and i < later.changed:
             at = of.pixels[(number + 1) * LANES + later.lane[i]]
             prefetch_all(&of.known.states[at], sizeof(state_t))
+        if i >= group.changed:
+            continue
         if ahead and i + SOON < group.changed:
             at = of.pixels[number * LANES + group.lane[i + SOON]]
             first = of.known.tracks[at].first
@@ -265,17 +272,18 @@ cdef void show_group(const showing_t* of, const group_t* group,
     cdef Py_ssize_t begin = group.begin, end = group.end, i, at, lane
     cdef Py_ssize_t base = number * LANES
     cdef const lanes_t* lanes = of.lanes + number
+    cdef const lanes_t* later = of.lanes + min(number + 2, (of.end - 1) // LANES)
     cdef bint whole = (
         not of.mixed and pixels[end - 1] - pixels[begin] == end - begin - 1)
     if not of.mixed:
-        show_lanes(lanes, &shown, of.reader, begin - base, end - base)
+        show_lanes(lanes, &shown, of.reader, later, begin - base, end - base)
     i = begin
     while of.mixed and i < end:
         at = i
         while i < end and not group.done[i - base]:
             i += 1
         if i > at:
-            show_lanes(lanes, &shown, of.reader, at - base, i - base)
+            show_lanes(lanes, &shown, of.reader, later, at - base, i - base)
         i += 1
     if whole:
         for lane in range(begin - base, end - base):
@@ -348,7 +356,7 @@ cdef void show_groups(void* args, Py_ssize_t first, Py_ssize_t last) noexcept no
     # Three groups at a time: memory that is asked for has come when the next group's
     # turn is over, and single values written then can be read in long words.
     for i in range(first, last + 2):
-        groups[i % 3].changed = 0
+        groups[i % 3].changed = groups[i % 3].new_states = 0
         if i < last:
             look_for_changed(of, &groups[i % 3], i)
         if first < i <= last:
@@ -376,7 +384,7 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
     """Do as `kalman_read` without a lamp, from the cache of `kalman_rest`.
 
     listing is (listed pixels, how many of them are sorted, flags by pixel, lanes
-    (n, 21, 64) of the listed pixels, aligned as float64 is); the cache is updated for
+    (n, 20, 64) of the listed pixels, aligned as float64 is); the cache is updated for
     pixels that are flagged as changed.  With gaps it does as `smooth_read` with
     t < known.  team is (that of an `ImageQueue`, whose thread takes part if it is
     awake, or 0; whether to wake it).

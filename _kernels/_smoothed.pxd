@@ -135,7 +135,6 @@ cdef inline void enter_smoothed(lanes_t* lanes, Py_ssize_t i, const walk_t* walk
     lanes.theta[i] = <float>(s.theta_on if walk.p else -s.theta_off)
     lanes.theta2[i] = <float>theta_squared(s)
     lanes.held[i] = 0.0
-    lanes.after[i] = 0.0
     lanes.v0[i] = <float>c.v0
     lanes.v1[i] = <float>(c.up0 if walk.p else c.down0)
     lanes.v2[i] = <float>(s.var_on if walk.p else s.var_off)

@@ -104,6 +104,6 @@ epoch; growth of the variance per second; variance of an offset common to all fr
 The smoother adds the growth of log intensity per second, and of the variance per
 squared second."""
 
-LANES, LANE_VALUES = 64, 21
+LANES, LANE_VALUES = 64, 20
 """Moving pixels that are read together, and the memory cached for each of them, in
 float32."""
