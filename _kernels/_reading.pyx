@@ -242,7 +242,8 @@ cdef void renew_group(const showing_t* of, group_t* group, const group_t* later,
     cdef Py_ssize_t i, at, lane
     cdef int32_t first
     # Where events after t are known, most of them are read one by one.  That takes a
-    # next event and a state, which are asked for meanwhile, some at a time.
+    # next event and a state, which are asked for meanwhile, some at a time; so are
+    # states that have changed, as lanes are renewed from them.
     cdef bint ahead = of.known.known > of.known.t
     cdef bint states = ahead or later.new_states
     for i in range(max(group.changed, later.changed if states else 0)):

@@ -1,14 +1,18 @@
 """What `pdavis bench` times of fuse(): an image of each method, AoP and DoLP."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import count
+from pathlib import Path
 from time import thread_time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pdavis_cv.data import example_recording
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import FusionOptions
 from pdavis_cv.fusion.engine import Fusion
@@ -21,12 +25,13 @@ from pdavis_cv.recording.base import (
     RecordingInfo,
     Source,
 )
+from pdavis_cv.recording.open import open_recording
 from pdavis_cv.recording.stream import source_from_packets
 from pdavis_cv.sensor import Layout
 
-from .cases import CASES, SHAPE, Case, Comparison, mosaic_input
+from .cases import CASES, SHAPE, Case, Comparison, case, mosaic_input
 
-__all__ = ["IMAGES", "Repeatable", "endless", "shown"]
+__all__ = ["IMAGES", "Repeatable", "chain", "endless", "shown"]
 
 FRAME_US, EXPOSURE_US, READOUT_US = 40_000, 8_000, 12_000
 PACKET_EVENTS = 10_000
@@ -135,16 +140,22 @@ def shown(image: PolarFrame) -> PolarFrame:
     return image
 
 
-def _images(name: str) -> Iterator[Comparison]:
-    options, _ = IMAGES[name]
-    mosaic = mosaic_input(SHAPE, Layout.PDAVIS, 0.7, 0.6).astype(np.float32)
-    out = (np.empty(SHAPE, np.float32), np.empty(SHAPE, np.float32))
+def chain(shape: tuple[int, int] = SHAPE) -> Callable[[], float]:
+    """Return what times the chain from mosaic to AoP and DoLP, s."""
+    mosaic = mosaic_input(shape, Layout.PDAVIS, 0.7, 0.6).astype(np.float32)
+    out = (np.empty(shape, np.float32), np.empty(shape, np.float32))
 
     def floor() -> float:
         start = thread_time()
         for _ in range(10):
             polarization(mosaic, Layout.PDAVIS, out=out)
         return (thread_time() - start) / 10
+    return floor
+
+
+def _images(name: str) -> Iterator[Comparison]:
+    options, _ = IMAGES[name]
+    floor = chain()
 
     def check() -> None:
         one, two = (_fusion(33e3, 100.0, options, threads=n) for n in (1, 2))
@@ -175,3 +186,42 @@ for _name, (_, _goal) in IMAGES.items():
     CASES[f"image-{_name}"] = Case(
         f"image-{_name}", f"an image of {_name}, CPU, against mosaic to AoP and DoLP",
         _goal, partial(_images, _name), by_time=True)
+
+
+@case("image-recording",
+      "an image of a recording at 1000 images/s, CPU, against mosaic to AoP and DoLP",
+      10, by_time=True)
+def _recording() -> Iterator[Comparison]:
+    folder = os.environ.get("PDAVIS_TEST_DATA")
+    path = Path(folder, "davis346.aedat4") if folder else example_recording("fan")
+    for name, (options, _) in IMAGES.items():
+        learning = {key: value for key, value in options.items() if key not in _KNOWN}
+
+        def make(learning: dict[str, Any] = learning) -> Fusion:
+            recording = open_recording(path, layout=Layout.PDAVIS)
+            return Fusion(recording, FusionOptions(fps=1000.0), **learning)
+
+        fusion = make()
+        while fusion.index < 300:   # the beginning, where most is learned
+            fusion.advance()
+
+        def candidate(fusion: Fusion = fusion) -> float:
+            n = 40      # a whole period of frames
+            start = thread_time()
+            for _ in range(n):
+                shown(next(fusion))
+            return (thread_time() - start) / n
+
+        yield Comparison(
+            f"{path.stem}, {name}", partial(_check_same, make), candidate,
+            chain(fusion.shape), lambda s: 1e3 * s, "ms",
+            judged=bool(folder) and name in ("kalman", "causal"))
+
+
+def _check_same(make: Callable[[], Fusion]) -> None:
+    """Check that a second Fusion makes the same image."""
+    angles: list[NDArray[np.float32]] = []
+    for fusion in (make(), make()):
+        angles.append(shown(next(fusion)).aop)
+        fusion.recording.close()
+    np.testing.assert_array_equal(angles[0], angles[1])

@@ -17,12 +17,12 @@ from pdavis_cv._workers import usable_cores
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import FusionOptions, fuse
 from pdavis_cv.fusion.engine import Fusion
-from pdavis_cv.polarimetry import PolarFrame, polarization
+from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.open import open_recording
 from pdavis_cv.sensor import Layout
 
-from .cases import SHAPE, Comparison, case, mosaic_input
-from .images import IMAGES, Repeatable, endless, shown
+from .cases import SHAPE, Comparison, case
+from .images import IMAGES, Repeatable, chain, endless, shown
 
 __all__ = ["SIZES"]
 
@@ -45,19 +45,6 @@ BETWEEN_US = 2_400_000
 FULL_RATE, FULL_FPS = 10e6, 200.0
 """Events per second, the sensor's most, and images per second of a stream with which
 causal images should keep up."""
-
-
-def _chain(shape: tuple[int, int]) -> Callable[[], float]:
-    """Return what times the chain from mosaic to AoP and DoLP."""
-    mosaic = mosaic_input(shape, Layout.PDAVIS, 0.7, 0.6).astype(np.float32)
-    out = (np.empty(shape, np.float32), np.empty(shape, np.float32))
-
-    def floor() -> float:
-        start = thread_time()
-        for _ in range(10):
-            polarization(mosaic, Layout.PDAVIS, out=out)
-        return (thread_time() - start) / 10
-    return floor
 
 
 def _fusion(
@@ -100,7 +87,7 @@ def _by_pixels() -> Iterator[Comparison]:
 
         yield Comparison(
             f"{shape[1]}x{shape[0]}", partial(_same, make, make), candidate,
-            _chain(shape), _milliseconds, "ms", judged=shape == SHAPE,
+            chain(shape), _milliseconds, "ms", judged=shape == SHAPE,
             at=("pixels", float(shape[0] * shape[1])))
 
 
@@ -130,7 +117,7 @@ def _memory() -> Iterator[Comparison]:
 
 
 @case("latency", "a causal image after a packet's last event, CPU, against the chain",
-      40, by_time=True)
+      20, by_time=True)
 def _latency() -> Iterator[Comparison]:
     # An image every 10 ms, the span of a packet: each takes one packet, and shows it.
     make = partial(_fusion, "causal", STREAM_RATE, 100.0)
@@ -146,7 +133,7 @@ def _latency() -> Iterator[Comparison]:
         def candidate(which: Callable[[list[float]], float] = which) -> float:
             return which([one() for _ in range(8)])
 
-        yield Comparison(name, partial(_same, make, make), candidate, _chain(SHAPE),
+        yield Comparison(name, partial(_same, make, make), candidate, chain(SHAPE),
                          _milliseconds, "ms", judged=which is median)
 
 
@@ -169,7 +156,7 @@ def _first_image() -> Iterator[Comparison]:
         def check(first: Callable[[], Any] = first) -> None:
             np.testing.assert_array_equal(first().aop, first().aop)
 
-        yield Comparison(name, check, candidate, _chain(SHAPE), _milliseconds, "ms",
+        yield Comparison(name, check, candidate, chain(SHAPE), _milliseconds, "ms",
                          judged=name == "davis346")
 
 
