@@ -221,6 +221,8 @@ static inline void team_help(team_t *team)
         while (share_step(&team->share, 0, &last))
             ;
         team->seen = PD_LOAD(&team->opened);
+        /* Its last chunk may have taken longer than that of the first thread. */
+        PD_STORE(&team->soon_until, pd_now() + PD_SOON_NS);
     }
     PD_STORE(&team->inside, (pd_count)0);
 }

@@ -312,6 +312,22 @@ def test_the_number_of_events_is_bounded(recording, monkeypatch, every_pixel):
     assert camera.nbytes < (1 + every_pixel) * 6000 * 13
 
 
+@pytest.mark.parametrize(("bound", "kept"), [
+    ({"SENSOR_MAX_US": 700}, 701), ({"SENSOR_MAX_EVENTS": 333}, 333)])
+def test_packets_do_not_decide_which_events_of_all_pixels_are_kept(
+        monkeypatch, bound, kept):
+    for name, value in bound.items():
+        monkeypatch.setattr(window, name, value)
+    events = np.zeros(1000, EVENT_DTYPE)
+    events["t"] = 5_000 + np.arange(1000)
+    for size in (1, 10, 64, 1000):
+        whole = window.SensorWindow((4, 4))
+        for part in np.split(events, range(size, len(events), size)):
+            whole.add(part)
+        np.testing.assert_array_equal(np.concatenate(whole.items), events[:kept])
+        assert whole.full
+
+
 def test_without_frames_memory_is_bounded_too(monkeypatch):
     monkeypatch.setattr(window, "MAX_EVENTS", 500)
     monkeypatch.setattr(window, "MAX_CELL_EVENTS", 200)

@@ -210,7 +210,7 @@ class Feed:
 
     def _release_events(self, t_us: int) -> Iterator[NDArray[Any]]:
         while parts := self._taken(t_us):
-            yield from _together(parts)
+            yield from together(parts)
 
     def _taken(self, t_us: int) -> list[NDArray[Any]]:
         """Remove the first events up to t_us, as many as are passed on together."""
@@ -230,7 +230,7 @@ class Feed:
         return parts
 
 
-def _together(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
+def together(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
     """Return arrays of events as one array, where that is cheap."""
     if len(parts) > 1 and all(
             each.dtype == EVENT_DTYPE and each.flags.c_contiguous for each in parts):

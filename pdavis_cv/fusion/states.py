@@ -17,7 +17,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import ExposureWarning
-from pdavis_cv.fusion.feed import LONGEST_DELAY_US
+from pdavis_cv.fusion.feed import LONGEST_DELAY_US, together
 from pdavis_cv.fusion.window import Window
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.lamp import Wave
@@ -29,6 +29,10 @@ __all__ = ["ArrivalState", "Call", "CallRecorder", "InOrderState", "ReplayState"
 
 Call = tuple[str, tuple[Any, ...]]
 """A recorded method call: the method's name and its arguments."""
+
+_SMALL = 4096
+"""Most events that are joined before they are fed in time order.  To feed a packet
+costs as much as some hundreds of events."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,14 +257,25 @@ class ArrivalState(_MethodState):
         if self.camera is not None:
             self.camera.add_events(events)
 
+    def _feed_together(self, parts: list[NDArray[Any]]) -> None:
+        for events in together(parts):
+            self._feed_in_order(events)
+
     def _commit(self, before_us: int) -> None:
         """Feed the pending events before before_us in time order and drop them."""
+        due: list[NDArray[Any]] = []
+        room = _SMALL
         while self._pending and self._pending[0]["t"][0] < before_us:
             events = self._pending.popleft()
             n = bisect_left(events["t"], before_us)
-            self._feed_in_order(events[:n])
+            if n > room:
+                self._feed_together(due)
+                due, room = [], _SMALL
+            due.append(events[:n])
+            room -= n
             if n < len(events):
                 self._pending.appendleft(events[n:])
+        self._feed_together(due)
         self.committed_us = before_us - 1 if self.committed_us is None else max(
             self.committed_us, before_us - 1)
 

@@ -1,6 +1,7 @@
 """Bounded windows of a stream's data, kept for self-calibration."""
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -310,19 +311,24 @@ class SensorWindow:
         self._events = 0
 
     def add(self, item: Item) -> None:
-        """Take the next item."""
+        """Take the next item; of events, those up to the bound."""
         if isinstance(item, Wave):
             t = item.start_us
         else:
             t = item.mid_us if isinstance(item, ApsFrame) else int(item["t"][0])
         self._begin_us = t if self._begin_us is None else self._begin_us
         self.full |= (t - self._begin_us > SENSOR_MAX_US
-                      or self._events > SENSOR_MAX_EVENTS)
+                      or self._events >= SENSOR_MAX_EVENTS)
         if self.full:
             return
-        self.items.append(item)
         if isinstance(item, np.ndarray):
-            self._events += len(item)
+            # What is kept does not depend on how the stream is cut into packets.
+            n = min(bisect_right(item["t"], self._begin_us + SENSOR_MAX_US),
+                    SENSOR_MAX_EVENTS - self._events)
+            self.full = n < len(item)
+            item = item[:n]
+            self._events += n
+        self.items.append(item)
 
     def activity(self) -> PixelActivity:
         """Return the activity of each pixel."""
