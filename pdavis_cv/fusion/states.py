@@ -32,7 +32,7 @@ Call = tuple[str, tuple[Any, ...]]
 
 _SMALL = 4096
 """Most events that are joined before they are fed in time order.  To feed a packet
-costs as much as some hundreds of events."""
+costs as much as a thousand events."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,6 @@ from time import thread_time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv.data import example_recording
 from pdavis_cv.events import EVENT_DTYPE
@@ -31,7 +30,8 @@ from pdavis_cv.sensor import Layout
 
 from .cases import CASES, SHAPE, Case, Comparison, case, mosaic_input
 
-__all__ = ["IMAGES", "Repeatable", "chain", "endless", "shown"]
+__all__ = ["IMAGES", "Repeatable", "chain", "check_same", "endless", "per_image",
+           "shown"]
 
 FRAME_US, EXPOSURE_US, READOUT_US = 40_000, 8_000, 12_000
 PACKET_EVENTS = 10_000
@@ -153,6 +153,23 @@ def chain(shape: tuple[int, int] = SHAPE) -> Callable[[], float]:
     return floor
 
 
+def per_image(fusion: Fusion, n: int = 40) -> float:
+    """Return the processor time of an image, s: a mean of n, 40 ms at 1000 images/s."""
+    start = thread_time()
+    for _ in range(n):
+        shown(next(fusion))
+    return (thread_time() - start) / n
+
+
+def check_same(make: Callable[[], Fusion]) -> None:
+    """Check that two equal Fusions make the same images."""
+    one, two = make(), make()
+    for _ in range(2):
+        np.testing.assert_array_equal(shown(next(one)).aop, shown(next(two)).aop)
+    for fusion in (one, two):
+        fusion.recording.close()
+
+
 def _images(name: str) -> Iterator[Comparison]:
     options, _ = IMAGES[name]
     floor = chain()
@@ -170,11 +187,7 @@ def _images(name: str) -> Iterator[Comparison]:
                 if fusion.t_us is None:     # not at the beginning, which allocates
                     while fusion.index < 0.2 * fps:
                         fusion.advance()
-                n = 40 if fps > 100 else 2  # a whole period of frames
-                start = thread_time()
-                for _ in range(n):
-                    shown(next(fusion))
-                return (thread_time() - start) / n
+                return per_image(fusion, 40 if fps > 100 else 2)    # a frame's period
 
             yield Comparison(
                 f"{rate / 1e6:g} Mev/s, {fps:g} images/s", check, candidate, floor,
@@ -205,23 +218,8 @@ def _recording() -> Iterator[Comparison]:
         while fusion.index < 300:   # the beginning, where most is learned
             fusion.advance()
 
-        def candidate(fusion: Fusion = fusion) -> float:
-            n = 40      # a whole period of frames
-            start = thread_time()
-            for _ in range(n):
-                shown(next(fusion))
-            return (thread_time() - start) / n
-
         yield Comparison(
-            f"{path.stem}, {name}", partial(_check_same, make), candidate,
-            chain(fusion.shape), lambda s: 1e3 * s, "ms",
+            f"{path.stem}, {name}", partial(check_same, make),
+            partial(per_image, fusion), chain(fusion.shape), lambda s: 1e3 * s, "ms",
             judged=bool(folder) and name in ("kalman", "causal"))
-
-
-def _check_same(make: Callable[[], Fusion]) -> None:
-    """Check that a second Fusion makes the same image."""
-    angles: list[NDArray[np.float32]] = []
-    for fusion in (make(), make()):
-        angles.append(shown(next(fusion)).aop)
         fusion.recording.close()
-    np.testing.assert_array_equal(angles[0], angles[1])

@@ -22,7 +22,15 @@ from pdavis_cv.recording.open import open_recording
 from pdavis_cv.sensor import Layout
 
 from .cases import SHAPE, Comparison, case
-from .images import IMAGES, Repeatable, chain, endless, shown
+from .images import (
+    IMAGES,
+    Repeatable,
+    chain,
+    check_same,
+    endless,
+    per_image,
+    shown,
+)
 
 __all__ = ["SIZES"]
 
@@ -58,14 +66,6 @@ def _fusion(
     return fusion
 
 
-def _same(one: Callable[[], Fusion], two: Callable[[], Fusion]) -> None:
-    """Check that both make the same images."""
-    for mine, other in zip(*(
-            [next(fusion) for _ in range(2)] for fusion in (one(), two())),
-            strict=True):
-        np.testing.assert_array_equal(shown(mine).aop, other.aop)
-
-
 def _milliseconds(seconds: float) -> float:
     return 1e3 * seconds
 
@@ -78,16 +78,10 @@ def _by_pixels() -> Iterator[Comparison]:
                        shape)
         fusion = make()
 
-        def candidate(fusion: Fusion = fusion) -> float:
-            n = 40      # a whole period of frames
-            start = thread_time()
-            for _ in range(n):
-                shown(next(fusion))
-            return (thread_time() - start) / n
-
         yield Comparison(
-            f"{shape[1]}x{shape[0]}", partial(_same, make, make), candidate,
-            chain(shape), _milliseconds, "ms", judged=shape == SHAPE,
+            f"{shape[1]}x{shape[0]}", partial(check_same, make),
+            partial(per_image, fusion), chain(shape), _milliseconds, "ms",
+            judged=shape == SHAPE,
             at=("pixels", float(shape[0] * shape[1])))
 
 
@@ -100,19 +94,14 @@ def _memory() -> Iterator[Comparison]:
     make = partial(_fusion, "kalman", 33e3, 1e3)
     fusion = make()
 
-    def candidate() -> float:
-        start = thread_time()
-        for _ in range(40):     # a whole period of frames
-            shown(next(fusion))
-        return (thread_time() - start) / 40
-
     def floor() -> float:
         start = thread_time()
         for part in source:
             np.copyto(copy, part)
         return (thread_time() - start) / len(source)
 
-    yield Comparison("33 kev/s", partial(_same, make, make), candidate, floor,
+    yield Comparison("33 kev/s", partial(check_same, make),
+                     partial(per_image, fusion), floor,
                      _milliseconds, "ms", judged=False)
 
 
@@ -133,7 +122,7 @@ def _latency() -> Iterator[Comparison]:
         def candidate(which: Callable[[list[float]], float] = which) -> float:
             return which([one() for _ in range(8)])
 
-        yield Comparison(name, partial(_same, make, make), candidate, chain(SHAPE),
+        yield Comparison(name, partial(check_same, make), candidate, chain(SHAPE),
                          _milliseconds, "ms", judged=which is median)
 
 
