@@ -12,8 +12,8 @@ cdef extern from "_curves.h" nogil:
 cdef extern from "_team.h" nogil:
     ctypedef long long pd_count
     ctypedef struct team_t:
-        pd_count alone_until
         PyThread_type_lock wake
+        PyThread_type_lock left
     ctypedef struct share_t:
         pass
     ctypedef void (*pd_rows)(void*, Py_ssize_t, Py_ssize_t) noexcept nogil
@@ -26,6 +26,10 @@ cdef extern from "_team.h" nogil:
     Py_ssize_t team_served(team_t*)
     void team_left(team_t*)
     void team_sleep(team_t*, Py_ssize_t)
+    void team_join(team_t*)
+    void team_leave(team_t*)
+    bint team_alone(team_t*, pd_count)
+    void team_acquire(PyThread_type_lock)
     void team_waited(team_t*, pd_count, pd_count)
     pd_count pd_now()
 
@@ -128,9 +132,11 @@ cdef class ImageQueue:
         cdef Py_ssize_t k
         self.held = [None] * SLOTS
         self.members.wake = PyThread_allocate_lock()
-        if self.members.wake == NULL:
+        self.members.left = PyThread_allocate_lock()
+        if self.members.wake == NULL or self.members.left == NULL:
             raise MemoryError
         PyThread_acquire_lock(self.members.wake, WAIT_LOCK)
+        PyThread_acquire_lock(self.members.left, WAIT_LOCK)
         for k in range(SLOTS):
             self.slots[k].done = PyThread_allocate_lock()
             if self.slots[k].done == NULL:
@@ -141,6 +147,8 @@ cdef class ImageQueue:
         cdef Py_ssize_t k
         if self.members.wake != NULL:
             PyThread_free_lock(self.members.wake)
+        if self.members.left != NULL:
+            PyThread_free_lock(self.members.left)
         for k in range(SLOTS):
             if self.slots[k].done != NULL:
                 PyThread_free_lock(self.slots[k].done)
@@ -153,7 +161,7 @@ cdef class ImageQueue:
     @property
     def late(self):
         """Whether the thread got no processor lately: nothing should wait for it."""
-        return (pd_now() < self.members.alone_until
+        return (team_alone(&self.members, pd_now())
                 or self.posted - team_served(&self.members) >= SLOTS - 1)
 
     def post(self, const float[:, ::1] log, float[:, ::1] mosaic not None,
@@ -209,7 +217,7 @@ cdef class ImageQueue:
                 began = pd_now()
                 finish(slot, True, &self.members)
                 ended = pd_now()
-                PyThread_acquire_lock(slot.done, WAIT_LOCK)
+                team_acquire(slot.done)
                 team_waited(&self.members, began, ended)
             self.held[self.waited % SLOTS] = None
             self.waited += 1
@@ -219,6 +227,7 @@ cdef class ImageQueue:
         cdef Py_ssize_t k = 0
         cdef slot_t* slot
         with nogil:
+            team_join(&self.members)
             while True:
                 team_help(&self.members)
                 if team_posted(&self.members) == k:
@@ -230,6 +239,7 @@ cdef class ImageQueue:
                 finish(slot, False, &self.members)
                 team_left(&self.members)
                 k += 1
+            team_leave(&self.members)
 
     def end(self):
         """Let `serve` return when all images posted have been finished."""

@@ -8,6 +8,11 @@
 
 #include "Python.h"
 #include <stddef.h>
+#if defined(__linux__)
+#include <sched.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+#endif
 
 #if defined(_MSC_VER)
 #include <intrin.h>
@@ -17,7 +22,7 @@ typedef __int64 pd_count;
 #define PD_LOAD(at) _InterlockedExchangeAdd64(at, 0)
 #define PD_STORE(at, n) ((void)_InterlockedExchange64(at, n))
 #define PD_SWAP(at, n) _InterlockedExchange64(at, n)
-#define PD_YIELD() ((void)SwitchToThread())
+#define PD_PAUSE() YieldProcessor()
 static inline pd_count pd_now(void)     /* ns */
 {
     LARGE_INTEGER count, rate;
@@ -26,14 +31,19 @@ static inline pd_count pd_now(void)     /* ns */
     return (pd_count)(1e9 * (double)count.QuadPart / (double)rate.QuadPart);
 }
 #else
-#include <sched.h>
 #include <time.h>
 typedef long long pd_count;
 #define PD_ADD(at, n) __atomic_fetch_add(at, n, __ATOMIC_SEQ_CST)
 #define PD_LOAD(at) __atomic_load_n(at, __ATOMIC_SEQ_CST)
 #define PD_STORE(at, n) __atomic_store_n(at, n, __ATOMIC_SEQ_CST)
 #define PD_SWAP(at, n) __atomic_exchange_n(at, n, __ATOMIC_SEQ_CST)
-#define PD_YIELD() ((void)sched_yield())
+#if defined(__x86_64__) || defined(__i386__)
+#define PD_PAUSE() __builtin_ia32_pause()
+#elif defined(__aarch64__)
+#define PD_PAUSE() __asm__ __volatile__("yield")
+#else
+#define PD_PAUSE() ((void)0)
+#endif
 static inline pd_count pd_now(void)     /* ns */
 {
     struct timespec now;
@@ -42,11 +52,11 @@ static inline pd_count pd_now(void)     /* ns */
 }
 #endif
 
-/* Looks at a counter before the processor is left to another thread; and how often it
-   is left before a thread that waits for more rows sleeps: for about the time of a chunk
-   if there is no other thread. */
-#define PD_SPINS 1000
-#define PD_YIELDS 100
+/* For so long a thread that waits looks at a counter; then it sleeps.  It is about the
+   time of a chunk.  sched_yield is of no use here: since Linux 6.18 each call costs the
+   thread its whole time slice, and one that calls it repeatedly does not run for 5 to
+   20 ms if any other thread wants its core, even at a lower priority. */
+#define PD_LOOK_NS 100000
 /* If the first thread waits for so much longer than its own part took, the other one had
    no processor.  Such waits may take 1 / PD_SHARE of the time, and PD_PAST_NS / PD_SHARE
    (20 ms) at once, so that an interruption now and then changes nothing.  After longer
@@ -80,9 +90,13 @@ typedef struct {
     pd_count posted;        /* images posted for the other thread, */
     pd_count served;        /* and left by it: it uses them no more */
     pd_count asleep;        /* whether `wake` must be released for it to go on */
+    pd_count waiting;       /* whether `left` must be for the first thread to go on */
     pd_count soon_until;    /* ns; until then more to share is expected */
     pd_count alone_until;   /* ns; until then nothing is shared, if it lies ahead */
-    PyThread_type_lock wake;
+    pd_count second;        /* Linux: number of the other thread; */
+    pd_count core;          /* one more than the core on which it may not run, */
+    pd_count part_again;    /* ns; until when this holds if the first one stays there */
+    PyThread_type_lock wake, left;
 } team_t;
 
 static inline void share_begin(share_t *share, pd_rows work, void *args, void *others,
@@ -125,6 +139,55 @@ static inline void team_wake(team_t *team)
         PyThread_release_lock(team->wake);
 }
 
+/* Note that the calling thread is the other one. */
+static inline void team_join(team_t *team)
+{
+#if defined(__linux__)
+    PD_STORE(&team->second, (pd_count)syscall(SYS_gettid));
+#else
+    (void)team;
+#endif
+}
+
+/* Note that it ends: its number may soon be that of a thread of someone else. */
+static inline void team_leave(team_t *team)
+{
+    PD_STORE(&team->second, (pd_count)0);
+}
+
+/* Keep the other thread off the core of the first one, where it is of no use; if there
+   is no other core, share nothing for a while.  Linux puts it there now and then, and
+   for 4 ms and more lets the two take turns although the next core is idle. */
+static inline void team_part(team_t *team, pd_count now)
+{
+#if defined(__linux__)
+    int core = sched_getcpu();
+    cpu_set_t cores;
+    pd_count second = PD_LOAD(&team->second);
+    if (core < 0 || !second || (core + 1 == team->core && now < team->part_again)
+            || sched_getaffinity(0, sizeof cores, &cores))
+        return;
+    team->core = core + 1;
+    team->part_again = now + PD_PAST_NS;
+    CPU_CLR(core, &cores);
+    if (CPU_COUNT(&cores))
+        sched_setaffinity((pid_t)second, sizeof cores, &cores);
+    else
+        team->alone_until = team->part_again;
+#else
+    (void)team;
+    (void)now;
+#endif
+}
+
+/* Tell whether the first thread is to work alone. */
+static inline int team_alone(team_t *team, pd_count now)
+{
+    if (now >= team->alone_until)
+        team_part(team, now);
+    return now < team->alone_until;
+}
+
 static inline int team_needed(team_t *team, ptrdiff_t finished)
 {
     return PD_LOAD(&team->posted) > finished
@@ -136,13 +199,12 @@ static inline int team_needed(team_t *team, ptrdiff_t finished)
    awake; but not for long, as the first thread may be waiting for this processor. */
 static inline void team_sleep(team_t *team, ptrdiff_t finished)
 {
-    int spins = 0;
-    while ((PD_LOAD(&team->open) && spins < PD_SPINS + PD_YIELDS)
-           || pd_now() < PD_LOAD(&team->soon_until)) {
+    pd_count now = pd_now(), last = now + PD_LOOK_NS;
+    while (now < PD_LOAD(&team->soon_until) || (PD_LOAD(&team->open) && now < last)) {
         if (team_needed(team, finished))
             return;
-        if (++spins > PD_SPINS)
-            PD_YIELD();
+        PD_PAUSE();
+        now = pd_now();
     }
     PD_STORE(&team->asleep, (pd_count)1);
     if (team_needed(team, finished) && PD_SWAP(&team->asleep, (pd_count)0))
@@ -171,6 +233,19 @@ static inline void team_left(team_t *team)
     PD_ADD(&team->served, (pd_count)1);
 }
 
+/* Acquire a lock that is likely to be released soon. */
+static inline void team_acquire(PyThread_type_lock lock)
+{
+    pd_count last = pd_now() + PD_LOOK_NS;
+    while (!PyThread_acquire_lock(lock, NOWAIT_LOCK))
+        if (pd_now() < last)
+            PD_PAUSE();
+        else {
+            PyThread_acquire_lock(lock, WAIT_LOCK);
+            return;
+        }
+}
+
 /* Note that the first thread, which began and ended its own part, has waited until now. */
 static inline void team_waited(team_t *team, pd_count began, pd_count ended)
 {
@@ -181,14 +256,23 @@ static inline void team_waited(team_t *team, pd_count began, pd_count ended)
             + (team->alone_until > past ? team->alone_until : past);
 }
 
+/* Sleep until the other thread has left what is shared, or for less. */
+static inline void team_await(team_t *team)
+{
+    PD_STORE(&team->waiting, (pd_count)1);
+    if (!PD_LOAD(&team->inside) && PD_SWAP(&team->waiting, (pd_count)0))
+        return;
+    PyThread_acquire_lock(team->left, WAIT_LOCK);
+}
+
 /* Process n rows in chunks; return when all are done.  wake: whether it is worth to wake
    the other thread. */
 static inline void team_share(team_t *team, int wake, pd_rows work, void *args,
                               ptrdiff_t n, ptrdiff_t chunk)
 {
-    int spins = 0, last;
+    int last;
     pd_count ended, began = pd_now();
-    if (began < team->alone_until) {
+    if (team_alone(team, began)) {
         work(args, 0, n);
         return;
     }
@@ -205,8 +289,10 @@ static inline void team_share(team_t *team, int wake, pd_rows work, void *args,
     if (!PD_LOAD(&team->inside))
         return;
     while (PD_LOAD(&team->inside))
-        if (++spins > PD_SPINS)
-            PD_YIELD();
+        if (pd_now() < ended + PD_LOOK_NS)
+            PD_PAUSE();
+        else
+            team_await(team);
     team_waited(team, began, ended);
 }
 
@@ -225,6 +311,8 @@ static inline void team_help(team_t *team)
         PD_STORE(&team->soon_until, pd_now() + PD_SOON_NS);
     }
     PD_STORE(&team->inside, (pd_count)0);
+    if (PD_SWAP(&team->waiting, (pd_count)0))
+        PyThread_release_lock(team->left);
 }
 
 #endif

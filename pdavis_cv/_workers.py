@@ -65,7 +65,8 @@ class Workers:
         """Queue of the second of two threads, which is started if there is none.
 
         None for one thread and for more than two.  The thread stays in compiled code
-        and never asks for Python's lock.
+        and never asks for Python's lock.  Under Linux it is kept off the core of the
+        thread that it helps.
         """
         if self.threads != 2:
             return None

@@ -54,6 +54,58 @@ def test_images_have_the_same_bits_for_any_number_of_threads(
                 np.testing.assert_array_equal(one.variance, other.variance)
 
 
+def of_the_second_thread(threads_before):
+    """Return the cores that the thread started since may use."""
+    new, = (thread for thread in threading.enumerate()
+            if thread.name == "pdavis_cv-images" and thread not in threads_before)
+    return os.sched_getaffinity(new.native_id)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or usable_cores() < 2,
+                    reason="cores can be chosen under Linux; needs two")
+def test_the_second_thread_is_kept_off_the_core_of_the_first(tall):
+    mine = os.sched_getaffinity(0)
+    before = threading.enumerate()
+    try:
+        images = fuse(tall, fps=150, thresholds=(0.15, 0.15), threads=2)
+        next(images)
+        for core in mine:
+            # A core is looked at again at once when the first thread has moved.
+            os.sched_setaffinity(0, {core})
+            os.sched_setaffinity(0, mine)
+            for _ in range(3):
+                next(images)
+            theirs = of_the_second_thread(before)
+            assert theirs < mine
+            assert len(theirs) == len(mine) - 1
+    finally:
+        os.sched_setaffinity(0, mine)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="cores can be chosen under Linux")
+def test_on_one_core_nothing_is_left_to_a_second_thread(tall, monkeypatch):
+    mine = os.sched_getaffinity(0)
+    posted = []
+
+    class Noted(_workers.ImageQueue):
+        def post(self, *args):
+            posted.append(args)
+            return super().post(*args)
+
+    monkeypatch.setattr(_workers, "ImageQueue", Noted)
+    try:
+        os.sched_setaffinity(0, {min(mine)})
+        images = fuse(tall, fps=150, thresholds=(0.15, 0.15), threads=2)
+        for _ in range(3):      # the thread starts while the first ones are made
+            next(images)
+            time.sleep(0.01)
+        posted.clear()
+        assert len(list(images)) > 10
+        assert not posted
+    finally:
+        os.sched_setaffinity(0, mine)
+
+
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
 @pytest.mark.parametrize("height", [0, 1, 31, 32, 33, 260])
 def test_bands_are_the_rows_of_the_image_in_as_many_threads_at_most(threads, height):
