@@ -1,10 +1,26 @@
-"""The compiled floor of event kernels, which wheels lack."""
+"""What is compiled for `pdavis bench` alone, which wheels lack."""
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from types import ModuleType
 
-__all__ = ["compiled_floor"]
+__all__ = ["compiled", "compiled_floor"]
+
+
+def compiled() -> ModuleType:
+    """Return the module of these kernels.
+
+    Raises
+    ------
+    ImportError
+        If the library was installed from a wheel.
+    """
+    try:
+        return import_module("pdavis_cv._kernels._floor")
+    except ImportError:
+        raise ImportError("its floor is compiled only where the sources are "
+                          "(pip install --editable .)") from None
 
 
 def compiled_floor() -> Callable[..., int]:
@@ -21,10 +37,5 @@ def compiled_floor() -> Callable[..., int]:
     ImportError
         If the library was installed from a wheel.
     """
-    try:
-        kernel = import_module("pdavis_cv._kernels._floor")
-    except ImportError:
-        raise ImportError("its floor is compiled only where the sources are "
-                          "(pip install --editable .)") from None
-    floor: Callable[..., int] = kernel.floor_sum
+    floor: Callable[..., int] = compiled().floor_sum
     return floor
