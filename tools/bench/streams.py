@@ -196,7 +196,7 @@ def _threads() -> Iterator[Comparison]:
             yield Comparison(
                 f"{method}, {rate / 1e6:g} Mev/s", partial(same, one, two),
                 timed.candidate, timed.floor, _milliseconds,
-                "ms", judged=judged, repeat=6 if judged else 1, remark=timed.remark)
+                "ms", judged=judged, repeat=12 if judged else 1, remark=timed.remark)
     # On the one core of `pdavis bench`, as where others keep all other cores busy.
     one, two = (partial(made, "kalman", 33e3, threads) for threads in (1, 2))
     yield Comparison(
