@@ -53,9 +53,9 @@ static inline pd_count pd_now(void)     /* ns */
 #endif
 
 /* For so long a thread that waits looks at a counter; then it sleeps.  It is about the
-   time of a chunk.  sched_yield is of no use here: since Linux 6.18 each call costs the
-   thread its whole time slice, and one that calls it repeatedly does not run for 5 to
-   20 ms if any other thread wants its core, even at a lower priority. */
+   time of a chunk.  sched_yield is of no use here: under Linux 6.18 a thread that called
+   it repeatedly did not run again for 5 to 18 ms while another one wanted its core,
+   even at a lower priority. */
 #define PD_LOOK_NS 100000
 /* If the first thread waits for so much longer than its own part took, the other one had
    no processor.  Such waits may take 1 / PD_SHARE of the time, and PD_PAST_NS / PD_SHARE

@@ -96,10 +96,11 @@ def test_on_one_core_nothing_is_left_to_a_second_thread(tall, monkeypatch):
     try:
         os.sched_setaffinity(0, {min(mine)})
         images = fuse(tall, fps=150, thresholds=(0.15, 0.15), threads=2)
-        for _ in range(3):      # the thread starts while the first ones are made
+        posted.append(None)
+        while posted:           # until the thread has started
+            posted.clear()
             next(images)
             time.sleep(0.01)
-        posted.clear()
         assert len(list(images)) > 10
         assert not posted
     finally:
