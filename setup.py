@@ -63,6 +63,7 @@ SHARED = (
     "_degree.h",
     "_double.pxd",
     "_estimate.pxd",
+    "_exposure.pxd",
     "_extrapolation.h",
     "_film.h",
     "_guided.h",

@@ -10,10 +10,10 @@ from libc.math cimport NAN
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._estimate cimport holds, noise_probability, part_at, theta_squared
+from _kernels._exposure cimport divide, integrate, log_at, sum_t
 from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
-from _kernels._lag cimport corner, lead
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t
-from _kernels._math cimport exp_f, log_f
+from _kernels._math cimport log_f
 from _kernels._measure cimport (
     TERMS, TOGETHER, group_t, hand_over, measure, policy_of, policy_t)
 from _kernels._model cimport (
@@ -23,17 +23,15 @@ from _kernels._segments cimport (
     add_segment, add_segments, begin_segments, begin_sums, de_blur, middle_row,
     segments_t, sums_t)
 from _kernels._team cimport team_share, team_t
-from _kernels._tracks cimport REST_US, at_rest, drift, part_t, start, step, walk_t
-from _kernels._update cimport (
-    FINE_US, FIRST_VARIANCE, GAUSS, LEARN_EVENTS, propagate)
+from _kernels._tracks cimport REST_US, at_rest, drift, start, step, walk_t
+from _kernels._update cimport FIRST_VARIANCE, LEARN_EVENTS, propagate
 
 cdef struct slot_t:
-    # A pixel whose sample waits for `measure`: its column; the measurement for the
-    # smoother; log intensity at the middle less the base; process noise since the last
-    # sample; the unit theta^2 of variances of a part; squared change of log intensity
-    # since the last sample, of a hot pixel; whether events came since then.
+    # A pixel whose sample waits for `measure`: its column; log intensity at the middle
+    # less the base; process noise since the last sample; the unit theta^2 of variances
+    # of a part; squared change of log intensity since the last sample, of a hot pixel;
+    # whether events came since then.
     Py_ssize_t x
-    node_t node
     double middle
     double added
     double theta2
@@ -57,98 +55,6 @@ cdef extern from "_prefetch.h" nogil:
     enum:
         AHEAD "PDAVIS_AHEAD"
     void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
-
-cdef struct sum_t:
-    # Integrals over the exposure of exp(y), exp(y) n_on and exp(y) n_off, where y is
-    # log intensity relative to a level.
-    double whole
-    double on
-    double off
-
-
-cdef inline double at(const walk_t* walk, const stored_t* store, int64_t known,
-                      double t, const state_t* s, double level, const tuning_t* tuning,
-                      const lamp_t* lamp, double* n_on, double* n_off) noexcept nogil:
-    """Log intensity at t relative to level, between walk and its next event.
-
-    Sets n_on and n_off to the counts, including the part crossed since the last event.
-    """
-    cdef double y, theta, hz = 0.0
-    cdef part_t part
-    if lamp.blocks > 0:
-        hz = corner(tuning, level + s.theta_on * walk.n_on - s.theta_off * walk.n_off)
-    part = part_at(walk, store, known, s.theta_on, s.theta_off, lamp, hz,
-                   tuning, s, t)
-    n_on[0] = walk.n_on
-    n_off[0] = walk.n_off
-    if part.p:
-        n_on[0] += part.fraction
-        theta = s.theta_on
-    else:
-        n_off[0] += part.fraction
-        theta = -s.theta_off
-    y = s.theta_on * n_on[0] - s.theta_off * n_off[0] + part.ripple
-    return y + lead(theta * part.rate + part.ripple_rate, level + y, tuning)
-
-
-cdef inline void add_step(sum_t* total, const walk_t* walk, const stored_t* store,
-                          int64_t known, double begin, double end, const state_t* s,
-                          double level, const tuning_t* tuning,
-                          const lamp_t* lamp) noexcept nogil:
-    """Integrate from begin to end, between walk and its next event (2-point Gauss)."""
-    cdef double middle = 0.5 * (begin + end), half = 0.5 * (end - begin)
-    cdef double node = half * GAUSS, y, n_on, n_off
-    cdef int k
-    for k in range(2):
-        y = at(walk, store, known, middle + node if k else middle - node, s, level,
-               tuning, lamp, &n_on, &n_off)
-        y = half * exp_f(<float>y)
-        total.whole += y
-        total.on += y * n_on
-        total.off += y * n_off
-
-
-cdef void integrate(sum_t* total, walk_t* walk, const stored_t* store, int64_t begin,
-                    int64_t end, int64_t known, const state_t* s, double level,
-                    const tuning_t* tuning, const lamp_t* lamp) noexcept nogil:
-    """Integrate from begin to end, event by event; in short steps if a lamp flickers.
-    """
-    cdef double now = <double>begin, until
-    cdef bint flickers = lamp_flickers(lamp, now, <double>end)
-    while True:
-        until = <double>end
-        if walk.next >= 0 and store[walk.next].t < end:
-            until = <double>store[walk.next].t
-        while flickers and until > now + FINE_US:
-            add_step(total, walk, store, known, now, now + FINE_US, s, level, tuning,
-                     lamp)
-            now += FINE_US
-        if until > now:
-            add_step(total, walk, store, known, now, until, s, level, tuning, lamp)
-            now = until
-        if walk.next < 0 or store[walk.next].t >= end:
-            break
-        step(walk, store, tuning.refractory_us)
-
-
-cdef void divide(segments_t* segments, sums_t* sums, Py_ssize_t row, walk_t* walk,
-                 const stored_t* store, int64_t begin, int64_t end, int64_t known,
-                 const state_t* s, double level,
-                 const tuning_t* tuning) noexcept nogil:
-    """Append segments from begin to end, event by event; the lamp is steady."""
-    cdef int64_t until
-    while True:
-        until = end
-        if walk.next >= 0 and store[walk.next].t < end:
-            until = store[walk.next].t
-        if until > begin:
-            add_segment(segments, sums, row, walk, store, known, <double>begin,
-                        <double>until, s, level, tuning)
-            begin = until
-        if until == end:
-            break
-        step(walk, store, tuning.refractory_us)
-
 
 cdef struct using_t:
     # What `kalman_frame` shares among threads.
@@ -234,9 +140,9 @@ cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
                 measure(&group, &of.policy, n, of.innovations + y // of.rows * TERMS)
                 for i in range(n):
                     at = y * of.w + slots[i].x
-                    finish(&group, i, &slots[i], &of.states[at], &of.middles[at])
                     if of.nodes != NULL:
-                        of.nodes[at] = slots[i].node
+                        write_node(&group, i, &slots[i], &of.states[at], &of.nodes[at])
+                    finish(&group, i, &slots[i], &of.states[at], &of.middles[at])
                 n = 0
 
 
@@ -313,7 +219,7 @@ cdef inline double third_difference(state_t* s, double log,
     s.unlit_log = <float>log
     s.first_difference = <float>first
     s.second_difference = <float>second
-    s.quiet = 0.0 if moved else s.quiet + 1.0
+    s.quiet = (s.quiet + 1.0) * (not moved)
     return third
 
 
@@ -328,8 +234,6 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
     s.var_base += slot.added
     slot.theta2 = 0.0
     slot.middle = 0.0
-    slot.node.h_on = 0.0
-    slot.node.h_off = 0.0
     s.part = 0.0
     hand_over(s, sample, group, i)
     group.part[i] = 0.0
@@ -353,12 +257,13 @@ cdef inline void prepare_alone(const sample_t* sample, int64_t mid,
 
 cdef inline bint find_blur(const using_t* of, const track_t* old,
                            const exposure_t* exposure, const walk_t* middle,
-                           const state_t* s, double level, segments_t* segments,
-                           sums_t* sums, Py_ssize_t i, blur_t* blur) noexcept nogil:
+                           const state_t* s, bint held, double level,
+                           segments_t* segments, sums_t* sums, Py_ssize_t i,
+                           blur_t* blur) noexcept nogil:
     """De-blur an exposure by the double integral; or leave it to segments: return True.
 
     level is that at the last event before the exposure's middle, which middle has
-    passed, and to which counts are relative.
+    passed, and to which counts are relative; held tells whether s `holds` the part.
     """
     cdef const stored_t* store = of.store
     cdef const tuning_t* tuning = of.tuning
@@ -380,16 +285,8 @@ cdef inline bint find_blur(const using_t* of, const track_t* old,
             add_segment(segments, sums, row, &at_mid, store, known, <double>mid,
                         <double>mid, s, level, tuning)
             return True
-        if lamp.blocks == 0 and at_rest(middle.t, mid):
-            # What `at` returns, for most pixels of a quiet scene.
-            blur.part = s.part if holds(s, middle, tuning) else 0.0
-            blur.n_on = blur.part if middle.p else 0.0
-            blur.n_off = 0.0 if middle.p else blur.part
-            blur.log = s.theta_on * blur.n_on - s.theta_off * blur.n_off
-            blur.middle = blur.log
-            return False
-        blur.log = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp,
-                      &blur.n_on, &blur.n_off)
+        blur.log = log_at(&at_mid, store, known, <double>mid, s, level, tuning, lamp,
+                          &blur.n_on, &blur.n_off)
         blur.part = blur.n_on + blur.n_off
         blur.middle = blur.log
         return False
@@ -401,7 +298,7 @@ cdef inline bint find_blur(const using_t* of, const track_t* old,
     # Where no event follows, a segment takes light that moves and has no sample later.
     if (lamp.blocks == 0 and known >= end and known > mid and end - begin < REST_US
             and (s.samples == 0 or s.sampled_us <= begin)
-            and (followed or not (at_rest(middle.t, mid) or holds(s, middle, tuning)))):
+            and (followed or not (held or at_rest(middle.t, mid)))):
         row = begin_sums(sums, i, <double>(end - begin))
         divide(segments, sums, row, &walk, store, begin, end, known, s, level, tuning)
         add_segment(segments, sums, middle_row(row), &at_mid, store, known,
@@ -412,11 +309,22 @@ cdef inline bint find_blur(const using_t* of, const track_t* old,
     blur.log = log_f(<float>(total.whole / <double>(end - begin)))
     blur.n_on = total.on / total.whole
     blur.n_off = total.off / total.whole
-    blur.middle = at(&at_mid, store, known, <double>mid, s, level, tuning, lamp,
-                     &total.on, &total.off)
+    blur.middle = log_at(&at_mid, store, known, <double>mid, s, level, tuning, lamp,
+                         &total.on, &total.off)
     blur.part = part_at(&at_mid, store, known, s.theta_on, s.theta_off, lamp, 0.0,
                         tuning, s, <double>mid).fraction
     return False
+
+
+cdef inline void blur_at_rest(const walk_t* middle, const state_t* s, bint held,
+                              blur_t* blur) noexcept nogil:
+    """What `find_blur` returns for a pixel at rest in steady light."""
+    cdef double p = middle.p
+    blur.part = s.part if held else 0.0
+    blur.n_on = p * blur.part
+    blur.n_off = (1.0 - p) * blur.part
+    blur.log = s.theta_on * blur.n_on - s.theta_off * blur.n_off
+    blur.middle = blur.log
 
 
 cdef void prepare(const using_t* of, Py_ssize_t pixel, group_t* group,
@@ -438,14 +346,15 @@ cdef void prepare(const using_t* of, Py_ssize_t pixel, group_t* group,
     cdef blur_t blur
     cdef double p_noise = 0.0, motion = 0.0, unit = 0.0, event_step = 1.0, events = 0.0
     cdef double theta2 = theta_squared(s)
-    cdef double at_on, at_off, all_on, all_off
+    cdef double at_on, at_off, all_on, all_off, p
     cdef int64_t mid = of.exposures[slot.x].middle
     cdef double n_on, n_off, level, added = 0.0, noise = 0.0
-    cdef bint fresh = s.samples == 0, learn = False, moved = True, waits
+    cdef bint fresh = s.samples == 0, learn = False, moved = True, waits, held
     # Events from the begin of the exposure to its middle, and to the last committed.
     start(&at_mid, old)
     while at_mid.next >= 0 and store[at_mid.next].t <= mid:
         step(&at_mid, store, tuning.refractory_us)
+    p = at_mid.p
     at_on = all_on = at_mid.n_on
     at_off = all_off = at_mid.n_off
     if at_mid.next >= 0 and at_mid.next < committed:
@@ -458,8 +367,6 @@ cdef void prepare(const using_t* of, Py_ssize_t pixel, group_t* group,
     n_off = track.n_off - (all_off - at_off)
     s.seen_on += n_on
     s.seen_off += n_off
-    slot.node.n_on = s.seen_on
-    slot.node.n_off = s.seen_off
     if fresh:
         n_on = n_off = 0
         level = sample.log
@@ -492,24 +399,29 @@ cdef void prepare(const using_t* of, Py_ssize_t pixel, group_t* group,
         elif at_mid.next >= 0 and store[at_mid.next].t <= known:
             unit = theta2
             noise += motion
-        if at_mid.p:
-            n_on -= p_noise
-            event_step = s.theta_on
-        else:
-            n_off -= p_noise
-            event_step = -s.theta_off
+        # Not by branches, which depend on events and are hard to predict.
+        n_on -= p * p_noise
+        n_off -= (1.0 - p) * p_noise
+        event_step = p * s.theta_on - (1.0 - p) * s.theta_off
         if learn:
             s.var_on += tuning.threshold_drift * s.theta_on * s.theta_on
             s.var_off += tuning.threshold_drift * s.theta_off * s.theta_off
-        propagate(s, n_on, n_off)
+        if n_on != 0.0 or n_off != 0.0:
+            propagate(s, n_on, n_off)
         s.var_base += added
         level = s.base
-    waits = find_blur(of, old, &of.exposures[slot.x], &at_mid, s, level, segments, sums,
-                      i, &blur)
+    held = holds(s, &at_mid, tuning)
+    if (at_mid.next < 0 and at_rest(at_mid.t, mid) and of.lamp.blocks == 0
+            and at_mid.t <= of.exposures[slot.x].begin):
+        waits = False
+        blur_at_rest(&at_mid, s, held, &blur)
+    else:
+        waits = find_blur(of, old, &of.exposures[slot.x], &at_mid, s, held, level,
+                          segments, sums, i, &blur)
     slot.added = added
     slot.theta2 = theta2
     slot.moved = moved
-    if of.lamp.blocks == 0 and not holds(s, &at_mid, tuning):
+    if of.lamp.blocks == 0 and not held:
         s.part = 0.0
     group.n_on[i] = n_on
     group.n_off[i] = n_off
@@ -537,8 +449,6 @@ cdef inline void predict(const using_t* of, state_t* s, const sample_t* sample,
     cdef bint steady = of.lamp.blocks == 0
     if s.samples == 1:
         s.base = sample.log - blur.log
-    slot.node.h_on = <float>h_on
-    slot.node.h_off = <float>h_off
     slot.middle = blur.middle
     hand_over(s, sample, group, i)
     group.part[i] = blur.part if of.tuning.holds_part > 0.0 and steady else 0.0
@@ -549,7 +459,7 @@ cdef inline void predict(const using_t* of, state_t* s, const sample_t* sample,
         s, sample.log if steady else <float>(
             sample.log - blur.log + h_on * s.theta_on + h_off * s.theta_off),
         slot.moved)
-    group.rests[i] = s.quiet >= THIRD and group.unit[i] == 0.0
+    group.rests[i] = (s.quiet >= THIRD) & (group.unit[i] == 0.0)
 
 
 cdef void predict_rows(const using_t* of, Py_ssize_t y, segments_t* segments,
@@ -572,18 +482,26 @@ cdef void predict_rows(const using_t* of, Py_ssize_t y, segments_t* segments,
     sums.n = 0
 
 
-cdef inline void finish(const group_t* group, Py_ssize_t i, slot_t* slot,
-                        state_t* s, float* middle) noexcept nogil:
-    """Copy the updated state from the group; complete the smoother's node."""
+cdef inline void write_node(const group_t* group, Py_ssize_t i, const slot_t* slot,
+                            const state_t* s, node_t* node) noexcept nogil:
+    """Write the smoother's node; s is the state before the update."""
     cdef double p_noise = group.p_noise[i]
     # Of the sample as `measure` has linearized it, so that R belongs to it.
-    slot.node.level = <float>(
+    node.level = <float>(
         s.base + group.innovation[i] + group.h_on[i] * s.theta_on
         + group.h_off[i] * s.theta_off)
-    slot.node.noise = <float>group.noise[i]
+    node.h_on = <float>group.h_on[i]
+    node.h_off = <float>group.h_off[i]
+    node.noise = <float>group.noise[i]
     # The smoother counts a possible noise event in full: its squared bias is added.
-    slot.node.drift = <float>(
-        slot.added + group.jump[i] + slot.theta2 * p_noise * p_noise)
+    node.drift = <float>(slot.added + group.jump[i] + slot.theta2 * p_noise * p_noise)
+    node.n_on = s.seen_on
+    node.n_off = s.seen_off
+
+
+cdef inline void finish(const group_t* group, Py_ssize_t i, const slot_t* slot,
+                        state_t* s, float* middle) noexcept nogil:
+    """Copy the updated state from the group."""
     s.base = group.base[i]
     s.theta_on = group.theta_on[i]
     s.theta_off = group.theta_off[i]

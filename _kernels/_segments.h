@@ -2,7 +2,7 @@
 
    A segment is a piece of a frame's exposure between two events of a pixel, in which the
    part of a threshold crossed is quadratic in time.  Every quantity has a row of its
-   own, as in _measure.h.  Results have the same bits as `add_step` in _kalman.pyx. */
+   own, as in _measure.h.  Results have the same bits as `add_step` in _exposure.pxd. */
 #ifndef PDAVIS_CV_SEGMENTS_H
 #define PDAVIS_CV_SEGMENTS_H
 

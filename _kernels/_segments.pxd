@@ -1,7 +1,7 @@
 """Segments of exposures between events, evaluated many at a time.  Inline only.
 
 The lamp is steady, and a pixel's next event is known, or its light moves and no event
-follows; _kalman.pyx evaluates others one by one.
+follows; _exposure.pxd evaluates others one by one.
 """
 from libc.math cimport INFINITY
 from libc.stdint cimport int32_t, int64_t

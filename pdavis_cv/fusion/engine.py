@@ -185,6 +185,8 @@ class Fusion:
 
     def advance(self) -> bool:
         """Process data up to the next image's time; return False at the end."""
+        if self._online is not None:
+            self._online.catch_up()
         t = self._next_time()
         if t is None:
             return False
@@ -350,7 +352,22 @@ class Fusion:
         stop = self.options.stop_us
         if t is None or (stop is not None and t >= stop):
             return None
-        return t if self._feed.reaches(t) else None
+        return t if self._reaches(t) else None
+
+    def _reaches(self, t: int) -> bool:
+        """Return whether the source has a sample at or after t.
+
+        In real time, frames are fed while it is waited for: to use one takes longer
+        than to make an image, which would come so much later.
+        """
+        assert self._feed is not None
+        if self._spare is None or not self.options.causal:
+            return self._feed.reaches(t)
+        for due in self._feed.reaching(t):
+            if due is None:
+                return False
+            self._feed_to(due)
+        return True
 
     def _next_frame_mid(self, feed: Feed) -> int | None:
         if self._t is not None:
@@ -429,7 +446,7 @@ class Fusion:
             self._online = OnlineLearning(self._learning, self._spare)
         self._state = make_state(
             self.method_factory(self.window, self._workers), self.window,
-            None if self._online is None else self._online.camera,
+            None if self._online is None else self._online.fed,
             causal=self.options.causal)
         self._set_clock(tuning.clock_us)
         if self.needs.lamp:

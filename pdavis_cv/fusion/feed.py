@@ -144,12 +144,30 @@ class Feed:
 
     def reaches(self, t_us: int) -> bool:
         """Return whether the stream has a sample at or after t_us."""
+        return all(due is not None for due in self.reaching(t_us))
+
+    def reaching(self, t_us: int) -> Iterator[int | None]:
+        """Read until the stream has a sample at or after t_us.
+
+        Yields
+        ------
+        int or None
+            Time of a frame up to which everything has been read, so that `until` this
+            time needs no reading; only with `by_arrival`.  None if the stream ends
+            before t_us.
+        """
         if self._stop_us is not None:
-            return t_us < self._stop_us
+            if t_us >= self._stop_us:
+                yield None
+            return
         while self.reached_us < t_us:
             if not self._read():
-                return False
-        return True
+                yield None
+                return
+            if self._by_arrival and self._frames:
+                due = self._time(self._frames[0])
+                if due < t_us and self._knows(due):
+                    yield due
 
     def _time(self, frame: ApsFrame) -> int:
         return (frame.moved(self.clock_us).available_us if self._by_arrival

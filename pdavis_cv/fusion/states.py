@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.fusion.feed import LONGEST_DELAY_US, together
+from pdavis_cv.fusion.online_learning import DeferredCamera
 from pdavis_cv.fusion.window import Window
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.lamp import Wave
@@ -26,6 +27,8 @@ from pdavis_cv.selfcal import SelfCalibration
 
 __all__ = ["ArrivalState", "Call", "CallRecorder", "InOrderState", "ReplayState",
            "StateTransfer", "make_state"]
+
+Camera = SelfCalibration | DeferredCamera
 
 Call = tuple[str, tuple[Any, ...]]
 """A recorded method call: the method's name and its arguments."""
@@ -66,12 +69,12 @@ class _MethodState:
     method : Reconstructor
         A method for the size of the window.
     window : Window
-    camera : SelfCalibration, optional
+    camera : SelfCalibration or DeferredCamera, optional
         Is fed the same events and frames, of the whole sensor.
     """
 
     def __init__(
-        self, method: Reconstructor, window: Window, camera: SelfCalibration | None
+        self, method: Reconstructor, window: Window, camera: Camera | None
     ) -> None:
         self.method, self.window, self.camera = method, window, camera
         self.fed_us: int | None = None
@@ -107,7 +110,7 @@ class InOrderState(_MethodState):
     method : Reconstructor
         A method for the size of the window.
     window : Window
-    camera : SelfCalibration, optional
+    camera : SelfCalibration or DeferredCamera, optional
         Is fed the same events and frames, of the whole sensor.
     """
 
@@ -168,7 +171,7 @@ class ArrivalState(_MethodState):
     method : Reconstructor
         A method for the size of the window that `takes_late_frames`.
     window : Window
-    camera : SelfCalibration, optional
+    camera : SelfCalibration or DeferredCamera, optional
         Is fed the same events and frames, of the whole sensor, in time order.
 
     Attributes
@@ -183,7 +186,7 @@ class ArrivalState(_MethodState):
     """
 
     def __init__(
-        self, method: Reconstructor, window: Window, camera: SelfCalibration | None
+        self, method: Reconstructor, window: Window, camera: Camera | None
     ) -> None:
         super().__init__(method, window, camera)
         self.clock_us = 0
@@ -301,7 +304,7 @@ class ReplayState(ArrivalState):
 
     def __init__(
         self, method: Reconstructor, committed: Reconstructor, window: Window,
-        camera: SelfCalibration | None,
+        camera: Camera | None,
     ) -> None:
         super().__init__(method, window, camera)
         self._committed = committed
@@ -363,7 +366,7 @@ class ReplayState(ArrivalState):
 
 def make_state(
     make_method: Callable[[], Reconstructor], window: Window,
-    camera: SelfCalibration | None, *, causal: bool,
+    camera: Camera | None, *, causal: bool,
 ) -> InOrderState | ArrivalState:
     """Return a state that feeds the method in the order it needs.
 

@@ -1,0 +1,116 @@
+"""Fusion in real time: what is done while data are waited for, and what is put off."""
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv import Layout, fuse
+from pdavis_cv._workers import SpareTime
+from pdavis_cv.fusion import FusionOptions
+from pdavis_cv.fusion.learning import Learning
+from pdavis_cv.fusion.online_learning import DeferredCamera, OnlineLearning
+from pdavis_cv.live.replay import PIECE_US, ReplaySource
+from pdavis_cv.reconstruct.frames import FrameHold
+from pdavis_cv.reconstruct.kalman import KalmanFilter
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "fps": 60,
+           "causal": True}
+METHODS = [{"method": name} for name in pdavis_cv.METHODS] + [
+    {"method": "events", "offsets": "redundancy"}]
+PATIENCE_S = 60     # longer than a loaded machine takes; nothing is asserted of time
+
+
+@pytest.fixture(scope="module")
+def recording():
+    camera = Camera.preset("realistic", seed=4, size=(8, 8))
+    return camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.0)[0]
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")     # long windows of a network
+@pytest.mark.parametrize("method", METHODS, ids=str)
+def test_frames_that_are_used_while_waiting_change_no_bit(
+        recording, method, monkeypatch):
+    options = {**OPTIONS, **method}
+    expected = list(fuse(recording, **options))
+    source = ReplaySource(recording, "test", speed=0.0)
+    source.realtime = True
+    started = OnlineLearning._started
+
+    def at_once(online):    # as in a file, an estimate is there when it is due
+        future = started(online)
+        future.result(PATIENCE_S)
+        return future
+
+    monkeypatch.setattr(OnlineLearning, "_started", at_once)
+    images = list(fuse(source, **options))
+    assert len(images) == len(expected) > 50
+    for one, other in zip(images, expected, strict=True):
+        assert (one.t_us, one.frame_us) == (other.t_us, other.frame_us)
+        np.testing.assert_array_equal(one.quad, other.quad)
+        np.testing.assert_array_equal(one.valid, other.valid)
+
+
+def longest_delay_us(recording, realtime):
+    """Return for how long frames that were read waited for images, of which 2 come per
+    second, in stream time.
+    """
+    read, delays = [], []
+
+    class Watched(ReplaySource):
+        def packets(self):
+            for packet in super().packets():
+                read.append(packet.stop_us or 0)
+                yield packet
+
+    class Noting(FrameHold):
+        def add_frame(self, frame):
+            delays.append(max(read) - frame.available_us)
+            super().add_frame(frame)
+
+    source = Watched(recording, "test", speed=0.0)
+    source.realtime = realtime
+    list(fuse(source, **{**OPTIONS, "fps": 2}, method=Noting))
+    assert len(delays) >= 10
+    return max(delays)
+
+
+def test_in_real_time_a_frame_is_used_while_an_image_is_waited_for(recording):
+    assert longest_delay_us(recording, realtime=True) <= 2 * PIECE_US
+    assert longest_delay_us(recording, realtime=False) > 100_000
+
+
+def test_in_real_time_the_estimator_is_fed_when_there_is_time(recording):
+    packet = next(packet for packet in recording.packets() if packet.frames)
+    online, at_once = (OnlineLearning(Learning(
+        recording, FusionOptions(causal=True), {}, KalmanFilter.needs), spare)
+        for spare in (SpareTime(), None))
+    empty = online.camera.nbytes
+    for one in (online, at_once):
+        one.fed.add_events(packet.events)
+        one.fed.add_frame(packet.frames[0])
+    assert online.camera.nbytes == empty < at_once.camera.nbytes
+    online.catch_up()
+    assert online.camera.nbytes == at_once.camera.nbytes
+
+
+def test_what_is_put_off_keeps_its_order_and_is_bounded():
+    calls = []
+
+    class Camera:
+        def add_events(self, events):
+            calls.append(events)
+
+        add_frame = add_wave = add_events
+
+    deferred = DeferredCamera(Camera())
+    deferred.add_events("events")
+    deferred.add_frame("frame 1")
+    deferred.add_wave("wave")
+    deferred.add_frame("frame 2")
+    assert not calls
+    deferred.add_frame("frame 3")
+    assert calls == ["events", "frame 1", "wave", "frame 2"]
+    deferred.catch_up()
+    assert calls[4:] == ["frame 3"]
+    deferred.catch_up()
+    assert len(calls) == 5
