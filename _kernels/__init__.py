@@ -33,7 +33,7 @@ from ._event_words import (
 from ._events import count, surface, voxel
 from ._guided import guided
 from ._image_queue import ImageQueue
-from ._kalman import kalman_frame
+from ._kalman import kalman_frame, kalman_inflate
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
@@ -110,6 +110,7 @@ __all__ = [
     "guided",
     "hue_bgr",
     "kalman_frame",
+    "kalman_inflate",
     "kalman_read",
     "kalman_rest",
     "kalman_samples",

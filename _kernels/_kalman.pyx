@@ -6,14 +6,15 @@ are counted since the last sample (mid-exposure of the last frame used).  The st
 is de-blurred by the events of its exposure (event-based double integral) and measures
 the base.  docs/theory/kalman.md derives it.
 """
-from libc.math cimport NAN
+from libc.math cimport NAN, fabs, sqrt
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._estimate cimport holds, noise_probability, part_at, theta_squared
 from _kernels._exposure cimport divide, integrate, log_at, sum_t
 from _kernels._hot cimport HOT_SAMPLES, contradicted, is_hot, weigh_odds
+from _kernels._lag cimport PER_TURN
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t
-from _kernels._math cimport log_f
+from _kernels._math cimport exp_f, log_f
 from _kernels._measure cimport (
     TERMS, TOGETHER, group_t, hand_over, measure, policy_of, policy_t)
 from _kernels._model cimport (
@@ -516,3 +517,61 @@ cdef inline void finish(const group_t* group, Py_ssize_t i, const slot_t* slot,
     middle[0] = <float>(s.base + slot.middle)
     if is_hot(s):
         s.moves += (slot.change - s.moves) / HOT_SAMPLES
+
+
+cdef inline double lag_of(double hz, double per_light, double light) noexcept nogil:
+    """Lag of a photoreceptor, s; 0: none."""
+    hz += per_light * light
+    return PER_TURN / hz if hz > 0.0 else 0.0
+
+
+cdef inline double share_of(double error, double prior, double sigma) noexcept nogil:
+    """Share of a threshold's variance that a relative error of it leaves to the prior.
+    """
+    cdef double ratio
+    if sigma <= 0.0:
+        return 0.0
+    ratio = error * prior / sigma
+    return min(ratio * ratio, 1.0)
+
+
+def kalman_inflate(state_t[:, ::1] states not None,
+                   const double[:, :, :] sigmas not None, lags not None):
+    """Inflate the covariance of thresholds by the error that a wrong lag caused.
+
+    sigmas (2, h, w) are the priors' standard deviations of theta_on and of theta_off.
+    lags is ((hz, hz per intensity) before, the same from now on, share of a pixel's
+    light at which the lag counts, us by which frames move, us between frames).
+    """
+    cdef Py_ssize_t y, x
+    cdef double hz_before, slope_before, hz, slope, share, moved_us, frame_us
+    cdef double light, error, on, off, sigma_on, sigma_off
+    cdef state_t* s
+    (hz_before, slope_before), (hz, slope), share, moved_us, frame_us = lags
+    if (sigmas.shape[0] != 2 or sigmas.shape[1] != states.shape[0]
+            or sigmas.shape[2] != states.shape[1]):
+        raise ValueError("kalman_inflate: sigmas must be (2, h, w)")
+    if not frame_us > 0.0:
+        raise ValueError("kalman_inflate: frames must be apart")
+    slope_before *= share
+    slope *= share
+    with nogil:
+        for y in range(states.shape[0]):
+            for x in range(states.shape[1]):
+                s = &states[y, x]
+                light = exp_f(<float>s.base)
+                error = 1e6 * fabs(lag_of(hz, slope, light) - lag_of(
+                    hz_before, slope_before, light) + 1e-6 * moved_us)
+                error = 2.0 * error / frame_us
+                sigma_on, sigma_off = sigmas[0, y, x], sigmas[1, y, x]
+                on = share_of(error, s.prior_on, sigma_on)
+                off = share_of(error, s.prior_off, sigma_off)
+                s.var_on = (1.0 - on) * s.var_on + on * (sigma_on * sigma_on)
+                s.var_off = (1.0 - off) * s.var_off + off * (sigma_off * sigma_off)
+                on = sqrt(1.0 - on)
+                off = sqrt(1.0 - off)
+                s.theta_on = s.prior_on + on * (s.theta_on - s.prior_on)
+                s.theta_off = s.prior_off + off * (s.theta_off - s.prior_off)
+                s.cov_base_on *= on
+                s.cov_base_off *= off
+                s.cov_on_off = s.cov_on_off * on * off

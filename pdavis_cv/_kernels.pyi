@@ -45,6 +45,7 @@ __all__ = [
     "guided",
     "hue_bgr",
     "kalman_frame",
+    "kalman_inflate",
     "kalman_read",
     "kalman_rest",
     "kalman_samples",
@@ -223,6 +224,10 @@ def kalman_frame(
     model: _Pair, tracks: NDArray[Any], states: NDArray[Any], innovations: _F64,
     nodes: NDArray[Any], middles: _F32, bands: tuple[int, int, int],
     team: tuple[int, bool],
+) -> None: ...
+def kalman_inflate(
+    states: NDArray[Any], sigmas: NDArray[np.float64], lags: tuple[
+        tuple[float, float], tuple[float, float], float, float, float],
 ) -> None: ...
 def kalman_read(
     t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],

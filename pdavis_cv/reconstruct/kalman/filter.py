@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -79,10 +78,6 @@ change of 0.04 per frame, which frames measure better than interpolation does.""
 # Committed events are kept for KEEP_US and for at least twice the longest exposure.
 # Until the first frame shows how late frames arrive, half a second is kept.
 KEEP_US, _FIRST_KEEP_US = 100_000, 500_000
-_DIM_SHARE = 0.12
-"""Fraction of a pixel's brightest light at which its lag is evaluated.  The lag goes as
-1 / light, and log intensity changes fastest in dim light: weighted by the squared slope
-of ln(1 + 0.9 cos), the mean square lag is that at 0.12 of the brightest light."""
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 # Rows of the sensor that are processed together by updates of the whole state.
 _BAND = 32
@@ -261,7 +256,7 @@ class KalmanFilter(Reconstructor):
         """Reset the thresholds of all states, and their covariance, to the prior."""
         on, off, *sigmas = (np.broadcast_to(each, self.shape) for each in (
             self._theta_on, self._theta_off, *self._sigma))
-        for first in range(0, self.shape[0], _BAND):    # as in `inflate_for_lag`
+        for first in range(0, self.shape[0], _BAND):    # they fit into the cache
             rows = slice(first, first + _BAND)
             states = self._states[rows]
             for part, theta, sigma in zip(
@@ -291,18 +286,17 @@ class KalmanFilter(Reconstructor):
                 "retune takes bandwidth, noise, refractory_us, jitter_us, ratio_sigma, "
                 "theta_on, theta_off, threshold_sigma and frames_moved_us, got "
                 f"{', '.join(sorted(unknown))}")
-        before, moved_us = self._lags(), learned.get("frames_moved_us", 0)
+        before, moved_us = self._bandwidth, learned.get("frames_moved_us", 0)
         if "threshold_sigma" in learned:
             spread, self._sigma = self._sigma, checked_threshold_sigma(
                 learned["threshold_sigma"], self.shape)
             change_spread(self._states, spread, self._sigma)
         if "bandwidth" in learned:
             self._bandwidth = checked_bandwidth(learned["bandwidth"])
-        if moved_us or "bandwidth" in learned:
-            lag_us = 1e6 * np.abs(self._lags() - before + 1e-6 * moved_us)
-            if self._interval_us:       # thresholds have been learned
-                inflate_for_lag(
-                    self._states, self._sigma, 2 * lag_us / self._interval_us)
+        # Without an interval no threshold has been learned.
+        if (moved_us or "bandwidth" in learned) and self._interval_us:
+            inflate_for_lag(self._states, self._sigma, before, self._bandwidth,
+                            moved_us, self._interval_us)
         if moved_us:
             if self._interval_us:
                 inflate_for_stamps(self._states, moved_us / self._interval_us)
@@ -335,12 +329,6 @@ class KalmanFilter(Reconstructor):
             self._jitter_us = checked_duration("jitter_us", learned["jitter_us"])
         self._tune()
         self._changed()
-
-    def _lags(self) -> NDArray[np.float64]:
-        """Return each pixel's photoreceptor lag in dim light, s; 0: no lag."""
-        light = self.intensity(self._states["base"].astype(np.float32))
-        hz = self._bandwidth[0] + self._bandwidth[1] * _DIM_SHARE * light.astype(float)
-        return np.divide(1 / math.tau, hz, out=np.zeros(self.shape), where=hz > 0)
 
     def _changed(self) -> None:
         """Invalidate everything cached from the state."""
