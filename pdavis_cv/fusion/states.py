@@ -29,6 +29,7 @@ __all__ = ["ArrivalState", "Call", "CallRecorder", "InOrderState", "ReplayState"
            "StateTransfer", "make_state"]
 
 Camera = SelfCalibration | DeferredCamera
+"""What is fed the same data as the method; deferred in real time."""
 
 Call = tuple[str, tuple[Any, ...]]
 """A recorded method call: the method's name and its arguments."""
