@@ -6,6 +6,26 @@ import pdavis_cv.live.address
 import pdavis_cv.recording.open
 import pdavis_cv.tools.fan
 from pdavis_cv import live, recording, tools
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+METHODS = [{"method": name} for name in pdavis_cv.METHODS] + [
+    {"method": "events", "offsets": "redundancy"}]
+"""Options of every method."""
+
+
+def turning_polarizer():
+    """Return a second of a polarizer that turns, with frames, of 8x8 pixels."""
+    camera = Camera.preset("realistic", seed=4, size=(8, 8))
+    return camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.0)[0]
+
+
+def assert_same(images, others):
+    """Assert that two sequences of images are equal to the bit."""
+    assert len(images) == len(others) > 5
+    for one, two in zip(images, others, strict=True):
+        assert (one.t_us, one.frame_us) == (two.t_us, two.frame_us)
+        np.testing.assert_array_equal(one.quad, two.quad)
+        np.testing.assert_array_equal(one.valid, two.valid)
 
 
 def random_events(n, shape, *, seed=0, start_us=0, stop_us=1_000_000, read_only=True):

@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 import pytest
-from streams import random_events, random_frame
+from streams import METHODS, assert_same, random_events, random_frame, turning_polarizer
 
 import pdavis_cv
 from pdavis_cv import (
@@ -34,18 +34,14 @@ from pdavis_cv.live.replay import PIECE_US, ReplaySource, pieces
 from pdavis_cv.live.statistics import Patience
 from pdavis_cv.reconstruct.frames import FrameHold
 from pdavis_cv.recording.files import ProblemLog
-from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "fps": 60}
-METHODS = [{"method": name} for name in pdavis_cv.METHODS] + [
-    {"method": "events", "offsets": "redundancy"}]
 PATIENCE_S = 60     # longer than a loaded machine takes; nothing is asserted of time
 
 
 @pytest.fixture(scope="module")
 def recording():
-    camera = Camera.preset("realistic", seed=4, size=(8, 8))
-    return camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.0)[0]
+    return turning_polarizer()
 
 
 def device(recording, *, speed=0.0, realtime=None, faults=None, **options):
@@ -53,14 +49,6 @@ def device(recording, *, speed=0.0, realtime=None, faults=None, **options):
     if realtime is not None:
         source.realtime = realtime
     return source if faults is None else FaultySource(source, faults)
-
-
-def assert_same(images, others):
-    assert len(images) == len(others) > 5
-    for one, two in zip(images, others, strict=True):
-        assert (one.t_us, one.frame_us) == (two.t_us, two.frame_us)
-        np.testing.assert_array_equal(one.quad, two.quad)
-        np.testing.assert_array_equal(one.valid, two.valid)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")     # long windows of a network

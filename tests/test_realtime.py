@@ -1,8 +1,7 @@
 """Fusion in real time: what is done while data are waited for, and what is put off."""
-import numpy as np
 import pytest
+from streams import METHODS, assert_same, turning_polarizer
 
-import pdavis_cv
 from pdavis_cv import Layout, fuse
 from pdavis_cv._workers import SpareTime
 from pdavis_cv.fusion import FusionOptions
@@ -11,19 +10,15 @@ from pdavis_cv.fusion.online_learning import DeferredCamera, OnlineLearning
 from pdavis_cv.live.replay import PIECE_US, ReplaySource
 from pdavis_cv.reconstruct.frames import FrameHold
 from pdavis_cv.reconstruct.kalman import KalmanFilter
-from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "fps": 60,
            "causal": True}
-METHODS = [{"method": name} for name in pdavis_cv.METHODS] + [
-    {"method": "events", "offsets": "redundancy"}]
 PATIENCE_S = 60     # longer than a loaded machine takes; nothing is asserted of time
 
 
 @pytest.fixture(scope="module")
 def recording():
-    camera = Camera.preset("realistic", seed=4, size=(8, 8))
-    return camera.record(RotatingPolarizer(rpm=202.6, start_angle=0.3), 1.0)[0]
+    return turning_polarizer()
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")     # long windows of a network
@@ -42,12 +37,7 @@ def test_frames_that_are_used_while_waiting_change_no_bit(
         return future
 
     monkeypatch.setattr(OnlineLearning, "_started", at_once)
-    images = list(fuse(source, **options))
-    assert len(images) == len(expected) > 50
-    for one, other in zip(images, expected, strict=True):
-        assert (one.t_us, one.frame_us) == (other.t_us, other.frame_us)
-        np.testing.assert_array_equal(one.quad, other.quad)
-        np.testing.assert_array_equal(one.valid, other.valid)
+    assert_same(list(fuse(source, **options)), expected)
 
 
 def longest_delay_us(recording, realtime):

@@ -357,8 +357,9 @@ class Fusion:
     def _reaches(self, t: int) -> bool:
         """Return whether the source has a sample at or after t.
 
-        In real time, frames are fed while it is waited for: to use one takes longer
-        than to make an image, which would come so much later.
+        In real time, frames are fed while that sample is waited for.  To use a frame
+        takes several times as long as to make an image: used at t only, it would delay
+        the image at t by that.
         """
         assert self._feed is not None
         if self._spare is None or not self.options.causal:

@@ -46,14 +46,15 @@ _SIGMAS = 3.0
 """Least change of the refractory period that is applied, in standard errors."""
 
 _LATE_FRAMES = 2
-"""Most frames that a `DeferredCamera` keeps, so that memory is bounded."""
+"""Most frames that a `DeferredCamera` keeps, with the events before them, where images
+are rarer than frames."""
 
 
 class DeferredCamera:
     """Keeps what a self-calibration is fed until there is time for it.
 
-    In real time, an image that a frame delays would wait for the self-calibration, too,
-    which it does not depend on.
+    An image does not depend on it.  In real time, an image that waits until a frame has
+    been used would wait for the self-calibration to take that frame as well.
 
     Parameters
     ----------
