@@ -96,7 +96,7 @@ def test_a_recording_plays_to_its_end_and_seeks_back(page):
 def test_colours_on_the_page_are_those_of_the_pictures(page, served):
     page.keyboard.press("4")
     until(page, "document.querySelector('#pane-events')?.width === 24")
-    _, image = served.show.latest(0, 1)
+    _, image = served.site.show.latest(0, 1)
     for name in ("s0", "aop", "dolp", "events"):
         found = page.evaluate("""name => {
             const canvas = document.getElementById('pane-' + name);
@@ -104,7 +104,7 @@ def test_colours_on_the_page_are_those_of_the_pictures(page, served):
                 0, 0, canvas.width, canvas.height).data];
         }""", name)
         shown = np.array(found).reshape(16, 24, 4)
-        picture = pane(name, served.show, image)[..., ::-1].astype(int)
+        picture = pane(name, served.site.show, image)[..., ::-1].astype(int)
         # A part in 255 of a turn of hue is six of its colours, of the ramp at most 7.
         most = 7 if name in ("aop", "dolp") else 0
         assert np.abs(shown[..., :3] - picture).max() <= most
@@ -166,7 +166,7 @@ def test_without_its_token_the_page_is_refused(browser, recording, threads_ended
         page.set_default_timeout(PATIENCE_MS)
         here = f"http://127.0.0.1:{running.port}/"
         assert page.goto(here).status == 403
-        page.goto(here + "?token=" + running.token)
+        page.goto(here + "?token=" + running.site.token)
         drawn(page, 1)
     # What a refused client still sends is received for up to a second.
     assert threads_ended(10)
@@ -179,7 +179,7 @@ def test_the_page_works_over_tls(browser, recording, tmp_path):
                ) as running, browser.new_page(ignore_https_errors=True) as page:
         page.set_default_timeout(PATIENCE_MS)
         assert page.goto(
-            f"https://127.0.0.1:{running.port}/?token={running.token}").ok
+            f"https://127.0.0.1:{running.port}/?token={running.site.token}").ok
         drawn(page, 1)
         page.keyboard.press("ArrowRight")
         drawn(page, 2)

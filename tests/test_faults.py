@@ -12,7 +12,7 @@ from pdavis_cv.simulation import (
     RotatingPolarizer,
     VideoScene,
 )
-from pdavis_cv.simulation.specimens import POPULATIONS, Range
+from pdavis_cv.simulation.populations import POPULATIONS, Range
 
 
 def events_and_frames(scene, seconds=0.2, **faults):

@@ -13,7 +13,7 @@ from pdavis_cv import (
     open_recording,
     recording_from_arrays,
 )
-from pdavis_cv.recording.files import FileReader
+from pdavis_cv.recording.file_reader import FileReader
 
 SIZE = (12, 16)
 

@@ -1,5 +1,6 @@
 """The direction of dependencies: a room imports from lines below its own."""
 import ast
+import graphlib
 from pathlib import Path
 
 import pytest
@@ -32,40 +33,57 @@ MODULES = sorted(
     for path in (ROOT / folder).rglob("*.py"))
 
 
-def room_of(path):
-    parts = path.relative_to(ROOT).parts
-    if parts[0] != "pdavis_cv":
-        return parts[0]
-    return parts[1].removesuffix(".py") if parts[1] != "__init__.py" else None
+def module_of(path):
+    """Return the name under which a file is imported."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = parts if parts[0] == "pdavis_cv" else ("pdavis_cv", *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imported_rooms(tree):
-    """Yield (line number, room) of each import of ours, lazy names resolved."""
+def room_of(module):
+    return module.split(".")[1] if "." in module else None
+
+
+NAMES = {module_of(path) for path in MODULES}
+
+
+def imported(tree, module="pdavis_cv", is_package=True):
+    """Yield (line number, module) of each import of ours, lazy names resolved."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name.startswith("pdavis_cv."):
-                    yield node.lineno, alias.name.split(".")[1]
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            parts = (node.module or "").split(".")
-            if parts[0] != "pdavis_cv":
+                    yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            source = node.module or ""
+            if node.level:
+                above = module.split(".") + [""] * is_package
+                source = ".".join([*above[:-node.level], source]).rstrip(".")
+            if source.split(".")[0] != "pdavis_cv":
                 continue
             for alias in node.names:
-                if len(parts) > 1:
-                    yield node.lineno, parts[1]
-                elif alias.name in pdavis_cv._HOME:
-                    yield node.lineno, pdavis_cv._HOME[alias.name].split(".")[0]
+                whole = f"{source}.{alias.name}"
+                if source == "pdavis_cv" and alias.name in pdavis_cv._HOME:
+                    yield node.lineno, f"pdavis_cv.{pdavis_cv._HOME[alias.name]}"
+                elif source != "pdavis_cv" and whole not in NAMES:
+                    yield node.lineno, source
                 elif alias.name != "__version__":
-                    yield node.lineno, alias.name
+                    yield node.lineno, whole
+
+
+def imports_of(path):
+    yield from imported(ast.parse(path.read_text()), module_of(path),
+                        path.name == "__init__.py")
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_point_down(path):
-    room = room_of(path)
+    room = room_of(module_of(path))
     if room is None:
         return  # the package's own table of names
     assert room in LINE, f"{room} stands in no line of the table"
-    for number, other in imported_rooms(ast.parse(path.read_text())):
+    for number, other in imports_of(path):
+        other = room_of(other)
         assert other in LINE, f"{path.name}:{number} imports unknown room {other}"
         assert LINE[other] >= LINE[room], (
             f"{path.name}:{number}: {room} imports {other}, which stands above it")
@@ -80,11 +98,26 @@ def test_imports_are_absolute(path):
     assert not relative, f"{path.name}: relative imports in lines {relative}"
 
 
-def test_the_check_sees_an_upward_import():
+def test_no_modules_of_a_room_import_each_other():
+    inside = {}
+    for path in MODULES:
+        module = module_of(path)
+        inside[module] = {other for _, other in imports_of(path)
+                          if room_of(other) == room_of(module) and other != module}
+    graphlib.TopologicalSorter(inside).prepare()    # CycleError names the modules
+
+
+def test_the_check_sees_upward_and_circular_imports():
     tree = ast.parse("from pdavis_cv import recording_from_arrays, calibration\n"
                      "import pdavis_cv.fusion")
-    assert [room for _, room in imported_rooms(tree)] == [
+    assert [room_of(module) for _, module in imported(tree)] == [
         "recording", "calibration", "fusion"]
+    tree = ast.parse("from .report import summary\nfrom .._common import command\n"
+                     "from . import video")
+    assert [module for _, module in imported(
+        tree, "pdavis_cv.tools.tendon.command", is_package=False)] == [
+        "pdavis_cv.tools.tendon.report", "pdavis_cv.tools._common",
+        "pdavis_cv.tools.tendon.video"]
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "_kernels").glob("*.p[yx][xd]")),

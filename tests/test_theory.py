@@ -8,7 +8,7 @@ from pdavis_cv import Sensor
 from pdavis_cv.reconstruct.cf import GAIN_FLOOR
 from pdavis_cv.selfcal.priors import LEAK_HZ
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, THRESHOLD_SIGMA
-from pdavis_cv.simulation.specimens import POPULATIONS
+from pdavis_cv.simulation.populations import POPULATIONS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGES = sorted((DOCS / "theory").glob("*.md"))

@@ -168,7 +168,7 @@ def test_the_viewer_encrypts_and_still_asks_for_its_token(
     with serve(recording, host="0.0.0.0", port=0, context=context) as running:
         assert running.url.startswith("https://0.0.0.0:")
         assert asked(running, browser)[0] == 403
-        status, body = asked(running, browser, f"/status?token={running.token}")
+        status, body = asked(running, browser, f"/status?token={running.site.token}")
         assert (status, json.loads(body)["live"]) == (200, False)
         # Who speaks no TLS, or says nothing, is hung up on and keeps nobody waiting.
         with socket.create_connection(("127.0.0.1", running.port)) as silent, (
@@ -177,7 +177,8 @@ def test_the_viewer_encrypts_and_still_asks_for_its_token(
             plain.settimeout(PATIENCE_S)
             with contextlib.suppress(ConnectionResetError):
                 assert b"HTTP" not in plain.recv(100)
-            assert asked(running, browser, f"/status?token={running.token}")[0] == 200
+            page = asked(running, browser, f"/status?token={running.site.token}")
+            assert page[0] == 200
             assert silent.fileno() >= 0
         with pytest.raises(ssl.SSLError, match="certificate verify failed"):
             asked(running, ssl.create_default_context(

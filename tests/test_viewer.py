@@ -21,7 +21,7 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
-from pdavis_cv.viewer import handler, server
+from pdavis_cv.viewer import handler, server, site
 from pdavis_cv.viewer.panes import NONE, palettes, pane, planes, values
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "method": "cf"}
@@ -100,7 +100,7 @@ def test_a_frame_holds_the_planes_and_values_of_its_image(served, recording):
     image = image_at(recording, told["t_us"])
     assert list(found) == ["uncertainty", "aop", "s0", "dolp"]
     np.testing.assert_array_equal(
-        found["s0"], pane("s0", served.show, image)[..., 0])
+        found["s0"], pane("s0", served.site.show, image)[..., 0])
     np.testing.assert_array_equal(found["dolp"] == NONE, ~image.valid)
     np.testing.assert_array_equal(found["uncertainty"], NONE)     # cf gives none
     assert told["values"] == json.loads(json.dumps(values(image, (2, 1, 4, 3))))
@@ -158,7 +158,7 @@ def test_a_file_plays_seeks_and_steps(served, recording):
     assert told["t_us"] == first + round(5 * 1e6 / 60)
     image = image_at(recording, told["t_us"])
     np.testing.assert_array_equal(
-        pictures["aop"], planes(["aop"], served.show, image)["aop"])
+        pictures["aop"], planes(["aop"], served.site.show, image)["aop"])
     assert command(served, "step", 1)[1]["index"] == 6
     assert command(served, "step", -2)[1]["index"] == 4
     assert command(served, "speed", 100)[1]["speed"] == 100
@@ -171,7 +171,7 @@ def test_a_file_plays_seeks_and_steps(served, recording):
 
 
 def test_a_seek_that_follows_the_last_image_is_not_played_on_from(served):
-    show = served.show
+    show = served.site.show
     number, _ = show.latest(0, PATIENCE_S)
     last = number + show.status()["count"] - 1
     show.command("speed", 0.5)              # 33 ms after the last image: none is due
@@ -230,7 +230,7 @@ def test_cv2_reads_the_stream(served, recording):
     assert capture.isOpened()
     ok, picture = capture.read()
     capture.release()
-    shown = pane("aop_bgr", served.show, served.show.latest(0, 1)[1])
+    shown = pane("aop_bgr", served.site.show, served.site.show.latest(0, 1)[1])
     assert ok
     assert picture.shape == shown.shape
     # 4:4:4: colours at half the size would be far off on this picture.
@@ -461,7 +461,7 @@ def test_more_connections_than_there_may_be_are_closed(served):
 
 def test_a_ninth_client_is_told_that_there_is_no_place(served):
     with contextlib.ExitStack() as stack:
-        for _ in range(server.MOST_CLIENTS):
+        for _ in range(site.MOST_CLIENTS):
             link = stack.enter_context(contextlib.closing(
                 http.client.HTTPConnection("127.0.0.1", served.port)))
             link.request("GET", "/stream.mjpg")
@@ -472,10 +472,10 @@ def test_a_ninth_client_is_told_that_there_is_no_place(served):
 
 def places(running):
     free = []
-    while running.clients.acquire(blocking=False):
+    while running.site.clients.acquire(blocking=False):
         free.append(1)
     for _ in free:
-        running.clients.release()
+        running.site.clients.release()
     return len(free)
 
 

@@ -20,7 +20,8 @@ from typing import Any
 
 from pdavis_cv.batch.jobs import Job, Work
 from pdavis_cv.batch.pools import Pool, pool_factory
-from pdavis_cv.batch.results import DONE, FAILED, Claim, Results, results_at
+from pdavis_cv.batch.results import DONE, FAILED, Claim, Results
+from pdavis_cv.batch.stored import results_at
 from pdavis_cv.batch.table import Table
 from pdavis_cv.batch.worker import Row, failed_row, perform
 from pdavis_cv.batch.works import work_of

@@ -21,7 +21,7 @@ try:
 except ImportError:  # Windows: two runs at the same time may both do a job
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["DONE", "FAILED", "Claim", "Results", "results_at"]
+__all__ = ["DONE", "FAILED", "Claim", "Results"]
 
 DONE, FAILED = "done", "failed"
 _BLOCK = 1 << 20
@@ -238,16 +238,3 @@ def _digest(files: list[Path]) -> str:
             while block := file.read(_BLOCK):
                 digest.update(block)
     return digest.hexdigest()
-
-
-def results_at(out: str | os.PathLike[str]) -> Results:
-    """Return the results at a path or URL.
-
-    Parameters
-    ----------
-    out : path
-    """
-    if is_remote(out):
-        from pdavis_cv.batch.stored import StoredResults
-        return StoredResults(str(out))
-    return Results(out)

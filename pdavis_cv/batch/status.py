@@ -7,7 +7,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from pdavis_cv.batch.results import DONE, FAILED, Results, results_at
+from pdavis_cv.batch.results import DONE, FAILED, Results
+from pdavis_cv.batch.stored import results_at
 
 __all__ = ["Status", "status"]
 

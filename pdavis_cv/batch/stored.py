@@ -4,16 +4,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from pdavis_cv._remote import RemotePath
+from pdavis_cv._remote import RemotePath, is_remote
 from pdavis_cv.batch.results import Claim, Results
 from pdavis_cv.export.files import plain
 
-__all__ = ["StoredResults"]
+__all__ = ["StoredResults", "results_at"]
 
 
 class StoredResults(Results):
@@ -98,3 +99,13 @@ class StoredResults(Results):
         for name in self._at(".batch/runs").below():
             with contextlib.suppress(OSError):      # the run has just ended
                 yield json.loads(self._read(f".batch/runs/{name}"))
+
+
+def results_at(out: str | os.PathLike[str]) -> Results:
+    """Return the results at a path or URL.
+
+    Parameters
+    ----------
+    out : path
+    """
+    return StoredResults(str(out)) if is_remote(out) else Results(out)

@@ -19,7 +19,8 @@ import numpy as np
 
 import pdavis_cv
 from pdavis_cv.batch.jobs import Job, changed_options, describe
-from pdavis_cv.batch.results import DONE, FAILED, results_at
+from pdavis_cv.batch.results import DONE, FAILED
+from pdavis_cv.batch.stored import results_at
 from pdavis_cv.errors import PdavisError, PdavisWarning
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.open import open_recording

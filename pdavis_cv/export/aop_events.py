@@ -23,7 +23,8 @@ from pdavis_cv.recording.aedat4.writer import (
     Aedat4Writer,
 )
 from pdavis_cv.recording.base import ApsFrame, Packet
-from pdavis_cv.recording.files import FileReader, ProblemLog
+from pdavis_cv.recording.file_reader import FileReader
+from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.timeline import Timeline
 from pdavis_cv.sensor import Layout
 

@@ -1,11 +1,10 @@
-"""Base of file readers: opening, closing, positioned reads and problems."""
+"""Base of file readers: opening, closing, checked events and problems."""
 from __future__ import annotations
 
 import dataclasses
 import os
 import threading
 import warnings
-import weakref
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import ExitStack
@@ -19,142 +18,12 @@ from pdavis_cv import _kernels
 from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
+from pdavis_cv.recording.file_reader import FileReader, RemoteReader
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.timeline import BACKWARD, FILLED, OFFSET, OUTSIDE, Clock
 from pdavis_cv.sensor import Layout
 
-__all__ = ["FileReader", "FileRecording", "ProblemLog", "clock_text"]
-
-
-class FileReader:
-    """A file that several threads may read at any position.
-
-    It is closed when it is garbage-collected.
-
-    Parameters
-    ----------
-    path : path
-    descriptor : int, optional
-        Descriptor of an open file, which `close` closes; `path` is then only a name.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be opened.
-    """
-
-    def __init__(
-        self, path: str | os.PathLike[str], descriptor: int | None = None
-    ) -> None:
-        self.path = Path(path)
-        flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
-        try:
-            self._descriptor = (
-                os.open(self.path, flags) if descriptor is None else descriptor)
-        except OSError as error:
-            raise RecordingError(
-                f"{path}: cannot be opened: {error.strerror}") from error
-        self._close = weakref.finalize(self, os.close, self._descriptor)
-        self._lock = threading.Lock()
-        self.size = os.fstat(self._descriptor).st_size
-
-    def read(self, offset: int, size: int) -> bytes:
-        """Return size bytes from offset on; fewer only at the end of the file.
-
-        Raises
-        ------
-        ValueError
-            If the recording was closed.
-        RecordingError
-            If the file cannot be read.
-        """
-        if not self._close.alive:
-            raise ValueError(f"{self.path.name}: recording is closed")
-        if offset < 0 or size <= 0:
-            return b""
-        size = min(size, max(self.size - offset, 0))
-        parts = []
-        try:
-            while size > 0:
-                part = self._pread(size, offset)
-                if not part:
-                    break
-                parts.append(part)
-                offset, size = offset + len(part), size - len(part)
-        except OSError as error:
-            raise self._unreadable(offset, error) from error
-        return parts[0] if len(parts) == 1 else b"".join(parts)
-
-    def read_into(self, offset: int, buffer: memoryview) -> int:
-        """Read bytes from offset on into a buffer; return their number.
-
-        Reusing memory is faster than allocating it for each read.  Raises the errors of
-        `read`.
-        """
-        if not hasattr(os, "preadv"):
-            data = self.read(offset, len(buffer))
-            buffer[:len(data)] = data
-            return len(data)
-        if not self._close.alive:
-            raise ValueError(f"{self.path.name}: recording is closed")
-        size, done = min(len(buffer), max(self.size - offset, 0)), 0
-        try:
-            while done < size:
-                part = os.preadv(self._descriptor, [buffer[done:size]], offset + done)
-                if not part:
-                    break
-                done += part
-        except OSError as error:
-            raise self._unreadable(offset + done, error) from error
-        return done
-
-    def _unreadable(self, offset: int, error: OSError) -> RecordingError:
-        return RecordingError(
-            f"{self.path}: byte {offset} cannot be read: {error.strerror}")
-
-    def _pread(self, size: int, offset: int) -> bytes:
-        if hasattr(os, "pread"):
-            return os.pread(self._descriptor, size, offset)
-        with self._lock:  # Windows has no positioned read
-            os.lseek(self._descriptor, offset, os.SEEK_SET)
-            return os.read(self._descriptor, size)
-
-    def close(self) -> None:
-        """Release the file."""
-        self._close()
-
-
-class RemoteReader(FileReader):
-    """An object in a store that several threads may read at any position, by ranges.
-
-    Parameters
-    ----------
-    path : RemotePath
-
-    Raises
-    ------
-    RecordingError
-        If it does not exist.
-    """
-
-    def __init__(self, path: RemotePath) -> None:
-        self.path: Any = path
-        try:
-            self.size = path.stat().st_size
-            self._block = path.ranges()
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be opened: {error}") from error
-        self._close: Any = weakref.finalize(self, self._block.cache_clear)
-
-    def read_into(self, offset: int, buffer: memoryview) -> int:
-        """Read bytes from offset on into a buffer; return their number."""
-        data = self.read(offset, len(buffer))
-        buffer[:len(data)] = data
-        return len(data)
-
-    def _pread(self, size: int, offset: int) -> bytes:
-        found: bytes = self.path.read(self._block, offset, size)
-        return found
+__all__ = ["FileRecording", "ProblemLog", "clock_text"]
 
 
 class ProblemLog:

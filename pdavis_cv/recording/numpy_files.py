@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._arrays import array_header
-from pdavis_cv.recording.files import FileReader
+from pdavis_cv.recording.file_reader import FileReader
 
 __all__ = ["StoredArray", "stored_arrays"]
 

@@ -6,15 +6,13 @@ events that are stored there.
 from __future__ import annotations
 
 from bisect import bisect_left
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.events import EVENT_DTYPE
-
-if TYPE_CHECKING:
-    from pdavis_cv.recording.files import FileReader
+from pdavis_cv.recording.file_reader import FileReader
 
 __all__ = ["Gathering", "Scratch"]
 

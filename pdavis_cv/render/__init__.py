@@ -2,25 +2,15 @@
 from pdavis_cv._opencv import opencv
 from pdavis_cv.render.chart import Line, chart
 from pdavis_cv.render.colours import (
-    DARK,
     FULL_COLOUR_DOLP,
     INVALID,
-    LIGHT,
     Picture,
-    Style,
     aop_bgr,
-    aop_legend,
-    bar_legend,
-    caption,
     dolp_bgr,
-    even,
     fade,
     grey_bgr,
-    panel,
-    stack,
-    tile,
 )
-from pdavis_cv.render.cyclic import cyclic_bgr, cyclic_legend
+from pdavis_cv.render.cyclic import cyclic_bgr
 from pdavis_cv.render.layouts import (
     fan_sheet,
     frames_and_fused,
@@ -28,6 +18,18 @@ from pdavis_cv.render.layouts import (
     quad_picture,
     summary,
     tendon_sheet,
+)
+from pdavis_cv.render.legends import (
+    DARK,
+    LIGHT,
+    Style,
+    aop_legend,
+    bar_legend,
+    caption,
+    even,
+    panel,
+    stack,
+    tile,
 )
 from pdavis_cv.render.overlay import (
     burn,
@@ -58,7 +60,6 @@ __all__ = [
     "caption",
     "chart",
     "cyclic_bgr",
-    "cyclic_legend",
     "dolp_bgr",
     "draw_polarization",
     "draw_scale_bar",

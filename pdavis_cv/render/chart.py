@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._opencv import opencv
-from pdavis_cv.render.colours import Picture, _text_width, caption
+from pdavis_cv.render.colours import Picture
+from pdavis_cv.render.legends import caption, text_width
 
 __all__ = ["Line", "chart"]
 
@@ -88,13 +89,13 @@ def chart(
     cv2.rectangle(picture, *frame, (90, 90, 90), 1)
     for value in (low, high):
         text = f"{value:.3g}"
-        caption(picture, text, _LEFT - 6 - _text_width(text),
+        caption(picture, text, _LEFT - 6 - text_width(text),
                 int(place(t0, value)[1]) + 5, 180)
     for end, text in ((t0, f"{t0:.3g}"), (t1, f"{t1:.3g} s")):
-        caption(picture, text, min(int(place(end, low)[0]), width - _text_width(text)),
+        caption(picture, text, min(int(place(end, low)[0]), width - text_width(text)),
                 height - 7, 180)
     caption(picture, title, _LEFT, 14)
-    x = _LEFT + _text_width(title) + 20
+    x = _LEFT + text_width(title) + 20
     for line in lines:
         t, v = np.asarray(line.t_s, np.float64), np.asarray(line.values, np.float64)
         seen = (t >= t0) & (t <= (t1 if now_s is None else min(now_s, t1)))

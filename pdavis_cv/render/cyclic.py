@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.render.colours import Picture, aop_legend, table_of, through_table
+from pdavis_cv.render.colours import Picture, table_of, through_table
 
-__all__ = ["cyclic_bgr", "cyclic_legend"]
+__all__ = ["cyclic_bgr"]
 
 _STEPS = 1024
 _LIGHTNESS, _CHROMA = 0.75, 0.124
@@ -62,20 +62,3 @@ def cyclic_bgr(
     """
     return through_table(
         _kernels.hue_bgr, aop, valid, _STEPS / np.pi, _TABLE, out=out)
-
-
-def cyclic_legend(radius: int, background: int = 0) -> Picture:
-    """Draw the half-turn wheel that explains `cyclic_bgr`; see `aop_legend`.
-
-    Parameters
-    ----------
-    radius : int
-        Outer radius in pixels.
-    background : int
-        Grey value around the ring.
-
-    Returns
-    -------
-    ndarray of uint8, shape (radius, 2 * radius, 3)
-    """
-    return aop_legend(radius, background, colours=cyclic_bgr)

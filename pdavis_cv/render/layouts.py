@@ -14,12 +14,10 @@ from pdavis_cv.render.colours import (
     Picture,
     aop_bgr,
     dolp_bgr,
-    even,
     fade,
     grey_bgr,
-    panel,
-    tile,
 )
+from pdavis_cv.render.legends import even, panel, tile
 from pdavis_cv.render.overlay import reliable
 from pdavis_cv.render.tone import ToneCurve
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pdavis_cv._checks import MOST_SIDE, sensor_shape, whole_number
 from pdavis_cv.events import as_events
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.render.colours import Picture, _text_width, caption
+from pdavis_cv.render.colours import Picture
+from pdavis_cv.render.legends import caption, text_width
 
 __all__ = ["burn", "draw_scale_bar", "events_on", "reliable", "scale_bar"]
 
@@ -136,10 +137,10 @@ def burn(picture: Picture, *lines: str, corner: str = "bottom left") -> Picture:
     result = np.ascontiguousarray(picture).copy()
     height, width = result.shape[:2]
     text_height = 16 * len(lines) + 4
-    text_width = max(map(_text_width, lines), default=0) + 8
+    text_columns = max(map(text_width, lines), default=0) + 8
     top = 0 if words[0] == "top" else max(0, height - text_height)
-    left = 0 if words[1] == "left" else max(0, width - text_width)
-    ground = result[top:top + text_height, left:left + text_width]
+    left = 0 if words[1] == "left" else max(0, width - text_columns)
+    ground = result[top:top + text_height, left:left + text_columns]
     ground[:] = ground // 3
     for i, line in enumerate(lines):
         caption(result, line, left + 4, top + 14 + 16 * i)
@@ -194,9 +195,9 @@ def draw_scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> None
     pixels = max(1, round(length / pixel_um * scale))
     right, bottom = width - 8, height - 8
     text = f"{length:g} um" if length < 1000 else f"{length / 1000:g} mm"
-    left = max(0, min(right - (pixels + _text_width(text)) // 2,
-                      width - _text_width(text) - 2))
-    wide = max(pixels, _text_width(text)) + 8
+    left = max(0, min(right - (pixels + text_width(text)) // 2,
+                      width - text_width(text) - 2))
+    wide = max(pixels, text_width(text)) + 8
     ground = picture[max(0, bottom - 24):, max(0, right - wide):]
     ground //= 3    # so that bar and text are visible on any colour
     picture[bottom - 3:bottom, right - pixels:right] = 235

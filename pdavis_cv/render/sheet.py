@@ -5,14 +5,14 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from pdavis_cv.render.colours import (
+from pdavis_cv.render.colours import Picture
+from pdavis_cv.render.legends import (
     DARK,
     LINE,
-    Picture,
     Style,
-    _text_width,
     caption,
     panel,
+    text_width,
     tile,
 )
 
@@ -91,7 +91,7 @@ class PanelSheet:
             BGR of even size; the `keep`-th call after this one overwrites it.
         """
         sizes = [picture.shape for picture in pictures]
-        width = max(_text_width(title) + 8, self._width)
+        width = max(text_width(title) + 8, self._width)
         if not title or not self._ring or sizes != self._sizes or (
                 width + width % 2 != self._ring[0][0].shape[1]):
             return self._composed(pictures, title)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +29,9 @@ from pdavis_cv.simulation.faults import EventFaults
 from pdavis_cv.simulation.film import Film
 from pdavis_cv.simulation.patterns import VideoScene
 from pdavis_cv.simulation.scenes import FloatArray, Scene, Stokes
+from pdavis_cv.simulation.specimen import Specimen
 from pdavis_cv.simulation.temperature import Conditions
 from pdavis_cv.simulation.truth import Truth
-
-if TYPE_CHECKING:
-    from pdavis_cv.simulation.camera import Camera
 
 __all__ = ["Piece", "SimulatedRecording"]
 
@@ -76,7 +74,7 @@ class SimulatedRecording(Recording):
     """
 
     def __init__(
-        self, camera: Camera, scene: Scene, stop_us: int, run: int = 0,
+        self, camera: Specimen, scene: Scene, stop_us: int, run: int = 0,
         threads: int = 1, step_us: float | None = None,
     ) -> None:
         self.camera, self.scene, self.stop_us = camera, scene, stop_us

@@ -13,16 +13,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.viewer.page import page
 from pdavis_cv.viewer.panes import PANES, archive, palettes, planes, values
+from pdavis_cv.viewer.site import Site
 from pdavis_cv.viewer.socket import accepted_key, binary, closing, received
-
-if TYPE_CHECKING:
-    from pdavis_cv.viewer.server import Server
 
 __all__ = ["Handler"]
 
@@ -105,9 +103,9 @@ class Handler(BaseHTTPRequestHandler):
     server: Any
 
     @property
-    def _owner(self) -> Server:
-        owner: Server = self.server.owner
-        return owner
+    def _site(self) -> Site:
+        site: Site = self.server.site
+        return site
 
     def setup(self) -> None:
         """Set up reading with a deadline."""
@@ -125,7 +123,7 @@ class Handler(BaseHTTPRequestHandler):
         until_s = time.monotonic() + LINGER_S
         with contextlib.suppress(OSError, ValueError):
             self.connection.shutdown(socket.SHUT_WR)
-            while not self._owner.closing.is_set() and (
+            while not self._site.closing.is_set() and (
                     left := until_s - time.monotonic()) > 0:
                 self.connection.settimeout(left)
                 if not self.connection.recv(1 << 16):
@@ -179,19 +177,19 @@ class Handler(BaseHTTPRequestHandler):
         """Refuse requests of other sites' pages and of clients without the token."""
         host = self.headers.get("Host", "")
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-        owner = self._owner
-        if owner.token is None:
+        site = self._site
+        if site.token is None:
             # Another site's name that resolves to this machine (DNS rebinding).
             if name not in _LOOPBACK_NAMES:
                 raise _Refused(403, f"Host must be this machine, got {host[:80]!r}")
         elif self.where not in _PUBLIC:
             bearer = self.headers.get("Authorization", "").removeprefix("Bearer ")
             given = self.query.get("token", bearer)
-            if not hmac.compare_digest(given.encode(), owner.token.encode()):
+            if not hmac.compare_digest(given.encode(), site.token.encode()):
                 raise _Refused(403, "token is wrong or missing")
         origin = self.headers.get("Origin")
-        if origin is not None and origin != f"{owner.scheme}://{host}":
-            raise _Refused(403, f"Origin must be {owner.scheme}://{host[:80]}, got "
+        if origin is not None and origin != f"{site.scheme}://{host}":
+            raise _Refused(403, f"Origin must be {site.scheme}://{host[:80]}, got "
                                 f"{origin[:80]!r}")
         # Requests for pictures that another site's page embeds have no Origin.
         foreign = self.headers.get("Sec-Fetch-Site") == "cross-site"
@@ -220,13 +218,13 @@ class Handler(BaseHTTPRequestHandler):
         self._send(page(name), kind)
 
     def _status(self) -> None:
-        told = self._owner.show.status()
+        told = self._site.show.status()
         if "palettes" in self.query:        # once for each page
             told["palettes"] = palettes()
         self._send(json.dumps(told).encode(), "application/json")
 
     def _snapshot(self) -> None:
-        _, image = self._owner.show.latest(0, POLL_S)
+        _, image = self._site.show.latest(0, POLL_S)
         if image is None:
             raise _Refused(503, "there is no image yet")
         self._send(archive(image), "application/octet-stream")
@@ -239,7 +237,7 @@ class Handler(BaseHTTPRequestHandler):
             "region": [_whole("region", part)
                        for part in self.query.get("region", "").split(",") if part]})
         with self._place():
-            number, image = self._owner.show.latest(asked.after, POLL_S)
+            number, image = self._site.show.latest(asked.after, POLL_S)
             self._send(b"".join(self._parts(asked, number, image)),
                        "application/octet-stream")
 
@@ -268,7 +266,7 @@ class Handler(BaseHTTPRequestHandler):
                 self.wfile.write(closing(str(error)))
 
     def _message(self) -> bytes | None:
-        if self._owner.closing.is_set():
+        if self._site.closing.is_set():
             return None
         self._deadline.until_s = time.monotonic() + PATIENCE_S
         return received(self._buffered)
@@ -277,16 +275,16 @@ class Handler(BaseHTTPRequestHandler):
         """Wait for an image; return None if the page sends a new request first."""
         due_s = time.monotonic() + POLL_S
         while True:
-            found = self._owner.show.latest(asked.after, LOOK_S)
+            found = self._site.show.latest(asked.after, LOOK_S)
             if found[1] is not None:
                 return found
             if self._heard():
                 return None
             left = due_s - time.monotonic()
-            if left <= 0 or self._owner.closing.is_set():
+            if left <= 0 or self._site.closing.is_set():
                 return found
-            if self._owner.show.over:       # `latest` returns at once
-                self._owner.closing.wait(min(left, LOOK_S))
+            if self._site.show.over:       # `latest` returns at once
+                self._site.closing.wait(min(left, LOOK_S))
 
     def _heard(self) -> bool:
         """Tell whether the client has sent something."""
@@ -304,7 +302,7 @@ class Handler(BaseHTTPRequestHandler):
         This is the length of a JSON text, the text, and the planes that it names, with
         one byte per pixel.
         """
-        show = self._owner.show
+        show = self._site.show
         told: dict[str, Any] = {"number": number, "id": asked.id, "planes": [],
                                 "status": show.status()}
         parts: list[bytes | memoryview] = []
@@ -329,7 +327,7 @@ class Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             sent = 0
             for number, image in self._images():
-                data = self._owner.picture(output, number, image)
+                data = self._site.picture(output, number, image)
                 if not sent:
                     self.send_response(200)
                     for name, value in _HEADERS.items():
@@ -346,17 +344,17 @@ class Handler(BaseHTTPRequestHandler):
 
     def _images(self) -> Iterator[tuple[int, Any]]:
         number, last = 0, None
-        while not self._owner.closing.is_set():
+        while not self._site.closing.is_set():
             due_s = time.monotonic() + POLL_S
-            number, image = self._owner.show.latest(number, POLL_S)
+            number, image = self._site.show.latest(number, POLL_S)
             if image is None:       # returned at once if the source has ended
-                self._owner.closing.wait(max(due_s - time.monotonic(), 0))
+                self._site.closing.wait(max(due_s - time.monotonic(), 0))
             last = last if image is None else image
             if last is not None:
                 yield number, last
 
     def _place(self) -> _Place:
-        return _Place(self._owner)
+        return _Place(self._site)
 
     def _command(self) -> None:
         kind = self.headers.get("Content-Type", "").partition(";")[0]
@@ -373,22 +371,22 @@ class Handler(BaseHTTPRequestHandler):
             raise ValueError("the body is nested too deeply") from None
         if not isinstance(asked, dict) or not isinstance(asked.get("do"), str):
             raise ValueError('the body must be {"do": name, "value": ...}')
-        self._owner.show.command(asked["do"], asked.get("value"))
+        self._site.show.command(asked["do"], asked.get("value"))
         self._status()
 
 
 class _Place:
     """Context manager that takes one of the places for clients that get pictures."""
 
-    def __init__(self, owner: Server) -> None:
-        self._owner = owner
+    def __init__(self, site: Site) -> None:
+        self._site = site
 
     def __enter__(self) -> None:
-        if not self._owner.clients.acquire(blocking=False):
+        if not self._site.clients.acquire(blocking=False):
             raise _Refused(503, "as many clients as there may be are being served")
 
     def __exit__(self, *exc: object) -> None:
-        self._owner.clients.release()
+        self._site.clients.release()
 
 
 @dataclass(frozen=True)

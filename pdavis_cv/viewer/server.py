@@ -10,16 +10,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from pdavis_cv.live import LOOPBACK
-from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.viewer.handler import PATIENCE_S, Handler
-from pdavis_cv.viewer.panes import jpeg, pane
 from pdavis_cv.viewer.show import Show, show_of
+from pdavis_cv.viewer.site import Site
 
 __all__ = ["PORT", "Server", "serve", "view"]
 
 PORT = 8346
-MOST_CLIENTS = 8
-"""Most pages and players that get pictures at the same time."""
 MOST_CONNECTIONS = 64
 """Most connections of any kind; further ones are closed at once."""
 
@@ -31,8 +28,8 @@ class _Listener(ThreadingHTTPServer):
     block_on_close = False
     request_queue_size = 64
 
-    def __init__(self, address: tuple[str, int], owner: Server) -> None:
-        self.owner = owner
+    def __init__(self, address: tuple[str, int], site: Site) -> None:
+        self.site = site
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__(address, Handler)
 
@@ -46,10 +43,10 @@ class _Listener(ThreadingHTTPServer):
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection in its own thread."""
         try:
-            if self.owner.context is not None:
+            if self.site.context is not None:
                 try:
                     request.settimeout(PATIENCE_S)
-                    request = self.owner.context.wrap_socket(request, server_side=True)
+                    request = self.site.context.wrap_socket(request, server_side=True)
                 except (OSError, ValueError):   # ssl.SSLError is an OSError
                     self.shutdown_request(request)
                     return
@@ -88,13 +85,8 @@ class Server:
         self, show: Show, host: str, port: int, token: str | None,
         context: ssl.SSLContext | None = None,
     ) -> None:
-        self.show, self.host, self.token = show, host, token
-        self.context = context
-        self.closing = threading.Event()
-        self.clients = threading.BoundedSemaphore(MOST_CLIENTS)
-        self._jpegs: dict[str, tuple[int, bytes]] = {}
-        self._encoding = threading.Lock()
-        self._listener = _Listener((host, port), self)
+        self.host, self.site = host, Site(show, token, context)
+        self._listener = _Listener((host, port), self.site)
         self.port = int(self._listener.server_address[1])
         self._thread = threading.Thread(
             target=self._listener.serve_forever, kwargs={"poll_interval": 0.1},
@@ -102,37 +94,24 @@ class Server:
         self._thread.start()
 
     @property
-    def scheme(self) -> str:
-        """Scheme of the page's address, http or https."""
-        return "http" if self.context is None else "https"
-
-    @property
     def url(self) -> str:
         """Address of the page, with its token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{self.scheme}://{host}:{self.port}/" + (
-            "" if self.token is None else f"?token={self.token}")
-
-    def picture(self, output: str, number: int, image: PolarFrame) -> bytes:
-        """Return a picture as JPEG, encoded once for all clients."""
-        with self._encoding:
-            known = self._jpegs.get(output)
-            if known is None or known[0] != number:
-                known = number, jpeg(pane(output, self.show, image))
-                self._jpegs[output] = known
-            return known[1]
+        token = self.site.token
+        return f"{self.site.scheme}://{host}:{self.port}/" + (
+            "" if token is None else f"?token={token}")
 
     def close(self) -> None:
         """Stop answering, and stop what is shown."""
-        self.closing.set()
+        self.site.closing.set()
         self._listener.shutdown()
         self._listener.server_close()
         self._thread.join()
-        self.show.close()
+        self.site.show.close()
 
     def wait(self) -> None:
         """Serve until `close` is called, or an interrupt."""
-        while not self.closing.wait(3600):
+        while not self.site.closing.wait(3600):
             pass
 
     def __enter__(self) -> Self:

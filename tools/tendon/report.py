@@ -9,15 +9,14 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pdavis_cv import analysis, render
 from pdavis_cv.export import write_beside
 
-if TYPE_CHECKING:
-    from .command import Findings, MeanStokes
+from .findings import Findings, MeanStokes
 
 __all__ = ["matplotlib", "summary", "write_report"]
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +11,7 @@ from pdavis_cv import EVENT_DTYPE, PolarFrame, Recording, render
 from pdavis_cv.mosaic import HALF_SIZE
 
 from .._images import tone_of
-
-if TYPE_CHECKING:
-    from .command import Findings
+from .findings import Findings
 
 __all__ = ["TendonSheet"]
 

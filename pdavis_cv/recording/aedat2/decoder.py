@@ -12,7 +12,8 @@ from pdavis_cv.aps import cds
 from pdavis_cv.errors import DamagedFileWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
-from pdavis_cv.recording.files import FileReader, ProblemLog
+from pdavis_cv.recording.file_reader import FileReader
+from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.packetise import Batch
 from pdavis_cv.recording.timeline import NEVER
 

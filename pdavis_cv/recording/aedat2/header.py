@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass, field
 
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.recording.files import FileReader
+from pdavis_cv.recording.file_reader import FileReader
 
 __all__ = ["CHIP_SIZES", "Header", "bias_currents", "read_header"]
 

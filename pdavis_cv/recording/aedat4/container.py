@@ -23,7 +23,8 @@ from pdavis_cv.recording.aedat4.flatbuffer import (
     Table,
     root_table,
 )
-from pdavis_cv.recording.files import FileReader, ProblemLog, clock_text
+from pdavis_cv.recording.file_reader import FileReader
+from pdavis_cv.recording.files import ProblemLog, clock_text
 
 __all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "Stream",
            "decompressed", "parsed_header"]

@@ -1,0 +1,314 @@
+"""Legends of the colour maps, text, and arrangements of several pictures.
+
+Only text needs OpenCV.
+"""
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv._opencv import opencv
+from pdavis_cv.render.colours import Picture, aop_bgr, dolp_bgr, fade, grey_bgr
+from pdavis_cv.render.cyclic import cyclic_bgr
+
+__all__ = [
+    "DARK",
+    "LIGHT",
+    "LINE",
+    "Style",
+    "aop_legend",
+    "bar_legend",
+    "caption",
+    "even",
+    "panel",
+    "stack",
+    "text_width",
+    "tile",
+]
+
+
+class Style(NamedTuple):
+    """Grey values of background and text around pictures, 0..255."""
+
+    ground: int
+    ink: int
+
+
+DARK = Style(0, 235)
+"""Light text on black, for screens."""
+LIGHT = Style(255, 20)
+"""Dark text on white, for print and slides."""
+
+LINE = 20
+"""Height of a line of text."""
+
+
+def aop_legend(
+    radius: int, background: int = 0, *,
+    colours: Callable[[ArrayLike], Picture] = aop_bgr, faded: bool = False,
+) -> Picture:
+    """Draw the half-turn wheel that explains `aop_bgr` or `cyclic_bgr`.
+
+    Parameters
+    ----------
+    radius : int
+        Outer radius in pixels; the ring is half as wide.
+    background : int
+        Grey value around the ring, 0..255.
+    colours : callable
+        Maps angles to colours.
+    faded : bool
+        Show DoLP too, as a disc that fades to the background in the middle.
+
+    Returns
+    -------
+    ndarray of uint8, shape (radius, 2 * radius, 3)
+        BGR; a pixel of the ring in direction a, seen from the middle of the bottom edge
+        and counted counter-clockwise from the right, has the colour of AoP a.
+    """
+    across, up, distance = _wheel_places(radius)
+    picture = np.full((radius, 2 * radius, 3), background, np.uint8)
+    ring = (distance <= radius) & (faded | (distance >= radius / 2))
+    wheel = colours(np.arctan2(up, across))
+    if faded:
+        fade(wheel, distance, top=radius, ground=background)
+    picture[ring] = wheel[ring]
+    return picture
+
+
+def _wheel_places(
+    radius: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return pixel centres relative to the middle of the bottom edge.
+
+    They are the offsets to the right and up, and the distance.
+    """
+    place = np.mgrid[:radius, :2 * radius].astype(np.float64)
+    up, across = radius - 0.5 - place[0], place[1] - radius + 0.5
+    return across, up, np.hypot(across, up)
+
+
+def bar_legend(width: int, height: int, *, kind: str = "dolp") -> Picture:
+    """Draw the bar that explains `dolp_bgr` or `grey_bgr`, from 0 to its end.
+
+    Parameters
+    ----------
+    width, height : int
+        Size in pixels.
+    kind : {"dolp", "grey"}
+        Which colours to show.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width, 3)
+        BGR.
+    """
+    ramp = np.broadcast_to(np.linspace(0, 1, width), (height, width))
+    return dolp_bgr(ramp) if kind == "dolp" else grey_bgr(ramp, 1.0)
+
+
+def panel(
+    picture: Picture, title: str, *, legend: str | None = None, start: str = "0",
+    end: str = "1", scale: int = 1, style: Style = DARK,
+) -> Picture:
+    """Put a title above a picture and the legend of its colours below it.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR.
+    title : str
+        One line.
+    legend : {"aop", "faded", "even", "dolp", "grey"}, optional
+        Quantity of the colours; ``"faded"`` and ``"even"`` are AoP by `aop_bgr` and
+        `cyclic_bgr`, faded by DoLP.
+    start, end : str
+        Values at the ends of the bar, e.g. ``"36 DN/ms"``; for a wheel, `end` is the
+        DoLP at the rim.
+    scale : int
+        Each pixel of the picture becomes a square of this side.
+    style : Style
+        `DARK` or `LIGHT`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR; W' = scale * W, at least the width that title and legend need.
+    """
+    if scale != 1:
+        picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
+    parts = [_line(title, style), picture]
+    if legend in ("aop", "faded", "even"):
+        parts.append(_aop_strip(legend, end, style))
+    elif legend is not None:
+        parts.append(_bar_strip(legend, start, end, style))
+    return stack(parts, style=style)
+
+
+def tile(
+    pictures: Sequence[Picture], *, columns: int, title: str = "", gap: int = 8,
+    style: Style = DARK,
+) -> Picture:
+    """Arrange pictures in rows of `columns`, under a common title.
+
+    Parameters
+    ----------
+    pictures : sequence of ndarray of uint8, shape (H, W, 3)
+        BGR; smaller ones are centred in the size of the largest.
+    columns : int
+        Number of pictures per row.
+    title : str
+        One line above all pictures.
+    gap : int
+        Pixels between and around the pictures.
+    style : Style
+        `DARK` or `LIGHT`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR; H' and W' are even, as video codecs require.
+    """
+    height = max(picture.shape[0] for picture in pictures)
+    width = max(picture.shape[1] for picture in pictures)
+    rows = -(-len(pictures) // columns)
+    columns = min(columns, len(pictures))
+    sheet = np.full(
+        (rows * (height + gap) + gap, columns * (width + gap) + gap, 3), style.ground,
+        np.uint8)
+    for i, picture in enumerate(pictures):
+        row, column = divmod(i, columns)
+        top = gap + row * (height + gap)
+        left = gap + column * (width + gap) + (width - picture.shape[1]) // 2
+        sheet[top:top + picture.shape[0], left:left + picture.shape[1]] = picture
+    if title:
+        sheet = stack([_line(title, style), sheet], style=style)
+    return even(sheet)
+
+
+def stack(
+    pictures: Sequence[Picture], gap: int = 0, *, style: Style = DARK
+) -> Picture:
+    """Stack pictures vertically, left-aligned.
+
+    Parameters
+    ----------
+    pictures : sequence of ndarray of uint8, shape (H, W, 3)
+        BGR, from top to bottom.
+    gap : int
+        Pixels between them.
+    style : Style
+        `DARK` or `LIGHT`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H', W', 3)
+        BGR; W' is the largest width.
+    """
+    width = max(picture.shape[1] for picture in pictures)
+    height = sum(picture.shape[0] + gap for picture in pictures) - gap
+    sheet = np.full((height, width, 3), style.ground, np.uint8)
+    top = 0
+    for picture in pictures:
+        sheet[top:top + picture.shape[0], :picture.shape[1]] = picture
+        top += picture.shape[0] + gap
+    return sheet
+
+
+def even(picture: NDArray[Any]) -> NDArray[Any]:
+    """Repeat the last row or column of a picture of odd height or width.
+
+    Video codecs silently drop such a row or column.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W) or (H, W, C)
+        Any image.
+
+    Returns
+    -------
+    ndarray
+        The picture itself if both sides are even.
+    """
+    height, width, *rest = picture.shape
+    if height % 2 == width % 2 == 0:
+        return picture
+    # np.pad takes as long as everything else for a picture.
+    padded = np.empty((height + height % 2, width + width % 2, *rest), picture.dtype)
+    padded[:height, :width] = picture
+    padded[height:, :width] = picture[-1:]
+    padded[:, width:] = padded[:, width - 1:width]
+    return padded
+
+
+def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int:
+    """Write text into a picture.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        BGR, C-contiguous; changed.
+    text : str
+        One line; not every OpenCV draws characters beyond ASCII.
+    x, y : int
+        Left end of the base line.
+    grey : int
+        Grey value of the text.
+
+    Returns
+    -------
+    int
+        Width of the text in pixels.
+    """
+    cv2 = opencv()
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+    cv2.putText(picture, text, (x, y), font, size, (grey, grey, grey), 1, cv2.LINE_AA)
+    return text_width(text)
+
+
+@functools.lru_cache(1024)
+def text_width(text: str) -> int:
+    """Return the width of a line of text in pixels."""
+    cv2 = opencv()
+    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)[0][0])
+
+
+def _line(text: str, style: Style = DARK) -> Picture:
+    strip = np.full((LINE, text_width(text) + 8, 3), style.ground, np.uint8)
+    caption(strip, text, 4, 14, style.ink)
+    return strip
+
+
+@functools.lru_cache
+def _aop_strip(kind: str, end: str, style: Style, radius: int = 30) -> Picture:
+    margin, middle = 40, 16 + radius
+    words = "" if kind == "aop" else f"DoLP 0 .. {end} at the rim"
+    width = max(2 * (radius + margin), text_width(words) + 8)
+    strip = np.full(
+        (radius + 20 + (LINE if words else 0), width, 3), style.ground, np.uint8)
+    strip[16:middle, margin:margin + 2 * radius] = aop_legend(
+        radius, style.ground, colours=cyclic_bgr if kind == "even" else aop_bgr,
+        faded=kind != "aop")
+    for text, x, y in (("180", margin - 28, middle), ("135", 24, 24),
+                       ("90", margin + radius - 7, 12), ("45", 100, 24),
+                       ("0 deg", margin + 2 * radius + 4, middle),
+                       (words, 4, middle + LINE - 2)):
+        caption(strip, text, x, y, style.ink)
+    return strip
+
+
+@functools.lru_cache
+def _bar_strip(
+    kind: str, start: str, end: str, style: Style, width: int = 120
+) -> Picture:
+    left = 10 + text_width(start)
+    strip = np.full(
+        (50, left + width + 12 + text_width(end), 3), style.ground, np.uint8)
+    strip[20:34, left:left + width] = bar_legend(width, 14, kind=kind)
+    caption(strip, start, 4, 31, style.ink)
+    caption(strip, end, left + width + 6, 31, style.ink)
+    return strip
