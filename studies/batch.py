@@ -4,22 +4,18 @@ python studies/batch.py workers    two workers against one, 16 recordings, kalma
 python studies/batch.py done       a second run of 200 done jobs
 python studies/batch.py memory     the parent's memory with 10,000 jobs
 python studies/batch.py warmup     what cf still knows of seconds ago: bits that differ
-python studies/batch.py tiles FILE two threads or processes on a recording: CPU time
 """
 from __future__ import annotations
 
 import argparse
 import os
 import resource
-import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import (
     Executor,
     Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
 )
 from pathlib import Path
 from typing import Any
@@ -30,14 +26,11 @@ from numpy.typing import NDArray
 from pdavis_cv import (
     FusionOptions,
     Layout,
-    PolarFrame,
     batch,
     fuse,
-    open_recording,
     recording_from_arrays,
     write_aedat4,
 )
-from pdavis_cv.data import example_recording
 from pdavis_cv.simulation import Camera, named_scene
 
 TURNS = 7       # interleaved; odd, for the median
@@ -143,67 +136,14 @@ def warmup(folder: Path) -> None:
               f"numbers differ, by {np.max(np.abs(late / whole - 1)):.1g} at most")
 
 
-def tiles(path: Path) -> None:
-    """Print time and bits of a recording by two threads or processes against none."""
-    with (open_recording(path) as recording, ProcessPoolExecutor(2) as processes,
-          ThreadPoolExecutor(2) as threads):
-        ways: dict[str, dict[str, Any]] = {
-            "none": {}, "threads": {"executor": threads, "tiles": 2},
-            "processes": {"executor": processes, "tiles": 2}}
-        for method in ("cf", "events", "frames", "kalman"):
-            options = FusionOptions(method=method, fps=100, layout="pdavis")
-            cpu: dict[str, list[float]] = {way: [] for way in ways}
-            wall: dict[str, list[float]] = {way: [] for way in ways}
-            for turn in range(TURNS + 1):
-                for way, more in ways.items():
-                    start, busy = time.perf_counter(), _busy(processes)
-                    _make(fuse(recording, options, **more))
-                    if turn:        # before, the pools start and import
-                        cpu[way].append(_busy(processes) - busy)
-                        wall[way].append(time.perf_counter() - start)
-            print(f"{method}: CPU {statistics.median(cpu['none']):.2f} s by none, wall "
-                  f"{statistics.median(wall['none']):.2f} s; "
-                  f"load {os.getloadavg()[0]:.1f}")
-            for way in ("threads", "processes"):
-                pairs = zip(fuse(recording, options),
-                            fuse(recording, options, **ways[way]), strict=True)
-                differ = [a.quad.tobytes() != b.quad.tobytes()
-                          or a.valid.tobytes() != b.valid.tobytes() for a, b in pairs]
-                overheads = [two / one - 1 for one, two in zip(
-                    cpu["none"], cpu[way], strict=True)]
-                low, high = np.quantile(overheads, (0.25, 0.75))
-                print(f"  two {way}: CPU {statistics.median(cpu[way]):.2f} s "
-                      f"({statistics.median(overheads):+.0%}, quartiles {low:+.0%} to "
-                      f"{high:+.0%}), wall {statistics.median(wall[way]):.2f} s; "
-                      f"{len(differ)} images, {sum(differ)} of them differ")
-
-
-def _busy(pool: ProcessPoolExecutor) -> float:
-    """Return the CPU time of this process and of a pool's so far, s (Linux)."""
-    return time.process_time() + sum(
-        int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
-        for pid in pool._processes)
-
-
-def _make(images: Iterable[PolarFrame]) -> None:
-    """Compute AoP, DoLP and S0 of images one after the other, as an export does."""
-    for image in images:
-        image.aop, image.dolp, image.s0  # noqa: B018
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run what is asked for; return 0."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=(*_STUDIES, "tiles"), nargs="?",
-                        default="memory")
-    parser.add_argument("file", nargs="?", default=example_recording(), type=Path)
-    parser.add_argument("--quick", action="store_true", help="a first look")
+    parser.add_argument("what", choices=tuple(_STUDIES), nargs="?", default="memory")
+    parser.add_argument("--quick", action="store_true", help="a first look: done")
     args = parser.parse_args(argv)
-    if args.quick or args.what == "tiles":
-        tiles(args.file)
-        return 0
     with tempfile.TemporaryDirectory() as folder:
-        _STUDIES[args.what](Path(folder))
+        _STUDIES["done" if args.quick else args.what](Path(folder))
     return 0
 
 

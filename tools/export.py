@@ -10,12 +10,10 @@ a .json file next to it.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     checked_out(args.out, args.file)
     if suffix not in (".npy", *_STACKS):
         render.opencv()  # report a missing package before the work
-    with contextlib.ExitStack() as pools, opened(args) as recording:
+    with opened(args) as recording:
         options = fuse_options(args, recording)
         if args.at is not None:
             if (args.start_us, args.stop_us, args.fps) != (None, None, None):
@@ -98,14 +96,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             at = start_of(recording) + round(args.at * 1e6)
             require_samples(recording, at)
             options |= {"fps": None, "times_us": [at]}
-        executor = None
-        if args.jobs > 1:   # threads: kernels release the GIL, and nothing is copied
-            executor = ThreadPoolExecutor(args.jobs)
-            pools.callback(executor.shutdown, cancel_futures=True)
         images = told_if_nothing(
-            fuse(recording, executor=executor, tiles=args.jobs, by_time=args.by_time,
-                 **options), recording,
-            options["calibration"])
+            fuse(recording, **options), recording, options["calibration"])
         stage("estimating parameters of the camera")
         first = list(itertools.islice(images, 2))
         if not first:
@@ -186,13 +178,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--resume", action="store_true",
         help="keep the stack if interrupted, and continue an interrupted one")
-    parser.add_argument(
-        "--jobs", type=within(1, 1024), default=1, metavar="N",
-        help="number of threads that share the sensor's rows; with kalman, one "
-             "thread works ahead; default 1")
-    parser.add_argument(
-        "--by-time", action="store_true",
-        help="divide time among --jobs instead of rows")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",

@@ -4,8 +4,8 @@ This is the one place that orders time.  `options` holds what the caller asks fo
 `camera` what is known of the polarizers.  `feed` puts the events and frames of a source
 in order, `learning` estimates the parameters that the method needs, `states` feeds the
 method, `window` is the part of the sensor that is computed, and `images` makes
-PolarFrames of the result.  `engine` connects them, and `iteration` shares the images
-between two threads.  `stripes` and `shared_memory` divide the work among processes.
+PolarFrames of the result.  `engine` connects them, and `iteration` reads one image
+ahead.
 
 The names below are imported at first use, so that code that only needs `FusionOptions`
 loads nothing else.
@@ -25,14 +25,13 @@ if TYPE_CHECKING:
     )
     from pdavis_cv.fusion.options import FusionOptions
     from pdavis_cv.fusion.snapshot import FusionSnapshot
-    from pdavis_cv.fusion.stripes import tiles
 
 __all__ = ["Fusion", "FusionOptions", "FusionSnapshot", "bandwidth_in_situ",
-           "clock_offset_in_situ", "fuse", "thresholds_in_situ", "tiles"]
+           "clock_offset_in_situ", "fuse", "thresholds_in_situ"]
 
 _HOME = {"Fusion": "engine", "FusionOptions": "options", "FusionSnapshot": "snapshot",
          "bandwidth_in_situ": "learning", "clock_offset_in_situ": "learning",
-         "fuse": "iteration", "thresholds_in_situ": "learning", "tiles": "stripes"}
+         "fuse": "iteration", "thresholds_in_situ": "learning"}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,6 @@
 """Fusion: make polarization images of a recording at any time."""
 from __future__ import annotations
 
-import functools
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -23,14 +22,14 @@ from pdavis_cv.fusion.camera import (
     response_of,
 )
 from pdavis_cv.fusion.feed import Feed
-from pdavis_cv.fusion.images import ImageMaker, Samples
+from pdavis_cv.fusion.images import ImageMaker
 from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.fusion.online_learning import OnlineLearning
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
-from pdavis_cv.fusion.states import ArrivalState, CallRecorder, InOrderState, make_state
+from pdavis_cv.fusion.states import ArrivalState, InOrderState, make_state
 from pdavis_cv.fusion.tuning import Tuning
-from pdavis_cv.fusion.window import Window, checked_roi, window_of
+from pdavis_cv.fusion.window import checked_roi, window_of
 from pdavis_cv.mosaic import REACH
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Needs, Reconstructor
@@ -62,8 +61,6 @@ class Fusion:
         (x, y, width, height) of the images on the sensor.
     window : Window
         The part of the sensor that is computed for them.
-    margin : int
-        Distance in pixels up to which a pixel of the method depends on others.
     shape : (int, int)
         (height, width) of the images.
     provenance : mapping of str to object
@@ -101,7 +98,7 @@ class Fusion:
         self._workers = Workers(options.threads)
         self._spare = SpareTime() if recording.realtime else None
         self._clock_us = self._learning.prior.clock_us
-        self.roi, self.margin = roi, probe.margin
+        self.roi = roi
         self.window = window_of(
             roi, info.sensor_size, probe.margin + REACH[options.demosaic])
         self._images = ImageMaker(
@@ -212,18 +209,6 @@ class Fusion:
         method = self._state.method
         return self._images.begin(
             method, self._t, self._frame_us(method, self._t), self.provenance)
-
-    def made(
-        self, samples: Samples, t_us: int, frame_us: int | None,
-        provenance: Mapping[str, Any],
-    ) -> PolarFrame:
-        """Return the image made of samples of the whole `window`."""
-        return self._images.made(samples, t_us, frame_us, provenance)
-
-    def frame_us(self) -> int | None:
-        """Return the mid-exposure of the last frame that an image here uses."""
-        assert self._t is not None and self._state is not None  # noqa: PT018
-        return self._frame_us(self._state.method, self._t)
 
     # ---- repositioning -------------------------------------------------------
 
@@ -394,7 +379,7 @@ class Fusion:
         self._frames: deque[tuple[int, int]] = deque()
         self._feed: Feed | None = None
         self._start_found = False       # whether `_find_start` was called
-        self._state: InOrderState | ArrivalState | CallRecorder | None = None
+        self._state: InOrderState | ArrivalState | None = None
         self._online: OnlineLearning | None = None
         self._lamp: LampTracker | None = None
         self._corrected: FrameCorrection = FrameCorrection(self.options.calibration)
@@ -446,7 +431,7 @@ class Fusion:
         if self._learning.wanted and self.options.causal:
             self._online = OnlineLearning(self._learning, self._spare)
         self._state = make_state(
-            self.method_factory(self.window, self._workers), self.window,
+            self._method_factory(), self.window,
             None if self._online is None else self._online.fed,
             causal=self.options.causal)
         self._set_clock(tuning.clock_us)
@@ -457,17 +442,22 @@ class Fusion:
                 tuning.parameters.get("bandwidth"))
         self._update_provenance(self._state.method.parameters)
 
-    def method_factory(
-        self, window: Window, workers: Workers
-    ) -> Callable[[], Reconstructor]:
-        """Return a picklable function that makes the method for a window."""
-        tuning, plane = self._initial_tuning(), window.plane
-        response = response_of(window.layout(self.layout), self.options.calibration,
-                               window.rows, window.columns)
-        return functools.partial(
-            _make_method, workers, self._factory, window.shape, plane(tuning.theta_on),
-            plane(tuning.theta_off),
-            window.planes(tuning.parameters), response, self._denoise)
+    def _method_factory(self) -> Callable[[], Reconstructor]:
+        """Return a function that makes the method for the window."""
+        tuning, plane = self._initial_tuning(), self.window.plane
+        response = response_of(
+            self.window.layout(self.layout), self.options.calibration,
+            self.window.rows, self.window.columns)
+
+        def made() -> Reconstructor:
+            method = make_reconstructor(
+                self._factory, self.window.shape, plane(tuning.theta_on),
+                plane(tuning.theta_off), self.window.planes(tuning.parameters),
+                response, self._denoise)
+            method.workers = self._workers
+            return method
+
+        return made
 
     def _update_provenance(self, parameters: Mapping[str, Any]) -> None:
         """Write the current parameters to the provenance of the images to come."""
@@ -567,10 +557,3 @@ def _grid_us(index: int, fps: Fraction) -> int:
     """Return index / fps in us, rounded half to even as by round()."""
     us, rest = divmod(index * 1_000_000 * fps.denominator, fps.numerator)
     return us + (2 * rest + (us & 1) > fps.numerator)
-
-
-def _make_method(workers: Workers, *arguments: Any) -> Reconstructor:
-    """Return `make_reconstructor(*arguments)`, which shares its rows among workers."""
-    method = make_reconstructor(*arguments)
-    method.workers = workers
-    return method

@@ -4,10 +4,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
 from typing import Any
 
-from pdavis_cv._workers import usable_cores
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.options import FusionOptions, takes_options
 from pdavis_cv.polarimetry import PolarFrame
@@ -22,9 +20,7 @@ next is read.  A deeper queue gains nothing, as what waits leaves the caches."""
 
 @takes_options
 def fuse(
-    recording: Source, options: FusionOptions | None = None, *,
-    executor: Executor | None = None, tiles: int | None = None, by_time: bool = False,
-    **changes: Any,
+    recording: Source, options: FusionOptions | None = None, **changes: Any
 ) -> Iterator[PolarFrame]:
     """Fuse a recording's frames and events into polarization images.
 
@@ -42,14 +38,6 @@ def fuse(
         wait for its first 10 s, from which parameters of the camera are estimated.
     options : FusionOptions, optional
         Options to start from; the keywords below override them.
-    executor : concurrent.futures.Executor, optional
-        Computes stripes of the sensor in parallel; the images have the same bits.  The
-        recording is read in this process.  Where each pixel depends on all others, as
-        with ``kalman``, a single worker computes the whole sensor.
-    tiles : int, optional
-        Number of stripes, or of intervals at a time; default one per core.
-    by_time : bool
-        Divide time instead; this process then computes the state as well.
     {options}
     **method_parameters
         Parameters of the method, e.g. ``cutoff_hz`` for ``cf``.
@@ -78,13 +66,9 @@ def fuse(
     >>> image.dolp.shape
     (30, 40)
     """
-    if executor is None:
-        fusion = Fusion(recording, options, **changes)
-        whole = fusion.options.threads > 1 and isinstance(recording, Recording)
-        return ReadAhead(fusion) if whole else fusion
-    from pdavis_cv.fusion.stripes import fuse_tiles
-    return fuse_tiles(recording, (options or FusionOptions()).replace(**changes),
-                      executor, tiles or usable_cores(), by_time)
+    fusion = Fusion(recording, options, **changes)
+    whole = fusion.options.threads > 1 and isinstance(recording, Recording)
+    return ReadAhead(fusion) if whole else fusion
 
 
 class ReadAhead(Iterator[PolarFrame]):

@@ -2,8 +2,7 @@
 
 `InOrderState` is fed in time order.  The other two are fed in the order of arrival, in
 which a frame comes after events that it acts on: `ArrivalState` for methods that take
-late frames themselves, `ReplayState` for all others.  `CallRecorder` stands in for any
-of them and records what it is fed.
+late frames themselves, `ReplayState` for all others.
 """
 from __future__ import annotations
 
@@ -11,7 +10,6 @@ import warnings
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
@@ -25,41 +23,14 @@ from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal import SelfCalibration
 
-__all__ = ["ArrivalState", "Call", "CallRecorder", "InOrderState", "ReplayState",
-           "StateTransfer", "make_state"]
+__all__ = ["ArrivalState", "InOrderState", "ReplayState", "make_state"]
 
 Camera = SelfCalibration | DeferredCamera
 """What is fed the same data as the method; deferred in real time."""
 
-Call = tuple[str, tuple[Any, ...]]
-"""A recorded method call: the method's name and its arguments."""
-
 _SMALL = 4096
 """Most events that are joined before they are fed in time order.  To feed a packet
 costs as much as a thousand events."""
-
-
-@dataclass(frozen=True, eq=False)
-class StateTransfer:
-    """Everything that another process needs to continue a state; picklable.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-        State of the method.
-    fed_us, committed_us : int or None
-        As the attributes of `ArrivalState`.
-    pending : tuple of ndarray of EVENT_DTYPE
-        The events after committed_us.
-    clock_us : int
-        Added to the exposure times of frames that arrive.
-    """
-
-    snapshot: Snapshot
-    fed_us: int | None
-    committed_us: int | None
-    pending: tuple[NDArray[Any], ...] = ()
-    clock_us: int = 0
 
 
 class _MethodState:
@@ -152,14 +123,6 @@ class InOrderState(_MethodState):
     def set_clock(self, clock_us: int) -> None:
         """Do nothing: the Feed has already moved the frames."""
 
-    def export_state(self) -> StateTransfer:
-        """Return everything that `import_state` of another state needs."""
-        return StateTransfer(self.snapshot(), self.fed_us, self.committed_us)
-
-    def import_state(self, transfer: StateTransfer) -> None:
-        """Continue from what `export_state` of an equal state returned."""
-        self.restore(transfer.snapshot, transfer.fed_us, transfer.committed_us)
-
 
 class ArrivalState(_MethodState):
     """A method that takes late frames, fed in the order of arrival.
@@ -234,17 +197,6 @@ class ArrivalState(_MethodState):
     def set_clock(self, clock_us: int) -> None:
         """Set what is added to the exposure times of the frames to come."""
         self.clock_us = clock_us
-
-    def export_state(self) -> StateTransfer:
-        """Return everything that `import_state` of another state needs."""
-        return StateTransfer(self.snapshot(), self.fed_us, self.committed_us,
-                             tuple(self._pending), self.clock_us)
-
-    def import_state(self, transfer: StateTransfer) -> None:
-        """Continue from what `export_state` of an equal state returned."""
-        self.restore(transfer.snapshot, transfer.fed_us, transfer.committed_us)
-        self._pending = deque(transfer.pending)
-        self.clock_us = transfer.clock_us
 
     @property
     def _keeps_events(self) -> bool:
@@ -341,11 +293,6 @@ class ReplayState(ArrivalState):
         super().restore(snapshot, None, committed_us)
         self._committed.restore(snapshot)
 
-    def import_state(self, transfer: StateTransfer) -> None:
-        """Continue from what `export_state` of an equal state returned."""
-        super().import_state(transfer)
-        self._replay()
-
     def _apply_frame(self, frame: ApsFrame) -> None:
         self._committed.add_frame(frame)
         self._replay()
@@ -386,82 +333,3 @@ def make_state(
     if method.takes_late_frames:
         return ArrivalState(method, window, camera)
     return ReplayState(method, make_method(), window, camera)
-
-
-class CallRecorder:
-    """Stand in for a state and record the calls that feed it, to repeat them elsewhere.
-
-    Parameters
-    ----------
-    state : InOrderState or ArrivalState
-    forward : bool
-        Whether the calls are also made to `state`.  Otherwise `state` only says what
-        its method is.
-
-    Attributes
-    ----------
-    calls : list of Call
-        In order; to be emptied by who reads it.
-    """
-
-    def __init__(self, state: InOrderState | ArrivalState, *, forward: bool) -> None:
-        self.state, self._forward = state, forward
-        self.calls: list[Call] = []
-
-    @property
-    def method(self) -> Reconstructor:
-        """The method of the state."""
-        return self.state.method
-
-    @property
-    def fed_us(self) -> int | None:
-        """Time up to which, inclusive, the state has been fed."""
-        return self.state.fed_us
-
-    @property
-    def committed_us(self) -> int | None:
-        """Time up to which, inclusive, no later frame can act."""
-        return self.state.committed_us
-
-    def add_events(self, events: NDArray[Any]) -> None:
-        """Record `InOrderState.add_events`."""
-        self._record("add_events", events)
-
-    def add_frame(self, frame: ApsFrame) -> None:
-        """Record `InOrderState.add_frame`."""
-        self._record("add_frame", frame)
-
-    def add_wave(self, wave: Wave) -> None:
-        """Record `InOrderState.add_wave`."""
-        self._record("add_wave", wave)
-
-    def mark_fed(self, t_us: int) -> None:
-        """Record `InOrderState.mark_fed`."""
-        self._record("mark_fed", t_us)
-
-    def settle(self, t_us: int) -> None:
-        """Record `InOrderState.settle`."""
-        self._record("settle", t_us)
-
-    def set_clock(self, clock_us: int) -> None:
-        """Record `ArrivalState.set_clock`."""
-        self._record("set_clock", clock_us)
-
-    def retune(self, t_us: int, learned: dict[str, Any]) -> None:
-        """Record `InOrderState.retune`."""
-        self._record("retune", t_us, learned)
-
-    def snapshot(self) -> Snapshot:
-        """Return the state's snapshot."""
-        return self.state.snapshot()
-
-    def restore(
-        self, snapshot: Snapshot, fed_us: int | None, committed_us: int | None
-    ) -> None:
-        """Restore the state from a snapshot."""
-        self.state.restore(snapshot, fed_us, committed_us)
-
-    def _record(self, name: str, *args: Any) -> None:
-        self.calls.append((name, args))
-        if self._forward:
-            getattr(self.state, name)(*args)

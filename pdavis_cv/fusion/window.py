@@ -1,7 +1,7 @@
 """The part of the sensor that is computed for a region of interest."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,21 +44,8 @@ class Window:
 
     def events(self, events: NDArray[Any]) -> NDArray[Any]:
         """Return the events inside the window, in its coordinates."""
-        return self.cut_events(events, ())[0]
-
-    def cut_events(
-        self, events: NDArray[Any], cuts: Sequence[int]
-    ) -> tuple[NDArray[Any], Sequence[int]]:
-        """Return the events inside the window, and where cuts between events lie then.
-
-        Parameters
-        ----------
-        events : ndarray of EVENT_DTYPE
-        cuts : sequence of int
-            How many of the events lie before each cut.
-        """
         if self.shape == self.size:
-            return events, cuts
+            return events
         y = events["y"]
         wanted = (y >= self.rows.start) & (y < self.rows.stop)
         if self.shape[1] < self.size[1]:
@@ -69,10 +56,7 @@ class Window:
             inside["x"] -= self.columns.start
         if self.rows.start:
             inside["y"] -= self.rows.start
-        if len(cuts):
-            before = np.concatenate(([0], np.cumsum(wanted)))
-            cuts = before[list(cuts)].tolist()
-        return inside, cuts
+        return inside
 
     def frame(self, frame: ApsFrame) -> ApsFrame:
         """Return the frame cropped to the window."""
