@@ -7,7 +7,7 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import ApsFrame, Layout, fuse, open_recording, recording_from_arrays
-from pdavis_cv.analysis import CLASSES, LeftOutFrames, observed
+from pdavis_cv.analysis import CLASSES, HALVES, LeftOutFrames, observed, pooled
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.base import Estimate
 from pdavis_cv.tools import score
@@ -79,6 +79,58 @@ def test_every_second_frame_is_kept_and_nothing_else_is_lost():
     assert left_out.kept.info.frame_count == recording.info.frame_count - 4
 
 
+def test_the_halves_leave_out_each_frame_between_others_once():
+    recording = still(9)
+    times = [LeftOutFrames(recording, half=half).times_us.tolist() for half in HALVES]
+    mids = [frame.mid_us for p in recording.packets() for frame in p.frames]
+    assert sorted([*times[0], *times[1]]) == mids[1:-1]
+    with pytest.raises(ValueError, match="half must be one of"):
+        LeftOutFrames(recording, half="both")
+
+
+def test_a_prediction_is_averaged_over_the_exposure_before_it_is_compared():
+    """Light that swings within an exposure is not an error of who predicts it."""
+    def light(t_us):
+        return 30 + 20 * np.sin(2 * np.pi * np.asarray(t_us) / 37_000)
+
+    def blurred(k):
+        within = k * FRAME_US + 20_000 * (np.arange(1000) + 0.5) / 1000
+        return ApsFrame(np.full(SHAPE, 20 * light(within).mean(), np.float32),
+                        k * FRAME_US, k * FRAME_US + 20_000)
+
+    left_out = LeftOutFrames(recording_from_arrays(
+        np.array([(1000, 0, 0, 1)], EVENT_DTYPE), [blurred(k) for k in range(9)],
+        sensor_size=SHAPE, layout=Layout.PDAVIS))
+    times = left_out.sample_times_us
+    assert times.shape == (4, 5)
+    np.testing.assert_array_equal(times.mean(axis=1), left_out.times_us)
+    every = [Estimate(np.full(SHAPE, np.log(light(t)), np.float32),
+                      np.full(SHAPE, 0.01, np.float32), np.ones(SHAPE, np.bool_))
+             for t in times.ravel()]
+    averaged = list(left_out.averaged(every))
+    assert averaged[0].variance == pytest.approx(0.01)
+    middle = [np.log(light(t)) + np.zeros(SHAPE) for t in left_out.times_us]
+    assert by_class(left_out.score(averaged))["static, bright"].rmse < 0.02
+    assert by_class(left_out.score(middle))["static, bright"].rmse > 0.1
+
+
+def test_pooled_scores_are_those_of_all_pixels_together():
+    left_out = LeftOutFrames(still(21, noise=0.03))
+    exact = np.log(np.linspace(2.0, 60, SHAPE[1])) + np.zeros(SHAPE)
+    guesses = [Estimate(exact.astype(np.float32), np.zeros(SHAPE, np.float32),
+                        np.ones(SHAPE, np.bool_)) for _ in left_out.times_us]
+    once = left_out.score(guesses)
+    worse = left_out.score([exact + 0.1 for _ in guesses])
+    for kind, one in by_class(pooled([once, once])).items():
+        assert one.pixels == 2 * by_class(once)[kind].pixels
+        assert one.rmse == pytest.approx(by_class(once)[kind].rmse, nan_ok=True)
+        assert one.coverage == pytest.approx(by_class(once)[kind].coverage, nan_ok=True)
+    both = by_class(pooled([once, worse]))["static, bright"]
+    squares = [by_class(each)["static, bright"].rmse ** 2 for each in (once, worse)]
+    assert both.rmse == pytest.approx(np.sqrt(np.mean(squares)))
+    assert both.bias == pytest.approx(0.05, abs=0.005)
+
+
 def test_a_straight_line_is_predicted_by_interpolation_and_missed_by_holding():
     left_out = LeftOutFrames(recording_from_arrays(
         np.array([(1000, 0, 0, 1)], EVENT_DTYPE), frames(7, ramp), sensor_size=SHAPE,
@@ -145,6 +197,13 @@ def test_in_a_cell_only_the_ratios_of_its_channels_count():
     assert found["moving, in cell"].rmse < 1e-12
     assert found["moving, in cell"].pixels > 100
     assert found["moving"].rmse > 0.5
+    # Independent errors of the four: sigmas of cells cover as those of pixels do.
+    rng = np.random.default_rng(4)
+    honest = [Estimate((log + 0.2 * rng.normal(size=SHAPE)).astype(np.float32),
+                       np.full(SHAPE, 0.04, np.float32), np.ones(SHAPE, np.bool_))
+              for log in truth]
+    assert by_class(left_out.score(honest))["moving, in cell"].coverage == (
+        pytest.approx(0.683, abs=0.05))
     # One pixel of four that is off by .4: .3 and three times .1 from the mean.
     off = np.zeros(SHAPE)
     off[::2, ::2] = 0.4

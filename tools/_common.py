@@ -133,7 +133,7 @@ def command(main: Main) -> Main:
     def run(argv: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("always", PdavisWarning)
-            warnings.showwarning = _show_warning
+            warnings.showwarning = functools.partial(_show_warning, set())
             try:
                 with own_progress(), interruptible():
                     code = _flushed(main, argv)
@@ -191,10 +191,13 @@ def _complain(error: object, code: int) -> int:
 
 
 def _show_warning(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int,
-    file: TextIO | None = None, line: str | None = None,
+    said: set[str], message: Warning | str, category: type[Warning], filename: str,
+    lineno: int, file: TextIO | None = None, line: str | None = None,
 ) -> None:
-    print("pdavis: warning:", " ".join(str(message).split()), file=sys.stderr)
+    text = " ".join(str(message).split())
+    if text not in said:    # a command may read a recording several times
+        said.add(text)
+        print("pdavis: warning:", text, file=sys.stderr)
 
 
 def opened(

@@ -1,11 +1,12 @@
 """Score methods on a recording by predicting left-out frames.
 
-Every second frame is left out.  Each method predicts the log intensity at its
-mid-exposure from the rest, and is compared with the frame: root mean squared error in
-natural-log units (0.1 is 10 %), for pixels that move (at least 3 events within 40 ms)
-and for others, and the fraction of errors within one sigma (0.68 if sigmas are
-correct).  Where 2x2 cells move, the error of the ratios of their pixels, which
-determine the polarization, is reported as well.  No ground truth is needed.
+Every second frame is left out, first the odd and then the even ones.  Each method
+predicts the mean light of its exposure from the rest, and is compared with the frame:
+root mean squared error in natural-log units (0.1 is 10 %), for pixels that move (at
+least 3 events within 40 ms) and for others, and the fraction of errors within one sigma
+(0.68 if sigmas are correct).  Where 2x2 cells move, the error of the ratios of their
+pixels, which determine the polarization, is reported as well.  No ground truth is
+needed.
 """
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdavis_cv import Calibration, Recording, __version__
-from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore
-from pdavis_cv.batch import predicted
+from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, pooled
+from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.export import write_beside, write_csv
 from pdavis_cv.reconstruct.base import Estimate
 from pdavis_cv.reconstruct.redundancy import EventRedundancy
@@ -98,30 +99,46 @@ def main(argv: Sequence[str] | None = None) -> int:
         checked_out(args.out)
     calibration = None if args.calibration is None else calibration_of(args.calibration)
     with opened(args) as recording:
-        left_out = LeftOutFrames(
-            recording, stop_us=start_of(recording) + round(args.seconds * 1e6))
-        tries = _tries(args.thresholds, calibration, left_out)
-        rows = _simple(left_out, tries)
+        halves = both_halves(
+            recording, start_of(recording) + round(args.seconds * 1e6))
+        tries = [_tries(args.thresholds, calibration, one) for one in halves]
+        rows = [_pooled(pair)
+                for pair in zip(*map(_simple, halves, tries), strict=True)]
         best: tuple[float, list[Estimate]] = math.inf, []
         asked = [
-            (name, *each) for name in _possible(args.methods, recording)
-            for each in (tries if name != "frames" else [("", {"thresholds": None})])]
-        for name, source, options in progress(asked, len(asked), "methods"):
-            guesses = list(predicted(left_out, **METHODS[name], **options))
-            rows.append(Row(name, source, _pair(options), left_out.score(
-                guesses, relative=name in _RELATIVE)))
+            (name, pair) for name in _possible(args.methods, recording)
+            for pair in (zip(*tries, strict=True) if name != "frames" else
+                         [(("", {"thresholds": None}),) * len(halves)])]
+        for name, pair in progress(asked, len(asked), "methods"):
+            found = [_predicted(one, name, *each)
+                     for one, each in zip(halves, pair, strict=True)]
+            rows.append(_pooled([row for row, _ in found]))
             moving = rows[-1].by_class["moving"].rmse
             if moving < best[0]:
-                best = moving, guesses
+                best = moving, found[0][1]
         polarized = recording.info.layout is not None
     advice = _advice(rows, args.file, polarized=polarized)
     if args.json:
-        print(json.dumps(_summary(args, left_out, rows, advice), indent=2))
+        print(json.dumps(_summary(args, halves, rows, advice), indent=2))
     else:
-        print("\n".join([*_table(left_out, rows), "", *advice]))
+        print("\n".join([*_table(halves, rows), "", *advice]))
     if args.out is not None:
-        _write(args, left_out, rows, advice, best[1])
+        _write(args, halves, rows, advice, best[1])
     return 0
+
+
+def _predicted(
+    left_out: LeftOutFrames, name: str, source: str, options: dict[str, Any],
+) -> tuple[Row, list[Estimate]]:
+    """Return the row of a method on one half of the frames, and its predictions."""
+    guesses = list(predicted(left_out, **METHODS[name], **options))
+    return Row(name, source, _pair(options), left_out.score(
+        guesses, relative=name in _RELATIVE)), guesses
+
+
+def _pooled(rows: Sequence[Row]) -> Row:
+    """Return the row of all frames; fitted thresholds are those of the first half."""
+    return dataclasses.replace(rows[0], scores=pooled(row.scores for row in rows))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -305,10 +322,10 @@ def _options(row: Row) -> str:
     return " ".join(words)
 
 
-def _table(left_out: LeftOutFrames, rows: Sequence[Row]) -> list[str]:
-    fitted = left_out.thresholds
+def _table(halves: Sequence[LeftOutFrames], rows: Sequence[Row]) -> list[str]:
+    fitted = halves[0].thresholds
     width = max(len(row.name) for row in rows)
-    lines = [f"{len(left_out.times_us)} frames left out; thresholds fitted to the "
+    lines = [f"{_count(halves)} frames left out; thresholds fitted to the "
              "others: " + ("too little moves" if fitted is None
                            else "ON {:.3f}, OFF {:.3f}".format(*fitted)), "",
              f"{'error, part within one sigma':<{width}}  "
@@ -325,7 +342,7 @@ def _table(left_out: LeftOutFrames, rows: Sequence[Row]) -> list[str]:
 
 
 def _summary(
-    args: argparse.Namespace, left_out: LeftOutFrames, rows: Sequence[Row],
+    args: argparse.Namespace, halves: Sequence[LeftOutFrames], rows: Sequence[Row],
     advice: Sequence[str],
 ) -> dict[str, Any]:
     def plain(value: Any) -> Any:
@@ -333,8 +350,8 @@ def _summary(
 
     return {
         "pdavis_cv": __version__, "source": str(args.file),
-        "frames_left_out": len(left_out.times_us),
-        "thresholds_fitted": left_out.thresholds, "advice": list(advice),
+        "frames_left_out": _count(halves),
+        "thresholds_fitted": halves[0].thresholds, "advice": list(advice),
         "rows": [{"method": row.method, "thresholds_from": row.source,
                   "thresholds": row.thresholds,
                   "scores": {score.kind: {
@@ -343,8 +360,12 @@ def _summary(
                       if name != "kind"} for score in row.scores}} for row in rows]}
 
 
+def _count(halves: Sequence[LeftOutFrames]) -> int:
+    return sum(len(one.times_us) for one in halves)
+
+
 def _write(
-    args: argparse.Namespace, left_out: LeftOutFrames, rows: Sequence[Row],
+    args: argparse.Namespace, halves: Sequence[LeftOutFrames], rows: Sequence[Row],
     advice: Sequence[str], best: Sequence[Estimate],
 ) -> None:
     stem: Path = args.out
@@ -356,12 +377,12 @@ def _write(
           score.pixels, score.rmse, score.bias, score.coverage)
          for row in rows for score in row.scores))
     with write_beside(stem.with_name(stem.name + ".json")) as part:
-        part.write_text(json.dumps(_summary(args, left_out, rows, advice), indent=2)
+        part.write_text(json.dumps(_summary(args, halves, rows, advice), indent=2)
                         + "\n", encoding="utf-8")
     if not can_draw():
         return
     with write_beside(stem.with_name(stem.name + ".png")) as part:
-        _picture(left_out, rows, best).savefig(part, format="png", dpi=110)
+        _picture(halves[0], rows, best).savefig(part, format="png", dpi=110)
 
 
 def _picture(

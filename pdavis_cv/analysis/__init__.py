@@ -11,9 +11,11 @@ from pdavis_cv.analysis.fan import SectorSummary, Wheel, summarise_sectors
 from pdavis_cv.analysis.intervals import events_by_phase, pixel_intervals
 from pdavis_cv.analysis.left_out import (
     CLASSES,
+    HALVES,
     LeftOutFrames,
     PredictionScore,
     observed,
+    pooled,
 )
 from pdavis_cv.analysis.load import LoadTrace, read_load
 from pdavis_cv.analysis.lockin import LockIn, LockInMaps
@@ -42,6 +44,7 @@ from pdavis_cv.analysis.traces import (
 
 __all__ = [
     "CLASSES",
+    "HALVES",
     "TRACE_DTYPE",
     "Clock",
     "Cycle",
@@ -80,6 +83,7 @@ __all__ = [
     "parse_roi",
     "phase_locked",
     "pixel_intervals",
+    "pooled",
     "read_load",
     "read_rois",
     "region_statistics",

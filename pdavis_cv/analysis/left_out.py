@@ -1,11 +1,13 @@
 """Score methods by predicting left-out frames, which needs no ground truth.
 
-Every second frame is left out.  A method, given the rest, predicts the log intensity at
-the mid-exposure of each, and the prediction is compared with the frame.
+Every second frame is left out: the odd or the even ones.  A method, given the rest,
+predicts the light of each, whose mean over the exposure is compared with the frame.
 """
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +27,8 @@ from pdavis_cv.recording.base import (
     RecordingInfo,
 )
 
-__all__ = ["CLASSES", "LeftOutFrames", "PredictionScore", "observed"]
+__all__ = ["CLASSES", "HALVES", "LeftOutFrames", "PredictionScore", "observed",
+           "pooled"]
 
 FloatArray = NDArray[np.float64]
 
@@ -38,12 +41,17 @@ that less the cell's mean error: the error of the ratios of the four channels, w
 determine polarization.
 """
 
+HALVES = ("odd", "even")
+"""Which frames are left out; together all but the first and the last one or two."""
+
 NEAR_US = 40_000   # us: the paper's cameras take a frame in 40 to 50 ms
 MOVING = 3         # events within NEAR_US of the frame: less may be noise
 BRIGHT_DN = 200    # a fifth of full scale
 LEAST_DN = 8       # below it, the logarithm of 10-bit DN is mostly noise
 _NOISE_BINS = 8    # of equal numbers of pixels; noise of frames depends on DN
 _LEAST_MOVING = 100  # pixels without which thresholds are not fitted
+_SAMPLES = 5       # of the light in an exposure, by the midpoint rule
+_SHORT_MS = 1.5    # an exposure that one sample describes: 9 degrees at 1000 RPM
 
 
 @dataclass(frozen=True)
@@ -64,8 +72,8 @@ class PredictionScore:
     coverage : float
         Fraction of the errors within one sigma; 0.68 if sigmas are correct.  Sigma
         combines that of the prediction and the frame's own noise, which is measured
-        where nothing moves.  NaN if the method states no variance, and in cells, as the
-        subtracted mean has an error of its own.
+        where nothing moves.  In cells, it is that of the difference from the mean of
+        four independent errors.  NaN if the method states no variance.
     """
 
     kind: str
@@ -102,6 +110,9 @@ class LeftOutFrames:
         With frames and events.
     stop_us : int, optional
         Only frames before this time are left out.
+    half : str
+        One of ``HALVES``: leaves out the second, fourth, ... frame, or the third,
+        fifth, ...; always frames between two that are kept.
 
     Attributes
     ----------
@@ -109,6 +120,9 @@ class LeftOutFrames:
         The recording without these frames.
     times_us : ndarray of int64, shape (M,)
         Mid-exposures of the frames that were left out.
+    sample_times_us : ndarray of int64, shape (M, N)
+        Times within each exposure at which the light is to be predicted: one if it is
+        shorter than 1.5 ms, else five at equal distances.
     thresholds : (float, float) or None
         Contrast thresholds (ON, OFF), natural-log units, from a least-squares fit of
         the change between frames to the number of events, over moving pixels; None if
@@ -117,10 +131,15 @@ class LeftOutFrames:
     Raises
     ------
     ValueError
-        If the recording has fewer than five frames, or no event.
+        If the recording has fewer than five frames, or no event, or `half` is none of
+        ``HALVES``.
     """
 
-    def __init__(self, recording: Recording, *, stop_us: int | None = None) -> None:
+    def __init__(
+        self, recording: Recording, *, stop_us: int | None = None, half: str = "odd",
+    ) -> None:
+        if half not in HALVES:
+            raise ValueError(f"half must be one of {HALVES}, got {half!r}")
         frames = [frame for packet in recording.packets(stop_us=stop_us)
                   for frame in packet.frames]
         frames.sort(key=lambda frame: frame.mid_us)
@@ -131,8 +150,10 @@ class LeftOutFrames:
         if not len(events):
             raise ValueError("the recording must hold events between its frames")
         self._places = [_place(events, *frames[i - 1:i + 2])
-                        for i in range(1, len(frames) - 1, 2)]
+                        for i in range(1 + HALVES.index(half), len(frames) - 1, 2)]
         self.times_us = np.array([each.frame.mid_us for each in self._places])
+        self.sample_times_us = self.times_us[:, None] + _within(
+            [each.frame.exposure_ms or 0 for each in self._places])
         self.kept: Recording = _Kept(recording, frozenset(self.times_us.tolist()))
         self._classes = [_classes(each) for each in self._places]
         self._noise = self._frame_noise()
@@ -211,7 +232,7 @@ class LeftOutFrames:
         Parameters
         ----------
         predictions : iterable of ndarray, shape (H, W), or Estimate
-            Natural log of DN per ms of exposure at ``times_us``.
+            Natural log of the mean light of each exposure, DN per ms (see `averaged`).
         relative : bool
             Whether predictions have an arbitrary offset in each 2x2 cell, as those of
             `EventRedundancy`: only the last class has a score then, others are NaN.
@@ -234,23 +255,51 @@ class LeftOutFrames:
                 else (given, None))
             off = log.astype(np.float64) - right
             off[~np.isfinite(off)] = 1
-            sigma = None if variance is None else np.sqrt(variance + (
-                self._noise_of(place.frame) if truth is None else 0))
-            within = _without_cell_mean(off)
+            stated = None if variance is None else variance + (
+                self._noise_of(place.frame) if truth is None else 0)
+            parts = {True: (_without_cell_mean(off), _variance_in_cell(stated)),
+                     False: (off, stated)}
             for kind, where in classes.items():
                 in_cell = kind == CLASSES[-1]
                 if relative and not in_cell:
                     continue
-                mine = (within if in_cell else off)[where]
+                error, square = parts[in_cell]
+                mine = error[where]
                 sums[kind][:3] += len(mine), np.sum(mine**2), np.sum(mine)
-                if sigma is not None and not in_cell:
-                    sums[kind][3:] += (
-                        float(np.sum(np.abs(mine) <= sigma[where])), len(mine))
+                if square is not None:
+                    sums[kind][3:] += float(np.sum(mine**2 <= square[where])), len(mine)
         with np.errstate(invalid="ignore"):
             return tuple(PredictionScore(
                 kind, int(n), float(np.sqrt(squares / n)), float(total / n),
                 float(within / stated))
                 for kind, (n, squares, total, within, stated) in sums.items())
+
+    def averaged(
+        self, estimates: Iterable[Estimate],
+    ) -> Iterator[Estimate]:
+        """Average estimates over each exposure.
+
+        Parameters
+        ----------
+        estimates : iterable of Estimate
+            One per element of ``sample_times_us``, in order.
+
+        Yields
+        ------
+        Estimate
+            One per left-out frame: the log of the mean intensity.  The variance is the
+            mean of those in the exposure, as their errors are nearly the same.
+        """
+        estimates = iter(estimates)
+        for times in self.sample_times_us:
+            seen = list(itertools.islice(estimates, len(times)))
+            light = np.mean([np.exp(each.log_intensity) for each in seen], axis=0)
+            squares = [each.variance for each in seen if each.variance is not None]
+            with np.errstate(divide="ignore"):
+                log = np.log(light).astype(np.float32)
+            yield Estimate(
+                log, np.mean(squares, axis=0) if len(squares) == len(seen) else None,
+                np.logical_and.reduce([each.valid for each in seen]))
 
     def _noise_of(self, frame: ApsFrame) -> FloatArray:
         return np.interp(np.log(np.maximum(frame.dn, 1)), *self._noise)
@@ -267,6 +316,38 @@ class LeftOutFrames:
     def liveliest(self) -> int:
         """Index of the frame with the most moving pixels."""
         return int(np.argmax([each["moving"].sum() for each in self._classes]))
+
+
+def pooled(
+    scores: Iterable[Sequence[PredictionScore]],
+) -> tuple[PredictionScore, ...]:
+    """Join the scores of several sets of frames, as if they had been one.
+
+    Parameters
+    ----------
+    scores : iterable of sequence of PredictionScore
+        As `LeftOutFrames.score` returns them, e.g. of both halves.
+
+    Returns
+    -------
+    tuple of PredictionScore
+        One per class.
+    """
+    out = []
+    for parts in zip(*scores, strict=True):
+        weight = np.array([part.pixels for part in parts], np.float64)
+        n = weight.sum()
+
+        def mean(values: list[float], weight: FloatArray = weight) -> float:
+            of = weight > 0
+            return float(np.average(np.array(values)[of], weights=weight[of])
+                         ) if of.any() else np.nan
+
+        out.append(PredictionScore(
+            parts[0].kind, int(n), math.sqrt(mean([part.rmse**2 for part in parts])),
+            mean([part.bias for part in parts]),
+            mean([part.coverage for part in parts])))
+    return tuple(out)
 
 
 def observed(method: str | Factory, seen: list[Estimate]) -> Factory:
@@ -380,6 +461,25 @@ def _without_cell_mean(error: FloatArray) -> FloatArray:
     out = error.copy()
     _cells(out)[:] -= _cells(error).mean(axis=(1, 3), keepdims=True)
     return out
+
+
+def _variance_in_cell(variance: NDArray[Any] | None) -> FloatArray | None:
+    """Return the variance of independent errors less the mean of their 2x2 cell."""
+    if variance is None:
+        return None
+    out = np.array(variance, np.float64)
+    cells = _cells(out)
+    cells[:] = cells / 2 + cells.mean(axis=(1, 3), keepdims=True) / 4
+    return out
+
+
+def _within(exposures_ms: Sequence[float]) -> NDArray[np.int64]:
+    """Return times in exposures relative to their middle, us, shape (M, N)."""
+    exposure_us = 1e3 * np.array(exposures_ms)[:, None]
+    if exposure_us.max() < 1e3 * _SHORT_MS:
+        return np.zeros(exposure_us.shape, np.int64)
+    parts = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    return np.rint(exposure_us * parts).astype(np.int64)
 
 
 def _log(frame: ApsFrame) -> FloatArray:

@@ -9,7 +9,15 @@ from pdavis_cv.batch.engine import plan, run
 from pdavis_cv.batch.jobs import Job, Work
 from pdavis_cv.batch.status import Status, status
 from pdavis_cv.batch.table import Table
-from pdavis_cv.batch.works import WORKS, Calibrate, Export, Score, Trace, predicted
+from pdavis_cv.batch.works import (
+    WORKS,
+    Calibrate,
+    Export,
+    Score,
+    Trace,
+    both_halves,
+    predicted,
+)
 
 __all__ = ["WORKS", "Calibrate", "Export", "Job", "Score", "Status", "Table", "Trace",
-           "Work", "plan", "predicted", "run", "status"]
+           "Work", "both_halves", "plan", "predicted", "run", "status"]

@@ -25,8 +25,18 @@ if TYPE_CHECKING:   # imported by the workers only
     from pdavis_cv.reconstruct.base import Estimate
     from pdavis_cv.selfcal import CameraEstimate
 
-__all__ = ["WORKS", "Calibrate", "Export", "Score", "Trace", "measured_parts",
-           "predicted", "predicted_images", "work_of"]
+__all__ = [
+    "WORKS",
+    "Calibrate",
+    "Export",
+    "Score",
+    "Trace",
+    "both_halves",
+    "measured_parts",
+    "predicted",
+    "predicted_images",
+    "work_of",
+]
 
 _STACKS: dict[str, type[StackFile]] = {
     ".npz": export.NpzFile, ".h5": export.Hdf5File, ".ome.tif": export.OmeTiffFile}
@@ -180,23 +190,30 @@ class Score:
         self, recording: Recording, options: FusionOptions, folder: Path
     ) -> Mapping[str, Any]:
         """Return the scores that ``pdavis score`` prints; write no file."""
-        left_out = pdavis_cv.analysis.LeftOutFrames(
-            recording, stop_us=start_of(recording) + round(self.seconds * 1e6))
+        stop_us = start_of(recording) + round(self.seconds * 1e6)
+        halves = both_halves(recording, stop_us)
         asked = {one.name: getattr(options, one.name)
                  for one in dataclasses.fields(options)
                  if one.name not in ("fps", "times_us", "start_us", "stop_us",
                                      "parameters", "demosaic")}
         asked |= dict(options.parameters)
         if options.method is None:
-            asked["method"] = default_method(left_out.kept.info)
-        scores = left_out.score(predicted(left_out, **asked))
-        return {"frames": len(left_out.times_us), **{
+            asked["method"] = default_method(halves[0].kept.info)
+        scores = pdavis_cv.analysis.pooled(
+            one.score(predicted(one, **asked)) for one in halves)
+        return {"frames": sum(len(one.times_us) for one in halves), **{
             f"{score.kind} {name}": getattr(score, name) for score in scores
             for name in ("rmse", "bias", "coverage", "pixels")}}
 
 
+def both_halves(recording: Recording, stop_us: int) -> list[LeftOutFrames]:
+    """Return the odd frames before a time left out, and the even ones."""
+    return [pdavis_cv.analysis.LeftOutFrames(recording, stop_us=stop_us, half=half)
+            for half in pdavis_cv.analysis.HALVES]
+
+
 def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
-    """Yield a method's prediction of each left-out frame.
+    """Yield a method's prediction of each left-out frame: the mean of its exposure.
 
     Predictions are on the clock of the events.  If an offset of the frames' clock is
     found, the times of left-out frames are moved by it like those of the others; for a
@@ -213,13 +230,14 @@ def predicted(left_out: LeftOutFrames, **options: Any) -> Iterator[Estimate]:
     Estimate
         In the order of ``left_out.times_us``.
     """
-    return (estimate for _, estimate in predicted_images(left_out, **options))
+    return left_out.averaged(
+        estimate for _, estimate in predicted_images(left_out, **options))
 
 
 def predicted_images(
     left_out: LeftOutFrames, **options: Any,
 ) -> Iterator[tuple[PolarFrame, Estimate]]:
-    """Yield each super-pixel image with the estimate that `predicted` yields for it."""
+    """Yield the super-pixel image and the estimate of each time in an exposure."""
     estimates: list[Estimate] = []
     from pdavis_cv.fusion import Fusion
 
@@ -227,7 +245,7 @@ def predicted_images(
                "method": pdavis_cv.analysis.observed(options["method"], estimates)}
     recording: Recording = left_out.kept
     clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
-    times_us = left_out.times_us + clock_us
+    times_us = left_out.sample_times_us.ravel() + clock_us
     for image in pdavis_cv.fuse(recording, times_us=times_us, **options):
         yield image, estimates[0]
 

@@ -87,8 +87,12 @@ def _scored(
         stokes = np.stack(truth.stokes(image.t_us or 0, x, y), axis=-1)
         light.append(np.log(np.sum(camera.maps["analyser"] * stokes, axis=-1)))
     relative = method.startswith("events")
-    by_frames = _by_class(left_out.score(guesses, relative=relative))
-    by_light = _by_class(left_out.score(guesses, relative=relative, truth=light))
+    by_frames = _by_class(left_out.score(
+        left_out.averaged(guesses), relative=relative))
+    samples = left_out.sample_times_us.shape[1]
+    middle = slice(samples // 2, None, samples)
+    by_light = _by_class(left_out.score(
+        guesses[middle], relative=relative, truth=light[middle]))
     score = scorer.score
     return {
         "pixels": by_frames[_IN_CELL].pixels,
