@@ -55,7 +55,7 @@ _HOME = {
     "Source": "recording.base",
     "recording_from_arrays": "recording.memory",
     "source_from_packets": "recording.stream",
-    "formats": "recording.registry",
+    "FORMATS": "recording.registry",
     "open_recording": "recording.open",
     "Aedat2Writer": "recording.aedat2.writer",
     "write_aedat2": "recording.aedat2.writer",
@@ -85,6 +85,7 @@ _HOME = {
     "clock_offset_in_situ": "fusion.learning",
     "fuse": "fusion.iteration",
     "thresholds_in_situ": "fusion.learning",
+    "SOURCES": "live.address",
     "LinkFaults": "live.faults",
     "LiveSource": "live.base",
     "Session": "live.session",
@@ -169,8 +170,10 @@ __all__ = [
     "CHANNELS",
     "DEFAULT_METHOD",
     "EVENT_DTYPE",
+    "FORMATS",
     "IMU_DTYPE",
     "METHODS",
+    "SOURCES",
     "TRIGGER_DTYPE",
     "Aedat2Writer",
     "Aedat4Writer",
@@ -236,7 +239,6 @@ __all__ = [
     "demosaic",
     "dolp",
     "export",
-    "formats",
     "fuse",
     "open_recording",
     "open_source",
@@ -331,6 +333,7 @@ if TYPE_CHECKING:
         thresholds_in_situ,
     )
     from pdavis_cv.live import (
+        SOURCES,
         LinkFaults,
         LiveSource,
         Session,
@@ -367,7 +370,7 @@ if TYPE_CHECKING:
     from pdavis_cv.recording.format import Format
     from pdavis_cv.recording.memory import recording_from_arrays
     from pdavis_cv.recording.open import open_recording
-    from pdavis_cv.recording.registry import formats
+    from pdavis_cv.recording.registry import FORMATS
     from pdavis_cv.recording.stream import source_from_packets
     from pdavis_cv.sensor import CHANNELS, Layout, Sensor
     from pdavis_cv.stokes_vector import aop, debias_dolp, dolp, stokes

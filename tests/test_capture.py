@@ -193,7 +193,7 @@ def test_properties_describe_the_recording(ideal, cap):
         p.CAP_PROP_PDAVIS_FPS: 100, p.CAP_PROP_PDAVIS_CAPTURE_FPS: 20,
         p.CAP_PROP_PDAVIS_EXPOSURE_US: 20_000, p.CAP_PROP_PDAVIS_LAYOUT: 3201,
         p.CAP_PROP_PDAVIS_DEMOSAIC: 0, p.CAP_PROP_PDAVIS_START_US: 10_000,
-        p.CAP_PROP_PDAVIS_METHOD: p.METHODS.index(p.DEFAULT_METHOD),
+        p.CAP_PROP_PDAVIS_METHOD: list(p.METHODS).index(p.DEFAULT_METHOD),
         p.CAP_PROP_PDAVIS_CAUSAL: 0, p.CAP_PROP_PDAVIS_GAIN: 1,
         p.CAP_PROP_PDAVIS_GAMMA: 1, p.CAP_PROP_PDAVIS_LOG: 0,
         p.CAP_PROP_PDAVIS_OUTPUT: 0, p.CAP_PROP_PDAVIS_POS_US: UNKNOWN,
@@ -205,7 +205,7 @@ def test_properties_describe_the_recording(ideal, cap):
 
 
 @pytest.mark.parametrize(("prop", "value", "keywords"), [
-    (p.CAP_PROP_PDAVIS_METHOD, p.METHODS.index("frames"), {"method": "frames"}),
+    (p.CAP_PROP_PDAVIS_METHOD, list(p.METHODS).index("frames"), {"method": "frames"}),
     (p.CAP_PROP_PDAVIS_CUTOFF_HZ, 5.0, {"cutoff_hz": 5.0}),
     (p.CAP_PROP_PDAVIS_DEMOSAIC, 1, {"demosaic": "superpixel"}),
     (p.CAP_PROP_PDAVIS_DEMOSAIC, 2, {"demosaic": "binned"}),

@@ -116,7 +116,7 @@ def test_timeouts_are_failures_that_pass(recording):
 def test_parameters_can_be_changed(recording):
     with VideoCapture(device(recording), **OPTIONS) as capture:
         assert capture.read()[0]
-        frames = pdavis_cv.METHODS.index("frames")
+        frames = list(pdavis_cv.METHODS).index("frames")
         assert capture.set(c.CAP_PROP_PDAVIS_METHOD, frames)
         while capture.read()[0]:
             pass

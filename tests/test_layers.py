@@ -24,7 +24,7 @@ LINES = (
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events"),
     ("sensor", "errors", "_arrays", "_beside", "_checks", "_opencv", "_remote",
-     "_workers", "data"),
+     "_workers", "data", "registry"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

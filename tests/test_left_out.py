@@ -236,8 +236,6 @@ def test_what_is_observed_changes_no_image():
         # I0 of PDAVIS lies at (1, 0) of the cell.
         np.testing.assert_allclose(
             np.exp(seen[0].log_intensity[1::2, ::2]), plain.quad[0], rtol=1e-6)
-    with pytest.raises(TypeError, match="must be made by a class"):
-        observed("events", seen)
 
 
 def test_too_little_is_refused():
@@ -273,8 +271,8 @@ def davis(data_dir):
 def test_a_real_recording_is_predicted_as_well_as_before(davis, method):
     assert davis.thresholds == pytest.approx((0.309, 0.368), abs=0.002)
     guesses = (score.predicted(
-        davis, **score.METHODS[method], thresholds=davis.thresholds)
-        if method in score.METHODS else davis.simple(davis.thresholds)[method])
+        davis, **score.trials()[method].options, thresholds=davis.thresholds)
+        if method in score.trials() else davis.simple(davis.thresholds)[method])
     found = by_class(davis.score(guesses))
     moving, static = REAL[method]
     assert found["moving"].pixels == 5744
@@ -291,7 +289,8 @@ def test_a_real_recording_is_predicted_as_well_as_before(davis, method):
     "kalman causal", *(pytest.param(name, marks=pytest.mark.gate)
                        for name in ("kalman", "kalman offline"))])
 def test_without_a_hint_it_is_predicted_as_well_as_before(davis, method):
-    found = by_class(davis.score(score.predicted(davis, **score.METHODS[method])))
+    found = by_class(davis.score(score.predicted(
+        davis, **score.trials()[method].options)))
     moving, static = UNTOLD[method]
     assert found["moving"].rmse < 1.05 * moving
     assert found["static, bright"].rmse < 1.05 * static
@@ -366,8 +365,21 @@ def test_redundancy_without_polarizers_is_refused_or_left_out(tmp_path, capsys):
     pdavis_cv.write_aedat4(path, plain)
     assert score.main([str(path), "--methods", "events, redundancy"]) == 2
     assert "'events, redundancy' needs polarizers" in capsys.readouterr().err
-    assert score._possible(None, plain) == [
-        name for name in score.METHODS if not name.startswith("events")]
+    assert score._possible(score.trials(), None, plain) == [
+        "frames", "cf", "cf causal", "kalman", "kalman causal", "kalman offline"]
+
+
+def test_every_method_can_be_scored_and_networks_only_if_asked_for(file):
+    known = score.trials()
+    assert list(known) == [
+        "frames", "events, redundancy", "events, redundancy causal", "cf", "cf causal",
+        "kalman", "kalman causal", "kalman offline", "firenet", "firenet causal",
+        "joint", "joint causal"]
+    assert [name for name, one in known.items() if one.relative] == [
+        "events, redundancy", "events, redundancy causal", "firenet", "firenet causal",
+        "joint", "joint causal"]
+    with open_recording(file) as recording:
+        assert score._possible(known, None, recording) == list(known)[:8]
 
 
 def row(method, moving, static, pixels=1000, cell=0.5):
@@ -376,7 +388,8 @@ def row(method, moving, static, pixels=1000, cell=0.5):
             moving if kind.startswith("moving") else static)
         return pdavis_cv.analysis.PredictionScore(
             kind, pixels if kind.startswith("moving") else 10_000, rmse, 0.0, 0.5)
-    return score.Row(method, "nominal", (0.2, 0.2), tuple(map(each, CLASSES)))
+    return score.Row(method, "nominal", (0.2, 0.2), tuple(map(each, CLASSES)),
+                     score.trials().get(method))
 
 
 def test_the_method_that_suits_is_good_where_pixels_move_and_not_bad_at_rest():

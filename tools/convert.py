@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pdavis_cv.recording.passing import passing
-from pdavis_cv.recording.registry import formats, writer_for
+from pdavis_cv.recording.registry import FORMATS, writer_for
 
 from ._common import (
     Parser,
@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
         "output", help="the file to write; its suffix determines the format")
     parser.add_argument(
         "--format", metavar="NAME", help="format, if the suffix does not determine it: "
-        + ", ".join(one.name for one in formats() if one.writer is not None))
+        + ", ".join(name for name, one in FORMATS.usable().items() if one.writer))
     parser.add_argument("--compression", choices=("lz4", "none", "zstd"),
                         help="compression of AEDAT-4; default lz4")
     add_layout_option(parser)

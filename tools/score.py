@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
+import inspect
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +28,7 @@ from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, pooled
 from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.export import write_beside, write_csv
 from pdavis_cv.reconstruct.base import Estimate
-from pdavis_cv.reconstruct.redundancy import EventRedundancy
+from pdavis_cv.reconstruct.methods import METHODS, make_reconstructor
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
 from ._common import (
@@ -46,24 +48,9 @@ from ._values import numbers, positive
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["METHODS", "Row", "main", "predicted", "suited",
-           "suited_for_polarization"]
+__all__ = ["Row", "Trial", "main", "predicted", "suited", "suited_for_polarization",
+           "trials"]
 
-METHODS: dict[str, dict[str, Any]] = {
-    "frames": {"method": "frames"},
-    "events, redundancy": {"method": EventRedundancy},
-    "events, redundancy causal": {"method": EventRedundancy, "causal": True},
-    "cf": {"method": "cf"},
-    "cf causal": {"method": "cf", "causal": True},
-    "kalman": {"method": "kalman"},
-    "kalman causal": {"method": "kalman", "causal": True},
-    "kalman offline": {"method": "kalman", "mode": "offline"},
-}
-"""Options of fuse by name of the method."""
-
-_RELATIVE = frozenset(name for name in METHODS if name.startswith("events"))
-"""Methods that estimate only ratios of a cell's channels, and so need polarizers."""
-_WORDS = {EventRedundancy: "events --set offsets=redundancy"}
 _CELLS = CLASSES[-1]
 
 SOURCES = ("default", "nominal", "in-situ", "fitted")
@@ -72,13 +59,67 @@ _ALLOWED_STATIC = 1.2  # largest static error of a chosen method, over the least
 
 
 @dataclass(frozen=True)
+class Trial:
+    """A variant of a method that is scored.
+
+    Parameters
+    ----------
+    options : mapping of str to object
+        Those of `fuse`.
+    relative : bool
+        Whether it estimates only ratios of a cell's channels, and so needs polarizers.
+    causal : bool
+        Whether it uses no later data.
+    thresholds : bool
+        Whether it takes contrast thresholds.
+    usual : bool
+        Whether it is scored unasked.
+    """
+
+    options: Mapping[str, Any]
+    relative: bool = False
+    causal: bool = False
+    thresholds: bool = True
+    usual: bool = True
+
+
+def trials() -> dict[str, Trial]:
+    """Return what can be scored, by name: each method's variants, also causal ones."""
+    found: dict[str, Trial] = {}
+    for method, maker in METHODS.usable().items():
+        probe = functools.partial(make_reconstructor, maker, (2, 2), 0.2, 0.2)
+        said = probe({}).trials
+        for name, parameters in (said or {method: {}}).items():
+            made = probe(parameters)
+            trial = found[name] = Trial(
+                {"method": method, **parameters}, relative=not made.needs.frames,
+                causal=not made.needs.events, usual=said != {},
+                thresholds="theta_on" in inspect.signature(maker).parameters)
+            if made.needs.events and probe(
+                    {**made.causal_parameters, **parameters}).lookahead_us == 0:
+                found[f"{name} causal"] = dataclasses.replace(
+                    trial, options={**trial.options, "causal": True}, causal=True)
+    return found
+
+
+@dataclass(frozen=True)
 class Row:
-    """A method, the origin of its thresholds, and its scores by class."""
+    """A method, the origin of its thresholds, and its scores by class.
+
+    It has no `trial` if `fuse` does not make its images.
+    """
 
     method: str
     source: str
     thresholds: tuple[float, float] | None
     scores: tuple[PredictionScore, ...]
+    trial: Trial | None = None
+
+    @property
+    def causal(self) -> bool:
+        """Whether the method uses no later data."""
+        return self.method.startswith("held") if self.trial is None else (
+            self.trial.causal)
 
     @property
     def by_class(self) -> dict[str, PredictionScore]:
@@ -94,7 +135,8 @@ class Row:
 @command
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis score``."""
-    args = _parser().parse_args(argv)
+    known = trials()
+    args = _parser(known).parse_args(argv)
     if args.out is not None:
         checked_out(args.out)
     calibration = None if args.calibration is None else calibration_of(args.calibration)
@@ -106,11 +148,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for pair in zip(*map(_simple, halves, tries), strict=True)]
         best: tuple[float, list[Estimate]] = math.inf, []
         asked = [
-            (name, pair) for name in _possible(args.methods, recording)
-            for pair in (zip(*tries, strict=True) if name != "frames" else
+            (name, pair) for name in _possible(known, args.methods, recording)
+            for pair in (zip(*tries, strict=True) if known[name].thresholds else
                          [(("", {"thresholds": None}),) * len(halves)])]
         for name, pair in progress(asked, len(asked), "methods"):
-            found = [_predicted(one, name, *each)
+            found = [_predicted(one, name, known[name], *each)
                      for one, each in zip(halves, pair, strict=True)]
             rows.append(_pooled([row for row, _ in found]))
             moving = rows[-1].by_class["moving"].rmse
@@ -128,12 +170,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _predicted(
-    left_out: LeftOutFrames, name: str, source: str, options: dict[str, Any],
+    left_out: LeftOutFrames, name: str, trial: Trial, source: str,
+    options: dict[str, Any],
 ) -> tuple[Row, list[Estimate]]:
     """Return the row of a method on one half of the frames, and its predictions."""
-    guesses = list(predicted(left_out, **METHODS[name], **options))
+    guesses = list(predicted(left_out, **trial.options, **options))
     return Row(name, source, _pair(options), left_out.score(
-        guesses, relative=name in _RELATIVE)), guesses
+        guesses, relative=trial.relative), trial), guesses
 
 
 def _pooled(rows: Sequence[Row]) -> Row:
@@ -141,16 +184,18 @@ def _pooled(rows: Sequence[Row]) -> Row:
     return dataclasses.replace(rows[0], scores=pooled(row.scores for row in rows))
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(known: Mapping[str, Trial]) -> argparse.ArgumentParser:
     parser = Parser("score", __doc__ or "", "pdavis score run.aedat4 -o score")
+    slow = [name for name, one in known.items() if not one.usual]
     parser.add_argument("file", help="a recording with frames and events")
     parser.add_argument(
         "-o", "--out", type=Path, metavar="STEM",
         help="write STEM.csv, STEM.json and, with matplotlib, STEM.png")
     parser.add_argument(
-        "--methods", nargs="+", choices=METHODS, metavar="NAME",
-        help=f"methods from {', '.join(map(repr, METHODS))}; causal: only from data "
-             "that had arrived, as live; default: all that the recording supports")
+        "--methods", nargs="+", choices=known, metavar="NAME",
+        help=f"methods from {', '.join(map(repr, known))}; causal: only from data "
+             "that had arrived, as live; default: all that the recording supports, "
+             f"but {', '.join(slow)}")
     parser.add_argument(
         "--thresholds", nargs="+", type=_source, default=list(SOURCES), metavar="T",
         help=f"thresholds from {', '.join(SOURCES)} (by regression on the frames), or "
@@ -168,15 +213,15 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _possible(
-    methods: Sequence[str] | None, recording: Recording,
+    known: Mapping[str, Trial], methods: Sequence[str] | None, recording: Recording,
 ) -> list[str]:
-    """Return the requested methods, or all that the recording supports."""
-    if recording.info.layout is not None:
-        return list(methods or METHODS)
+    """Return the requested methods, or all usual ones that the recording supports."""
+    plain = recording.info.layout is None
     for name in methods or ():
-        if name in _RELATIVE:
+        if plain and known[name].relative:
             raise UsageError(f"{name!r} needs polarizers: give --layout")
-    return [name for name in methods or METHODS if name not in _RELATIVE]
+    return list(methods or (name for name, one in known.items()
+                            if one.usual and not (plain and one.relative)))
 
 
 def _source(text: str) -> str | tuple[float, float]:
@@ -248,8 +293,8 @@ def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
     -------
     Row
     """
-    able = [row for row in rows if row.method not in _RELATIVE
-            and (not causal or _is_causal(row.method))]
+    able = [row for row in rows if (row.trial is None or not row.trial.relative)
+            and (not causal or row.causal)]
 
     def static(row: Row) -> float:
         each = row.by_class
@@ -264,10 +309,6 @@ def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
     return min(steady, key=lambda row: row.by_class["moving"].rmse)
 
 
-def _is_causal(method: str) -> bool:
-    return method == "frames" or method.endswith("causal") or method.startswith("held")
-
-
 def suited_for_polarization(rows: Sequence[Row], *, causal: bool = False) -> Row:
     """Return the row with the smallest error of the channels' ratios in moving cells.
 
@@ -277,7 +318,7 @@ def suited_for_polarization(rows: Sequence[Row], *, causal: bool = False) -> Row
     causal : bool
         Consider only methods that use no later data.
     """
-    return min((row for row in rows if not causal or _is_causal(row.method)),
+    return min((row for row in rows if not causal or row.causal),
                key=lambda row: row.by_class[_CELLS].rmse)
 
 
@@ -285,16 +326,16 @@ def _advice(rows: Sequence[Row], file: str, *, polarized: bool) -> list[str]:
     lines = []
     enough = rows[0].by_class[_CELLS].pixels >= _LEAST_MOVING
     for title, causal in (("recorded", False), ("live", True)):
-        able = [row for row in rows
-                if row.method in METHODS and row.method not in _RELATIVE]
-        if not able or (causal and not any(_is_causal(row.method) for row in able)):
+        able = [row for row in rows if row.trial and not row.trial.relative]
+        if not able or (causal and not any(row.causal for row in able)):
             continue
         row = suited(rows, causal=causal)
         score = row.by_class["moving"]
         lines.append(f"{title}: {row.name} suits it best ({score.rmse:.3f} where "
                      "pixels move)")
-        if row.method in METHODS:
-            lines.append(f"  pdavis export {file} -o fused.mp4 {_options(row)}")
+        if row.trial:
+            lines.append(
+                f"  pdavis export {file} -o fused.mp4 {_options(row, row.trial)}")
         if math.isfinite(score.coverage) and not 0.55 <= score.coverage <= 0.8:
             lines.append(
                 f"  its sigmas are too {'small' if score.coverage < 0.68 else 'large'}:"
@@ -303,15 +344,16 @@ def _advice(rows: Sequence[Row], file: str, *, polarized: bool) -> list[str]:
             row = suited_for_polarization(rows, causal=causal)
             lines.append(f"{title}, for polarization: {row.name} is least off in the "
                          f"ratios of a cell ({row.by_class[_CELLS].rmse:.3f})")
-            if row.method in METHODS:
-                lines.append(f"  pdavis export {file} -o fused.mp4 {_options(row)}")
+            if row.trial:
+                lines.append(
+                    f"  pdavis export {file} -o fused.mp4 {_options(row, row.trial)}")
     return lines
 
 
-def _options(row: Row) -> str:
+def _options(row: Row, trial: Trial) -> str:
     words = []
-    for name, value in METHODS[row.method].items():
-        words.append(f"--method {_WORDS.get(value, value)}" if name == "method"
+    for name, value in trial.options.items():
+        words.append(f"--method {value}" if name == "method"
                      else "--causal" if name == "causal" else f"--set {name}={value}")
     if row.source == "calibration":
         words.append("--calibration FILE --thresholds calibration")

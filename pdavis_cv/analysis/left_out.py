@@ -6,6 +6,7 @@ predicts the light of each, whose mean over the exposure is compared with the fr
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -357,27 +358,30 @@ def observed(method: str | Factory, seen: list[Estimate]) -> Factory:
 
     Parameters
     ----------
-    method : str or class derived from Reconstructor
+    method : str or Factory
     seen : list
         Receives the last `Estimate` as its only element.
 
     Returns
     -------
     callable
-        A class derived from the method's.
+        A factory with the method's parameters.
     """
     made = factory_of(method)
-    if not (isinstance(made, type) and issubclass(made, Reconstructor)):
-        raise TypeError(f"method must be made by a class, got {method!r}")
 
-    def read(
-        self: Reconstructor, t_us: int, out: NDArray[np.float32] | None = None,
-    ) -> Estimate:
-        estimate = made.read(self, t_us, out)
-        seen[:] = [estimate]
-        return estimate
+    @functools.wraps(made)
+    def watched(*arguments: Any, **parameters: Any) -> Reconstructor:
+        one = made(*arguments, **parameters)
+        read = one.read
 
-    return type(made.__name__, (made,), {"read": read})
+        def seen_read(t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
+            seen[:] = [read(t_us, out)]
+            return seen[0]
+
+        one.read = seen_read  # type: ignore[method-assign]
+        return one
+
+    return watched
 
 
 class _Kept(Recording):

@@ -356,7 +356,8 @@ _GETTERS: dict[int, Callable[[Session], float | None]] = {
     c.CAP_PROP_OPEN_TIMEOUT_MSEC: lambda s: s.view.open_timeout_ms,
     c.CAP_PROP_READ_TIMEOUT_MSEC: lambda s: s.view.read_timeout_ms,
     c.CAP_PROP_PDAVIS_OUTPUT: lambda s: float(s.view.output),
-    c.CAP_PROP_PDAVIS_METHOD: lambda s: float(METHODS.index(s.cursor.fusion.method)),
+    c.CAP_PROP_PDAVIS_METHOD: lambda s: float(
+        tuple(METHODS).index(s.cursor.fusion.method)),
     c.CAP_PROP_PDAVIS_CUTOFF_HZ: _of_parameters("cutoff_hz"),
     c.CAP_PROP_PDAVIS_FPS: lambda s: s.cursor.fps,
     c.CAP_PROP_PDAVIS_CAPTURE_FPS: Session._rate_of_frames,

@@ -79,7 +79,9 @@ def checked_parameters(parameters: Mapping[str, Any]) -> None:
 
 
 def _method_parameters() -> frozenset[str]:
-    return frozenset(name for method in METHODS for name in method_parameters(method))
+    return frozenset(
+        name for method in METHODS.usable().values()
+        for name in method_parameters(method))
 
 
 def fuse_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -149,7 +151,7 @@ def decoded_value(name: str, value: float) -> Any:
         return int(value) if known else None
     if name == "layout":
         return layout_of_code(value)
-    choices = METHODS if name == "method" else c.CODE_OF_DEMOSAIC
+    choices = tuple(METHODS) if name == "method" else c.CODE_OF_DEMOSAIC
     known = 0 <= value < len(choices) and value == int(value)
     return choices[int(value)] if known else None
 

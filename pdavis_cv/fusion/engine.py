@@ -153,6 +153,7 @@ class Fusion:
                 "image, got a Source that is read once")
         check_layout_fits(probe, self.layout)
         self.method, self.needs = probe.method, probe.needs
+        self.cheaper = probe.cheaper
         return probe, given
 
     # ---- iteration -----------------------------------------------------------

@@ -10,7 +10,7 @@ import inspect
 import math
 import operator
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from types import MappingProxyType
@@ -61,7 +61,7 @@ class OptionFacts:
         ``"pair"``; None = the command line does not offer it.
     brief : str
         Help text on the command line; default: the first sentence of `help`.
-    choices : tuple of str
+    choices : collection of str
         The allowed texts; empty = any.
     """
 
@@ -69,12 +69,12 @@ class OptionFacts:
     help: str
     word: str | None
     brief: str = ""
-    choices: tuple[str, ...] = ()
+    choices: Collection[str] = ()
 
 
 def _option(
     default: Any, type: str, help: str, word: str | None, brief: str = "",
-    choices: tuple[str, ...] = (),
+    choices: Collection[str] = (),
 ) -> Any:
     return dataclasses.field(default=default, metadata={"facts": OptionFacts(
         type, help, word, brief, choices)})
@@ -111,7 +111,7 @@ class FusionOptions:
         "It is also called with a small shape, to see what the method needs.  Default: "
         "``frames`` for a recording without events, ``events`` for one without frames, "
         "else ``DEFAULT_METHOD``.", "text",
-        f"how to fuse: {', '.join(METHODS)}; default: what fits the file")
+        "how to fuse; default: what fits the file", METHODS)
     fps: float | None = _option(
         None, "float, optional",
         "Images per second of recording time, at most 1,000,000: "

@@ -4,8 +4,8 @@
 ``replay:`` or ``simulate:``.  `Session` reads it in a thread of its own, so that
 reading never waits for fusing, and gives images as they can be made.
 """
-from pdavis_cv.live.address import is_address, open_source
-from pdavis_cv.live.base import LiveSource
+from pdavis_cv.live.address import SOURCES, is_address, open_source
+from pdavis_cv.live.base import Address, LiveSource
 from pdavis_cv.live.dv_server import LOOPBACK, DvServer
 from pdavis_cv.live.faults import LinkFaults
 from pdavis_cv.live.recorder import recorded
@@ -13,5 +13,6 @@ from pdavis_cv.live.session import Session
 from pdavis_cv.live.statistics import SessionStats
 from pdavis_cv.live.tls import server_context
 
-__all__ = ["LOOPBACK", "DvServer", "LinkFaults", "LiveSource", "Session",
-           "SessionStats", "is_address", "open_source", "recorded", "server_context"]
+__all__ = ["LOOPBACK", "SOURCES", "Address", "DvServer", "LinkFaults", "LiveSource",
+           "Session", "SessionStats", "is_address", "open_source", "recorded",
+           "server_context"]

@@ -2,31 +2,31 @@
 from __future__ import annotations
 
 import functools
-import importlib
+import inspect
 import os
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import parse_qsl
 
 from pdavis_cv.errors import DeviceError
-from pdavis_cv.live.base import LiveSource
+from pdavis_cv.live.base import Address, LiveSource
 from pdavis_cv.live.faults import FaultySource, LinkFaults
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.open import open_recording
+from pdavis_cv.registry import Registry
 from pdavis_cv.sensor import Layout
 
-__all__ = ["SCHEMES", "is_address", "open_source"]
+__all__ = ["SOURCES", "is_address", "open_source", "options_of"]
 
-_OPENERS = {
+SOURCES: Registry[Callable[..., LiveSource]] = Registry("source", {
     "dv+tcp": "pdavis_cv.live.dv:open_tcp",
     "dv+tls": "pdavis_cv.live.dv:open_tls",
     "dv+unix": "pdavis_cv.live.dv:open_unix",
     "replay": "pdavis_cv.live.openers:open_replay",
     "simulate": "pdavis_cv.live.openers:open_simulation",
     "usb": "pdavis_cv.live.usb:open_usb",
-}
-SCHEMES = tuple(_OPENERS)
-"""Schemes of addresses: what precedes the first colon."""
+}, LiveSource, attribute="scheme")
+"""Live sources by the scheme of their addresses: what precedes the first colon."""
 
 
 def is_address(where: object) -> bool:
@@ -40,8 +40,8 @@ def is_address(where: object) -> bool:
     -------
     bool
     """
-    return isinstance(where, str) and where.partition(":")[0] in SCHEMES and (
-        ":" in where)
+    return isinstance(where, str) and ":" in where and (
+        where.partition(":")[0] in SOURCES)
 
 
 def open_source(
@@ -106,12 +106,10 @@ def open_source(
             name: number(name, values.pop(name),
                          int if name == "fault_seed" else float)
             for name in LinkFaults.names() if name in values})
-        module, _, name = _OPENERS[scheme].partition(":")
-        opener: Callable[..., LiveSource] = getattr(
-            importlib.import_module(module), name)
-        opened = opener(where, target, values, functools.partial(
+        opener = SOURCES[scheme]
+        opened = opener(Address(where, target, functools.partial(
             open_recording, layout=layout, bad_events=bad_events, camera=camera,
-            **options))
+            **options)), **options_of(opener, values))
     except ValueError as error:
         raise DeviceError(f"{where}: {error}") from error
     return opened if faults == LinkFaults() else FaultySource(opened, faults)
@@ -131,27 +129,33 @@ def number(name: str, text: str, kind: Callable[[str], Any] = float) -> Any:
         raise ValueError(f"{name} must be a number, got {text!r}") from None
 
 
-def taken(values: dict[str, str], **defaults: Any) -> dict[str, Any]:
-    """Return the values of an address by name, with the type of each default.
+def options_of(
+    opener: Callable[..., Any], values: dict[str, str]
+) -> dict[str, Any]:
+    """Return the values of an address as an opener's keyword arguments.
 
     Parameters
     ----------
+    opener : callable
+        Its keyword-only parameters are the names allowed, and their defaults tell the
+        types; one with ``**values`` gets all texts.
     values : dict of str to str
-    **defaults
-        The names allowed, with their default values.
 
     Raises
     ------
     ValueError
         If a value has another name or is not a number.
     """
-    for name in values:
+    known = inspect.signature(opener).parameters.values()
+    if any(one.kind is one.VAR_KEYWORD for one in known):
+        return dict(values)
+    defaults = {one.name: one.default for one in known if one.kind is one.KEYWORD_ONLY}
+    found: dict[str, Any] = {}
+    for name, text in values.items():
         if name not in defaults:
             raise ValueError(
                 f"there is no {name!r}; it takes {', '.join(defaults)} and the faults "
                 f"{', '.join(LinkFaults.names())}")
-    found = dict(defaults)
-    for name, text in values.items():
         kind = type(defaults[name])
         if kind is bool:
             found[name] = bool(number(name, text, int))

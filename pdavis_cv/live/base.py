@@ -4,19 +4,40 @@ from __future__ import annotations
 import dataclasses
 import threading
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.live.clock import in_order
-from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source
+from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo, Source
 from pdavis_cv.recording.files import ProblemLog
 
-__all__ = ["HEARTBEAT_S", "LiveSource", "endless"]
+__all__ = ["HEARTBEAT_S", "Address", "LiveSource", "endless"]
 
 HEARTBEAT_S = 0.01
 """Longest interval at which a source reports its time, s.  It is shorter than the
 interval of images, so that these are not delayed if no events come in the dark."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """An address of a live source, ``SCHEME:TARGET?name=value&...``.
+
+    Parameters
+    ----------
+    text : str
+        The whole address.
+    target : str
+        What follows the scheme.
+    open_recording : callable
+        Opens a file by its path, as `pdavis_cv.open_recording` does, with the options
+        that the caller of `open_source` gave.
+    """
+
+    text: str
+    target: str
+    open_recording: Callable[[str], Recording]
 
 
 def endless(info: RecordingInfo) -> RecordingInfo:
@@ -42,12 +63,16 @@ class LiveSource(Source):
     nothing to send for `HEARTBEAT_S`, an empty packet with ``until_us`` reports the
     time.  If the device is gone, it raises DeviceError.
 
+    A class that is an entry point in the group ``pdavis_cv.sources`` is made from an
+    `Address`, ``Kind(address, *, hz=10.0, ...)``.  Its keyword arguments are the names
+    that may follow the question mark, and their defaults tell the types.
+
     Parameters
     ----------
     info : RecordingInfo
         What is known before the first packet.
     name : str
-        Name for messages.
+        Name for messages, such as the address.
 
     Attributes
     ----------

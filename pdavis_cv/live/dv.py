@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.events import EVENT_DTYPE, FAR
-from pdavis_cv.live.address import taken
-from pdavis_cv.live.base import HEARTBEAT_S, LiveSource
+from pdavis_cv.live.base import HEARTBEAT_S, Address, LiveSource
 from pdavis_cv.live.replay import pieces
 from pdavis_cv.live.tls import client_context
 from pdavis_cv.recording.aedat4 import samples
@@ -334,24 +333,10 @@ def _sorted(found: NDArray[Any]) -> NDArray[Any]:
     return found[np.argsort(found["t"], kind="stable")]
 
 
-def open_tcp(
-    where: str, target: str, values: dict[str, str], open_recording: Callable[..., Any]
-) -> DvSource:
-    """Open ``dv+tcp://HOST:PORT?frames=PORT``.
-
-    Parameters
-    ----------
-    where : str
-        The whole address.
-    target : str
-        What follows the scheme.
-    values : dict of str to str
-        What follows the question mark.
-    open_recording : callable
-        Unused: nothing is a file.
-    """
-    places = _places(target, taken(values, frames=0)["frames"])
-    return _connected(where, [
+def open_tcp(address: Address, *, frames: int = 0) -> DvSource:
+    """Open ``dv+tcp://HOST:PORT``; `frames` is a second port."""
+    places = _places(address.target, frames)
+    return _connected(address.text, [
         functools.partial(socket.create_connection, place, CONNECT_S)
         for place in places])
 
@@ -365,20 +350,16 @@ def _places(target: str, frames: int) -> list[tuple[str, int]]:
 
 
 def open_tls(
-    where: str, target: str, values: dict[str, str], open_recording: Callable[..., Any]
+    address: Address, *, frames: int = 0, certificate: str = "", key: str = "",
+    authority: str = "", check_name: bool = True,
 ) -> DvSource:
-    """Open ``dv+tls://HOST:PORT?certificate=PEM&key=PEM&authority=PEM``.
-
-    Parameters as in `open_tcp`.
-    """
-    options = taken(values, frames=0, certificate="", key="", authority="",
-                    check_name=True)
-    for name in ("certificate", "key", "authority"):
-        if not options[name]:
+    """Open ``dv+tls://HOST:PORT?certificate=PEM&key=PEM&authority=PEM``."""
+    for name, file in (("certificate", certificate), ("key", key),
+                       ("authority", authority)):
+        if not file:
             raise ValueError(f"{name}=FILE is needed: the sender and this side show "
                              "each other certificates")
-    context = client_context(options["certificate"], options["key"],
-                             options["authority"], options["check_name"])
+    context = client_context(certificate, key, authority, check_name)
 
     def connect(place: tuple[str, int]) -> socket.socket:
         link = socket.create_connection(place, CONNECT_S)
@@ -388,16 +369,13 @@ def open_tls(
             link.close()
             raise
 
-    return _connected(where, [functools.partial(connect, place)
-                              for place in _places(target, options["frames"])])
+    return _connected(address.text, [functools.partial(connect, place)
+                                     for place in _places(address.target, frames)])
 
 
-def open_unix(
-    where: str, target: str, values: dict[str, str], open_recording: Callable[..., Any]
-) -> DvSource:
-    """Open ``dv+unix:///PATH?frames=/PATH``; parameters as in `open_tcp`."""
-    options = taken(values, frames="")
-    path = target.removeprefix("//")
+def open_unix(address: Address, *, frames: str = "") -> DvSource:
+    """Open ``dv+unix:///PATH``; `frames` is a second path."""
+    path = address.target.removeprefix("//")
     if not path:
         raise ValueError("dv+unix:///PATH is needed")
 
@@ -411,8 +389,8 @@ def open_unix(
             raise
         return link
 
-    return _connected(where, [
-        functools.partial(connect, one) for one in (path, options["frames"]) if one])
+    return _connected(address.text, [
+        functools.partial(connect, one) for one in (path, frames) if one])
 
 
 def _connected(

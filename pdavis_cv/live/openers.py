@@ -3,9 +3,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 
-from pdavis_cv.live.address import taken
+from pdavis_cv.live.base import Address
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import Camera, named_scene
@@ -14,52 +13,34 @@ __all__ = ["open_replay", "open_simulation", "simulated"]
 
 
 def open_replay(
-    where: str, target: str, values: dict[str, str],
-    open_recording: Callable[[str], Recording],
+    address: Address, *, speed: float = 1.0, loop: bool = False,
+    seconds: float = math.inf,
 ) -> ReplaySource:
-    """Open ``replay:FILE?speed=1&loop=0&seconds=inf``.
-
-    Parameters
-    ----------
-    where : str
-        The whole address.
-    target : str
-        Path of the file.
-    values : dict of str to str
-        What follows the question mark.
-    open_recording : callable
-        Opens a file.
-    """
-    if not target:
+    """Open ``replay:FILE``; parameters as in `ReplaySource`."""
+    if not address.target:
         raise ValueError("a file must follow the colon")
-    options = taken(values, speed=1.0, loop=False, seconds=math.inf)
-    recording = open_recording(target)
+    recording = address.open_recording(address.target)
     try:
-        return ReplaySource(recording, where, **options)
+        return ReplaySource(
+            recording, address.text, speed=speed, loop=loop, seconds=seconds)
     except ValueError:
         recording.close()
         raise
 
 
 def open_simulation(
-    where: str, target: str, values: dict[str, str],
-    open_recording: Callable[[str], Recording],
+    address: Address, *, camera: str = "nominal", size: str = "48x48",
+    rpm: float = 200.0, hz: float = 1.0, seed: int = 0, speed: float = 1.0,
+    loop: bool = True, seconds: float = math.inf,
 ) -> ReplaySource:
-    """Open ``simulate:SCENE?camera=nominal&size=48x48&rpm=200&seed=0&...``.
+    """Open ``simulate:SCENE``.
 
     One turn or cycle of the scene is simulated and sent repeatedly.  The light is
     continuous from its end to its beginning, but the pixels are reset.
-
-    Parameters
-    ----------
-    where, target, values, open_recording
-        As in `open_replay`; `target` names the scene.
     """
-    options = taken(values, camera="nominal", size="48x48", rpm=200.0, hz=1.0, seed=0,
-                    speed=1.0, loop=True, seconds=math.inf)
-    recording = simulated(target, *(
-        options.pop(name) for name in ("camera", "size", "rpm", "hz", "seed")))
-    return ReplaySource(recording, where, **options)
+    recording = simulated(address.target, camera, size, rpm, hz, seed)
+    return ReplaySource(
+        recording, address.text, speed=speed, loop=loop, seconds=seconds)
 
 
 @functools.lru_cache(maxsize=1)

@@ -24,7 +24,6 @@ from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.recorder import Recorder
 from pdavis_cv.live.statistics import Counter, Patience, SessionStats
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.methods import CHEAPER
 from pdavis_cv.recording.base import (
     ApsFrame,
     Packet,
@@ -300,7 +299,7 @@ class Session:
 
     def _be_cheaper(self) -> None:
         """Change to a cheaper method, unless the caller stated the method."""
-        method = CHEAPER.get(self._fusion.method)
+        method = self._fusion.cheaper
         if not self._chosen or method is None:
             return
         self._log.add("cheaper method", method, f"{self._fusion.method} could not "

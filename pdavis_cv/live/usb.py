@@ -3,12 +3,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Protocol
 
 from pdavis_cv.errors import DeviceError
-from pdavis_cv.live.address import number, taken
-from pdavis_cv.live.base import HEARTBEAT_S, LiveSource
+from pdavis_cv.live.address import number, options_of
+from pdavis_cv.live.base import HEARTBEAT_S, Address, LiveSource
 from pdavis_cv.live.camera import SETTINGS, Davis346
 from pdavis_cv.live.clock import moved
 from pdavis_cv.live.davis_words import DavisEncoder
@@ -192,35 +192,32 @@ class SimulatedDavis346:
         self._replay.close()
 
 
-def open_usb(
-    where: str, target: str, values: dict[str, str],
-    open_recording: Callable[[str], Recording],
-) -> UsbSource:
-    """Open ``usb:SERIAL?exposure_us=8000&...``, or a simulated camera.
+def open_usb(address: Address, **values: str) -> UsbSource:
+    """Open ``usb:SERIAL``, the first camera if none is given, or ``usb:simulated``.
 
     Parameters
     ----------
-    where : str
-        The whole address.
-    target : str
-        Serial number of a camera; ``""`` for the first one, or ``"simulated"``.
-    values : dict of str to str
-        What follows the question mark: settings of a camera; of a simulated one
-        ``replay``, a file, or ``scene`` and what ``simulate:`` takes.
-    open_recording : callable
-        Opens a file.
+    address : Address
+    **values
+        Settings of a camera; of the simulated one those of `open_simulated`.
     """
-    if target != "simulated":
-        settings = {name: number(name, values.pop(name), int)
-                    for name in SETTINGS if name in values}
-        if values:
-            raise ValueError(f"there is no {next(iter(values))!r}; a camera takes "
-                             f"{', '.join(SETTINGS)}")
-        return UsbSource(Davis346(target or None, settings), where)
-    options = taken(values, replay="", scene="fan", camera="nominal", size="48x48",
-                    rpm=200.0, hz=1.0, seed=0, speed=1.0, loop=True, seconds=math.inf)
-    made = [options.pop(name)
-            for name in ("scene", "camera", "size", "rpm", "hz", "seed")]
-    file = options.pop("replay")
-    recording = open_recording(file) if file else simulated(*made)
-    return UsbSource(SimulatedDavis346(recording, **options), where)
+    if address.target == "simulated":
+        return open_simulated(address, **options_of(open_simulated, values))
+    settings = {name: number(name, values.pop(name), int)
+                for name in SETTINGS if name in values}
+    if values:
+        raise ValueError(f"there is no {next(iter(values))!r}; a camera takes "
+                         f"{', '.join(SETTINGS)}")
+    return UsbSource(Davis346(address.target or None, settings), address.text)
+
+
+def open_simulated(
+    address: Address, *, replay: str = "", scene: str = "fan", camera: str = "nominal",
+    size: str = "48x48", rpm: float = 200.0, hz: float = 1.0, seed: int = 0,
+    speed: float = 1.0, loop: bool = True, seconds: float = math.inf,
+) -> UsbSource:
+    """Open ``usb:simulated``: the words of a file, or of a scene as in `simulated`."""
+    recording = (address.open_recording(replay) if replay
+                 else simulated(scene, camera, size, rpm, hz, seed))
+    return UsbSource(SimulatedDavis346(
+        recording, speed=speed, loop=loop, seconds=seconds), address.text)

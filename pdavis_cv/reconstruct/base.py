@@ -174,6 +174,14 @@ class Reconstructor(ABC):
     shows_at_readout: bool = False
     """Whether a frame shows from the end of its readout, not from mid-exposure, on."""
 
+    cheaper: str | None = None
+    """Method that needs less processor time, with which `Session` continues if this one
+    cannot keep up with a live source."""
+
+    trials: Mapping[str, Mapping[str, Any]] | None = None
+    """Parameters of the variants that ``pdavis score`` compares, by their names; None:
+    the method with its default parameters, under its own name."""
+
     takes_late_frames: bool = False
     """Whether a frame may also be fed when it arrives, after events that follow its
     mid-exposure: `settle` then gives the state that feeding in order gives."""

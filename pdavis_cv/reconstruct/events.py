@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,8 @@ class EventHighPass(Reconstructor):
     """
 
     method = "events"
+    # As `from_events` takes them.
+    trials = MappingProxyType({"events, redundancy": {"offsets": "redundancy"}})
     needs = Needs(frames=False)
 
     def __init__(

@@ -1,7 +1,10 @@
-"""The reconstruction methods by name, and their factories."""
+"""The reconstruction methods by name, and how one is made.
+
+A method is a class derived from `Reconstructor`, which stands in this table or is
+another package's entry point.
+"""
 from __future__ import annotations
 
-import importlib
 import inspect
 from collections.abc import Mapping
 from typing import Any
@@ -12,28 +15,23 @@ from numpy.typing import NDArray
 from pdavis_cv.reconstruct.base import Factory, Reconstructor
 from pdavis_cv.reconstruct.denoise import Denoised
 from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.registry import Registry
 
-__all__ = ["CHEAPER", "DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
+__all__ = ["DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
            "make_reconstructor", "method_parameters"]
 
-# Method -> (module, its class or function that makes a Reconstructor).
-_MAKERS = {
-    "frames": ("frames", "FrameHold"),
-    "events": ("from_events", "from_events"),
-    "cf": ("cf", "ComplementaryFilter"),
-    "kalman": ("kalman", "KalmanFilter"),
-    "firenet": ("firenet", "FireNet"),
-    "joint": ("firenet", "Joint"),
-}
-METHODS = tuple(_MAKERS)
-"""Names that ``fuse(method=...)`` takes."""
+METHODS: Registry[Factory] = Registry("method", {
+    "frames": "pdavis_cv.reconstruct.frames:FrameHold",
+    "events": "pdavis_cv.reconstruct.from_events:from_events",
+    "cf": "pdavis_cv.reconstruct.cf:ComplementaryFilter",
+    "kalman": "pdavis_cv.reconstruct.kalman:KalmanFilter",
+    "firenet": "pdavis_cv.reconstruct.firenet:FireNet",
+    "joint": "pdavis_cv.reconstruct.firenet:Joint",
+}, Reconstructor, attribute="method")
+"""The methods that ``fuse(method=...)`` takes, by name."""
 
 DEFAULT_METHOD = "kalman"
 """Method of ``fuse(method=None)`` for a recording with both events and frames."""
-
-CHEAPER = {"joint": "kalman", "firenet": "events", "kalman": "cf"}
-"""Method that needs less processor time, by the one that it replaces: where `fuse`
-cannot keep up with a live source, it continues with it."""
 
 # Parameters of a method that are not its user's: the caller of the factory has them.
 _GIVEN = ("theta_on", "theta_off", "response")
@@ -53,21 +51,17 @@ def factory_of(method: str | Factory) -> Factory:
     ------
     ValueError
         If there is no method of this name.
+    ImportError
+        If it is another package's and cannot be used.
     TypeError
         If it is neither a name nor callable.
     """
-    if not isinstance(method, str):
-        if not callable(method):
-            raise TypeError(
-                "method must be a name or make a Reconstructor, got "
-                f"{type(method).__name__}")
-        return method
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    module, name = _MAKERS[method]
-    made: Factory = getattr(
-        importlib.import_module(f"pdavis_cv.reconstruct.{module}"), name)
-    return made
+    if isinstance(method, str):
+        return METHODS[method]
+    if not callable(method):
+        raise TypeError("method must be a name or make a Reconstructor, got "
+                        f"{type(method).__name__}")
+    return method
 
 
 def make_reconstructor(

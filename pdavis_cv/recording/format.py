@@ -1,16 +1,15 @@
 """Format: how files of one kind are recognized, read and written."""
 from __future__ import annotations
 
-import importlib
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.registry import loaded
 
-__all__ = ["Format", "loaded"]
+__all__ = ["Format"]
 
 _KINDS = frozenset(("events", "frames", "imu", "triggers"))
 
@@ -107,12 +106,3 @@ class Format:
             return True
         return self.sniff is not None and bool(start) and bool(
             loaded(self.sniff)(start))
-
-
-def loaded(what: str | Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function, importing it if given as ``"package.module:function"``."""
-    if not isinstance(what, str):
-        return what
-    module, _, name = what.partition(":")
-    found: Callable[..., Any] = getattr(importlib.import_module(module), name)
-    return found

@@ -9,12 +9,7 @@ from typing import Any
 from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.recording.registry import (
-    first_bytes,
-    format_of,
-    formats,
-    read_with,
-)
+from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
 from pdavis_cv.sensor import Layout
 
 __all__ = ["open_recording"]
@@ -83,7 +78,7 @@ def open_recording(
     start = first_bytes(path) if layout is None or path.exists() else b""
     found = format_of(path, start)
     if found is None and layout is not None:
-        found = next(one for one in formats() if one.needs_layout)
+        found = FORMATS["mosaic"]
     if found is None:
         raise _not_a_recording(path, start)
     if is_remote(path) and not found.by_ranges:

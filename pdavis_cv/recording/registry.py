@@ -1,35 +1,31 @@
 """The table of formats that the library reads and writes.
 
-A new format needs a module with a reader, derived from
-`pdavis_cv.recording.files.FileRecording`, and an entry here.  Other packages provide an
-entry point in the group ``pdavis_cv.formats`` that refers to a `Format`.
+A format is a reader, derived from `pdavis_cv.recording.files.FileRecording`, and a
+`Format`, which stands in this table or is another package's entry point.
 """
 from __future__ import annotations
 
-import functools
 import os
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pdavis_cv.errors import PdavisWarning, RecordingError
+from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.recording.format import Format, loaded
+from pdavis_cv.recording.format import Format
+from pdavis_cv.registry import Registry, loaded
 from pdavis_cv.sensor import Layout
 
-__all__ = ["BUILT_IN", "ENTRY_POINTS", "first_bytes", "format_of", "formats",
-           "is_recording", "read_with", "suffixes", "writer_for"]
+__all__ = ["FORMATS", "first_bytes", "format_of", "is_recording", "read_with",
+           "suffixes", "writer_for"]
 
-ENTRY_POINTS = "pdavis_cv.formats"
-"""Group of entry points through which other packages add formats."""
 _HEAD = 4096
 
 _ALL = frozenset(("events", "frames", "imu", "triggers"))
 _EVENTS = frozenset(("events",))
 _ROOM = "pdavis_cv.recording"
 
-BUILT_IN = (
+FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
     Format(
         name="aedat4", title="AEDAT-4", suffixes=(".aedat4",),
         by_ranges=True, magic=(b"#!AER-DAT4",), holds=_ALL,
@@ -86,50 +82,15 @@ BUILT_IN = (
     Format(
         name="mosaic", title="video or images of a polarization camera",
         holds=frozenset(("frames",)), needs_layout=True, read_options=("fps",),
-        extra="cv2", reader=f"{_ROOM}.mosaic_source:open_mosaic"),
-)
-"""All formats, in the order in which they are tried on a file."""
-
-
-def formats() -> tuple[Format, ...]:
-    """Return all formats: this library's, then those of other packages.
-
-    Returns
-    -------
-    tuple of Format
-        In the order in which they are tried on a file.
-    """
-    return BUILT_IN + _added()
-
-
-@functools.cache
-def _added() -> tuple[Format, ...]:
-    """Return the formats of other packages; warn of those that cannot be loaded."""
-    from importlib.metadata import entry_points  # loads the e-mail package
-
-    found: list[Format] = []
-    taken = {one.name for one in BUILT_IN}
-    for point in entry_points(group=ENTRY_POINTS):
-        try:
-            one = point.load()
-            if not isinstance(one, Format):
-                raise TypeError(f"it must be a Format, got {type(one).__name__}")
-            if one.name in taken:
-                raise ValueError(f"there is a format {one.name!r} already")
-        except Exception as error:  # foreign code may raise anything
-            warnings.warn(
-                f"format {point.name} of {point.value} cannot be used: {error}",
-                PdavisWarning, stacklevel=3)
-            continue
-        taken.add(one.name)
-        found.append(one)
-    return tuple(found)
+        extra="cv2", reader=f"{_ROOM}.mosaic_source:open_mosaic"))}, Format)
+"""The formats by name, in the order in which they are tried on a file."""
 
 
 def suffixes() -> tuple[str, ...]:
     """Return all suffixes of recordings, in lower case with the dot, each once."""
     return tuple(dict.fromkeys(
-        suffix for one in formats() if not one.needs_layout for suffix in one.suffixes))
+        suffix for one in FORMATS.usable().values() if not one.needs_layout
+        for suffix in one.suffixes))
 
 
 def format_of(path: Path, start: bytes) -> Format | None:
@@ -141,11 +102,12 @@ def format_of(path: Path, start: bytes) -> Format | None:
     start : bytes
         First bytes of the file, empty for a folder.
     """
-    def first(table: tuple[Format, ...]) -> Format | None:
+    def first(table: Iterable[Format]) -> Format | None:
         return next((one for one in table
                      if not one.needs_layout and one.knows(path, start)), None)
 
-    return first(BUILT_IN) or first(_added())
+    return first(FORMATS[name] for name in FORMATS.known) or first(
+        FORMATS.usable().values())
 
 
 def is_recording(path: str | os.PathLike[str]) -> bool:
@@ -228,18 +190,12 @@ def writer_for(
     ValueError
         If there is no such format, or it cannot be written.
     """
-    able = [one for one in formats() if one.writer is not None]
-    if name is None:
-        suffix = Path(path).suffix.lower()
-        able = [one for one in able if suffix in one.suffixes]
-        if not able:
-            raise ValueError(
-                f"{Path(path).name}: no format ends in {suffix!r}")
-    else:
-        names = [one.name for one in able]
-        able = [one for one in able if one.name == name]
-        if not able:
-            raise ValueError(f"format must be one of {', '.join(names)}, got {name!r}")
-    writer = able[0].writer
-    assert writer is not None
-    return able[0], loaded(writer)
+    suffix = Path(path).suffix.lower()
+    found = FORMATS[name] if name is not None else next(
+        (one for one in FORMATS.usable().values()
+         if one.writer is not None and suffix in one.suffixes), None)
+    if found is None:
+        raise ValueError(f"{Path(path).name}: no format ends in {suffix!r}")
+    if found.writer is None:
+        raise ValueError(f"format {name!r} can only be read")
+    return found, loaded(found.writer)

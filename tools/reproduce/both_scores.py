@@ -14,7 +14,7 @@ from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, Scorer
 from pdavis_cv.batch.works import predicted_images
 from pdavis_cv.simulation import Camera, RotatingPolarizer, Scene, Texture, Truth
 
-from ..score import METHODS
+from ..score import Trial, trials
 from .page import table
 from .robustness import edges
 from .run import OFF_LOCK, Settings
@@ -70,29 +70,30 @@ def both_scores(settings: Settings) -> Iterator[BothScores]:
         for name, scene in _scenes(settings, seed, start_deg).items():
             recording, truth = camera.record(scene, settings.seconds or _SECONDS)
             left_out = LeftOutFrames(recording)
-            for method in METHODS:
+            for method, trial in trials().items():
+                if not trial.usual:
+                    continue
                 yield BothScores(scene=name, camera=preset, seed=seed, method=method,
-                                 **_scored(method, left_out, camera, truth))
+                                 **_scored(trial, left_out, camera, truth))
 
 
 def _scored(
-    method: str, left_out: LeftOutFrames, camera: Camera, truth: Truth,
+    trial: Trial, left_out: LeftOutFrames, camera: Camera, truth: Truth,
 ) -> dict[str, Any]:
     y, x = np.mgrid[:_SIZE[0], :_SIZE[1]]
     guesses, light = [], []
     scorer = Scorer(truth, (_SIZE[0] // 2, _SIZE[1] // 2))
-    for image, estimate in predicted_images(left_out, **METHODS[method]):
+    for image, estimate in predicted_images(left_out, **trial.options):
         scorer.add(image)
         guesses.append(estimate)
         stokes = np.stack(truth.stokes(image.t_us or 0, x, y), axis=-1)
         light.append(np.log(np.sum(camera.maps["analyser"] * stokes, axis=-1)))
-    relative = method.startswith("events")
     by_frames = _by_class(left_out.score(
-        left_out.averaged(guesses), relative=relative))
+        left_out.averaged(guesses), relative=trial.relative))
     samples = left_out.sample_times_us.shape[1]
     middle = slice(samples // 2, None, samples)
     by_light = _by_class(left_out.score(
-        guesses[middle], relative=relative, truth=light[middle]))
+        guesses[middle], relative=trial.relative, truth=light[middle]))
     score = scorer.score
     return {
         "pixels": by_frames[_IN_CELL].pixels,

@@ -156,7 +156,8 @@ class KalmanFilter(Reconstructor):
     look-ahead averages over more of them.
     """
 
-    method = "kalman"
+    method, cheaper = "kalman", "cf"
+    trials = MappingProxyType({"kalman": {}, "kalman offline": {"mode": "offline"}})
     needs = Needs(
         lamp=True, prior=frozenset({"threshold_sigma", "offset_dn"}),
         learned=frozenset({"bandwidth", "jitter_us", "noise", "ratio_sigma",

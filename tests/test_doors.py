@@ -1,0 +1,142 @@
+"""The examples of CONTRIBUTING.md as another package: each goes through every door."""
+import os
+import re
+import subprocess
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+from test_aedat4 import joined
+from test_aedat4_writer import small
+
+import pdavis_cv
+from pdavis_cv import FORMATS, METHODS, SOURCES, Layout, VideoCapture
+from pdavis_cv.data import example_recording
+from pdavis_cv.tools import score
+from pdavis_cv.tools.main import main
+from pdavis_cv.viewer.show import show_of
+
+
+def install(site, groups, modules):
+    """Lay a package out as pip would."""
+    facts = site / "mine-1.0.dist-info"
+    facts.mkdir(parents=True)
+    for name, text in modules.items():
+        (site / name).write_text(text)
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (facts / "entry_points.txt").write_text("".join(
+        f"[{group}]\n" + "".join(f"{name} = {what}\n" for name, what in points.items())
+        for group, points in groups.items()))
+
+
+@pytest.fixture
+def mine(root, tmp_path, monkeypatch):
+    """Install the examples of CONTRIBUTING.md."""
+    page = (root / "CONTRIBUTING.md").read_text()
+    [points] = re.findall(r"```toml\n(.*?)```", page, re.S)
+    modules = {text.split()[1]: text
+               for text in re.findall(r"```python\n(.*?)```", page, re.S)}
+    site = tmp_path / "site"
+    install(site, tomllib.loads(points)["project"]["entry-points"], modules)
+    monkeypatch.syspath_prepend(str(site))
+    yield site
+    for name in modules:
+        sys.modules.pop(name.removesuffix(".py"), None)
+
+
+def told(capsys, *words):
+    assert main(words) == 0
+    return capsys.readouterr().out
+
+
+def test_a_format_is_read_by_name_of_nothing_but_its_bytes(mine, tmp_path, capsys):
+    events = joined(small().packets())[0]
+    path = tmp_path / "x.bin"
+    path.write_bytes(b"MINE" + events.tobytes())
+    with pdavis_cv.open_recording(path) as recording:
+        np.testing.assert_array_equal(recording.events(), events)
+    with VideoCapture(path, layout=Layout.PDAVIS, fps=100) as capture:
+        assert capture.read()[0] or capture.last_error is None
+    assert "Mine" in told(capsys, "info", str(path), "--layout", "pdavis")
+    assert list(FORMATS)[-1] == "mine"
+
+
+def test_a_method_goes_through_every_door(mine, tmp_path, capsys):
+    path = str(example_recording())
+    with pdavis_cv.open_recording(path, layout="pdavis") as recording:
+        options = {"demosaic": "superpixel", "extinction_ratio": None}
+        held = list(pdavis_cv.fuse(recording, method="frames", hold="mid", **options))
+        mine = list(pdavis_cv.fuse(recording, method="smooth", weight=0.25, **options))
+    floor = [np.maximum(image.quad, 0.01) for image in (*held[:2], mine[1])]
+    bright = held[0].valid & held[1].valid
+    np.testing.assert_allclose(
+        floor[2][:, bright], (floor[0]**0.75 * floor[1]**0.25)[:, bright], rtol=1e-3)
+    assert METHODS["smooth"].method == mine[0].provenance["method"] == "smooth"
+    with VideoCapture(path, layout=Layout.PDAVIS, method="smooth", weight=0.25,
+                      output="i0", **options) as capture:
+        number = capture.get(pdavis_cv.CAP_PROP_PDAVIS_METHOD)
+        assert list(METHODS)[int(number)] == "smooth"
+        np.testing.assert_array_equal(capture.read()[1], mine[0].quad[0])
+    out = tmp_path / "x.npy"
+    assert main(["export", path, "-o", str(out), "--layout", "pdavis", "--method",
+                 "smooth", "--set", "weight=0.25", "--quantities", "i0",
+                 "--demosaic", "superpixel"]) == 0
+    np.testing.assert_array_equal(
+        np.load(out)[1, 0][bright], mine[1].quad[0][bright])
+    capsys.readouterr()
+    for command in ("export", "view", "fan", "tendon"):
+        assert "smooth" in told(capsys, command, "--help"), command
+    show = show_of(path, tmp_path, {"layout": "pdavis"})
+    try:
+        assert show.status()["methods"][-1] == "smooth"
+        show.command("method", "smooth")
+        assert show.status()["method"] == "smooth"
+    finally:
+        show.close()
+
+
+def test_a_method_is_scored_beside_the_others(mine, capsys):
+    assert "'smooth'" in told(capsys, "score", "--help")
+    assert score.trials()["smooth"] == score.Trial(
+        {"method": "smooth"}, causal=True, thresholds=False)
+
+
+def test_a_source_is_opened_by_its_address(mine, tmp_path, capsys):
+    with pdavis_cv.open_source("blink:left?hz=50&seconds=0.1") as source:
+        assert source.name == "blink:left?hz=50&seconds=0.1"
+        found = joined(source.packets())[0]
+    assert len(found) == 10 * 256
+    np.testing.assert_array_equal(np.unique(found["t"]), np.arange(10) * 10_000)
+    with pytest.raises(pdavis_cv.DeviceError, match="no 'rpm'; it takes hz, seconds"):
+        pdavis_cv.open_source("blink:?rpm=3")
+    with VideoCapture("blink:?hz=50&seconds=0.2", fps=50) as capture:
+        assert capture.read()[0], capture.last_error
+    assert list(SOURCES)[-1] == "blink"
+    assert "2,560" in told(capsys, "info", "blink:?hz=50&seconds=0.1")
+
+
+def test_what_is_broken_stops_nobody_and_is_told_by_name(tmp_path):
+    site = tmp_path / "site"
+    install(site, {f"pdavis_cv.{kind}": {"broken": "broken_module:Thing"} for kind in (
+        "formats", "methods", "sources")}, {"broken_module.py": "1 / 0\n"})
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+
+    def run(*words):
+        return subprocess.run(
+            [sys.executable, "-P", "-W", "error", *words], env=environment,
+            capture_output=True, text=True, check=False)
+
+    assert run("-c", "import pdavis_cv; pdavis_cv.fuse; pdavis_cv.VideoCapture"
+               ).returncode == 0
+    pdavis = ("-m", "pdavis_cv.tools.main")
+    whole = run(*pdavis, "--help")
+    assert (whole.returncode, whole.stderr) == (0, "")
+    assert run(*pdavis, "export", "--help").returncode == 0
+    asked = run(*pdavis, "export", str(example_recording()), "-o",
+                str(tmp_path / "x.npy"), "--method", "broken", "--layout", "pdavis")
+    assert asked.returncode == 2
+    assert ("method 'broken' of broken_module:Thing cannot be used: division by zero"
+            in asked.stderr)
+    opened = run("-c", "import pdavis_cv; pdavis_cv.open_source('broken:')")
+    assert "source 'broken' of broken_module:Thing cannot be used" in opened.stderr
