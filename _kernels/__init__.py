@@ -37,7 +37,8 @@ from ._kalman import kalman_frame, kalman_inflate
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
-    cf_frame_literal,
+    cf_frame_authors,
+    cf_frame_printed,
     check_events,
     check_times,
     leak_events,
@@ -91,7 +92,8 @@ __all__ = [
     "binned",
     "cds",
     "cf_frame",
-    "cf_frame_literal",
+    "cf_frame_authors",
+    "cf_frame_printed",
     "check_events",
     "check_times",
     "correct",

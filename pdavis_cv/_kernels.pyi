@@ -30,7 +30,8 @@ __all__ = [
     "binned",
     "cds",
     "cf_frame",
-    "cf_frame_literal",
+    "cf_frame_authors",
+    "cf_frame_printed",
     "check_events",
     "check_times",
     "correct",
@@ -185,7 +186,11 @@ def cf_frame(
     sample: _F32, valid: _U8, log_8bit: _F32, age: _F32, t: float, rate: float,
     floor: float, held: _F32, cells: NDArray[Any],
 ) -> None: ...
-def cf_frame_literal(
+def cf_frame_authors(
+    sample: _F32, valid: _U8, log_8bit: _F32, t: float, rate: float, floor: float,
+    held: _F32, cells: NDArray[Any],
+) -> None: ...
+def cf_frame_printed(
     sample: _F32, valid: _U8, t: float, rate: float, floor: float, log_scale: float,
     cells: NDArray[Any],
 ) -> None: ...
