@@ -4,6 +4,7 @@
 # make asan: the tests under the address and undefined-behaviour sanitizers.
 # make tsan: the tests of eight threads under the thread sanitizer.
 # make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
+# make paper: the paper's figures, quickly, into paper/; make bench: times.
 # make soak MINUTES=40: stream simulated data, watch memory, handles and drift.
 # make twice: the wheel, built twice, is the same to the bit.
 # Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
@@ -16,7 +17,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
 	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
 
-.PHONY: demo test docs asan tsan bits fuzz soak twice clean
+.PHONY: demo test paper bench docs asan tsan bits fuzz soak twice clean
 
 # One more than there are cores: some tests wait for time to pass.
 WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
@@ -25,7 +26,7 @@ demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo --progress
 
 test: $(VENV)/.with-test
-	$(VENV)/bin/pytest -q -n $(WORKERS) --dist worksteal $(if $(ALL),-m '')
+	$(VENV)/bin/pytest -q -n $(WORKERS) --dist worksteal $(if $(ALL),-m '' tests lab/tests)
 
 docs: $(VENV)/.with-docs
 	$(VENV)/bin/python -P -m sphinx -W --keep-going -q -j auto docs build/docs
@@ -34,11 +35,18 @@ docs: $(VENV)/.with-docs
 # make fuzz SECONDS=3600: read damaged recordings for that long
 SECONDS := 60
 fuzz: $(VENV)/.with-test
-	$(VENV)/bin/python -P tests/fuzz/fuzz.py --seconds $(SECONDS)
+	$(VENV)/bin/python -P lab/fuzz/fuzz.py --seconds $(SECONDS)
+
+paper: $(VENV)/.with-test
+	mkdir -p paper
+	$(VENV)/bin/python -m lab.paper all --quick -o paper/all --progress
+
+bench: $(VENV)/.with-test
+	$(VENV)/bin/python -m lab.bench
 
 MINUTES := 40
 soak: $(VENV)/.with-test
-	$(VENV)/bin/pdavis soak --minutes $(MINUTES)
+	$(VENV)/bin/python -m lab.soak --minutes $(MINUTES)
 
 twice:
 	.ci/twice
@@ -54,4 +62,4 @@ $(VENV)/.with-%: $(SOURCES) .ci/venv
 	touch $@
 
 clean:
-	rm -rf build dist demo $(VENV) _kernels/*.so *.egg-info
+	rm -rf build dist demo paper $(VENV) _kernels/*.so *.egg-info

@@ -54,7 +54,7 @@ KERNELS = (
     "_smooth",
     "_store",
 )
-SOURCE_TREE_ONLY = ("_floor",)  # what `pdavis bench` compares with: no user needs it
+SOURCE_TREE_ONLY = ("_floor",)  # what lab/bench compares with: no user needs it
 SHARED = (
     "_check.pxd",
     "_channels.h",

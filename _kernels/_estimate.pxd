@@ -14,7 +14,7 @@ cdef extern from *:
     """
     #define LEAST_VARIANCE 1e-8     /* ln^2: the resolution of float32 */
     /* Time constants of a pixel over which the slope of its output is a mean;
-       studies/lag_slope.py. */
+       lab/studies/lag_slope.py. */
     #define SLOPE_SPAN 1.0
     """
     const double LEAST_VARIANCE

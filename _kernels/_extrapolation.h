@@ -1,6 +1,6 @@
 /* Part of a threshold crossed since a pixel's last event: see `ahead`.
 
-   Made by studies/kalman_extrapolation.py; not to be edited.  By kind (the
+   Made by lab/studies/kalman_extrapolation.py.  By kind (the
    last two events of one sign; of two) and node (u = time since the last
    event over the gap before it, by AHEAD_FINE to 2, then by AHEAD_COARSE):
    mean part in thresholds, its slope in thresholds per gap, variances of

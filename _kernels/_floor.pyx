@@ -1,4 +1,4 @@
-"""What `pdavis bench` compares kernels with; never optimised."""
+"""What `python -m lab.bench` compares kernels with; never optimised."""
 from libc.stdint cimport int64_t
 
 from _kernels._types cimport event_t

@@ -24,7 +24,7 @@ cdef extern from *:
     #define NEWTON_STEPS 8
     /* Standard error (ln units) of a light that falls faster than a pixel can follow:
        LOST_SLOPE (r - LOST_FROM), where r is the rate of fall (1/s) divided by 2 pi
-       times the corner frequency; studies/kalman_interpolation.py. */
+       times the corner frequency; lab/studies/kalman_interpolation.py. */
     #define LOST_FROM 0.24
     #define LOST_SLOPE 3.0
     #define LAG_VARIANCE_MOST 1.0           /* ln^2: nothing is known of the lag */

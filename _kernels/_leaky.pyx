@@ -204,7 +204,8 @@ def mean_around(const float[:, ::1] own not None, const float[:, ::1] count not 
 
 cdef inline float gain_of(float log_v, float floor) noexcept nogil:
     """Adaptive gain m(v) of docs/theory/complementary-filter.md from ln v (8-bit)."""
-    # 1 / ln 10, ln 255, 1 / ln(255 / 200): the paper's limits, studies/adaptive_gain.py
+    # 1 / ln 10, ln 255, 1 / ln(255 / 200): the paper's limits,
+    # lab/studies/adaptive_gain.py
     cdef float per_ln_10 = 0.43429448, ln_255 = 5.5412635, per_top = 4.116138
     cdef float one = 1.0, low, high
     low = log_v * per_ln_10

@@ -31,7 +31,7 @@ cdef extern from *:
     #define TURN_HALF 0.5
     #define TURN_MOST 1.0
     /* Variances of the part (thresholds^2) and of its slope (thresholds^2 per gap^2),
-       from studies/kalman_interpolation.py.  SAME: between two events of one sign;
+       from lab/studies/kalman_interpolation.py.  SAME: between two events of one sign;
        TURNED: between opposite signs, the event before giving the slope; UNSURE: the
        same without such an event; QUIET: no event has followed yet. */
     #define SAME_VARIANCE 0.0005
@@ -496,9 +496,9 @@ cdef inline part_t ahead(const walk_t* walk, double on, double off,
 
     Returns posterior means and variances of the part and of its slope, given that no
     event has followed.  They are tabulated by the time since the last event over the
-    last gap.  studies/kalman_extrapolation.py states the prior, an ensemble of lights
-    that turn and may stop, and makes the table.  Long silence means rest.  Under a
-    flickering lamp this holds for the light minus the ripple.
+    last gap.  lab/studies/kalman_extrapolation.py states the prior, an ensemble of
+    lights that turn and may stop, and makes the table.  Long silence means rest.  Under
+    a flickering lamp this holds for the light minus the ripple.
     """
     cdef part_t part = nothing(walk.p)
     cdef double refractory = tuning.refractory_us

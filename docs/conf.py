@@ -4,6 +4,8 @@ numpydoc reads the docstrings as they are, MyST the pages as they show on a code
 Nothing is fetched by a reader's browser: formulas are MathML, fonts the system's.
 The pages of reference/ are written from the code by `api_pages.py`.
 """
+import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import latex2mathml.converter
 import pdavis_cv
 
 HERE = Path(__file__).parent
+LAB = HERE.parent / "lab" / "docs"
 sys.path.insert(0, str(HERE))
 
 import api_pages  # noqa: E402  (beside this file)
@@ -41,8 +44,8 @@ PARTS = {
     "Reference": ["reference/options", "reference/opencv", *(
         f"reference/{room}" for room in api_pages.ROOMS)],
     "Theory": ["theory/index"],
-    "Validation": ["robustness", "reproduced", "networks", "demosaicing", "speed",
-                   "promises"],
+    "Evidence": ["promises", "demosaicing",
+                 *sorted(f"lab/{path.stem}" for path in LAB.glob("*.md"))],
     "Development": ["architecture"],
 }
 """Pages of each part, in order; `index` stays readable without Sphinx."""
@@ -51,7 +54,12 @@ PARTS["How to"] += sorted({path.stem for path in HERE.glob("*.md")} - {"index"}.
 
 
 def add_contents(_app, name, source):
-    """Append the tables of contents that Sphinx wants to the pages that lead."""
+    """Append the tables of contents that Sphinx wants to the pages that lead.
+
+    The site has the pages of `lab/docs` in a folder of its own.
+    """
+    source[0] = re.sub(r"\]\(\.\./((?:\.\./)*)lab/docs/", r"](\1lab/", source[0])
+    source[0] = source[0].replace("](../../docs/", "](../")
     if name == "index":
         for title, pages in PARTS.items():
             source[0] += toctree(pages, title)
@@ -81,5 +89,6 @@ def block(self, node):
 def setup(app):
     """Connect what is here."""
     api_pages.write(HERE / "reference")
+    shutil.copytree(LAB, HERE / "lab", dirs_exist_ok=True)
     app.connect("source-read", add_contents)
     app.add_html_math_renderer("mathml", (inline, None), (block, None))

@@ -45,7 +45,7 @@ variance of differences.  For white noise it is 64/9 * .64 = 4.6: a 3x3 differen
 9/64 of a sample's variance, the detail .64.  It is smaller, as edges disturb the
 differences too."""
 
-# Found by studies/demosaic_constants.py.
+# Found by lab/studies/demosaic_constants.py.
 _GUIDED = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 3.5)], GUIDED_DTYPE)
 
 

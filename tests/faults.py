@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
+TESTS = Path(__file__).parent
+sys.path[:0] = [str(TESTS), str(TESTS.parent / "lab" / "fuzz")]
 
 import corpus  # noqa: E402
 from targets import MOST_SAMPLES, RECORDINGS  # noqa: E402

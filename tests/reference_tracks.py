@@ -143,7 +143,7 @@ def quiet(before, t0, p0, known, r, deaf, t):
 @functools.cache
 def prior():
     """Nodes and table of the stated prior, made by its study."""
-    folder = str(Path(__file__).resolve().parent.parent / "studies")
+    folder = str(Path(__file__).resolve().parents[1] / "lab" / "studies")
     sys.path.insert(0, folder)
     try:
         study = importlib.import_module("kalman_extrapolation")

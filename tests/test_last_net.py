@@ -147,7 +147,7 @@ def test_errors_of_the_library_stay_what_they_are():
 
 
 @pytest.mark.parametrize("arguments", [
-    ("export", FILE), ("score", FILE), ("reproduce", "all"), ("simulate", "fan")])
+    ("export", FILE), ("score", FILE), ("simulate", "fan")])
 def test_two_dashes_are_no_name_of_a_file(arguments, capsys):
     assert main([*arguments, "-o=--"]) == 2
     assert "-o/--out: expected one argument, got '--'" in one_line(capsys)
@@ -155,8 +155,8 @@ def test_two_dashes_are_no_name_of_a_file(arguments, capsys):
 
 @pytest.mark.parametrize("arguments", [
     ("export", FILE), ("fan", FILE), ("simulate", "polarizer"), ("convert", FILE),
-    ("reproduce", "all"), ("score", FILE), ("calibrate", "thresholds", FILE),
-    ("soak",)], ids=lambda arguments: arguments[0])
+    ("score", FILE), ("calibrate", "thresholds", FILE)],
+    ids=lambda arguments: arguments[0])
 def test_a_folder_that_is_not_there_is_named_before_the_work(
         arguments, tmp_path, capsys, monkeypatch):
     def work(*args, **options):

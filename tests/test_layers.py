@@ -19,7 +19,7 @@ LINES = (
     ("analysis", "export", "render"),
     ("selfcal",),
     ("calibration",),
-    ("simulation", "training"),
+    ("simulation",),
     ("reconstruct",),
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events"),

@@ -38,7 +38,7 @@ SAID = {
         """A docstring with 17 numbers in 3.5 lines."""
         cdef extern from *:
             """
-            #define LAG 0.33  /* of a threshold, studies/lag.py */
+            #define LAG 0.33  /* of a threshold, lab/studies/lag.py */
             static const double POLE = 5.5;  /* Hz, data sheet */
             """
         # Places of the state, in the order of docs/theory
@@ -47,7 +47,7 @@ SAID = {
             SINCE = 21
 
         def f(double[:, ::1] state not None):
-            cdef double share = 0.15   # of the variance, studies/share.py
+            cdef double share = 0.15   # of the variance, lab/studies/share.py
             if state.shape[1] != 9:
                 raise ValueError("f: state must be (n, 9)")
             return state[0, 8] * 0.5 + share  # not 0.75

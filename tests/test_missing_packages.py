@@ -51,17 +51,14 @@ COMMANDS = {
              "--centre", "172,129", "--radius", "9"), ("cv2",)),
     "tendon": (("tendon", SAMPLE, "-o", "{out}", "--layout", "pdavis", "--fps", "60"),
                ("cv2", "matplotlib")),
-    "reproduce": (
-        ("reproduce", "fig2", "-o", "{out}", "--recording", "{h5}"), ("h5py",)),
     "view": (("view", "{bag}", "--no-browser"), ("rosbags",)),
     "stream": (("stream", "{h5}"), ("h5py",)),
     "weights": (("weights", "convert", "{zip}", "-o", "{out}.npz"), ()),
-    "train": (("train", "joint", "-o", "{out}.npz"), ("torch",)),
 }
 """Name -> (arguments, packages that it cannot do without)."""
-UNUSABLE = ("reproduce", "weights")
+UNUSABLE = ("weights",)
 """Of these the files here are nothing that the command can use, which it says."""
-SERVE = ("view", "stream", "train")
+SERVE = ("view", "stream")
 """Commands that end when somebody ends them."""
 LIGHT = [(name, package) for name, (_, needed) in COMMANDS.items()
          for package in needed]

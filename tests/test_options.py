@@ -12,12 +12,10 @@ import pdavis_cv
 from pdavis_cv import Calibration, FusionOptions, Layout, VideoCapture, fuse
 from pdavis_cv.capture.video import CaptureKeywords
 from pdavis_cv.data import example_recording
-from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.options import FusionKeywords
 from pdavis_cv.live import Session
 from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.tools import _common, export, fan
-from pdavis_cv.tools.reproduce.recording import fit_files
 
 OPTIONS = sorted(FusionOptions.facts())
 
@@ -164,15 +162,3 @@ def test_a_calibration_that_is_missing_or_of_another_camera_is_one_line(
     assert export.main([str(path), "-o", str(tmp_path / "a.npy"),
                         "--calibration", str(other)]) == 2
     assert "sensor" in capsys.readouterr().err
-
-
-def test_a_calibration_is_cropped_with_the_recording_it_is_scored_on(calibrated):
-    path, camera = calibrated
-    known = Calibration.load(camera)
-    fitted, = fit_files([path], layout=Layout.PDAVIS, roi=(2, 4, 8, 6), seconds=3.0,
-                        nominal=None, calibration=known)
-    part = fitted.case.options["calibration"]
-    assert part.sensor_size == (6, 8)
-    assert part.theta_on.shape == (6, 8)
-    assert part.layout == Layout.PDAVIS
-    Fusion(fitted.case.existing.recording, calibration=part)

@@ -1,6 +1,6 @@
 """The methods on event pixels that do not share our simulator's model of a crossing.
 
-``python tests/test_other_pixels.py`` prints the table in docs/reproduced.md.
+``python tests/test_other_pixels.py`` prints the table in lab/docs/reproduced.md.
 """
 import importlib.util
 

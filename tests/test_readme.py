@@ -28,15 +28,22 @@ def test_the_page_of_commands_names_them_all(root):
     assert set(re.findall(r"`pdavis ([a-z]+)[^`]*`", text)) == set(COMMANDS)
 
 
+def pages(root):
+    """Return the pages; of the site's copies of the lab's, the originals."""
+    found = [*root.glob("*.md"), *(root / "docs").rglob("*.md"),
+             *(root / "lab").rglob("*.md")]
+    return {page for page in found if root / "docs" / "lab" not in page.parents}
+
+
 def test_pages_name_no_command_that_there_is_not(root):
     from pdavis_cv.tools.main import COMMANDS
-    for page in [root / "README.md", *(root / "docs").rglob("*.md")]:
+    for page in pages(root) - {root / "CHANGELOG.md"}:
         named = re.findall(r"(?:`|^ *)pdavis ([a-z]+)\b", page.read_text(), re.M)
         assert set(named) <= set(COMMANDS), page
 
 
 def test_every_file_that_a_page_links_to_exists(root):
-    for page in [*root.glob("*.md"), *(root / "docs").rglob("*.md")]:
+    for page in pages(root):
         for link, anchor in re.findall(
                 r"\]\(([^)#\s]*)(?:#([^)\s]*))?[^)]*\)", page.read_text()):
             if link.startswith("https://"):
@@ -79,7 +86,7 @@ def test_every_page_can_be_reached_from_the_readme(root):
         seen.add(page)
         waiting += [(page.parent / link).resolve() for link in
                     re.findall(r"\]\(([^)#\s]+\.md)[^)]*\)", page.read_text())]
-    missing = set((root / "docs").rglob("*.md")) - seen
+    missing = {page for page in pages(root) if page.parent != root} - seen
     assert not missing
 
 

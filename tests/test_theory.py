@@ -65,7 +65,7 @@ def test_the_ranges_of_drawn_cameras_are_those_of_the_page():
 
 def test_docstrings_do_not_cite_what_is_not_here():
     root = DOCS.parent
-    for folder in ("pdavis_cv", "_kernels", "tools", "tests", "studies"):
+    for folder in ("pdavis_cv", "_kernels", "tools", "tests", "lab"):
         for path in (root / folder).rglob("*.py*"):
             if path.suffix in (".py", ".pyx", ".pxd", ".pyi"):
                 for cited in re.findall(r"docs/theory/[\w-]+\.md", path.read_text()):
@@ -75,7 +75,7 @@ def test_docstrings_do_not_cite_what_is_not_here():
 @pytest.fixture(scope="module")
 def source():
     """Return the words of the source, and the names of its files."""
-    files = [path for folder in ("pdavis_cv", "_kernels", "tools", "studies", "tests")
+    files = [path for folder in ("pdavis_cv", "_kernels", "tools", "lab", "tests")
              for path in (DOCS.parent / folder).rglob("*")
              if path.suffix in (".py", ".pyx", ".pxd", ".pyi", ".h")
              and path.name != Path(__file__).name]

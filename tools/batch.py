@@ -3,9 +3,7 @@
 Jobs that are done are not repeated, so an interrupted run continues when it is called
 again.  OUT receives a folder and a .json file for each job, summary.csv, and the web
 page index.html.  A recording that fails becomes a row with its error.  "pdavis batch
-status OUT" shows the progress.  With --work reproduce, FILEs are experiments of pdavis
-reproduce (all, fig2, fig3, fig4a, dr, flicker, robustness); their parts are the jobs,
-and OUT also receives their tables and pages.
+status OUT" shows the progress.
 """
 from __future__ import annotations
 
@@ -18,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from pdavis_cv import FusionOptions, batch
-from pdavis_cv._remote import is_remote
 from pdavis_cv.batch.pools import EXECUTORS
 
 from ._common import (
@@ -31,12 +28,11 @@ from ._common import (
     tell,
 )
 from ._progress import asked_for
-from ._values import LAST_SEED, positive, within
+from ._values import positive, within
 
 __all__ = ["main"]
 
 _MOST_WORKERS = 100_000
-_REPRODUCE = "reproduce"
 
 
 @command
@@ -49,13 +45,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError("the following arguments are required: -o/--out")
     work = _work(args.work, args.work_settings)
     options = _options(args.settings)
-    reproduces = args.work == _REPRODUCE
-    if reproduces:
-        if is_remote(args.out) or args.settings:
-            raise UsageError(
-                "--work reproduce has no --set, and joins its tables on a disk, got "
-                f"-o {args.out}")
-        args.files = list(_reproduce().parts(args.files, work))
     if args.dry_run:
         return _dry_run(args, work, options)
     with for_people(args):
@@ -65,8 +54,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             progress=asked_for() or None)
         if args.parquet:
             table.write_parquet()
-        if reproduces:
-            print("wrote", *_reproduce().join(table, Path(args.out)))
     failed = table.failed
     lines = [f"{row['recording']}: {row['error']}" for row in failed[:20]]
     if len(failed) > 20:
@@ -97,14 +84,14 @@ def _parser() -> argparse.ArgumentParser:
              "separated by slashes: bandwidth=250/0")
     parser.add_argument(
         "--work", default="export", metavar="WORK",
-        help=f"{', '.join(batch.WORKS)}, {_REPRODUCE}, or MODULE:FUNCTION of your "
-             "own; default export")
+        help=f"{', '.join(batch.WORKS)}, or MODULE:FUNCTION of your own; default "
+             "export")
     parser.add_argument(
         "--with", action="append", default=[], metavar="NAME=VALUE",
         dest="work_settings", type=_setting,
         help="parameters of the work: export has suffix (.npz, .h5, .ome.tif), "
              "quantities, start_s, stop_s; traces regions, start_s, stop_s; score "
-             "seconds; calibrate nominal; reproduce quick, seeds, seconds")
+             "seconds; calibrate nominal")
     parser.add_argument(
         "--jobs", type=within(1, _MOST_WORKERS), metavar="N",
         help="number of jobs at a time; default: one per core")
@@ -150,11 +137,9 @@ def _work(name: str, settings: Sequence[tuple[str, list[str]]]) -> batch.Work:
             raise UsageError(f"--work {name}: {error}") from None
     elif name in batch.WORKS:
         work = batch.WORKS[name]
-    elif name == _REPRODUCE:
-        work = _reproduce().Part()
     else:
         raise UsageError(
-            f"--work must be one of {', '.join(batch.WORKS)}, {_REPRODUCE} or "
+            f"--work must be one of {', '.join(batch.WORKS)} or "
             f"MODULE:FUNCTION, got {name!r}")
     changes = dict(_work_values(settings))
     if not changes:
@@ -168,11 +153,6 @@ def _work(name: str, settings: Sequence[tuple[str, list[str]]]) -> batch.Work:
     return changed
 
 
-def _reproduce() -> Any:
-    from .reproduce import parts
-    return parts
-
-
 def _work_values(
     settings: Sequence[tuple[str, list[str]]]
 ) -> Iterator[tuple[str, Any]]:
@@ -181,8 +161,6 @@ def _work_values(
             yield name, tuple(value.replace("/", ",") for value in values)
         elif name == "nominal":
             yield name, tuple(map(positive, values))
-        elif name == "seeds":
-            yield name, tuple(map(within(0, LAST_SEED), values))
         elif len(values) > 1:
             raise UsageError(f"--with {name} takes one value, got {','.join(values)}")
         else:

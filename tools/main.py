@@ -24,14 +24,10 @@ COMMANDS = {
     "calibrate": "measure a camera into its calibration file",
     "score": "find the best method for a recording, by predicting left-out frames",
     "simulate": "simulate a recording with known ground truth",
-    "bench": "time the library against fixed floors",
     "fan": "make a video of a rotating wheel of polarizers, and measure its angles",
     "tendon": "measure a loaded sample: traces, spectra, lock-in maps, a report",
-    "reproduce": "reproduce the paper's figures, with all methods and known truth",
-    "train": "train a network for the methods joint and firenet on simulated events",
     "weights": "convert the checkpoint of a published network, or show a weights file",
     "demo": "make pictures of the included recordings",
-    "soak": "stream simulated data for hours and monitor memory, handles and drift",
 }
 
 

@@ -27,14 +27,14 @@ HOT_FLOOR_HZ, HOT_FACTOR = 6.0, 4.0
 """A pixel is hot if its rate exceeds floor + factor x the median of its neighbours'.
 
 The floor limits false detections by Poisson fluctuations to one pixel of a chip per
-hour (4.5 Hz are enough, studies/denoise.py); the factor allows for edges.
+hour (4.5 Hz are enough, lab/studies/denoise.py); the factor allows for edges.
 """
 WINDOW_US = 50_000
 """How long an event supports its neighbours, us: a window twice as long would save less
-than .5 % of the events of a polarizer at 30 RPM (studies/denoise.py)."""
+than .5 % of the events of a polarizer at 30 RPM (lab/studies/denoise.py)."""
 SUPPORT = 2
 """Number of the eight neighbours, at least, that an edge of any direction has passed
-before it reaches a pixel (studies/denoise.py)."""
+before it reaches a pixel (lab/studies/denoise.py)."""
 _NEIGHBOURS = 8
 """Number of nearest pixels behind the same polarizer, two rows or columns away."""
 _NEVER = -(2**62)

@@ -33,7 +33,7 @@ _EVEN_US, _ENOUGH = np.array([1000.0, 4000.0, 15000.0]), 4000.0
 # Detection: explained / residual variance above _EVIDENCE; variance that separate waves
 # of the four places of a macropixel explain in addition, below _APART of the common
 # wave's; amplitude above _LEAST, ln units.  Steady light passes none of these tests:
-# studies/lamp_detection.py.
+# lab/studies/lamp_detection.py.
 _EVIDENCE, _APART, _LEAST = 200.0, 0.5, 0.02
 
 _LEAST_EXPOSURE_MS = 1e-3

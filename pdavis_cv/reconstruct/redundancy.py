@@ -49,10 +49,10 @@ events of the chip tell it: the geometric mean of 0.05 (3.5 % of each threshold,
 et al. 2014) and 0.21 (15 %, the default of v2e, Hu et al. 2021)."""
 LINE_ERROR = 2.2
 """Standard error of ln(theta_on / theta_off) that a line through the events of N
-periods of the light gives, in units of 1 / (2 N)^2 (studies/redundancy_far.py)."""
+periods of the light gives, in units of 1 / (2 N)^2 (lab/studies/redundancy_far.py)."""
 FAR_ERRORS = 2.6
 """A pixel whose ratio is farther from the prior than so many standard errors of its
-line is an outlier: 98 % of lines err by less (studies/redundancy_far.py)."""
+line is an outlier: 98 % of lines err by less (lab/studies/redundancy_far.py)."""
 PART_LEAST = 0.05
 """Bound of the fraction of ON, and of OFF, events; numerical."""
 PULL = 1e-3

@@ -110,7 +110,7 @@ _LAW_EVIDENCE = 8.0
 """Gain of ln L that a bandwidth that depends on the light must have over a constant one
 (see `evidence`).  Errors of interpolation and de-blurring cause up to 7 before a fan;
 where the bandwidth does follow the light it is 41 or more, except in the dimmest light
-(studies/selfcal_law.py)."""
+(lab/studies/selfcal_law.py)."""
 
 _GRID_SHARES = np.array([0.0, 0.5, 0.8, 1.0])
 """Shares of the bandwidth, proportional to the light, where -ln L is first tried."""

@@ -53,7 +53,7 @@ choice."""
 
 _LAG_SHARE = 0.2
 """Relative error of the lag that such a fit separates from the delay: 1.3 to 1.8 ms of
-7 at 30 RPM where the clocks agree (studies/selfcal_clock_offset.py)."""
+7 at 30 RPM where the clocks agree (lab/studies/selfcal_clock_offset.py)."""
 
 _LAG_LIGHT = 0.5
 """Intensity at which the lag is evaluated, relative to a bright pixel's."""
@@ -69,12 +69,12 @@ noise counts as high: half a step of the grid of `fit_event_noise`."""
 _CURVATURE_INFLATION = 2.0
 """Factor on the sigma by the curvature of -ln L, because pixels that see the same edge
 have the same error.  Engineering choice: before a polarizer .75 is enough
-(studies/selfcal_clock_offset.py); before a texture or a fan, with pixels that have a
-refractory period, up to 5 was seen."""
+(lab/studies/selfcal_clock_offset.py); before a texture or a fan, with pixels that have
+a refractory period, up to 5 was seen."""
 
 _MODEL_US = 150.0
 """Model error of the sum of offset and lag, us.  Engineering choice: the rms error is
-52 where the model holds (studies/selfcal_clock_offset.py); a refractory period of
+52 where the model holds (lab/studies/selfcal_clock_offset.py); a refractory period of
 0.5 ms, which is not modelled, shifts it by 300."""
 
 _MOST_US = 12_000.0

@@ -48,14 +48,14 @@ _EVIDENCE = 40.0
 """Fall of -ln L at which the nominal thresholds are given up: model selection between
 "nominal" and "anything within a factor of three".  Engineering choice: more than the
 fall where thresholds are stated correctly (up to 28 on `nominal` and `realistic`, 30 to
-1000 RPM; studies/selfcal_common_scale.py)."""
+1000 RPM; lab/studies/selfcal_common_scale.py)."""
 
 _LEAST_GAIN = 0.33
 """Least `CommonScale.gain`: innovations grow with the square of the error of the
 thresholds.  Where a tenth of the events is lost, sums of events are noise at 1000 RPM,
 and a scale of one half is likelier than the nominal thresholds, but with a gain of .12
-only; true scales have .62 to 6.5 (studies/selfcal_least_gain.py; .23, and .54 to 8, on
-the specimens on which the limit was chosen), that of the real DAVIS346 has 2.1."""
+only; true scales have .62 to 6.5 (lab/studies/selfcal_least_gain.py; .23, and .54 to 8,
+on the specimens on which the limit was chosen), that of the real DAVIS346 has 2.1."""
 
 _NO_EVENTS = -3.0
 """ln of a scale with which events almost vanish (5 % of their size); an engineering
@@ -74,7 +74,7 @@ order of the models' error (`_MODEL_SIGMA`)."""
 
 _MODEL_SIGMA = 0.03
 """Error of the scale (ln) by the models of frames and interpolation: rms error where
-thresholds are stated correctly (studies/selfcal_common_scale.py)."""
+thresholds are stated correctly (lab/studies/selfcal_common_scale.py)."""
 
 _LEAST_CURVATURE = 1.0
 """Least second derivative of -ln L by the ln of the scale, so that a flat minimum has a
@@ -82,7 +82,7 @@ finite sigma, a factor of e; numerical."""
 
 _MIN_CHANGE = 0.08
 """Least |ln| of a scale that is applied.  A smaller one may be an effect of de-blurring
-and of offsets of the frames (up to .07, studies/selfcal_common_scale.py), and lies
+and of offsets of the frames (up to .07, lab/studies/selfcal_common_scale.py), and lies
 within `THRESHOLD_SIGMA` of each pixel anyway."""
 
 

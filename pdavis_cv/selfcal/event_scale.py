@@ -52,7 +52,7 @@ pixels leak, events say little of thresholds.  Engineering choice."""
 _BIAS, _MODEL_SIGMA = 0.06, 0.05
 """What the least misfit's scale (ln) is too small by, because noise of the events is
 smaller relative to a power of the light below 1, and the rest of its error: mean and
-standard deviation over cameras and speeds (studies/event_scale.py)."""
+standard deviation over cameras and speeds (lab/studies/event_scale.py)."""
 
 _QUALITY_LEAST = 1e-4
 """Least ratio of eigenvalues, so that its ln is finite; numerical."""
@@ -68,7 +68,7 @@ _LEAST_FALL, _LEAST_GAIN, _SIGMAS = 0.12, 1.8, 4.0
 errors that the fall must have (engineering choice).  Light with structure makes a wrong
 scale fit better by .08 at most; passing stripes, if a scale were searched in them, with
 a gain of .7.  True scales beyond a third have a fall of .14 and a gain of 2.4 at least
-(studies/event_scale.py)."""
+(lab/studies/event_scale.py)."""
 
 
 class EventScale(NamedTuple):

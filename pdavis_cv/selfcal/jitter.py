@@ -28,7 +28,7 @@ _PER_JITTER = 0.6745 * math.sqrt(1 + 9 + 9 + 1)
 
 _SHUFFLED, _POWER = 1.85, 6
 """Jitter longer than a gap changes the order of events, so that the third difference
-grows less: fitted to studies/stamp_jitter.py, within 10 % up to `_TOLD`."""
+grows less: fitted to lab/studies/stamp_jitter.py, within 10 % up to `_TOLD`."""
 
 _TOLD, _TOLD_JITTER = 1.5, 0.65
 """Largest median third difference that tells the jitter, and that jitter, in gaps."""

@@ -14,7 +14,7 @@ NORMAL, LONG_TAILED = 2.0, 1.5
 distribution, and one with tails between its and those of a double exponential.  Noise
 events and turns between frames cause a few large innovations that no candidate
 explains; with p = 2 they dominate, and thresholds are estimated up to a fifth too small
-(studies/selfcal_tails.py)."""
+(lab/studies/selfcal_tails.py)."""
 
 BLOCKS = 20
 """Number of time blocks whose scatter gives the standard error of evidence, to 16 %.

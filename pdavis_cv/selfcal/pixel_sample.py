@@ -28,14 +28,15 @@ FILTER_NOISE = (0.05, 1.3, 0.005)
 """Noise of the candidate filters, as `KalmanFilter`'s ``noise`` but larger: errors of
 de-blurring are correlated from frame to frame and accumulate over many frames.
 Engineering choice: with one of the three four times smaller or larger, the rms error of
-the thresholds falls by at most 4 % (studies/selfcal_thresholds.py)."""
+the thresholds falls by at most 4 % (lab/studies/selfcal_thresholds.py)."""
 
 MIN_DN = 16.0
 """Least DN of a sample.  Below it, an offset of the frames changes the contrast by more
 than thresholds differ from pixel to pixel.
 
 An offset of o DN changes the greatest contrast, ln(extinction ratio), by o / DN: by the
-share `USUAL_MISMATCH` at 2 / (.035 ln 40) = 15.5 DN (studies/selfcal_thresholds.py)."""
+share `USUAL_MISMATCH` at 2 / (.035 ln 40) = 15.5 DN
+(lab/studies/selfcal_thresholds.py)."""
 
 _USABLE_SHARE = 0.8
 """Least fraction of frames in which a pixel of the sample is usable."""
@@ -48,8 +49,8 @@ _MIN_FRAMES = 4
 """Least number of frames for an estimate."""
 
 # Systematic error of the photoreceptor's model, as a share of the model's effect
-# (engineering choice: studies/selfcal_thresholds.py finds .57 with two chips, .94 with
-# six), and that of interpolation, which all pixels share (assumed).
+# (engineering choice: lab/studies/selfcal_thresholds.py finds .57 with two chips, .94
+# with six), and that of interpolation, which all pixels share (assumed).
 _MODEL_SHARE, _MODEL_MIN_SIGMA = 0.6, 0.002
 
 _SAMPLE_EVENTS, _SAMPLE_PIXELS, _MIN_SAMPLE_PIXELS = 30_000, 256, 16

@@ -28,7 +28,7 @@ FRAME_CORRELATION, _DARK_FRAME_CORRELATION = 0.45, 0.25
 """Share of the frames' assumed variance that is common to all frames of a pixel,
 without and with a dark frame: a lower bound on the variance of the thresholds' scale,
 however well frames fit.  Engineering choices: the scale's chi squared is at least .30
-of what is assumed (studies/selfcal_thresholds.py, 500 RPM), so .45 is cautious; .25
+of what is assumed (lab/studies/selfcal_thresholds.py, 500 RPM), so .45 is cautious; .25
 with a dark frame has no study."""
 
 _MIN_ON_RATE_HZ = 3.0

@@ -15,7 +15,7 @@ __all__ = ["LastingDegree"]
 
 FRAMES = 10
 """Memory of the mean and of its variance, frames: half a second of the paper's cameras.
-`studies/lasting_degree.py` compares it with 5 and 20."""
+`lab/studies/lasting_degree.py` compares it with 5 and 20."""
 
 LATE_FRAMES = 2
 """Memory, frames, of the variance that shows at once that the degree has changed.
@@ -29,7 +29,7 @@ SURE = 10.0
 """The degree is used where it is more than this many times its sigma: unpolarized light
 with structure has an apparent degree.  Chosen on the real DAVIS346, which has no
 polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.03 %.
-`studies/lasting_degree.py` compares both with 20 on specimens that no score uses."""
+`lab/studies/lasting_degree.py` compares both with 20 on other specimens."""
 
 _CELL_NS = 9
 """Time that a macropixel takes in an image, ns."""

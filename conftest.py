@@ -1,0 +1,92 @@
+"""Fixtures and hooks of every test."""
+import gc
+import os
+import threading
+import time
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+# How long an example takes says how busy the machine is.
+hypothesis.settings.register_profile(
+    "untimed", deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("untimed")
+
+ROOT = Path(__file__).resolve().parent
+DATA = Path(os.environ.get("PDAVIS_TEST_DATA") or "/nowhere")
+DATA_WORDS = ("PDAVIS_TEST_DATA", "test data", "real data")
+
+
+@pytest.fixture(scope="session")
+def data_dir():
+    """Return the folder of real recordings; skip where there is none."""
+    if not DATA.is_dir():
+        pytest.skip("PDAVIS_TEST_DATA names no folder")
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def root():
+    """Return the top folder of the sources."""
+    return ROOT
+
+
+@pytest.fixture(autouse=True)
+def _no_file_stays_open():
+    before = _open_files()
+    yield
+    if _open_files() - before:
+        gc.collect()  # a traceback may hold one until its cycle is broken
+    left = {path for _, path in _open_files() - before}
+    assert not left, f"left open: {sorted(left)}"
+
+
+@pytest.fixture
+def threads_ended():
+    """Return a function that tells whether the package's threads of the test ended."""
+    before = set(threading.enumerate())
+
+    def ended(patience_s=0.0):
+        until_s = time.monotonic() + patience_s
+        while left := [thread for thread in set(threading.enumerate()) - before
+                       if thread.name.startswith("pdavis")]:
+            if time.monotonic() >= until_s:
+                print("threads left:", left)
+                return False
+            time.sleep(0.05)
+        return True
+
+    return ended
+
+
+def _open_files():
+    """Return (descriptor, path) of each regular file that this process holds."""
+    found = set()
+    for entry in Path("/proc/self/fd").glob("*"):
+        try:
+            path = Path(os.readlink(entry))
+        except OSError:
+            continue  # the descriptor of the listing itself
+        ours = path.suffix != ".ttf"      # matplotlib keeps its fonts open
+        if ours and path.is_absolute() and path.is_file() and (
+                path.parts[1] not in DEVICES):
+            found.add((entry.name, str(path)))
+    return found
+
+
+DEVICES = ("dev", "proc", "sys")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Turn a data test's skip into a failure where the data are there."""
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail") and DATA.is_dir():
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else ""
+        uses_data = "data_dir" in getattr(item, "fixturenames", ())
+        if uses_data or any(word in reason for word in DATA_WORDS):
+            report.outcome = "failed"
+            report.longrepr = f"a data test skipped though {DATA} exists: {reason}"
+    return report

@@ -1,0 +1,1 @@
+"""What shows that pdavis_cv is right; run from a clone, not installed."""

@@ -1,0 +1,1 @@
+"""The benchmark; command.py times the cases that the other files register."""

@@ -1,0 +1,123 @@
+"""What `python -m lab.bench` times of the Kalman method."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from time import process_time, thread_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.fusion import thresholds_in_situ
+from pdavis_cv.reconstruct.kalman import KalmanFilter
+from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.recording.memory import recording_from_arrays
+from pdavis_cv.sensor import Layout
+
+from .cases import (
+    EVENTS,
+    PACKET,
+    SHAPE,
+    Comparison,
+    case,
+    event_input,
+)
+from .floor import compiled_floor
+
+__all__: list[str] = []
+
+THETA = 0.2
+KINDS = ("uniform", "clustered")
+
+
+def _floor(
+    floor_sum: Callable[..., int], packets: list[NDArray[Any]]
+) -> float:
+    plane = np.zeros(SHAPE, np.float32)
+    step = np.array([-THETA, THETA], np.float32)
+    start = thread_time()
+    for packet in packets:
+        floor_sum(packet, step, plane)
+    return thread_time() - start
+
+
+def _packets(events: NDArray[Any]) -> list[NDArray[Any]]:
+    return [events[i:i + PACKET] for i in range(0, EVENTS, PACKET)]
+
+
+def _add_events(mode: str) -> Iterator[Comparison]:
+    floor = partial(_floor, compiled_floor())
+    method = KalmanFilter(SHAPE, theta_on=THETA, theta_off=THETA, mode=mode)
+    # The four pixels of a macropixel see the same light: no degree of polarization that
+    # lasts moves the images.
+    sample = np.random.default_rng(2).uniform(
+        50, 900, (SHAPE[0] // 2, SHAPE[1] // 2)).repeat(2, 0).repeat(2, 1)
+    method.add_frame(ApsFrame(sample, -90_000, -80_000))
+    none = event_input("uniform")[:1].copy()
+    none["t"] = 0
+    method.add_events(none)
+    fresh = method.snapshot()
+    for kind in KINDS:
+        events = event_input(kind)
+        packets = _packets(events)
+
+        def candidate(packets: list[NDArray[Any]] = packets) -> float:
+            method.restore(fresh)
+            start = thread_time()
+            for packet in packets:
+                method.add_events(packet)
+            return thread_time() - start
+
+        def check(events: NDArray[Any] = events) -> None:
+            candidate(_packets(events))
+            stop = 2_000_000
+            pixel = events["y"].astype(np.intp) * SHAPE[1] + events["x"]
+            pixel = np.append(pixel, none["y"].astype(np.intp) * SHAPE[1] + none["x"])
+            sign = np.append(events["p"], none["p"])
+            total = np.bincount(
+                pixel, np.where(sign, THETA, -THETA), SHAPE[0] * SHAPE[1])
+            log = method.read(stop).log_intensity - np.log(sample / 10)
+            # What is read beyond the last event is less than a threshold.
+            assert np.abs(log - total.reshape(SHAPE)).max() < THETA
+
+        yield Comparison(kind, check, candidate, partial(floor, packets),
+                         lambda s: EVENTS / s / 1e6, "Mev/s")
+
+
+@case("kalman-causal", "kalman.add_events, causal, against floor_sum", 0.15)
+def _causal() -> Iterator[Comparison]:
+    return _add_events("causal")
+
+
+@case("kalman", "kalman.add_events, buffered, against floor_sum", 0.15)
+def _buffered() -> Iterator[Comparison]:
+    return _add_events("buffered")
+
+
+@case("in-situ", "thresholds in situ at 20 frames/s, against floor_sum", 150,
+      by_time=True)
+def _in_situ() -> Iterator[Comparison]:
+    floor = partial(_floor, compiled_floor())
+    rng = np.random.default_rng(2)
+    frames = [ApsFrame(rng.uniform(50, 900, SHAPE), start, start + 20_000,
+                       available_us=start + 32_000)
+              for start in range(2_000, 960_000, 50_000)]
+    for kind in KINDS:
+        events = event_input(kind)
+        recording = recording_from_arrays(
+            events, frames, sensor_size=SHAPE, layout=Layout.PDAVIS)
+        work = partial(thresholds_in_situ, recording, bandwidth=None)
+
+        def candidate(work: partial[Any] = work) -> float:
+            start = process_time()
+            work()
+            return process_time() - start
+
+        def check(work: partial[Any] = work) -> None:
+            found = work()
+            assert np.all(np.isfinite(found.theta_on) & (found.theta_on > 0))
+            assert np.all(np.linalg.eigvalsh(found.covariance) > 0)
+
+        yield Comparison(kind, check, candidate, partial(floor, _packets(events)),
+                         lambda s: 1e3 * s, "ms")

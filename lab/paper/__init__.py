@@ -1,0 +1,1 @@
+"""The paper's figures; command.py composes the other files."""

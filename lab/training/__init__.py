@@ -1,0 +1,1 @@
+"""Train the recurrent networks on simulated events; needs torch."""

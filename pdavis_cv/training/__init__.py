@@ -1,4 +1,0 @@
-"""Train the recurrent networks on simulated events; needs torch.
-
-Only ``pdavis train`` imports this package.
-"""
