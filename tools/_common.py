@@ -123,10 +123,10 @@ class Parser(OneLineParser):
 def command(main: Main) -> Main:
     """Decorate the main function of a command to report errors in one line.
 
-    The exit code is 2 for a mistake of the user or a file that cannot be read, and 1
-    for an output that cannot be written or an interrupt.  Warnings are one line each.
-    Any other exception is a bug: the line says how to report it, and the exit code is
-    70 (EX_SOFTWARE).  If PDAVIS_CV_TRACEBACK is set, the traceback is printed.
+    The exit code is 2 for a mistake of the user or a file that cannot be read, 1 for an
+    output that cannot be written, and 130 for an interrupt.  Warnings are one line
+    each.  Any other exception is a bug: the line says how to report it, and the exit
+    code is 70 (EX_SOFTWARE).  If PDAVIS_CV_TRACEBACK is set, the traceback is printed.
     """
 
     @functools.wraps(main)
@@ -150,7 +150,7 @@ def command(main: Main) -> Main:
             except MemoryError as error:
                 return _complain(f"not enough memory{error and f': {error}'}", 1)
             except KeyboardInterrupt:
-                return _complain("interrupted; nothing unfinished was left", 1)
+                return _complain("interrupted; nothing unfinished was left", 130)
             except Exception as error:
                 if TRACEBACK in os.environ:
                     raise

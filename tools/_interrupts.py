@@ -3,10 +3,11 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import queue
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 __all__ = ["ended_by_signals", "interruptible"]
@@ -62,23 +63,32 @@ def _interrupt() -> None:
 @contextlib.contextmanager
 def _raised_again() -> Iterator[None]:
     """Raise each KeyboardInterrupt again that Python ignored."""
-    report = sys.unraisablehook
-    waiting: list[threading.Timer] = []
-
-    def raise_again(lost: Any) -> None:
-        if not issubclass(lost.exc_type, KeyboardInterrupt):
-            report(lost)
-            return
-        # Not from here: what is raised in this function is ignored, too.
-        timer = threading.Timer(RETRY_S, _interrupt)
-        timer.daemon = True
-        waiting.append(timer)
-        timer.start()
-
-    sys.unraisablehook = raise_again
+    report, lost = sys.unraisablehook, queue.SimpleQueue[Any]()
+    watcher = threading.Thread(target=_watch, args=(lost, report), daemon=True)
+    watcher.start()
+    # A hook without bytecode, as the next signal's handler would run between it.
+    sys.unraisablehook = lost.put
     try:
         yield
     finally:
         sys.unraisablehook = report
-        for timer in waiting:
-            timer.cancel()
+        lost.put(None)
+        watcher.join()      # so that it sends no signal after the block
+
+
+def _watch(lost: queue.SimpleQueue[Any], report: Callable[[Any], object]) -> None:
+    """Send a signal a moment after interrupts were ignored, until None is put."""
+    due = False
+    while True:
+        try:
+            ignored = lost.get(timeout=RETRY_S if due else None)
+        except queue.Empty:
+            due = False
+            _interrupt()
+            continue
+        if ignored is None:
+            return
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            due = True
+        else:
+            report(ignored)
