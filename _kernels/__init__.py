@@ -28,6 +28,7 @@ from ._event_words import (
     evt2_words,
     evt3_words,
     ros_events,
+    stream_events,
     text_events,
 )
 from ._events import count, surface, voxel
@@ -158,6 +159,7 @@ __all__ = [
     "store_mark",
     "store_push",
     "store_unlink",
+    "stream_events",
     "superpixel",
     "surface",
     "text_events",

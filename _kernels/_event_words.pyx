@@ -19,7 +19,8 @@ cdef enum:
     COLUMN = 4      # where the next vector of EVT3 begins
     POLARITY = 5
     UNTIMED = 6     # events skipped because no time came before them
-    WORD_STATE = 7
+    TRIGGERS = 7    # external triggers found in this call
+    WORD_STATE = 8
 
 cdef enum:
     NEAR = 4096     # words that are searched for the next upper bits of time
@@ -34,6 +35,20 @@ cdef enum:
 ctypedef fused word_t:
     uint16_t
     uint32_t
+
+
+cdef inline bint trigger(int64_t t, int64_t value, int64_t[:, ::1] out,
+                         int64_t* stream) noexcept nogil:
+    """Append an external trigger; return False if there is no room."""
+    cdef int64_t n = stream[TRIGGERS]
+    if n >= out.shape[0]:
+        return False
+    if stream[HIGH] >= 0:
+        out[n, 0], out[n, 1] = t, value
+        stream[TRIGGERS] = n + 1
+    else:
+        stream[UNTIMED] += 1
+    return True
 
 
 cdef inline Py_ssize_t after_wrong_time(const word_t* words, Py_ssize_t i, Py_ssize_t n,
@@ -65,23 +80,28 @@ cdef inline Py_ssize_t after_wrong_time(const word_t* words, Py_ssize_t i, Py_ss
 
 def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
-               int64_t[::1] state not None, event_t[::1] out not None):
+               int64_t[::1] state not None, int64_t[:, ::1] triggers not None,
+               event_t[::1] out not None):
     """Decode EVT2 words from begin on while out has room; return (index, reason).
 
     The reason is 1 before a word whose time, stream[1], lies more than a second before
-    the last.  stream and state are kept from call to call.
+    the last.  stream and state are kept from call to call.  External triggers are
+    written to the first stream[7] rows of triggers: time, and 1 for a rising edge;
+    decoding also ends where these are full.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0], after
     cdef uint32_t word, kind
     cdef int64_t high, t
     cdef int why = FULL, took
     cdef int64_t* s
-    if stream.shape[0] != WORD_STATE or state.shape[0] != STATE:
+    if stream.shape[0] != WORD_STATE or state.shape[0] != STATE or (
+            triggers.shape[0] < 1 or triggers.shape[1] != 2):
         raise ValueError("evt2_words: a state has the wrong length")
     if begin < 0 or begin > n or state[FILLED] < 0 or state[FILLED] > room:
         raise ValueError("evt2_words: begin or state lies outside an array")
     s = &state[0]
     s[FIRST_BAD] = -1
+    stream[TRIGGERS] = 0
     with nogil:
         while i < n and s[FILLED] < room:
             word = words[i]
@@ -109,13 +129,18 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                     if took == FALLS:
                         why = JUMP
                         break
+            elif kind == 10:
+                t = stream[LOOPS] + (max(stream[HIGH], 0) << 6 | (word >> 22 & 0x3F))
+                if not trigger(t + s[OFFSET], word & 1, triggers, &stream[0]):
+                    break
             i += 1
     return i, why
 
 
 def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
-               int64_t[::1] state not None, event_t[::1] out not None):
+               int64_t[::1] state not None, int64_t[:, ::1] triggers not None,
+               event_t[::1] out not None):
     """Decode EVT3 words while out has room for 12 events; return (index, reason).
 
     As `evt2_words`.
@@ -126,7 +151,8 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     cdef int why = FULL, count, k
     cdef int64_t[STATE] s
     cdef int64_t[WORD_STATE] at
-    if stream.shape[0] != WORD_STATE or state.shape[0] != STATE:
+    if stream.shape[0] != WORD_STATE or state.shape[0] != STATE or (
+            triggers.shape[0] < 1 or triggers.shape[1] != 2):
         raise ValueError("evt3_words: a state has the wrong length")
     if begin < 0 or begin > n or state[FILLED] < 0:
         raise ValueError("evt3_words: begin or state lies outside an array")
@@ -135,6 +161,7 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     for k in range(WORD_STATE):
         at[k] = stream[k]
     s[FIRST_BAD] = -1
+    at[TRIGGERS] = 0
     with nogil:
         while i < n and s[FILLED] <= room:
             word = words[i]
@@ -181,12 +208,53 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
             elif kind == 3:
                 at[COLUMN] = word & 0x7FF
                 at[POLARITY] = word >> 11 & 1
+            elif kind == 10:
+                if not trigger(at[TIME] + s[OFFSET], word & 1, triggers, at):
+                    break
             i += 1
     for k in range(STATE):
         state[k] = s[k]
     for k in range(WORD_STATE):
         stream[k] = at[k]
     return i, why
+
+
+def stream_events(const uint8_t[::1] data not None, bint atis, Py_ssize_t height,
+                  Py_ssize_t width, int64_t[::1] time not None,
+                  int64_t[::1] state not None, event_t[::1] out not None):
+    """Decode whole events of an Event Stream while out has room; return how far.
+
+    An event is 5 bytes: time since the last one and polarity, x, y from the bottom.
+    Bytes before it prolong this time.  time, of length 1, is kept from call to call.
+    Events of ATIS that measure exposure are skipped.
+    """
+    cdef Py_ssize_t i = 0, n = data.shape[0], room = out.shape[0]
+    cdef int64_t t
+    cdef int head, x, y
+    if time.shape[0] != 1 or state.shape[0] != STATE or (
+            state[FILLED] < 0 or state[FILLED] > room):
+        raise ValueError("stream_events: time or state is wrong")
+    t = time[0]
+    with nogil:
+        while i < n and state[FILLED] < room:
+            head = data[i]
+            if atis and head >= 0xFC:
+                t += 63 * (head & 3)
+                i += 1
+            elif not atis and head >= 0xFE:
+                t += 127 * (head & 1)       # 0xFE marks a reset
+                i += 1
+            elif i + 5 > n:
+                break
+            else:
+                t += head >> (2 if atis else 1)
+                if not (atis and head & 1):
+                    x, y = data[i + 1] | data[i + 2] << 8, data[i + 3] | data[i + 4] << 8
+                    add(&out[0], i, t + state[OFFSET], x, height - 1 - y,
+                        head >> atis & 1, height, width, 1, &state[0])
+                i += 5
+    time[0] = t
+    return i
 
 
 # ---- lines of text ---------------------------------------------------------------

@@ -91,6 +91,7 @@ __all__ = [
     "store_mark",
     "store_push",
     "store_unlink",
+    "stream_events",
     "superpixel",
     "surface",
     "texture_stokes",
@@ -140,16 +141,20 @@ def event_columns(
 ) -> tuple[int, int, int]: ...
 def evt2_words(
     words: NDArray[np.uint32], begin: int, height: int, width: int, stream: _I64,
-    state: _I64, out: NDArray[Any],
+    state: _I64, triggers: _I64, out: NDArray[Any],
 ) -> tuple[int, int]: ...
 def evt3_words(
     words: NDArray[np.uint16], begin: int, height: int, width: int, stream: _I64,
-    state: _I64, out: NDArray[Any],
+    state: _I64, triggers: _I64, out: NDArray[Any],
 ) -> tuple[int, int]: ...
 def ros_events(
     data: _U8, start: int, stride: int, count: int, places: _I64, shift: int,
     begin: int, height: int, width: int, state: _I64, out: NDArray[Any],
 ) -> tuple[int, int, int]: ...
+def stream_events(
+    data: _U8, atis: bool, height: int, width: int, time: _I64, state: _I64,
+    out: NDArray[Any],
+) -> int: ...
 def text_events(
     data: _U8, begin: int, order: _I64, unit: int, height: int, width: int,
     state: _I64, out: NDArray[Any],

@@ -17,6 +17,33 @@ def evt2_file(events, size=(480, 640), *, header=None):
     return head + np.array(words, "<u4").tobytes()
 
 
+def evt21_file(events, size=(480, 640), *, legacy=True, header=None):
+    """Return a RAW file of EVT2.1: 64-bit words, each with 32 neighbours of a row.
+
+    The upper half of a word comes first in the order that is called legacy.
+    """
+    words, high, i = [], None, 0
+    rows = events.tolist()
+    while i < len(rows):
+        t, x, y, p = rows[i]
+        if t >> 6 != high:
+            high = t >> 6
+            words.append((8 << 28 | high & 0xFFFFFFF) << 32)
+        base, pixels = x & ~31, 0
+        while i < len(rows) and (t, y, p) == (rows[i][0], *rows[i][2:]) and (
+                base <= rows[i][1] < base + 32 and not pixels >> rows[i][1] - base):
+            pixels |= 1 << rows[i][1] - base
+            i += 1
+        words.append((p << 28 | (t & 63) << 22 | base << 11 | y) << 32 | pixels)
+    data = np.array(words, ">u8" if legacy else "<u8")
+    if legacy:
+        data = data.view(">u4").astype("<u4")
+    order = "legacy" if legacy else "little"
+    head = header or (f"% endianness {order}\n% format EVT21;height={size[0]};"
+                      f"width={size[1]}\n% end\n".encode())
+    return head + data.tobytes()
+
+
 def evt3_file(events, size=(480, 640), *, header=None):
     """Return a RAW file of EVT3: 16-bit words; neighbours go into vectors."""
     words, before, i = [], (None, None, None), 0
@@ -60,6 +87,22 @@ def dat_file(events, size=(480, 640)):
             "% Date 2020-01-01 00:00:00\n"
             f"% Height {size[0]}\n% Width {size[1]}\n")
     return head.encode() + bytes([12, 8]) + words.tobytes()
+
+
+def es_file(events, size=(480, 640), *, atis=False):
+    """Return an Event Stream: times since the last event, rows from the bottom."""
+    out = bytearray(b"Event Stream\2\0\0" + bytes([2 if atis else 1])
+                    + struct.pack("<HH", size[1], size[0]))
+    most, last = (63, 0) if atis else (127, 0)
+    for t, x, y, p in events.tolist():
+        step, last = t - last, t
+        while step >= most:
+            many = min(step // most, 3 if atis else 1)
+            out.append(0xFC | many if atis else 0xFF)
+            step -= many * most
+        out.append(step << 2 | p << 1 if atis else step << 1 | p)
+        out += struct.pack("<HH", x, size[0] - 1 - y)
+    return bytes(out)
 
 
 def text_file(events, *, line="{t} {x} {y} {p}\n"):

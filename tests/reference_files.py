@@ -1,5 +1,6 @@
 """Plain NumPy twins of the kernels that decode and encode files."""
 import re
+import struct
 from decimal import Decimal
 
 import numpy as np
@@ -115,7 +116,11 @@ def right_times(words, version, before):
 
 
 def words(pieces, version, height, width):
-    """Decode pieces of words of EVT2 or EVT3; times never jump by a second."""
+    """Decode pieces of words of EVT2 or EVT3; times never jump by a second.
+
+    Returns the events, and the triggers as (time, whether rising).
+    """
+    triggers = []
     loops, high, low, before = 0, None, 0, None
     row = column = polarity = 0
     taken = _Taken(height, width, 1 if version == 2 else 64)
@@ -132,6 +137,10 @@ def words(pieces, version, height, width):
                 low = 0 if value != high else low
                 high = value
                 base = (loops << span) + value << (6 if version == 2 else 12)
+            elif kind == 10:
+                if high is not None:
+                    triggers.append((base + (word >> 22 & 63 if version == 2 else low),
+                                     word & 1))
             elif version == 2 and kind in (0, 1) and high is not None:
                 taken.add(base + (word >> 22 & 63), word >> 11 & 2047, word & 2047,
                           kind)
@@ -149,7 +158,26 @@ def words(pieces, version, height, width):
                     if word >> i & 1 and high is not None:
                         taken.add(base + low, column + i, row, polarity)
                 column += bits
-    return taken.out
+    return taken.out, triggers
+
+
+def stream_events(data, atis, height, width):
+    """Return the events of an Event Stream after its header, and what is left."""
+    taken, t, i = _Taken(height, width), 0, 0
+    while i < len(data):
+        head = data[i]
+        if head >= (252 if atis else 254):
+            t += 63 * (head & 3) if atis else 127 * (head & 1)
+            i += 1
+            continue
+        if i + 5 > len(data):
+            break
+        t += head >> 2 if atis else head >> 1
+        x, y = struct.unpack_from("<HH", data, i + 1)
+        if not (atis and head & 1):
+            taken.add(t, x, height - 1 - y, head >> atis & 1)
+        i += 5
+    return taken.out, data[i:]
 
 
 def text_rows(lines, order):

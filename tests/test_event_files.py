@@ -6,8 +6,10 @@ import pytest
 import reference_files as reference
 from event_bytes import (
     dat_file,
+    es_file,
     evt2_file,
     evt3_file,
+    evt21_file,
     npy_file,
     npz_file,
     rpg_file,
@@ -42,7 +44,8 @@ def some_events(n=3000, size=SIZE, seed=0, step=40):
     return events
 
 
-MAKERS = {"evt2.raw": evt2_file, "evt3.raw": evt3_file, "x.dat": dat_file,
+MAKERS = {"evt2.raw": evt2_file, "evt3.raw": evt3_file, "evt21.raw": evt21_file,
+          "x.dat": dat_file, "x.es": es_file,
           "x.npy": lambda e, size: npy_file(e), "x.npz": lambda e, size: npz_file(e),
           "x.csv": lambda e, size: b"t,x,y,p\r\n" + text_file(
               e, line="{t},{x},{y},{p}\r\n"),
@@ -73,7 +76,8 @@ def test_events_are_read_whole_and_by_interval(tmp_path, name):
         recording.events()
 
 
-@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize(
+    "name", [name for name in MAKERS if name != "x.es"])    # its time cannot fall
 def test_what_lies_outside_or_runs_backward_is_counted(tmp_path, name):
     events = some_events(300)
     events["x"][10] = 700
@@ -133,25 +137,52 @@ def test_words_equal_their_twin(version):
     pieces = np.array_split(words, 7)
     for size in (SIZE, (12, 16)):
         clock, stream = Clock(Timeline()), WordStream(version, size)
-        got = np.concatenate([stream.events(piece, clock) for piece in pieces])
-        expected = reference.words(pieces, version, *size)
-        assert got.tolist() == expected
+        got, triggers = [], []
+        for piece in pieces:
+            got += stream.events(piece, clock).tolist()
+            triggers += map(tuple, stream.triggers.tolist())
+        expected, found = reference.words(pieces, version, *size)
+        assert got == expected
+        assert triggers == found
+        assert len(found) > 256     # more than fit into the memory of one call
         assert len(expected) > (10 if size == SIZE else -1)
+
+
+@pytest.mark.parametrize("atis", [False, True])
+def test_an_event_stream_equals_its_twin(atis):
+    rng = np.random.default_rng(0)
+    data = rng.integers(0, 256, 5000, np.uint8)
+    data[rng.integers(0, 5000, 2000)] = 0   # else most events lie outside
+    time, out = np.zeros(1, np.int64), np.zeros(1001, EVENT_DTYPE)
+    state = np.array([0, -2**61, 0, 0, 0, -1, -2**61], np.int64)
+    done = _kernels.stream_events(data, atis, 300, 400, time, state, out)
+    expected, left = reference.stream_events(data.tobytes(), atis, 300, 400)
+    assert out[:state[0]].tolist() == expected
+    assert data[done:].tobytes() == left
+    assert len(expected) > 50
 
 
 def test_kernels_refuse_arrays_of_the_wrong_shape():
     out, state = np.empty(50, EVENT_DTYPE), np.zeros(7, np.int64)
-    stream = np.zeros(7, np.int64)
+    stream, room = np.zeros(8, np.int64), np.zeros((4, 2), np.int64)
     for kernel, dtype in ((_kernels.evt2_words, np.uint32),
                           (_kernels.evt3_words, np.uint16)):
         words = np.zeros(4, dtype)
-        for wrong in ((words, 5, 4, 4, stream, state, out),
-                      (words, 0, 4, 4, stream[:3], state, out),
-                      (words, 0, 4, 4, stream, state[:3], out),
-                      (words, 0, 4, 4, stream, state - 1, out)):
+        for wrong in ((words, 5, 4, 4, stream, state, room, out),
+                      (words, 0, 4, 4, stream[:3], state, room, out),
+                      (words, 0, 4, 4, stream, state[:3], room, out),
+                      (words, 0, 4, 4, stream, state, room[:, :1].copy(), out),
+                      (words, 0, 4, 4, stream, state, room[:0], out),
+                      (words, 0, 4, 4, stream, state - 1, room, out)):
             with pytest.raises(ValueError, match=kernel.__name__):
                 kernel(*wrong)
-        assert kernel(words[:0], 0, 4, 4, stream, state, out) == (0, 0)
+        assert kernel(words[:0], 0, 4, 4, stream, state, room, out) == (0, 0)
+    data = np.zeros(5, np.uint8)
+    for wrong in ((data, False, 4, 4, stream, state, out),
+                  (data, False, 4, 4, stream[:1], state[:3], out),
+                  (data, False, 4, 4, stream[:1], state + 51, out)):
+        with pytest.raises(ValueError, match="stream_events"):
+            _kernels.stream_events(*wrong)
     for change in ({"order": [0, 1, 2]}, {"order": [0, 1, 2, 4]}, {"begin": 4},
                    {"unit": 3}, {"unit": -1}, {"state": state[:3]},
                    {"state": state - 1}, {"state": state + 51}):
@@ -296,11 +327,15 @@ def test_the_size_comes_from_the_header_or_the_events(tmp_path, header, size):
 
 
 @pytest.mark.parametrize(("data", "message"), [
-    (b"% format EVT21;height=4;width=4\n% end\n", "EVT21 is not read, EVT2 and EVT3"),
-    (b"% evt 4.0\n% end\n", "EVT4.0 is not read"),
+    (b"% evt 4.0\n% end\n", "EVT4.0 is not read, EVT2, EVT2.1 and EVT3 are"),
+    (b"% evt 3.0\n% endianness big\n% end\n", "endianness big are not read"),
+    (b"Event Stream\2\0\0\4", "2.0.0 with colour events is not read"),
+    (b"Event Stream\1\0\0\1", "1.0.0 with DVS events is not read: version 2"),
+    (b"Event Stream\2\0\0\1\0\0\0\0", "a sensor of 0x0 pixels"),
     (b"% evt 3.0\n% geometry 0x9\n% end\n", r"must lie in 1\.\.8192.* 0x9"),
-    (b"% Data file containing CD events\n" + bytes([14, 8]), "events of type 14"),
-    (b"% Data file containing CD events\n", "events of type 0 and 0 bytes"),
+    (b"% Data file containing CD events\n\x0e\x08", "DAT 2 with events of type 14"),
+    (b"% Data file containing CD events\n", "of type 0 and 0 bytes is not read"),
+    (b"% Version 3\n\x0c\x08", "DAT 3 with events of type 12"),
     (b"% a TeX file\n", "not a recording, first bytes b'% a TeX"),
     (b"\x93NUMPY\x01\x00", "not arrays that can be read"),
     (b"PK\x03\x04", "not arrays that can be read"),
@@ -310,6 +345,70 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path, data, message):
     (tmp_path / "x.raw").write_bytes(data)
     with pytest.raises(RecordingError, match=rf"x\.raw: .*{message}"):
         open_recording(tmp_path / "x.raw")
+
+
+@pytest.mark.parametrize("make", [evt2_file, evt21_file, evt3_file])
+def test_triggers_come_with_the_events(tmp_path, make):
+    events = some_events(1000)
+    data = make(events, SIZE)
+    head, t = data.index(b"% end\n") + 6, int(events["t"][0])
+    # After the upper bits of the first event's time, before anything else.
+    rising, falling = {
+        evt2_file: ([10 << 28 | 5 << 22 | 1, 10 << 28 | 6 << 22], "<u4"),
+        evt21_file: ([10 << 28 | 5 << 22 | 1, 0, 10 << 28 | 6 << 22, 0], "<u4"),
+        evt3_file: ([6 << 12 | t & 0xFC0 | 5, 10 << 12 | 1,
+                     6 << 12 | t & 0xFC0 | 6, 10 << 12], "<u2")}[make]
+    at = head + {evt2_file: 4, evt21_file: 8, evt3_file: 2}[make]
+    words = np.array(rising, falling).tobytes()
+    (tmp_path / "x.raw").write_bytes(data[:at] + words + data[at:])
+    with open_recording(tmp_path / "x.raw") as recording:
+        assert recording.info.trigger_count is None
+        found, _, _, triggers = joined(recording.packets())
+        assert recording.scan().trigger_count == 2
+    assert triggers.tolist() == [(t & ~63 | 5, 1), (t & ~63 | 6, 2)]
+    np.testing.assert_array_equal(found, events[events["t"] >= t & ~63 | 6])
+
+
+def test_halves_of_words_are_in_either_order(tmp_path):
+    events = some_events(5000)
+    stated = b"% evt 2.1\n% geometry 640x480\n"
+    for legacy in (False, True):
+        for header in (None, stated):
+            (tmp_path / "x.raw").write_bytes(
+                evt21_file(events, legacy=legacy, header=header))
+            with open_recording(tmp_path / "x.raw") as recording:
+                assert recording.info.format == "RAW (EVT2.1)"
+                np.testing.assert_array_equal(recording.events(), events)
+
+
+def test_events_of_atis_are_read(tmp_path):
+    events = some_events(2000)
+    (tmp_path / "x.es").write_bytes(es_file(events, SIZE, atis=True) + b"\1")
+    with open_recording(tmp_path / "x.es") as recording:
+        assert recording.info.format == "Event Stream (ATIS)"
+        with pytest.warns(UserWarning, match="ends inside an event"):
+            np.testing.assert_array_equal(recording.events(), events)
+
+
+@pytest.mark.parametrize("name", ["x.es", "evt2.raw", "evt3.raw", "dat1", "dat2",
+                                  "x.csv", "x.aedat4"])
+def test_what_faery_writes_is_read(tmp_path, name):
+    faery = pytest.importorskip("faery")
+    events = some_events(3000, (240, 304))
+    theirs = events.astype(faery.EVENTS_DTYPE)
+    path = tmp_path / name
+    faery.events_stream_from_array(theirs, (304, 240)).to_file(
+        path, **{"dat1": {"version": "dat1", "file_type": "dat"},
+                 "dat2": {"version": "dat2", "file_type": "dat"},
+                 "evt2.raw": {"version": "evt2"}, "evt3.raw": {"version": "evt3"}
+                 }.get(name, {}))
+    expected = events.copy()
+    if name == "x.es":      # which keeps no first time
+        expected["t"] -= events["t"][0]
+    with open_recording(path) as recording:
+        assert recording.info.sensor_size == (240, 304)
+        np.testing.assert_array_equal(recording.events(), expected)
+        assert not recording.problems
 
 
 def test_a_file_that_ends_inside_a_word_is_damaged(tmp_path):

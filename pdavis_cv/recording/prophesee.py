@@ -1,4 +1,4 @@
-"""Prophesee's RAW (EVT2, EVT3) and DAT files, which hold events only.
+"""Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files: events and external triggers.
 
 Written from Prophesee's documentation of the formats.  They are decoded here because
 the existing readers have other licences (expelliarmus GPL, faery LGPL).
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.base import TRIGGER_DTYPE, RecordingInfo
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout
 
-__all__ = ["PropheseeRecording", "WordStream", "is_prophesee"]
+__all__ = ["PropheseeRecording", "WordStream", "is_prophesee", "ordered_triggers"]
 
 MAX_HEADER = 1 << 16
 MAX_SIDE = 8192
@@ -29,9 +29,16 @@ CHUNK = 1 << 18
 _CHIPS = (("320", (320, 320)), ("imx636", (720, 1280)), ("gen4", (720, 1280)),
           ("gen3", (480, 640)))
 """(height, width) by a substring of the name of plugin or generation."""
+_DAT_FIELDS = {1: (9, 17), 2: (14, 28)}
+"""Bits of an event's word before y and before p, by the version of DAT; x is first."""
+DAT, EVT2, EVT21, EVT3 = 0, 2, 21, 3
+_NAMES = {DAT: "DAT", EVT2: "RAW (EVT2)", EVT21: "RAW (EVT2.1)", EVT3: "RAW (EVT3)"}
+_WORD_BYTES = {DAT: 8, EVT2: 4, EVT21: 8, EVT3: 2}
 
 # Indices into the kernels' state.
-HIGH, TIME, UNTIMED, WORD_STATE = 0, 1, 6, 7
+HIGH, TIME, UNTIMED, TRIGGERS, WORD_STATE = 0, 1, 6, 7, 8
+_TRIGGER_ROOM = 256
+_RISING, _FALLING = 1, 2
 
 
 def is_prophesee(start: bytes) -> bool:
@@ -39,25 +46,62 @@ def is_prophesee(start: bytes) -> bool:
     lines = [line for line in start.split(b"\n") if line.startswith(b"%")]
     return bool(lines) and re.search(
         rb"%\s*(evt \d|format EVT|geometry|Data file containing|plugin_name"
-        rb"|system_ID|camera_integrator_name|integrator_name)",
-        b"\n".join(lines)) is not None
+        rb"|system_ID|camera_integrator_name|integrator_name"
+        rb"|(Version|Width|Height) \d)", b"\n".join(lines)) is not None
 
 
-class WordStream:
-    """Decode words of EVT2 or EVT3 to events; the state is kept between calls.
+def ordered_triggers(t: NDArray[np.int64], rising: NDArray[Any], after_us: int
+                     ) -> tuple[NDArray[Any], int]:
+    """Return external triggers in time order, and how many were left out.
 
     Parameters
     ----------
-    version : {2, 3}
+    t : ndarray of int64, shape (N,)
+        Times in us.
+    rising : ndarray, shape (N,)
+        Not 0 for a rising edge.
+    after_us : int
+        Triggers before this time are left out, as are those before an earlier one.
+
+    Returns
+    -------
+    triggers : ndarray of TRIGGER_DTYPE, shape (M,)
+    left_out : int
+    """
+    keep = t >= np.maximum(np.maximum.accumulate(t), after_us)
+    out = np.empty(int(keep.sum()), TRIGGER_DTYPE)
+    out["t"] = t[keep]
+    out["type"] = np.where(rising[keep], _RISING, _FALLING)
+    return out, len(t) - len(out)
+
+
+class WordStream:
+    """Decode words of EVT2, EVT2.1 or EVT3; the state is kept between calls.
+
+    Parameters
+    ----------
+    version : {2, 21, 3}
     size : (int, int)
         Sensor (height, width).
+    high_first : bool
+        Of EVT2.1: whether the upper half of a word comes first.
+
+    Attributes
+    ----------
+    jumps : int
+        Number of jumps of time by more than a second backward in the last call.
+    triggers : ndarray of int64, shape (N, 2)
+        External triggers of the last call: time in us, 1 for a rising edge.
     """
 
-    def __init__(self, version: int, size: tuple[int, int]) -> None:
-        self.version, self.size = version, size
-        self.dtype = np.dtype("<u4" if version == 2 else "<u2")
+    def __init__(self, version: int, size: tuple[int, int], *, high_first: bool = True
+                 ) -> None:
+        self.version, self.size, self._high_first = version, size, high_first
+        self.dtype = np.dtype("<u2" if version == EVT3 else "<u4")
         self._stream = np.zeros(WORD_STATE, np.int64)
         self._stream[HIGH] = -1
+        self._room = np.empty((_TRIGGER_ROOM, 2), np.int64)
+        self.triggers = self._room[:0]
         self.jumps = 0
 
     @property
@@ -71,7 +115,7 @@ class WordStream:
 
         Parameters
         ----------
-        words : ndarray of uint32 (EVT2) or uint16 (EVT3), shape (N,)
+        words : ndarray of uint32 (EVT2, EVT2.1: two each) or uint16 (EVT3), shape (N,)
         clock : Clock
             Its state counts dropped events.
         memory : Scratch, optional
@@ -81,19 +125,54 @@ class WordStream:
         -------
         ndarray of EVENT_DTYPE, shape (M,)
         """
-        two = self.version == 2
-        kernel = _kernels.evt2_words if two else _kernels.evt3_words
+        if self.version == EVT21:
+            words = _single_events(words.reshape(-1, 2), self._high_first)
+        one = self.version != EVT3
+        kernel = _kernels.evt2_words if one else _kernels.evt3_words
         # Pages that are never written take no memory.
-        out = (memory or Scratch()).room(len(words) if two else 12 * len(words) + 12)
+        out = (memory or Scratch()).room(len(words) if one else 12 * len(words) + 12)
         clock.begin()
-        done, self.jumps = 0, 0
+        done, self.jumps, found = 0, 0, []
         while done < len(words):
-            done, jump = kernel(
-                words, done, *self.size, self._stream, clock.state, out)
+            done, jump = kernel(words, done, *self.size, self._stream, clock.state,
+                                self._room, out)
+            if self._stream[TRIGGERS]:
+                found.append(self._room[:int(self._stream[TRIGGERS])].copy())
             if jump:
                 clock.jump(int(self._stream[TIME] + clock.state[OFFSET]))
                 self.jumps += 1
+        self.triggers = np.concatenate(found) if found else self._room[:0]
         return out[:int(clock.state[FILLED])]
+
+
+def _single_events(pairs: NDArray[np.unsignedinteger], high_first: bool
+                   ) -> NDArray[np.uint32]:
+    """Return words of EVT2 for those of EVT2.1, which hold up to 32 pixels of a row.
+
+    The upper half of a word has the fields of EVT2, the lower half a bit per pixel.
+    """
+    high, pixels = (pairs if high_first else pairs[:, ::-1]).T
+    events = high >> 28 <= 1
+    counts = np.where(events, np.bitwise_count(pixels), 1)
+    words: NDArray[np.uint32] = np.repeat(high, counts)
+    vectors = np.repeat(events, counts)
+    column = np.nonzero(pixels[events, None] >> np.arange(32, dtype=np.uint32) & 1)[1]
+    x = (words[vectors] >> 11) + column.astype(np.uint32) & 0x7FF
+    words[vectors] = words[vectors] & ~np.uint32(0x7FF << 11) | x << 11
+    return words
+
+
+def _upper_first(pairs: NDArray[np.unsignedinteger]) -> bool:
+    """Return whether the upper halves of words of EVT2.1 come first.
+
+    Sensors differ in this.  Upper bits of time (kind 8) rise slowly where they are, but
+    not in the halves that are pixels.
+    """
+    def rises(half: NDArray[np.unsignedinteger]) -> int:
+        steps = np.diff((half[half >> 28 == 8] & 0xFFFFFFF).astype(np.int64))
+        return int(np.count_nonzero((steps >= 0) & (steps < 1 << 14)))
+
+    return rises(pairs[:, 0]) >= rises(pairs[:, 1])
 
 
 class PropheseeRecording(SequentialRecording):
@@ -120,17 +199,23 @@ class PropheseeRecording(SequentialRecording):
             raise RecordingError(
                 f"{self._path}: no camera named {camera!r}: it is {name} {serial}")
         self._version = self._kind(facts)
+        stated = facts.get("t0", facts.get("T0", ""))   # of faery
+        self._origin = int(stated) if re.fullmatch(r"\d{1,18}", stated) else 0
+        self._high_first = self._version == EVT21 and {
+            "little": False, "legacy": True}.get(_endianness(facts), _upper_first(
+                self._words(self._begin, Scratch()).reshape(-1, 2)))
         size = self._sensor_size(facts)
         if size is None:
             size = self._hull()
             self._log.add("unknown size", None, "the header does not give the sensor's "
                           f"size: {size[1]}x{size[0]} holds the first events")
         return RecordingInfo(
-            format="DAT" if self._version == 0 else f"RAW (EVT{self._version})",
+            format=_NAMES[self._version],
             sensor_size=size, writer=facts.get("generator", "Prophesee"), camera=name,
-            serial=serial, layout=layout, frame_count=0, imu_count=0, trigger_count=0,
+            serial=serial, layout=layout, frame_count=0, imu_count=0,
+            trigger_count=0 if self._version == DAT else None,
             event_count=(self._reader.size - self._begin) // 8 if (
-                self._version == 0) else None,
+                self._version == DAT) else None,
             header={"first_row": "top", **facts})
 
     def _header(self) -> dict[str, str]:
@@ -152,27 +237,37 @@ class PropheseeRecording(SequentialRecording):
         return facts
 
     def _kind(self, facts: dict[str, str]) -> int:
-        """Return 2 or 3 for RAW (EVT2, EVT3), 0 for DAT.
+        """Return the version of the events; for DAT, skip the two bytes before them.
 
         Raises
         ------
         RecordingError
             If the events have another format.
         """
-        if facts.get("Data", "").startswith("file containing"):
+        stated = facts.get("format", "").partition(";")[0] or facts.get("evt", "")
+        if "Data" in facts or ("Version" in facts and not stated):
             kind, size = self._reader.read(self._begin, 2).ljust(2, b"\0")
-            if kind not in (0, 12) or size != 8:
+            dat = facts.get("Version", "2")
+            if kind not in (0, 12) or size != 8 or dat not in ("1", "2"):
                 raise RecordingError(
-                    f"{self._path}: byte {self._begin}: events of type {kind} and "
-                    f"{size} bytes, but those of DAT are of type 0 or 12 and 8 bytes")
+                    f"{self._path}: byte {self._begin}: DAT {dat} with events of "
+                    f"type {kind} and {size} bytes is not read: versions 1 and 2 are, "
+                    "of type 0 or 12 (CD) and 8 bytes")
             self._begin += 2
-            return 0
-        stated = facts.get("format", "").partition(";")[0] or facts.get("evt", "2.0")
-        version = stated.upper().removeprefix("EVT").strip()
-        if version not in ("2", "2.0", "3", "3.0"):
+            self._fields = _DAT_FIELDS[int(dat)]
+            return DAT
+        name = (stated or "2.0").upper().removeprefix("EVT").strip().replace(".", "")
+        version = {"2": EVT2, "20": EVT2, "21": EVT21, "3": EVT3, "30": EVT3}.get(name)
+        if version is None:
             raise RecordingError(
-                f"{self._path}: byte 0: EVT{version} is not read, EVT2 and EVT3 are")
-        return int(version[0])
+                f"{self._path}: byte 0: EVT{stated.upper().removeprefix('EVT')} is not "
+                "read, EVT2, EVT2.1 and EVT3 are; Metavision's "
+                "metavision_file_to_dat converts it")
+        if _endianness(facts) not in ("", "little", "legacy"):
+            raise RecordingError(
+                f"{self._path}: byte 0: words with endianness {_endianness(facts)} are "
+                "not read, little and legacy are")
+        return version
 
     def _sensor_size(self, facts: dict[str, str]) -> tuple[int, int] | None:
         options = dict(part.split("=", 1) for part in facts.get(
@@ -196,30 +291,38 @@ class PropheseeRecording(SequentialRecording):
 
     def _hull(self) -> tuple[int, int]:
         """Return a sensor size that holds the first events."""
-        if self._version == 0:
-            words = self._words(self._begin, Scratch()).reshape(-1, 2)[:, 1]
-            x, y = words & 0x3FFF, words >> 14 & 0x3FFF
+        words = self._words(self._begin, Scratch())
+        if self._version == DAT:
+            x, y, _ = self._places(words.reshape(-1, 2)[:, 1])
         else:
-            stream = WordStream(self._version, (2048, 2048))
-            events = stream.events(
-                self._words(self._begin, Scratch()), Clock(Timeline()))
+            events = self._stream((2048, 2048)).events(words, Clock(Timeline()))
             x, y = events["x"], events["y"]
         return likely_size(int(x.max(initial=0)), int(y.max(initial=0)))
 
+    def _places(self, word: NDArray[np.unsignedinteger]
+                ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return x, y, p of the words of DAT."""
+        y, p = self._fields
+        return word & (1 << y) - 1, word >> y & (1 << p - y) - 1, word >> p & 1
+
     def _words(self, at: int, memory: Scratch) -> NDArray[np.unsignedinteger]:
         """Return the complete words of the chunk at a byte."""
-        dtype = np.dtype("<u2" if self._version == 3 else "<u4")
-        size = 8 if self._version == 0 else dtype.itemsize
+        size = _WORD_BYTES[self._version]
         data = memory.read(self._reader, at, CHUNK)
-        words: NDArray[np.unsignedinteger] = data[:len(data) // size * size].view(dtype)
+        words: NDArray[np.unsignedinteger] = data[:len(data) // size * size].view(
+            "<u2" if self._version == EVT3 else "<u4")
         return words
 
+    def _stream(self, size: tuple[int, int]) -> WordStream:
+        return WordStream(self._version, size, high_first=self._high_first)
+
     def _first(self) -> WordStream | None:
-        return WordStream(self._version, self._info.sensor_size) if (
-            self._version) else None
+        return None if self._version == DAT else self._stream(self._info.sensor_size)
 
     def _next(self, at: int, clock: Clock, state: WordStream | None, memory: Scratch
               ) -> tuple[NDArray[Any], int]:
+        if at == self._begin:
+            clock.state[OFFSET] = self._origin
         words = self._words(at, memory)
         if not len(words):
             if at < self._reader.size:
@@ -230,11 +333,26 @@ class PropheseeRecording(SequentialRecording):
         if state is None:
             t, word = words.reshape(-1, 2).T
             return self._checked(
-                (t.astype(np.int64), word & 0x3FFF, word >> 14 & 0x3FFF, word >> 28),
-                clock, at, memory), after
+                (t.astype(np.int64), *self._places(word)), clock, at, memory), after
         before = state.untimed
         events = state.events(words, clock, memory)
         self._dropped(clock, at, state.jumps)
         self._count(at, "untimed", state.untimed - before, "events were skipped "
                     "whose time is not known, or damaged")
         return events, after
+
+    def _triggers(self, at: int, state: WordStream | None, after_us: int
+                  ) -> NDArray[Any] | None:
+        if state is None or not len(state.triggers):
+            return None
+        triggers, late = ordered_triggers(
+            state.triggers[:, 0], state.triggers[:, 1], after_us)
+        self._count(at, "late triggers", late, "triggers were dropped because time ran "
+                    "backward")
+        return triggers
+
+
+def _endianness(facts: dict[str, str]) -> str:
+    """Return the order of bytes that the header states, "" if none."""
+    found = re.search(r"endianness=(\w+)", facts.get("format", ""))
+    return (found[1] if found else facts.get("endianness", "")).lower()

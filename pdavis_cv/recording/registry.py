@@ -60,10 +60,15 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         suffixes=(".usb",), magic=(b"#!PDAVIS-USB1\n",),
         reader=f"{_ROOM}.davis_trace:TraceRecording"),
     Format(
-        name="prophesee", title="Prophesee RAW (EVT2, EVT3) and DAT", holds=_EVENTS,
+        name="prophesee", title="Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT",
+        holds=frozenset(("events", "triggers")),
         suffixes=(".raw", ".dat"), by_ranges=True,
         sniff=f"{_ROOM}.prophesee:is_prophesee",
         reader=f"{_ROOM}.prophesee:PropheseeRecording"),
+    Format(
+        name="es", title="Event Stream", holds=_EVENTS, suffixes=(".es",),
+        by_ranges=True, magic=(b"Event Stream",),
+        reader=f"{_ROOM}.event_stream:EventStreamRecording"),
     Format(
         name="rosbag", title="ROS 1 and ROS 2 bags", suffixes=(".bag",), extra="ros",
         magic=(b"#ROSBAG V2.0",), folder="metadata.yaml",

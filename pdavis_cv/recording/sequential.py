@@ -69,12 +69,25 @@ class SequentialRecording(FileRecording):
             Next position; equal to `at` at the end of the file.
         """
 
+    def _triggers(self, at: int, state: Any, after_us: int) -> NDArray[Any] | None:
+        """Return the triggers of the chunk that was decoded last, if it has any.
+
+        Parameters
+        ----------
+        at : int
+            Position of the chunk.
+        state : object
+            State after it.
+        after_us : int
+            No trigger may be earlier.
+        """
+        return None
+
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        batches = (Batch(events, complete_us=last) for events, last, _ in
-                   self._pieces(start_us, Scratch()))
+        batches = (batch for batch, _ in self._pieces(start_us, Scratch()))
         return packetise(batches, start_us, stop_us)
 
     def events(
@@ -82,28 +95,30 @@ class SequentialRecording(FileRecording):
     ) -> NDArray[Any]:
         """Return the events of start_us <= time < stop_us as one array."""
         memory = Gathering(start_us, stop_us)
-        for events, _, after in self._pieces(start_us, memory):
-            if memory.keep(events):
+        for batch, after in self._pieces(start_us, memory):
+            if batch.events is not None and memory.keep(batch.events):
                 break
             if start_us is stop_us is None:
                 memory.expect((after - self._begin) / (self._end - self._begin))
         return memory.events
 
     def _pieces(self, start_us: int | None, memory: Scratch
-                ) -> Iterator[tuple[NDArray[Any], int, int]]:
-        """Yield the events of each chunk, the latest time so far, the next position."""
+                ) -> Iterator[tuple[Batch, int]]:
+        """Yield the samples of each chunk, and the next position."""
         at, clock, state = self._begin, Clock(Timeline()), self._first()
         if start_us is not None:
             mark = self._marks.before(cell_start(start_us))
             if mark is not None:
                 at, clock, state = mark
         while True:
-            self._marks.note(at, clock.last, (at, clock, state))
+            before = clock.last
+            self._marks.note(at, before, (at, clock, state))
             events, after = self._next(at, clock, state, memory)
             if after == at:
                 return
+            yield Batch(events, triggers=self._triggers(at, state, before),
+                        complete_us=clock.last), after
             at = after
-            yield events, clock.last, after
 
     @property
     def _marks(self) -> Marks:
