@@ -68,7 +68,8 @@ static inline int64_t up_to_16(const uint8_t *data, int count) {
 }
 
 static inline int blank(uint8_t c) {
-    return c == ' ' || c == ',' || c == ';' || c == '\t' || c == '\r';
+    return c == ' ' || c == ',' || c == ';' || c == '\t' || c == '\r' ||
+           c == '"';
 }
 
 /* Read a line; return where it ends, or -1 for one that is not like this: four numbers

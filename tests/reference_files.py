@@ -180,20 +180,28 @@ def stream_events(data, atis, height, width):
     return taken.out, data[i:]
 
 
-def text_rows(lines, order):
+def text_rows(lines, order, more=False):
     """Return rows of t, x, y, p, nanounits of t, and how many lines are bad."""
     rows, bad = [], 0
     for line in lines:
-        parts = line.replace(",", " ").replace(";", " ").split()
-        if not parts or parts[0][0] == "#" or parts[0][0].isalpha():
+        parts = re.sub('[,;"]', " ", line).split()
+        if not parts or parts[0][0] in "#%" or parts[0][0].isalpha():
             continue
-        if len(parts) != 4 or any(
-                re.fullmatch(r"[-+]?([0-8]?\d{1,18}(\.\d*)?|\.\d+)", part) is None
-                for part in parts):
-            bad += 1
-            continue
-        values = dict(zip(order, map(Decimal, parts), strict=True))
-        if any(values[name] % 1 for name in "xyp"):
+        values = {}
+        for name, part in zip(order, parts, strict=False):
+            if re.fullmatch("true|false", part, re.IGNORECASE):
+                part = str(int(part.lower() == "true"))
+            if name != "_" and re.fullmatch(
+                    r"[-+]?([0-8]?\d{1,18}(\.\d*)?|\.\d+)([eE][-+]?\d{1,3})?", part):
+                value = Decimal(part)
+                if "e" in part.lower():     # rounded
+                    value = Decimal(round(value * 10**9)) / 10**9
+                    if abs(value) > 2**62:
+                        continue
+                values[name] = value
+        if sorted(values) != sorted(order.replace("_", "")) or (
+                len(parts) > len(order) and not more) or any(
+                values[name] % 1 for name in "xyp"):
             bad += 1
             continue
         nano = int(values["t"] % 1 * 10**9)
@@ -201,15 +209,17 @@ def text_rows(lines, order):
     return rows, bad
 
 
-def text_events(lines, order, unit, height, width):
+def text_events(lines, order, unit, height, width, more=False):
     """Return events of lines of text, and how many lines are bad."""
     taken, bad = _Taken(height, width), 0
 
     def read(line):
-        rows, wrong = text_rows([line], order)
+        rows, wrong = text_rows([line], order, more)
         for whole, x, y, p, nano in rows:
             return ({"us": whole, "ns": whole // 1000,
-                     "s": whole * 10**6 + (nano + 500) // 1000}[unit], x, y, p), wrong
+                     "s": whole * 10**6 + (nano + 500) // 1000,
+                     "ms": whole * 1000 + (nano + 500_000) // 10**6}[unit],
+                    x, y, p), wrong
         return None, wrong
 
     found = [read(line) for line in lines]

@@ -1,7 +1,8 @@
 """Lists of events: lines of text (CSV) and NumPy arrays."""
 from __future__ import annotations
 
-import re
+import zipfile
+import zlib
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
@@ -13,51 +14,43 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import RecordingInfo
-from pdavis_cv.recording.numpy_files import StoredArray, stored_arrays
+from pdavis_cv.recording.files import FileReader
+from pdavis_cv.recording.numpy_files import (
+    MOST_RATIO,
+    StoredArray,
+    stored_arrays,
+    unpacked,
+)
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
+from pdavis_cv.recording.text_form import (
+    MAX_SIDE,
+    NAMES,
+    NANOSECONDS_FROM,
+    UNITS,
+    checked_order,
+    text_form,
+    unit_of_times,
+)
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["NumpyRecording", "TextRecording", "is_text_events"]
+__all__ = ["NumpyRecording", "TextRecording"]
 
 CHUNK = 1 << 18
 """Bytes of text that are read at a time."""
 ROWS = 1 << 16
 """Rows of arrays that are read at a time."""
-MAX_SIDE = 8192
-NANOSECONDS_FROM = 10**17
-"""Integer times beyond this are nanoseconds: in us it would be the year 5138, in ns it
-is 1973."""
-
-_NAMES = {"t": "t", "ts": "t", "timestamp": "t", "timestamps": "t", "time": "t",
-          "x": "x", "xs": "x", "y": "y", "ys": "y", "p": "p", "ps": "p", "pol": "p",
-          "polarity": "p", "on": "p"}
-"""Usual names of the columns."""
-_UNITS = ("us", "s", "ns")
-"""Units of integer times, in the kernel's order."""
-_LINE = re.compile(
-    rb"\s*[-+]?\d+(\.\d*)?([\s,;]+[-+]?\d+(\.\d*)?){3}[\s,;]*")
-
-
-def is_text_events(start: bytes) -> bool:
-    """Return whether a file begins with lines of four numbers, after optional names."""
-    for number, line in enumerate(start.split(b"\n")[:-1]):
-        text = line.strip()
-        if _LINE.fullmatch(line):
-            return True
-        names = re.split(r"[\s,;]+", text.decode("latin-1").lower())
-        if text and not text.startswith(b"#") and (
-                number > 20 or not set(names) <= set(_NAMES)):
-            return False
-    return False
+LOOKED_AT = 1 << 16
+"""Bytes of text at its beginning, middle and end, from which its form is found."""
 
 
 class _EventList(SequentialRecording):
     """Base of event lists, which do not give the sensor's size or the unit of time."""
 
     def _facts(self, kind: str, layout: Layout | None,
-               size: tuple[int, int] | None) -> RecordingInfo:
+               size: tuple[int, int] | None, header: Mapping[str, Any]
+               ) -> RecordingInfo:
         """Return the facts; without a size, the first events determine it."""
         if size is None:
             size = likely_size(*self._farthest())
@@ -71,7 +64,7 @@ class _EventList(SequentialRecording):
                 f"{width}x{height}")
         return RecordingInfo(
             format=kind, sensor_size=(height, width), layout=layout, frame_count=0,
-            imu_count=0, trigger_count=0,
+            imu_count=0, trigger_count=0, header=header,
             sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None)
 
     @abstractmethod
@@ -82,8 +75,10 @@ class _EventList(SequentialRecording):
 class TextRecording(_EventList):
     """A list of events as text, one per line; see `open_recording`.
 
-    Numbers are separated by blanks, commas, semicolons or tabs.  Times with a decimal
-    point are seconds, integers are microseconds, or nanoseconds beyond 10**17.
+    Numbers are separated by blanks, commas, semicolons or tabs.  Lines before the first
+    event may name the columns, or give the sensor's width and height.  Times with
+    fractions are seconds, whole ones microseconds, or nanoseconds beyond 10**17.  Also
+    a zip archive with one such text.
 
     Parameters
     ----------
@@ -93,46 +88,72 @@ class TextRecording(_EventList):
     camera : str, optional
         Not used: such files hold one camera.
     sensor_size : (int, int), optional
-        (height, width); default: the smallest usual one that holds the first events.
+        (height, width); default: that of the text, else the smallest usual one that
+        holds the first events.
     columns : str, optional
-        Order of the columns, e.g. ``"xypt"``; default: the names in the first line,
-        else ``"txyp"``.
+        Order of the columns, e.g. ``"xypt"``, with ``_`` for one of something else;
+        default: the names in the text, else ``"txyp"``.
     """
 
     def _open(self, layout: Layout | None, camera: str | None, *,
               sensor_size: tuple[int, int] | None = None,
               columns: str | None = None) -> RecordingInfo:
-        self._reader = self._bytes()
+        self._reader = self._text()
         self._end = self._reader.size
-        start = self._reader.read(0, 4096)
-        order = self._named(start) if columns is None else columns
-        if sorted(order) != sorted("txyp"):
-            raise ValueError(
-                f"columns must be the letters txyp in some order, got {order!r}")
-        self._order = np.array(["txyp".index(name) for name in order], np.int64)
-        self._unit_of_time = _UNITS.index(self._time_unit(start))
-        return self._facts("text", layout, sensor_size)
+        blocks = self._looked_at()
+        form = text_form(blocks[0])
+        if form is None:
+            raise RecordingError(
+                f"{self._path}: its lines are not four or more numbers")
+        order = checked_order(self._path, form, columns, blocks)
+        self._more = form.columns > len(order)
+        if self._more and "_" not in order and columns is None and not form.order:
+            self._log.add("further columns", None, f"lines have {form.columns} columns:"
+                          " the first four are read as time, x, y, polarity")
+        self._begin, self._bottom = form.begin, form.bottom
+        self._order = np.array(["txyp".find(name) for name in order], np.int64)
+        unit = form.unit or unit_of_times(blocks, order)
+        self._unit_of_time = UNITS.index(unit)
+        return self._facts("text", layout, sensor_size or form.size, {
+            "time_unit": unit, "first_row": "bottom" if form.bottom else "top"})
 
-    def _named(self, start: bytes) -> str:
-        """Return the order of columns from a line of names, txyp if there is none."""
-        for line in start.split(b"\n"):
-            names = re.split(r"[\s,;#]+", line.decode("latin-1").lower().strip(" #\r"))
-            if len(names) == 4 and {_NAMES.get(name) for name in names} == set("txyp"):
-                return "".join(_NAMES[name] for name in names)
-            if _LINE.fullmatch(line):
-                break
-        return "txyp"
+    def _text(self) -> FileReader:
+        """Return the text, unpacked if it is in an archive.
 
-    def _time_unit(self, start: bytes) -> str:
-        """Return the unit of times: s, us or ns."""
-        place = int(np.flatnonzero(self._order == 0)[0])
-        for line in start.split(b"\n")[:-1]:
-            if _LINE.fullmatch(line):
-                time = re.split(rb"[\s,;]+", line.strip())[place]
-                if b"." in time:
-                    return "s"
-                return "ns" if int(time) > NANOSECONDS_FROM else "us"
-        return "us"
+        Raises
+        ------
+        RecordingError
+            If the archive does not hold one text.
+        """
+        reader = self._bytes()
+        if reader.read(0, 4) != b"PK\x03\x04":
+            return reader
+        try:
+            with zipfile.ZipFile(self._path) as archive:
+                members = [m for m in archive.infolist() if not m.is_dir()]
+            texts = [m for m in members if m.filename.lower().endswith((".txt", ".csv"))
+                     and m.file_size <= MOST_RATIO * reader.size]
+            text = unpacked(self._path, texts[0]) if len(texts) == 1 else None
+        except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError,
+                RuntimeError, ValueError, zlib.error) as error:
+            raise RecordingError(
+                f"{self._path}: not a zip archive that can be read: {error}") from error
+        if text is None:
+            names = ", ".join(m.filename for m in members[:5])
+            raise RecordingError(
+                f"{self._path}: a zip archive is read if it holds one text of events "
+                f"or NumPy's arrays; it holds {len(members)} files: {names}")
+        self._closing.callback(text.close)
+        return text
+
+    def _looked_at(self) -> list[bytes]:
+        """Return whole lines at the beginning, in the middle and at the end."""
+        size, read = self._reader.size, self._reader.read
+        first = read(0, LOOKED_AT)
+        if size <= LOOKED_AT:
+            return [first if first.endswith(b"\n") else first + b"\n"]
+        later = (read(at, LOOKED_AT) for at in (size // 2, size - LOOKED_AT))
+        return [first, *(data[data.find(b"\n") + 1:] for data in later)]
 
     def _farthest(self) -> tuple[int, int]:
         events = self._lines(
@@ -145,6 +166,8 @@ class TextRecording(_EventList):
             at, clock, self._info.sensor_size, memory)
         self._count(at, "bad line", bad, "lines are not four numbers")
         self._dropped(clock, at, jumps)
+        if self._bottom:
+            events["y"] = self._info.sensor_size[0] - 1 - events["y"]
         return events, after
 
     def _lines(self, at: int, clock: Clock, size: tuple[int, int], memory: Scratch
@@ -162,8 +185,8 @@ class TextRecording(_EventList):
         done, bad, jumps, more = 0, 0, 0, 1
         while more:
             done, wrong, more, t = _kernels.text_events(
-                data, done, self._order, self._unit_of_time, *size, clock.state,
-                events)
+                data, done, self._order, self._more, self._unit_of_time, *size,
+                clock.state, events)
             bad += wrong
             if more:
                 clock.jump(t + int(clock.state[OFFSET]))
@@ -208,7 +231,7 @@ class NumpyRecording(_EventList):
         self._arrays_of = _events_of(found, str(self._path))
         self._end = len(self._arrays_of[0])
         self._scale = self._time_unit()
-        return self._facts("NumPy", layout, sensor_size)
+        return self._facts("NumPy", layout, sensor_size, {"time_unit": self._scale})
 
     def _time_unit(self) -> str:
         t = self._arrays_of[0].rows(0, ROWS)
@@ -258,8 +281,8 @@ def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, .
         If there are no such columns.
     """
     def named(columns: Mapping[str, StoredArray]) -> tuple[StoredArray, ...] | None:
-        by_name = {_NAMES[name.lower()]: column for name, column in columns.items()
-                   if name.lower() in _NAMES}
+        by_name = {NAMES[name.lower()]: column for name, column in columns.items()
+                   if name.lower() in NAMES}
         if set(by_name) != set("txyp"):
             return None
         chosen = tuple(by_name[name] for name in "txyp")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pdavis_cv._arrays import array_header
 from pdavis_cv.recording.file_reader import FileReader
 
-__all__ = ["StoredArray", "stored_arrays"]
+__all__ = ["MOST_RATIO", "StoredArray", "stored_arrays", "unpacked"]
 
 MOST_RATIO = 1100
 """Deflate compresses at most 1032 to 1; a file that claims more is damaged."""
@@ -128,14 +128,14 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, reader: FileReade
             kept: Callable[[FileReader], object]) -> StoredArray:
     made: list[FileReader] = []
 
-    def unpacked() -> FileReader:
+    def opened() -> FileReader:
         if not made:
-            made.append(_unpacked(reader.path, member))
+            made.append(unpacked(reader.path, member))
             kept(made[0])
         return made[0]
 
     with archive.open(member) as file:
-        found = _header(file, member.file_size, unpacked)
+        found = _header(file, member.file_size, opened)
     if member.compress_type != zipfile.ZIP_STORED:
         return found
     head = reader.read(member.header_offset, _LOCAL_HEADER)
@@ -144,7 +144,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, reader: FileReade
     return replace(found, offset=begin + found.offset, opened=lambda: reader)
 
 
-def _unpacked(path: Path, member: zipfile.ZipInfo) -> FileReader:
+def unpacked(path: Path, member: zipfile.ZipInfo) -> FileReader:
     """Unpack a compressed member into an unnamed temporary file; return its reader."""
     with (zipfile.ZipFile(path) as archive, archive.open(member) as source,
           tempfile.TemporaryFile() as file):

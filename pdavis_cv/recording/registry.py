@@ -75,15 +75,15 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         holds=frozenset(("events", "frames")),
         reader=f"{_ROOM}.rosbag:RosRecording"),
     Format(
+        name="text", title="events as lines of text", holds=_EVENTS,
+        suffixes=(".csv", ".txt"), sniff=f"{_ROOM}.text_form:is_text_events",
+        read_options=("sensor_size", "columns"),
+        reader=f"{_ROOM}.event_lists:TextRecording"),
+    Format(
         name="numpy", title="NumPy arrays of events", holds=_EVENTS,
         suffixes=(".npy", ".npz"), magic=(b"\x93NUMPY", b"PK\x03\x04"),
         read_options=("sensor_size",),
         reader=f"{_ROOM}.event_lists:NumpyRecording"),
-    Format(
-        name="text", title="events as lines of text", holds=_EVENTS,
-        suffixes=(".csv", ".txt"), sniff=f"{_ROOM}.event_lists:is_text_events",
-        read_options=("sensor_size", "columns"),
-        reader=f"{_ROOM}.event_lists:TextRecording"),
     Format(
         name="mosaic", title="video or images of a polarization camera",
         holds=frozenset(("frames",)), needs_layout=True, read_options=("fps",),

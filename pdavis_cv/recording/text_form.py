@@ -1,0 +1,243 @@
+"""What a text of events says of itself, and what its numbers say: columns, unit, size.
+
+Programs write the same list in many forms: with names of the columns, with comments,
+with a first line that is the sensor's size, with further columns, with times in seconds
+or integers.
+"""
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from pdavis_cv.errors import RecordingError
+
+__all__ = ["UNITS", "TextForm", "is_text_events", "text_form", "unit_of_times"]
+
+UNITS = ("us", "s", "ns", "ms")
+"""Units of times, in the kernel's order."""
+NANOSECONDS_FROM = 10**17
+"""Integer times beyond this are nanoseconds: in us it would be the year 5138, in ns it
+is 1973."""
+SLOWEST_S = 1.0
+"""Mean interval of a recording's events that is beyond any camera's, s."""
+ENOUGH = 20
+"""Number of lines from which their mean interval is used."""
+MAX_SIDE = 8192
+MOST_COLUMNS = 16
+
+NAMES = {"t": "t", "ts": "t", "timestamp": "t", "timestamps": "t", "time": "t",
+         "x": "x", "xs": "x", "col": "x", "column": "x", "y": "y", "ys": "y",
+         "row": "y", "p": "p", "ps": "p", "pol": "p", "polarity": "p", "on": "p"}
+"""Usual names of the columns."""
+_UNIT_NAMES = {"us": "us", "usec": "us", "µs": "us", "microseconds": "us", "s": "s",
+               "sec": "s", "seconds": "s", "ns": "ns", "nanoseconds": "ns", "ms": "ms",
+               "milliseconds": "ms"}
+_BREAK = re.compile(r'[\s,;"]+')
+_NUMBER = r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
+_VALUE = re.compile(rf"{_NUMBER}|true|false", re.IGNORECASE)
+_SIZE = re.compile(r"\s*(\d{1,4})[\s,;x]+(\d{1,4})\s*")
+_SIZE_IN_NAME = re.compile(r"@(\d{1,4})$")
+
+
+@dataclass(slots=True)
+class TextForm:
+    """The form of a text of events.
+
+    Parameters
+    ----------
+    begin : int
+        Byte of the first event's line.
+    columns : int
+        Number of columns in it.
+    order : str
+        Which of t, x, y, p each column is, ``_`` for none of them; "" if the text does
+        not say.
+    names : tuple of str
+        Names of the columns, if there are any.
+    unit : str
+        Unit of times that the text states, "" if none.
+    size : (int, int), optional
+        Sensor (height, width) that the text states.
+    bottom : bool
+        Whether rows are counted from the bottom, as jAER does.
+    """
+
+    begin: int = 0
+    columns: int = 0
+    order: str = ""
+    names: tuple[str, ...] = ()
+    unit: str = ""
+    size: tuple[int, int] | None = None
+    bottom: bool = False
+
+
+def is_text_events(start: bytes) -> bool:
+    """Return whether a file begins with lines of four or more numbers, after a header.
+
+    Also whether it is a zip archive that does not hold NumPy's arrays.
+    """
+    if start.startswith(b"PK\x03\x04"):
+        name = start[30:30 + int.from_bytes(start[26:28], "little")]
+        return not name.endswith(b".npy")
+    return b"\0" not in start and text_form(start) is not None
+
+
+def text_form(start: bytes) -> TextForm | None:
+    """Return the form of a text from its first lines, None if it is no list of numbers.
+
+    Parameters
+    ----------
+    start : bytes
+        First lines; the last may be cut.
+    """
+    form = TextForm(begin=3 if start.startswith(b"\xef\xbb\xbf") else 0)  # byte order
+    named = False
+    for line in start[form.begin:].split(b"\n")[:-1]:
+        text = line.decode("latin-1").replace("\xc2\xb5", "µ").strip()
+        values = [value for value in _BREAK.split(text) if value]
+        if len(values) >= 4 and all(map(_VALUE.fullmatch, values[:4])):
+            form.columns = len(values)
+            return form
+        if text.startswith(("#", "%")):
+            _comment(form, text)
+        elif form.size is None and not named and (found := _SIZE.fullmatch(text)):
+            form.size = _side(found[2]), _side(found[1])
+        elif values and not named and re.match(r"[\"'(]?[A-Za-z_]", text):
+            named = True
+            _header(form, _names(text))
+        elif values:
+            return None
+        form.begin += len(line) + 1
+    return None
+
+
+def _side(text: str) -> int:
+    return min(max(int(text), 1), MAX_SIDE)
+
+
+def _comment(form: TextForm, text: str) -> None:
+    """Take names of columns from a comment, if it is a list of such."""
+    form.bottom |= "dvs-events: One event per line" in text
+    names = _names(text.rpartition(":")[2])
+    if len(names) >= 4 and all(map(_known, names[:4])):
+        _header(form, names)
+
+
+def _names(text: str) -> list[str]:
+    """Return the names of columns, each with what follows it in brackets."""
+    text = re.sub(r"\s*[(\[]([^)\]]*)[)\]]", lambda found: "_" + re.sub(
+        r"[\s,;]+", "_", found[1]), text)
+    return [name for name in _BREAK.split(text.strip("#%! ")) if name]
+
+
+def _known(name: str) -> str:
+    """Return which of t, x, y, p a column of this name is, "" if none."""
+    first, _, rest = re.sub(r"@\d+$", "", name.lower()).strip("_'").partition("_")
+    what = NAMES.get(first, "")
+    # A unit may follow, or the values of a polarity.
+    fits = not rest or "/" in rest or "=" in rest or (
+        what == "t" and _UNIT_NAMES.keys() & set(rest.split("_")))
+    return what if fits else ""
+
+
+def _header(form: TextForm, names: Sequence[str]) -> None:
+    """Take the columns' names, and the unit and size in them."""
+    form.names = tuple(names)
+    columns = [_known(name) for name in names]
+    if sorted(filter(None, columns)) == sorted("txyp"):
+        form.order = "".join(column or "_" for column in columns)
+        time = names[columns.index("t")].lower()
+        form.unit = next((_UNIT_NAMES[part] for part in time.split("_")[1:]
+                          if part in _UNIT_NAMES), "")
+        sides = [_SIZE_IN_NAME.search(names[columns.index(axis)]) for axis in "yx"]
+        if sides[0] and sides[1]:
+            form.size = _side(sides[0][1]), _side(sides[1][1])
+
+
+def rows_of(blocks: Sequence[bytes], order: str) -> Iterator[list[tuple[str, ...]]]:
+    """Yield the t, x, y, p of each block's whole lines, as texts."""
+    places = [order.index(name) for name in "txyp"]
+    for block in blocks:
+        rows = []
+        for line in block.decode("latin-1").split("\n")[:-1]:
+            values = [value for value in _BREAK.split(line) if value]
+            if len(values) >= len(order) and all(
+                    _VALUE.fullmatch(values[place]) for place in places):
+                rows.append(tuple(values[place] for place in places))
+        yield rows
+
+
+def checked_order(path: object, form: TextForm, columns: str | None,
+                  blocks: Sequence[bytes]) -> str:
+    """Return the order of the columns: of the caller, the names, or t, x, y, p.
+
+    Parameters
+    ----------
+    path : object
+        For messages.
+    form : TextForm
+    columns : str, optional
+        As the caller states it.
+    blocks : sequence of bytes
+        Parts of the text.
+
+    Raises
+    ------
+    ValueError
+        If `columns` is malformed.
+    RecordingError
+        If the order is not known, or the numbers contradict it.
+    """
+    if columns is not None:
+        if sorted(columns.replace("_", "")) != sorted("txyp"):
+            raise ValueError(
+                "columns must be the letters txyp in some order, with _ for each "
+                f"column of something else, got {columns!r}")
+        order = columns
+    elif form.order or not form.names:
+        order = form.order or "txyp"
+    else:
+        raise RecordingError(
+            f"{path}: its columns are named {', '.join(form.names)}: which are time, "
+            "x, y and polarity is stated by columns=, as \"txyp\", _ for another")
+    order = order.rstrip("_")
+    if len(order) > min(form.columns, MOST_COLUMNS):
+        raise RecordingError(
+            f"{path}: {len(order)} columns are needed of at most {MOST_COLUMNS}, its "
+            f"first line has {form.columns}")
+    rows = list(itertools.chain(*rows_of(blocks, order)))
+    good = sum(_pixel(x) and _pixel(y) and _value(p) in (-1, 0, 1)
+               for _, x, y, p in rows)
+    if columns is None and 2 * good < len(rows):
+        raise RecordingError(
+            f"{path}: its lines are not time, x, y, polarity, as {rows[0]}: the order "
+            "of the columns is stated by columns=, as \"xytp\", _ for another")
+    return order
+
+
+def _value(text: str) -> float:
+    """Return a number, or that of True or False."""
+    lower = text.lower()
+    return float(lower == "true") if lower in ("true", "false") else float(text)
+
+
+def _pixel(text: str) -> bool:
+    value = _value(text)
+    return 0 <= value < MAX_SIDE and value % 1 == 0
+
+
+def unit_of_times(blocks: Sequence[bytes], order: str) -> str:
+    """Return the unit of times, from all of those in parts of a text.
+
+    Times with fractions are seconds, whole ones microseconds, or nanoseconds beyond
+    10**17.  They are not seconds if there were less than one event in `SLOWEST_S`.
+    """
+    times = [[_value(row[0]) for row in rows] for rows in rows_of(blocks, order)]
+    every = list(itertools.chain(*times))
+    if not any(t % 1 for t in every):
+        return "ns" if any(t > NANOSECONDS_FROM for t in every) else "us"
+    slow = [max(block) - min(block) > SLOWEST_S * len(block) for block in times
+            if len(block) >= ENOUGH]
+    return "us" if slow and all(slow) else "s"
