@@ -33,6 +33,7 @@ KERNELS = (
     "_demosaic",
     "_denoise",
     "_elementwise",
+    "_event_text",
     "_event_words",
     "_events",
     "_guided",

@@ -23,13 +23,13 @@ from ._demosaic import (
 )
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, mismatch, reconcile
+from ._event_text import text_events
 from ._event_words import (
     event_columns,
     evt2_words,
     evt3_words,
     ros_events,
     stream_events,
-    text_events,
 )
 from ._events import count, surface, voxel
 from ._guided import guided

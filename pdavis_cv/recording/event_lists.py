@@ -14,7 +14,7 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import RecordingInfo
-from pdavis_cv.recording.files import FileReader
+from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.numpy_files import (
     MOST_RATIO,
     StoredArray,
