@@ -12,17 +12,24 @@ from pdavis_cv.reconstruct.methods import factory_of
 
 ROOMS = {
     "fusion": "Fusing", "capture": "OpenCV's manners", "recording": "Recordings",
-    "live": "Live sources", "viewer": "Viewer", "polarimetry": "Polarimetry",
+    "live": "Live sources", "viewer": "Viewer", "batch": "Many recordings",
+    "adapters": "Adapters", "polarimetry": "Polarimetry",
     "events": "Events", "reconstruct": "Methods", "calibration": "Calibration",
     "analysis": "Analysis", "render": "Pictures", "export": "Export",
-    "simulation": "Simulation", "errors": "Errors and warnings"}
+    "simulation": "Simulation", "data": "Included recordings",
+    "errors": "Errors and warnings"}
 """Rooms of the house that have a page each, and its title."""
 
 _PAGE_OF = {"sensor": "polarimetry", "stokes_vector": "polarimetry",
             "analyser": "polarimetry", "mosaic": "polarimetry", "aps": "recording",
-            "packed": "recording", "adapters": "capture", "selfcal": "calibration",
-            "batch": "fusion"}
-_INSIDE = ("calibration", "analysis", "render", "export", "simulation")
+            "packed": "recording", "selfcal": "calibration"}
+_INSIDE = {
+    "fusion": ("fusion",), "live": ("live",), "batch": ("batch",), "data": ("data",),
+    "calibration": ("calibration", "selfcal"), "analysis": ("analysis",),
+    "render": ("render",), "export": ("export",), "simulation": ("simulation",)}
+"""Modules whose public names a page has beside those of `pdavis_cv`."""
+_PLUGINS = ("imageio_plugin", "napari_plugin", "pims_reader")
+"""Modules of adapters that import a package which may be missing."""
 
 
 def skip_node():
@@ -50,13 +57,16 @@ def _room(room):
     top = [name for name in pdavis_cv.__all__ if name in pdavis_cv._HOME
            and _page(pdavis_cv._HOME[name].split(".")[0]) == room]
     lines += _names("pdavis_cv", top)
-    if room in _INSIDE:
-        module = importlib.import_module(f"pdavis_cv.{room}")
-        seen = {id(getattr(pdavis_cv, name)) for name in top}
+    seen = {id(getattr(pdavis_cv, name)) for name in pdavis_cv.__all__}
+    for inner in _INSIDE.get(room, ()):
+        module = importlib.import_module(f"pdavis_cv.{inner}")
         inside = [name for name in module.__all__
                   if id(getattr(module, name)) not in seen]
         lines += [inspect.getdoc(module), ""]
-        lines += _names(f"pdavis_cv.{room}", inside)
+        lines += _names(f"pdavis_cv.{inner}", inside)
+    if room == "adapters":
+        for plugin in _PLUGINS:
+            lines += [f".. automodule:: pdavis_cv.adapters.{plugin}", "   :members:", ""]
     return "\n".join(lines)
 
 

@@ -27,6 +27,7 @@ myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
 default_role = "py:obj"      # as numpydoc has single backticks
+autodoc_mock_imports = ["imageio", "pims"]
 autodoc_typehints = "none"
 autodoc_member_order = "groupwise"
 html_theme = "furo"
@@ -38,7 +39,9 @@ html_css_files = ["math.css"]
 html_extra_path = ["fan.webm", "tendon.webm"]
 
 PARTS = {
-    "Start": ["start/opencv", "start/notebook", "start/microscopy", "start/robotics"],
+    "Tutorials": ["start/opencv", "start/notebook", "start/microscopy",
+                  "start/robotics", "start/sony", "start/jaer-dv",
+                  "start/calibration"],
     "How to": ["tools", "recipes", "applications", "calibration", "score", "batch",
                "live", "formats"],
     "Reference": ["reference/options", "reference/opencv", *(
