@@ -66,7 +66,8 @@ def _room(room):
         lines += _names(f"pdavis_cv.{inner}", inside)
     if room == "adapters":
         for plugin in _PLUGINS:
-            lines += [f".. automodule:: pdavis_cv.adapters.{plugin}", "   :members:", ""]
+            lines += [
+                f".. automodule:: pdavis_cv.adapters.{plugin}", "   :members:", ""]
     return "\n".join(lines)
 
 

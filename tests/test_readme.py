@@ -13,13 +13,16 @@ def block(root, language, number=0):
     return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)[number]
 
 
-def test_the_first_block_of_the_readme_runs(root, tmp_path):
-    code = block(root, "python") + "\nassert picture.shape == (56, 56, 3)\n"
+def test_the_blocks_of_the_readme_run(root, tmp_path):
+    code = block(root, "python") + block(root, "python", 1)
     done = subprocess.run(
-        [sys.executable, "-P", "-W", "error", "-c", code], cwd=tmp_path,
-        capture_output=True, text=True)
+        [sys.executable, "-P", "-W", "error", "-c",
+         code + "\nassert ok and picture.shape == (56, 56, 3)\n"],
+        cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 99
+    degrees = [float(line.split()[1]) for line in done.stdout.splitlines()]
+    assert len(degrees) == 99
+    assert 0.2 < min(degrees) < max(degrees) < 0.8
 
 
 def test_the_page_of_commands_names_them_all(root):

@@ -3,6 +3,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import subprocess
 import sys
 import termios
@@ -474,6 +475,8 @@ def test_demo_reports_small_errors_and_large_ones_for_frames(
         tmp_path, capsys, monkeypatch):
     shorter = [*demo._FAN[:-1], "0.3", "--scale", "1"]
     monkeypatch.setattr(demo, "_FAN", shorter)
+    called = tmp_path / "bin" / "pdavis"    # not on the PATH
+    monkeypatch.setattr(sys, "argv", [str(called), "demo"])
     assert run("demo", "-o", tmp_path, "--json") == 0
     printed = capsys.readouterr()
     told = json.loads(printed.out)
@@ -488,8 +491,11 @@ def test_demo_reports_small_errors_and_large_ones_for_frames(
         "polarizer_1000rpm.png", "tendon.aedat4", "tendon.png"]
     assert sorted(told["wrote"]) == [
         str(tmp_path / name) for name in only_files(tmp_path)]
-    assert str(tmp_path) in printed.err.splitlines()[-1]
     assert len(frames_of(tmp_path / "fan.webm")[0]) == 5
+    program, *next_line = shlex.split(printed.err.splitlines()[-1])
+    assert program == str(called)
+    next_line[next_line.index("-o") + 1] = str(tmp_path / "more.webm")
+    assert main(next_line) == 0
 
 
 def test_without_fps_every_way_gives_one_image_for_each_frame(tmp_path, capsys):

@@ -8,7 +8,9 @@ of a real recording, from a camera without polarizers.
 from __future__ import annotations
 
 import argparse
+import shlex
 import shutil
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -90,10 +92,17 @@ def _shown(args: argparse.Namespace) -> tuple[int, dict[str, Any]]:
     aop_deg = _polarizer(folder / f"polarizer_{RPM}rpm.png")
     code = _real(folder)
     if code == 0:
-        _say("More of one recording:\n"
-             f"  pdavis export {kept['fan']} -o more.webm --fps 200 --slow 8\n"
-             f"The results are in {folder.resolve()}")
+        _say(f"The results are in {folder.resolve()}\n"
+             "More of one recording:\n  " + shlex.join((
+                 _program(), "export", str(kept["fan"]), "-o", "more.webm",
+                 "--fps", "200", "--slow", "8")))
     return code, {"tendon_dolp_error": dolp, "polarizer_aop_error_deg": aop_deg}
+
+
+def _program() -> str:
+    """Return this program as it was called: it need not be on the PATH."""
+    called = Path(sys.argv[0])
+    return str(called) if called.name == "pdavis" else "pdavis"
 
 
 def _say(line: str) -> None:
