@@ -42,18 +42,16 @@ PARTS = {
     "Tutorials": ["start/opencv", "start/notebook", "start/microscopy",
                   "start/robotics", "start/sony", "start/jaer-dv",
                   "start/calibration"],
-    "How to": ["tools", "recipes", "applications", "calibration", "score", "batch",
-               "live", "formats"],
+    "How to": ["tools", "recipes", "applications", "calibration", "score",
+               "demosaicing", "batch", "live", "formats", "promises", "glossary"],
     "Reference": ["reference/options", "reference/opencv", *(
         f"reference/{room}" for room in api_pages.ROOMS)],
     "Theory": ["theory/index"],
-    "Evidence": ["promises", "demosaicing",
-                 *sorted(f"lab/{path.stem}" for path in LAB.glob("*.md"))],
+    "Evidence": ["lab/index", *sorted(
+        f"lab/{path.stem}" for path in LAB.glob("*.md") if path.stem != "index")],
     "Development": ["architecture"],
 }
 """Pages of each part, in order; `index` stays readable without Sphinx."""
-PARTS["How to"] += sorted({path.stem for path in HERE.glob("*.md")} - {"index"}.union(
-    *PARTS.values()))
 
 
 def add_contents(_app, name, source):

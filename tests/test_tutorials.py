@@ -38,7 +38,8 @@ def run(page, folder):
 
 def test_there_is_a_tutorial_for_each_kind_of_user():
     assert {page.stem for page in PAGES} == {
-        "opencv", "notebook", "microscopy", "robotics", "sony", "jaer-dv", "calibration"}
+        "opencv", "notebook", "microscopy", "robotics", "sony", "jaer-dv",
+        "calibration"}
 
 
 @pytest.mark.gate
