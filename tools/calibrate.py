@@ -20,7 +20,7 @@ from pdavis_cv.calibration.instrument import background
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
 from pdavis_cv.fusion import thresholds_in_situ
-from pdavis_cv.selfcal import LEAK_HZ, RestRates
+from pdavis_cv.selfcal import LEAK_HZ
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 
 from ._calibration_report import Page, write_report
@@ -309,25 +309,7 @@ def _thresholds(
             f"{jitter.us:.0f} us or more: they have lost their order"
             if jitter.sigma_us >= jitter.us else
             f"{jitter.us:.0f} +- {jitter.sigma_us:.0f} us at most"))
-    _say_rest(page, found.rest_rates)
     return measured_parts(found), page
-
-
-def _say_rest(page: Page, rates: RestRates | None) -> None:
-    """Add leak and noise events of pixels at rest, by their intensity."""
-    if rates is None:
-        page.say("leak and noise", "cannot be told: too few pixels at rest")
-        return
-    for light, leak, leak_sigma, noise, noise_sigma in zip(*rates[:5], strict=True):
-        page.say(f"at rest in {light:.3g} DN/ms",
-                 f"leak {leak:.3f} +- {leak_sigma:.3f}, noise {noise:.3f} +- "
-                 f"{noise_sigma:.3f} events per second and pixel")
-    if rates.leak_law is None or rates.leak_law_sigma is None:
-        page.say("leak by light", "cannot be told: pixels at rest have one intensity")
-    else:
-        (dark, slope), (dark_sigma, slope_sigma) = rates.leak_law, rates.leak_law_sigma
-        page.say("leak by light", f"{dark:.3f} +- {dark_sigma:.3f} Hz, and "
-                 f"{slope:.2g} +- {slope_sigma:.2g} Hz per DN/ms")
 
 
 def _background(

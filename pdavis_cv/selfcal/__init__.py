@@ -12,7 +12,6 @@ from pdavis_cv.selfcal.jitter import Jitter
 from pdavis_cv.selfcal.priors import LEAK_HZ, TYPICAL_BANDWIDTH, USUAL_BANDWIDTH
 from pdavis_cv.selfcal.ratio_spread import RatioSpread
 from pdavis_cv.selfcal.refractory import Refractory
-from pdavis_cv.selfcal.rest_rates import RestRates
 
 __all__ = [
     "LEAK_HZ",
@@ -24,7 +23,6 @@ __all__ = [
     "Jitter",
     "RatioSpread",
     "Refractory",
-    "RestRates",
     "SelfCalibration",
     "combine_bandwidths",
 ]

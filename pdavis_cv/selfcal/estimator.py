@@ -30,7 +30,6 @@ from pdavis_cv.selfcal.pixel_sample import (
 from pdavis_cv.selfcal.priors import LEAK_HZ, THRESHOLD_SIGMA
 from pdavis_cv.selfcal.ratio_spread import RatioSpread, fit_ratio_spread
 from pdavis_cv.selfcal.refractory import Refractory, fit_refractory
-from pdavis_cv.selfcal.rest_rates import RestRates, fit_rest_rates
 from pdavis_cv.selfcal.thresholds import shrink_to_population, variance_inflation
 from pdavis_cv.selfcal.uncertainty import frame_systematics
 from pdavis_cv.selfcal.window import CellWindow, Item, PixelWindow, SensorWindow
@@ -39,13 +38,12 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 __all__ = ["OF_EVENTS", "QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
 QUANTITIES = frozenset({"thresholds", "scale", "event_scale", "bandwidth", "noise",
-                        "refractory_us", "jitter_us", "clock_offset", "ratio_sigma",
-                        "rest_rates"})
+                        "refractory_us", "jitter_us", "clock_offset", "ratio_sigma"})
 """Quantities that a `SelfCalibration` can estimate: thresholds of every pixel (which
 include the common scale), or only that scale, from frames or, where they do not tell
 it, from events, or from events alone; bandwidth; event noise; refractory period; jitter
 of the events' stamps; offset of the frames' clock; spread of the pixels' ratios of
-thresholds; leak and noise events of pixels at rest."""
+thresholds."""
 
 OF_EVENTS = frozenset({"event_scale", "jitter_us", "ratio_sigma"})
 """The quantities that are estimated from events alone."""
@@ -93,9 +91,6 @@ class CameraEstimate:
     ratio_spread : RatioSpread or None
         Spread of the pixels' ln(theta_on / theta_off) about the nominal ratio, from
         events alone; None if it was not or could not be estimated.
-    rest_rates : RestRates or None
-        Leak and noise events of pixels at rest by intensity; None if they were not
-        estimated, too few pixels rest, or a lamp flickers.  No other quantity uses it.
     nominal_sigma : float
         If the common scale could be estimated and agrees with the nominal thresholds,
         the error of their ln that all pixels share: root mean square over what the
@@ -113,7 +108,6 @@ class CameraEstimate:
     jitter: Jitter | None = None
     clock_offset: ClockOffset | None = None
     ratio_spread: RatioSpread | None = None
-    rest_rates: RestRates | None = None
     nominal_sigma: float = 0.0
 
     @property
@@ -270,8 +264,6 @@ class SelfCalibration:
                   if "ratio_sigma" in wanted else None)
         jitter = (fit_jitter(self._window)
                   if "jitter_us" in wanted and not self._window.flickers else None)
-        rest = (fit_rest_rates(self._window)
-                if "rest_rates" in wanted and not self._window.flickers else None)
         sample = None if OF_EVENTS.issuperset(wanted) else select_busy_pixels(
             self._window, self._nominal, self._leak_hz)
         found: Bandwidth | None = None
@@ -338,13 +330,13 @@ class SelfCalibration:
                 theta_on=theta[0], theta_off=theta[1], covariance=covariance,
                 bandwidth=found, noise=noise, common_scale_sigma=common,
                 refractory=refractory, jitter=jitter, clock_offset=clock,
-                ratio_spread=spread, rest_rates=rest, nominal_sigma=nominal_sigma)
+                ratio_spread=spread, nominal_sigma=nominal_sigma)
         on, off = (np.broadcast_to(value, self.shape) for value in nominal)
         return CameraEstimate(
             theta_on=on, theta_off=off, bandwidth=found, noise=noise,
             common_scale_sigma=scale_sigma,
             refractory=refractory, jitter=jitter, clock_offset=clock,
-            ratio_spread=spread, rest_rates=rest, nominal_sigma=nominal_sigma)
+            ratio_spread=spread, nominal_sigma=nominal_sigma)
 
     def _thresholds(
         self, whole: SensorWindow, sample: PixelSample | None,
