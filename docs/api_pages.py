@@ -1,7 +1,9 @@
 """Write the pages of reference/ from the code: names by room, options, properties."""
+import ast
 import importlib
 import inspect
 import re
+from pathlib import Path
 
 from docutils import nodes
 
@@ -30,6 +32,7 @@ _INSIDE = {
 """Modules whose public names a page has beside those of `pdavis_cv`."""
 _PLUGINS = ("imageio_plugin", "napari_plugin", "pims_reader")
 """Modules of adapters that import a package which may be missing."""
+_STUB = Path(pdavis_cv.__file__).with_suffix(".pyi")
 
 
 def skip_node():
@@ -54,8 +57,9 @@ def _title(text, mark="="):
 
 def _room(room):
     lines = _title(ROOMS[room])
-    top = [name for name in pdavis_cv.__all__ if name in pdavis_cv._HOME
-           and _page(pdavis_cv._HOME[name].split(".")[0]) == room]
+    top = [alias.name for node in ast.parse(_STUB.read_text()).body
+           if isinstance(node, ast.ImportFrom) and node.module
+           and _page(node.module.split(".")[0]) == room for alias in node.names]
     lines += _names("pdavis_cv", top)
     seen = {id(getattr(pdavis_cv, name)) for name in pdavis_cv.__all__}
     for inner in _INSIDE.get(room, ()):

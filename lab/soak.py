@@ -195,7 +195,7 @@ def _exported(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
 
 
 def _live(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
-    from pdavis_cv import Session
+    from pdavis_cv.live import Session
     path = folder / "x.aedat4"
     with Session(where, record=path, **_options(method)) as session:
         yield from session
@@ -204,7 +204,8 @@ def _live(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
 
 def _viewed(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
     """Yield images while a client requests them."""
-    from pdavis_cv import Session, serve
+    from pdavis_cv import serve
+    from pdavis_cv.live import Session
     with Session(where, **_options(method)) as session, serve(
             session, port=0) as server:
         ended = threading.Event()

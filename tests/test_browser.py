@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from certificates import Certificates
 
-from pdavis_cv import Layout, Session, serve
+from pdavis_cv import Layout, serve
 from pdavis_cv.data import example_recording
 from pdavis_cv.export import AnimationFile, VideoFile
-from pdavis_cv.live import server_context
+from pdavis_cv.live import Session, server_context
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 import pdavis_cv
-from pdavis_cv import CAP_PDAVIS, Layout, LinkFaults, VideoCapture, fuse
+from pdavis_cv import CAP_PDAVIS, Layout, VideoCapture, fuse
 from pdavis_cv.capture import constants as c
 from pdavis_cv.capture.video import CaptureStatus
+from pdavis_cv.live import LinkFaults
 from pdavis_cv.live.base import LiveSource
 from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.replay import ReplaySource

@@ -11,6 +11,7 @@ from streams import feed, random_events, random_frame
 import pdavis_cv
 from pdavis_cv import ApsFrame, ComplementaryFilter
 from pdavis_cv.reconstruct.cf import RULES
+from pdavis_cv.reconstruct.frames import FrameHold
 
 SHAPE = (6, 8)
 OPTIONS = [(adaptive, rule) for adaptive in (True, False) for rule in RULES]
@@ -115,7 +116,7 @@ def test_a_snapshot_survives_pickling_and_restores_every_bit(rule):
     (make(on=0.21), "theta_on"),
     (make(on=np.full(SHAPE, 0.2)), "theta_on"),
     (make(rule="printed"), "rule"),
-    (pdavis_cv.FrameHold(SHAPE), "method"),
+    (FrameHold(SHAPE), "method"),
 ])
 def test_a_foreign_snapshot_is_refused(other, message):
     with pytest.raises(ValueError, match=message):

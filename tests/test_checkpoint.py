@@ -10,8 +10,9 @@ from collections import OrderedDict
 import numpy as np
 import pytest
 
-from pdavis_cv import Weights, WeightsError
+from pdavis_cv import WeightsError
 from pdavis_cv.reconstruct.checkpoint import firenet_weights, read_state_dict
+from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.tools.main import main
 
 GATES = ("update_gate", "reset_gate", "out_gate")

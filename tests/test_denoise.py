@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from streams import random_events
 
-from pdavis_cv import EventDenoiser, _kernels, fuse
+from pdavis_cv import _kernels, fuse
+from pdavis_cv.reconstruct.denoise import EventDenoiser
 from pdavis_cv.simulation import Camera, Fan, FlatLight, RotatingPolarizer
 
 SIZE = (16, 20)

@@ -5,6 +5,7 @@ import inspect
 from enum import EnumType
 
 import pytest
+from homes import HOMES
 from numpydoc.validate import validate
 
 import pdavis_cv
@@ -20,7 +21,7 @@ def public_objects():
     """Return the dotted names of public functions, classes and their methods."""
     names = []
     for name in pdavis_cv.__all__:
-        value, home = getattr(pdavis_cv, name), pdavis_cv._HOME.get(name)
+        value, home = getattr(pdavis_cv, name), HOMES.get(name)
         if home is None or not callable(value) or isinstance(value, EnumType):
             continue
         names.append(f"pdavis_cv.{home}.{name}")

@@ -5,8 +5,8 @@ import pytest
 import reference
 from streams import feed, random_events, random_frame
 
-from pdavis_cv import ApsFrame, FrameHold, _kernels
-from pdavis_cv.reconstruct.frames import log_exposure, log_samples
+from pdavis_cv import ApsFrame, _kernels
+from pdavis_cv.reconstruct.frames import FrameHold, log_exposure, log_samples
 from pdavis_cv.reconstruct.model import SAMPLE_DTYPE
 
 SHAPE = (6, 8)

@@ -4,9 +4,9 @@ import types
 
 import pytest
 
-from pdavis_cv import Layout, Session, fuse, open_recording
+from pdavis_cv import Layout, fuse, open_recording
 from pdavis_cv.data import example_recording
-from pdavis_cv.live import garbage
+from pdavis_cv.live import Session, garbage
 from pdavis_cv.live.garbage import ShortSearches
 
 HOLDS_STATES = ("pdavis_cv.fusion", "pdavis_cv.reconstruct", "pdavis_cv._workers")

@@ -4,8 +4,7 @@ import graphlib
 from pathlib import Path
 
 import pytest
-
-import pdavis_cv
+from homes import HOMES
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -63,8 +62,8 @@ def imported(tree, module="pdavis_cv", is_package=True):
                 continue
             for alias in node.names:
                 whole = f"{source}.{alias.name}"
-                if source == "pdavis_cv" and alias.name in pdavis_cv._HOME:
-                    yield node.lineno, f"pdavis_cv.{pdavis_cv._HOME[alias.name]}"
+                if source == "pdavis_cv" and alias.name in HOMES:
+                    yield node.lineno, f"pdavis_cv.{HOMES[alias.name]}"
                 elif source != "pdavis_cv" and whole not in NAMES:
                     yield node.lineno, source
                 elif alias.name != "__version__":

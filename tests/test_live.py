@@ -12,20 +12,12 @@ import pytest
 from streams import METHODS, assert_same, random_events, random_frame, turning_polarizer
 
 import pdavis_cv
-from pdavis_cv import (
-    DeviceError,
-    Layout,
-    LinkFaults,
-    Packet,
-    RecordingError,
-    Session,
-    fuse,
-    open_source,
-)
+from pdavis_cv import DeviceError, Layout, Packet, RecordingError, fuse, open_source
 from pdavis_cv._workers import SpareTime
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.learning import Learning
+from pdavis_cv.live import LinkFaults, Session
 from pdavis_cv.live.clock import HostClock, in_order
 from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.inbox import Inbox, Waiting

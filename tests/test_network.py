@@ -12,20 +12,18 @@ import pdavis_cv
 from pdavis_cv import (
     EVENT_DTYPE,
     ApsFrame,
-    FireNet,
-    Joint,
     Layout,
     LayoutError,
-    Weights,
     WeightsError,
     WindowWarning,
     fuse,
     recording_from_arrays,
-    response_table,
 )
 from pdavis_cv import _kernels as kernels
+from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table
 from pdavis_cv.reconstruct.onnx import network_onnx
 from pdavis_cv.reconstruct.runner import BACKENDS, chosen_backend, make_runner
+from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.simulation.ideal import rotating_polarizer
 
 NETWORKS = ("firenet", "joint")

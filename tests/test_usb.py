@@ -13,13 +13,12 @@ from pdavis_cv import (
     CAP_PDAVIS,
     DeviceError,
     Layout,
-    Session,
     VideoCapture,
     fuse,
     open_recording,
     open_source,
 )
-from pdavis_cv.live import camera
+from pdavis_cv.live import Session, camera
 from pdavis_cv.live.usb import SimulatedDavis346, UsbSource
 from pdavis_cv.recording.davis import Orientation
 from pdavis_cv.recording.davis_trace import TraceWriter, Transfer

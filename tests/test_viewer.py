@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 import pdavis_cv
-from pdavis_cv import Layout, Session, serve
+from pdavis_cv import Layout, serve
 from pdavis_cv.data import example_recording
+from pdavis_cv.live import Session
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main

@@ -32,7 +32,8 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis view``."""
     args = _parser().parse_args(argv)
-    from pdavis_cv import Recording, Session, serve
+    from pdavis_cv import Recording, serve
+    from pdavis_cv.live import Session
 
     context = tls_of(args)
     with source_of(args) as source:

@@ -21,12 +21,12 @@ import numpy as np
 from common import Found, main
 from scipy.stats import gamma
 
-from pdavis_cv import EventDenoiser
 from pdavis_cv.reconstruct.denoise import (
     HOT_FACTOR,
     HOT_FLOOR_HZ,
     RATE_SHARE,
     RATE_WINDOW_US,
+    EventDenoiser,
 )
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
 

@@ -28,14 +28,8 @@ from unittest import mock
 import numpy as np
 
 from lab.bench.images import endless
-from pdavis_cv import (
-    Layout,
-    Session,
-    open_recording,
-    recording_from_arrays,
-    serve,
-    write_aedat4,
-)
+from pdavis_cv import Layout, open_recording, recording_from_arrays, serve, write_aedat4
+from pdavis_cv.live import Session
 from pdavis_cv.live.clock import moved
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.recording.base import Packet, Recording

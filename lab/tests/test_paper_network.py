@@ -8,7 +8,7 @@ import reference_network as reference
 
 from lab.paper import command, network
 from lab.paper.run import Case, Settings
-from pdavis_cv import Weights
+from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.simulation import RotatingPolarizer
 
 PERIOD_US = 30e6 / 500

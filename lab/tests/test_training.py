@@ -12,7 +12,9 @@ from lab.training.__main__ import main
 from lab.training.clips import UNIT, Clips
 from lab.training.scenery import KINDS, Motion
 from lab.training.trainer import Recipe, Trainer
-from pdavis_cv import EVENT_DTYPE, Joint, Weights
+from pdavis_cv import EVENT_DTYPE
+from pdavis_cv.reconstruct.firenet import Joint
+from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.simulation.ideal import pixel_events
 
 TINY = {"batch": 2, "side": 8, "windows": 4}

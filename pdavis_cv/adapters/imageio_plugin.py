@@ -16,7 +16,8 @@ from imageio.core.request import InitializationError, IOMode, Request
 from imageio.core.v3_plugin_api import ImageProperties, PluginV3
 from numpy.typing import NDArray
 
-from pdavis_cv.capture import CAP_PDAVIS_BGR, CAP_PROP_PDAVIS_POS_US, VideoCapture
+from pdavis_cv.capture import VideoCapture
+from pdavis_cv.capture.constants import CAP_PDAVIS_BGR, CAP_PROP_PDAVIS_POS_US
 from pdavis_cv.recording.open import open_recording
 from pdavis_cv.recording.registry import suffixes
 

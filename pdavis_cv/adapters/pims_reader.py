@@ -9,7 +9,8 @@ import numpy as np
 import pims
 from numpy.typing import NDArray
 
-from pdavis_cv.capture import CAP_PDAVIS_S0, CAP_PROP_PDAVIS_POS_US, VideoCapture
+from pdavis_cv.capture import VideoCapture
+from pdavis_cv.capture.constants import CAP_PDAVIS_S0, CAP_PROP_PDAVIS_POS_US
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.registry import suffixes
 
