@@ -13,7 +13,8 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.tools.main import main
 
 PACKAGES = {
-    "cv2": "opencv-contrib-python-headless", "h5py": "h5py", "h5netcdf": "h5netcdf",
+    "av": "av", "cv2": "opencv-contrib-python-headless", "h5py": "h5py",
+    "h5netcdf": "h5netcdf",
     "imageio": "imageio", "matplotlib": "matplotlib", "onnxruntime": "onnxruntime",
     "pims": "pims", "roifile": "roifile", "rosbags": "rosbags", "tifffile": "tifffile",
     "torch": "torch", "xarray": "xarray", "zstandard": "zstandard"}
@@ -26,6 +27,8 @@ COMMANDS = {
     "info of HDF5": (("info", "{h5}", "--scan"), ("h5py",)),
     "info of a bag": (("info", "{bag}", "--scan"), ("rosbags",)),
     "info of an image": (("info", "{png}", "--layout", "sony"), ("cv2",)),
+    "info of a TIFF": (("info", "{tif}", "--layout", "sony"), ("tifffile",)),
+    "info of a video": (("info", "{avi}", "--layout", "sony"), ("av",)),
     "info of zstd": (("info", "{zstd}", "--scan"), ("zstandard",)),
     "export npy": (("export", "{in}", "-o", "{out}.npy", *LAYOUT), ()),
     "export png": (("export", "{in}", "-o", "{out}.png", *LAYOUT), ("cv2",)),
@@ -69,7 +72,8 @@ def files(tmp_path_factory):
     """Return a small recording in every form, by name."""
     cv2 = pytest.importorskip("cv2")
     folder = tmp_path_factory.mktemp("files")
-    names = {name: folder / f"x.{name}" for name in ("h5", "bag", "png", "zstd", "zip")}
+    names = {name: folder / f"x.{name}" for name in (
+        "h5", "bag", "png", "tif", "avi", "zstd", "zip")}
     names["in"] = folder / "in.aedat4"
     events = random_events(3000, (12, 16), seed=1)
     frames = [pdavis_cv.ApsFrame(np.full((12, 16), 300, np.float32), t, t + 2000,
@@ -81,6 +85,11 @@ def files(tmp_path_factory):
     assert main(["convert", str(names["in"]), str(names["h5"])]) == 0
     ros1_file(names["bag"], events, (12, 16))
     cv2.imwrite(str(names["png"]), np.full((8, 8), 90, np.uint8))
+    cv2.imwrite(str(names["tif"]), np.full((8, 8), 90, np.uint8))
+    video = cv2.VideoWriter(str(names["avi"]), cv2.CAP_FFMPEG,
+                            cv2.VideoWriter.fourcc(*"FFV1"), 25, (16, 16))
+    video.write(np.full((16, 16, 3), 90, np.uint8))
+    video.release()
     with zipfile.ZipFile(names["zip"], "w") as archive:
         archive.writestr("x/none", b"")
     return {name: str(path) for name, path in names.items()}

@@ -84,6 +84,8 @@ class Fusion:
                 f"{type(recording).__name__}")
         options = (options or FusionOptions()).replace(**changes)
         info = recording.info
+        if info.demosaic:
+            options = options.replace(demosaic=info.demosaic)
         self.recording, self.options = recording, options
         check_calibration_fits(options.calibration, recording)
         self.layout = chosen_layout(options.layout, options.calibration, recording)

@@ -317,6 +317,9 @@ class RecordingInfo:
         The kind of polarization sensor, if known; gives the extinction ratio.
     layout : Layout, optional
         Polarizer layout, if the caller or the file gives it.
+    demosaic : str, optional
+        How frames become channels, if only one way is right: ``"superpixel"`` for four
+        planes that are laid out as a mosaic.
     start_us, stop_us : int, optional
         Half-open interval that holds every sample.
     event_count, frame_count, imu_count, trigger_count : int, optional
@@ -338,6 +341,7 @@ class RecordingInfo:
     serial: str | None = None
     sensor: Sensor | None = None
     layout: Layout | None = None
+    demosaic: str | None = None
     start_us: int | None = None
     stop_us: int | None = None
     event_count: int | None = None

@@ -9,6 +9,7 @@ from typing import Any
 from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.images.reader import is_four_planes
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
 from pdavis_cv.sensor import Layout
 
@@ -34,12 +35,13 @@ def open_recording(
         A file, or an object in a store such as ``s3://bucket/run.aedat4`` (extra
         ``[remote]``), which is read by ranges.  If a layout is given, also a grey
         video, image, TIFF stack or pattern of image names (``shot_%04d.png``,
-        ``shot_*.png``) of a polarization camera.  A Recording is returned as it is.
+        ``shot_*.png``) of a polarization camera; four planes I0, I45, I90, I135 of
+        each time need none.  A Recording is returned as it is.
     layout : Layout or str, optional
         Polarizer layout of the camera, or its name; see `Layout.of`.
     fps : float, optional
-        Images per second of a source without time stamps; default: that of the video,
-        25 for images.
+        Images per second of a video or images; default: the times that the file
+        states, else 25.
     bad_events : {"drop", "raise"}
         Whether events outside the sensor or before their predecessor are dropped and
         counted in ``problems``, or raise RecordingError.
@@ -75,17 +77,17 @@ def open_recording(
             f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")
     path = as_path(source)
     # A path that does not exist may be a pattern of image names.
-    start = first_bytes(path) if layout is None or path.exists() else b""
+    start = first_bytes(path) if is_remote(path) or path.exists() else b""
     found = format_of(path, start)
-    if found is None and layout is not None:
-        found = FORMATS["mosaic"]
+    if found is None and (layout is not None or is_four_planes(str(path))):
+        found = FORMATS["images"]
     if found is None:
-        raise _not_a_recording(path, start)
+        raise _not_a_recording(path, first_bytes(path))
     if is_remote(path) and not found.by_ranges:
         raise RecordingError(
             f"{path}: {found.title} cannot be read by ranges: copy it to a disk")
-    if "fps" in found.read_options:
-        options = {"fps": fps, **options}
+    if "source_fps" in found.read_options:
+        options = {"source_fps": fps, **options}
     return read_with(
         found, source, options, layout=layout, bad_events=bad_events, camera=camera)
 

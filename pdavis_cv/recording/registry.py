@@ -13,6 +13,7 @@ from typing import Any
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.format import Format
+from pdavis_cv.recording.images.reader import is_four_planes
 from pdavis_cv.registry import Registry, loaded
 from pdavis_cv.sensor import Layout
 
@@ -80,14 +81,16 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         read_options=("sensor_size", "columns"),
         reader=f"{_ROOM}.event_lists:TextRecording"),
     Format(
+        name="images", title="video or images of a polarization camera",
+        holds=frozenset(("frames",)), needs_layout=True, extra="frames",
+        sniff=f"{_ROOM}.images.stills:is_image_array",
+        read_options=("names", "source_fps", "exposure_us", "full_scale_dn"),
+        reader=f"{_ROOM}.images.reader:ImageRecording"),
+    Format(
         name="numpy", title="NumPy arrays of events", holds=_EVENTS,
         suffixes=(".npy", ".npz"), magic=(b"\x93NUMPY", b"PK\x03\x04"),
         read_options=("sensor_size",),
-        reader=f"{_ROOM}.event_lists:NumpyRecording"),
-    Format(
-        name="mosaic", title="video or images of a polarization camera",
-        holds=frozenset(("frames",)), needs_layout=True, read_options=("fps",),
-        extra="cv2", reader=f"{_ROOM}.mosaic_source:open_mosaic"))}, Format)
+        reader=f"{_ROOM}.event_lists:NumpyRecording"))}, Format)
 """The formats by name, in the order in which they are tried on a file."""
 
 
@@ -109,7 +112,7 @@ def format_of(path: Path, start: bytes) -> Format | None:
     """
     def first(table: Iterable[Format]) -> Format | None:
         return next((one for one in table
-                     if not one.needs_layout and one.knows(path, start)), None)
+                     if one.knows(path, start)), None)
 
     return first(FORMATS[name] for name in FORMATS.known) or first(
         FORMATS.usable().values())
@@ -124,8 +127,8 @@ def is_recording(path: str | os.PathLike[str]) -> bool:
     if here.suffix.lower() in suffixes():
         return True
     try:
-        return (here.is_file() or here.is_dir()) and format_of(
-            here, first_bytes(here)) is not None
+        return ((here.is_file() or here.is_dir()) and format_of(
+            here, first_bytes(here)) is not None) or is_four_planes(os.fspath(path))
     except (OSError, ValueError):  # ValueError: a null character in the name
         return False
 

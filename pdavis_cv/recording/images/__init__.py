@@ -1,0 +1,1 @@
+"""Images of a polarization camera: video, TIFF, still images and arrays."""

@@ -1,0 +1,83 @@
+"""What images show of the camera: their full scale, and colour filters."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["assumed_full_scale", "colour_spread", "measured_full_scale"]
+
+BITS = (8, 10, 12, 14, 16)
+"""Bits of converters."""
+LEAST_CLIPPED = 16
+"""Fewest samples at the brightest value that are taken as clipped."""
+PILE = 4
+"""How many times as many they are as those of the value below, at least."""
+LEAST_SPREAD = 0.08
+"""Smallest relative difference of colours' means that counts."""
+LEAST_SIGMAS = 8.0
+MOST_CELLS = 1 << 14
+
+
+def measured_full_scale(images: Sequence[NDArray[Any]]) -> int | None:
+    """Return the value at which samples of 10, 12, .. bits are clipped, None without.
+
+    Parameters
+    ----------
+    images : sequence of ndarray
+        Of unsigned integers.  Bits may be shifted up: 4092 = 1023 x 4.
+    """
+    top = max(int(image.max(initial=0)) for image in images)
+    step = top & -top
+
+    def samples(value: int) -> int:
+        return sum(int(np.count_nonzero(image == value)) for image in images)
+
+    if not top or samples(top) < max(LEAST_CLIPPED, PILE * samples(top - step)):
+        return None
+    sizes = {1 << bits for bits in BITS}
+    return top if {top // step + 1, top + step} <= sizes else None
+
+
+def assumed_full_scale(images: Sequence[NDArray[Any]]) -> int:
+    """Return the full scale of 12, 16 or 32 bits that holds all values."""
+    top = max(float(image.max(initial=0)) for image in images)
+    return next((full for full in (4095, 65535) if top <= full), 2**32 - 1)
+
+
+def colour_spread(mosaic: NDArray[Any]) -> float | None:
+    """Return how far the means of 2x2 blocks differ with period 4, None if they do not.
+
+    Colour filters of a colour and polarization camera cover 2x2 blocks each, two of
+    which, on a diagonal, are green.
+
+    Parameters
+    ----------
+    mosaic : ndarray, shape (H, W)
+
+    Returns
+    -------
+    float or None
+        Largest minus smallest mean, relative to their mean.
+    """
+    rows, columns = (side // 4 for side in mosaic.shape)
+    if rows * columns < 16:
+        return None
+    # Rows of cells are left out of large images, evenly.
+    step = max(rows * columns // MOST_CELLS, 1)
+    cells = mosaic[:4 * rows, :4 * columns].reshape(rows, 4, 4 * columns)[::step]
+    rows = len(cells)
+    blocks = cells.astype(np.float32).reshape(
+        rows, 2, 2, columns, 2, 2).mean(axis=(2, 5))
+    whole = blocks.mean(axis=(1, 3), keepdims=True)
+    # Relative to their cell, so that the scene's brightness cancels.
+    relative = (blocks / np.maximum(whole, 1)).transpose(1, 3, 0, 2).reshape(4, -1)
+    means = relative.mean(axis=1)
+    sigma = float(relative.std(axis=1).max()) / np.sqrt(rows * columns)
+    spread = float(np.ptp(means))
+    green = min(abs(means[0] - means[3]), abs(means[1] - means[2]))
+    if spread < max(LEAST_SPREAD, LEAST_SIGMAS * sigma) or green > spread / 3:
+        return None
+    return spread

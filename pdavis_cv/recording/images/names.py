@@ -1,0 +1,89 @@
+"""The image files that a name, a pattern or a list of names denotes."""
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.sensor import CHANNELS
+
+__all__ = ["by_angle", "names_of", "natural_order"]
+
+FIRST_NUMBERS = range(5)
+"""Possible first numbers of a pattern, as in cv2.VideoCapture."""
+_NUMBER = re.compile(r"%(0?\d*)d")
+_ANGLE = re.compile(r"(?<!\d)0{0,2}(0|45|90|135)(?!\d)")
+
+
+def natural_order(names: Iterable[str]) -> list[str]:
+    """Return names in the order of the numbers in them: 1, 2, .., 10."""
+    return sorted(names, key=lambda name: [
+        int(part) if k % 2 else part
+        for k, part in enumerate(re.split("([0-9]+)", name))])
+
+
+def names_of(source: str) -> list[str]:
+    """Return the files that ``shot.png``, ``shot_%04d.png`` or ``shot_*.png`` denotes.
+
+    Only the last part of a path may be a pattern; folders are taken as they are, if
+    they exist.
+
+    Raises
+    ------
+    RecordingError
+        If there is none.
+    """
+    path = Path(source)
+    if path.is_dir():
+        raise RecordingError(
+            f"{source}: a folder, give a pattern such as {source}/*.png")
+    if path.is_file():
+        return [source]
+    names: list[str] = []
+    if found := _NUMBER.search(path.name):
+        before, after = path.name[:found.start()], path.name[found.end():]
+
+        def numbered(k: int) -> Path:
+            return path.with_name(f"{before}{k:{found[1]}d}{after}".replace("%%", "%"))
+
+        k = next((k for k in FIRST_NUMBERS if numbered(k).is_file()), None)
+        while k is not None and numbered(k).is_file():
+            names.append(os.fspath(numbered(k)))
+            k += 1
+    elif path.parent.is_dir():
+        names = natural_order(map(os.fspath, path.parent.glob(path.name)))
+    else:
+        names = natural_order(glob.glob(source))
+    if not names:
+        raise RecordingError(f"{source}: cannot be opened: no such file")
+    return names
+
+
+def by_angle(names: Sequence[str]) -> list[list[str]] | None:
+    """Return the files of each channel, if names differ only in a polarizer's angle.
+
+    Parameters
+    ----------
+    names : sequence of str
+        As ``a_I0.png``, ``a_I45.png``, ``a_I90.png``, ``a_I135.png``, ``b_I0.png``, ..
+
+    Returns
+    -------
+    list of four lists, or None
+        In the order I0, I45, I90, I135; None if any file belongs to no four.
+    """
+    groups: dict[tuple[str, str], dict[int, str]] = {}
+    for name in names:
+        for angle in _ANGLE.finditer(name):
+            group = groups.setdefault((name[:angle.start()], name[angle.end():]), {})
+            group[int(angle[1])] = name
+    whole = [group for group in groups.values() if len(group) == len(CHANNELS)]
+    if not names or sorted(n for group in whole for n in group.values()) != sorted(
+            names):
+        return None
+    first = natural_order(group[0] for group in whole)
+    order = sorted(whole, key=lambda group: first.index(group[0]))
+    return [[group[angle] for group in order] for angle in CHANNELS]

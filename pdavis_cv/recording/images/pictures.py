@@ -1,0 +1,165 @@
+"""Pictures: grey images of one size in order, and what their file states of them."""
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.errors import RecordingError
+
+__all__ = ["FourPictures", "Images", "PictureFacts", "Pictures", "Several", "one_plane"]
+
+
+Images = Generator[tuple[float | None, NDArray[Any]], None, None]
+"""See `Pictures.images`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureFacts:
+    """What a file states of its images; None where it states nothing.
+
+    Parameters
+    ----------
+    kind : str
+        The format, for people.
+    count : int, optional
+        Number of images.
+    elapsed_us : ndarray of float64, shape (N,), optional
+        Time of each image.
+    interval_us : float, optional
+        Time between two images.
+    exposure_us : float, optional
+    full_scale_dn : int, optional
+        Largest value that the camera's converter gives.
+    lossy : str, optional
+        Name of the codec, if it loses detail.
+    """
+
+    kind: str
+    count: int | None = None
+    elapsed_us: NDArray[np.float64] | None = None
+    interval_us: float | None = None
+    exposure_us: float | None = None
+    full_scale_dn: int | None = None
+    lossy: str | None = None
+
+
+class Pictures(ABC):
+    """Images of one size in order.
+
+    Attributes
+    ----------
+    facts : PictureFacts
+    """
+
+    facts: PictureFacts
+
+    @abstractmethod
+    def images(self, first: int = 0) -> Images:
+        """Iterate over the images from number `first` on.
+
+        Yields
+        ------
+        time_us : float or None
+            Time of the image, where it is known only from reading.
+        image : ndarray, shape (H, W) or (4, H, W)
+            One mosaic, or the intensities I0, I45, I90, I135.
+        """
+
+
+class Several(Pictures):
+    """Files that follow each other.
+
+    Parameters
+    ----------
+    names : sequence of str
+    open_one : callable
+        Opens a file by its name.
+    """
+
+    def __init__(self, names: Sequence[str], open_one: Callable[[str], Pictures]
+                 ) -> None:
+        self._names, self._open = names, open_one
+        first = open_one(names[0]).facts
+        self._each = first.count or 1
+        count: int | None = len(names)
+        elapsed: NDArray[np.float64] | None = None
+        # One image a file is the rule; only other files are all opened beforehand.
+        if self._each > 1 or first.elapsed_us is not None:
+            every = [first, *(open_one(name).facts for name in names[1:])]
+            if {one.count for one in every} != {self._each}:
+                raise RecordingError(
+                    f"{names[0]}: files that follow each other must hold the same "
+                    f"number of images, got {[one.count for one in every]}")
+            count = len(names) * self._each
+            times = [one.elapsed_us for one in every if one.elapsed_us is not None]
+            elapsed = np.concatenate(times) if len(times) == len(every) else None
+        self.facts = replace(first, count=count, elapsed_us=elapsed)
+
+    def images(self, first: int = 0) -> Images:
+        """Iterate over the images; see `Pictures`."""
+        number, within = divmod(first, self._each)
+        for k, name in enumerate(self._names[number:], number):
+            one = self._open(name)
+            if one.facts.count != self._each:
+                raise RecordingError(
+                    f"{name}: holds {one.facts.count} images, the first file of the "
+                    f"sequence {self._each}")
+            yield from one.images(within if k == number else 0)
+
+
+class FourPictures(Pictures):
+    """Four sequences, one for each channel, as one with four planes.
+
+    Parameters
+    ----------
+    four : sequence of Pictures
+        In the order I0, I45, I90, I135.
+    """
+
+    def __init__(self, four: Sequence[Pictures]) -> None:
+        self._four = four
+        counts = {one.facts.count for one in four}
+        if len(counts) > 1:
+            raise RecordingError(
+                f"the four channels must have equal numbers of images, got {counts}")
+        self.facts = four[0].facts
+
+    def images(self, first: int = 0) -> Images:
+        """Iterate over the images; see `Pictures`."""
+        for four in zip(*(one.images(first) for one in self._four), strict=True):
+            planes = [image for _, image in four]
+            if len({plane.shape for plane in planes}) > 1:
+                raise RecordingError(
+                    "the four channels must have equal sizes, got "
+                    f"{[plane.shape for plane in planes]}")
+            yield four[0][0], np.stack(planes)
+
+
+def one_plane(image: NDArray[Any], name: str) -> NDArray[Any]:
+    """Return the grey plane of an image whose last axis may be colour channels.
+
+    Raises
+    ------
+    RecordingError
+        If it is a colour image, or its numbers are not real.
+    """
+    if image.ndim == 3:
+        planes = [image[..., k] for k in range(min(image.shape[2], 3))]
+        # A grey image that was stored as colour has three equal channels; a second or
+        # fourth one is opacity.
+        if image.shape[2] in (1, 2):
+            planes = planes[:1]
+        if not all(np.array_equal(planes[0], plane) for plane in planes[1:]):
+            raise RecordingError(
+                f"{name}: the image must be grey, got {image.shape[2]} channels")
+        image = planes[0]
+    if image.ndim != 2 or image.dtype.kind not in "uif" or not image.size:
+        raise RecordingError(
+            f"{name}: an image must be rows and columns of numbers, got shape "
+            f"{image.shape}, {image.dtype}")
+    return np.ascontiguousarray(image)

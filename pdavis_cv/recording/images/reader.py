@@ -1,0 +1,242 @@
+"""ImageRecording: images of a polarization camera as a recording of frames."""
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.errors import PdavisWarning, RecordingError
+from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.images.checks import (
+    assumed_full_scale,
+    colour_spread,
+    measured_full_scale,
+)
+from pdavis_cv.recording.images.names import by_angle, names_of
+from pdavis_cv.recording.images.pictures import FourPictures, Pictures, Several
+from pdavis_cv.recording.images.stills import ArrayPictures, StillPicture
+from pdavis_cv.recording.images.tiff import TiffPictures
+from pdavis_cv.recording.images.video import VideoPictures
+from pdavis_cv.sensor import Layout
+
+__all__ = ["ImageRecording", "is_four_planes"]
+
+STILL_SUFFIXES = (".bmp", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".webp")
+TIFF_SUFFIXES = (".tif", ".tiff")
+ASSUMED_FPS = 25
+"""Images per second if neither the file nor the caller states it, as in cv2."""
+UNIT_DN = 65535
+"""DN of 1, for numbers that are all 0 .. 1."""
+
+
+class ImageRecording(FileRecording):
+    """Frames from a video, TIFF files, still images or an array.
+
+    Four planes of each time, I0, I45, I90 and I135, are laid out as a mosaic of twice
+    the size, whose demosaicing by superpixels returns them unchanged.
+
+    Parameters
+    ----------
+    path : path
+        ``clip.mkv``, ``shot.png``, ``shot_%04d.png``, ``shot_*.png``, ``stack.tif``,
+        ``planes.npy``; names that differ only in 0, 45, 90, 135 are four planes.
+    layout : Layout, optional
+        Layout of the images after any crop or mirroring; four planes need none.
+    bad_events, camera : str, optional
+        Not used: images hold no events and belong to one camera.
+    names : sequence of str, optional
+        The files, in order; default: those that `path` denotes.
+    source_fps : float, optional
+        Images per second; default: the times that the file states, else 25.
+    exposure_us : float, optional
+        Default: that of the file, else unknown.
+    full_scale_dn : int, optional
+        Largest value of the converter; default: that of the file, else measured from
+        clipped samples, else the smaller of 4095 and 65535 that holds all values.
+
+    Raises
+    ------
+    RecordingError
+        If there is no image, it is not grey, or colour filters lie over it.
+    """
+
+    def _open(
+        self, layout: Layout | None, camera: str | None, *,
+        names: Sequence[str] | None = None, source_fps: float | None = None,
+        exposure_us: float | None = None, full_scale_dn: int | None = None,
+    ) -> RecordingInfo:
+        source = os.fspath(self._path)
+        self._pictures = pictures = self._opened(names or names_of(source))
+        first = self._sample(0)
+        if first is None:
+            raise RecordingError(f"{source}: holds no image")
+        self._four, self._size = first.ndim == 3, first.shape
+        facts = pictures.facts
+        if not self._four:
+            self._check_mosaic(first, layout)
+            if facts.lossy:
+                self._log.add(
+                    "lossy codec", 0, f"codec {facts.lossy} loses detail that the four "
+                    "polarizers of a cell differ in: AoP and DoLP are biased; record "
+                    "without loss (FFV1, TIFF, PNG)", warning=PdavisWarning)
+        self._layout = layout or Layout.PDAVIS
+        self._set_times(source_fps)
+        self._exposure_us = round(exposure_us or facts.exposure_us or 0)
+        self._set_full_scale(first, full_scale_dn)
+        height, width = (side * (2 if self._four else 1) for side in first.shape[-2:])
+        count = facts.count
+        last = self._time(count - 1, None) if count else None
+        return RecordingInfo(
+            format=f"four planes, {facts.kind}" if self._four else facts.kind,
+            sensor_size=(height, width), layout=self._layout,
+            start_us=0, stop_us=None if last is None else last + self._exposure_us + 1,
+            exposure_us=self._exposure_us or None,
+            event_count=0, frame_count=count, imu_count=0, trigger_count=0,
+            demosaic="superpixel" if self._four else None,
+            header={"fps": float(self._fps), "dtype": str(first.dtype)})
+
+    def _opened(self, names: Sequence[str]) -> Pictures:
+        """Return the pictures of files, four of which may be the channels."""
+        def one(name: str) -> Pictures:
+            suffix = Path(name).suffix.lower()
+            if suffix in TIFF_SUFFIXES:
+                return TiffPictures(name)
+            if suffix in STILL_SUFFIXES:
+                return StillPicture(name)
+            return (ArrayPictures(name) if suffix == ".npy"
+                    else VideoPictures(name, self._log))
+
+        def several(files: Sequence[str]) -> Pictures:
+            return one(files[0]) if len(files) == 1 else Several(files, one)
+
+        four = by_angle(names)
+        return several(names) if four is None else FourPictures(
+            [several(files) for files in four])
+
+    def _check_mosaic(self, first: NDArray[Any], layout: Layout | None) -> None:
+        if layout is None:
+            raise RecordingError(
+                f"{self._path}: images of a polarization camera need its layout "
+                "(layout=, --layout), unless they are four planes I0, I45, I90, I135")
+        spread = colour_spread(first)
+        if spread is not None:
+            raise RecordingError(
+                f"{self._path}: a mosaic of colours and polarizers (as IMX250MYR): its "
+                f"2x2 blocks differ by {spread:.0%} with period 4; read one colour: "
+                "rows and columns 0, 1, 4, 5, .. of it are a mosaic of one colour")
+
+    def _set_times(self, source_fps: float | None) -> None:
+        facts = self._pictures.facts
+        self._elapsed: NDArray[np.int64] | None = None
+        self._stated = source_fps is None
+        if source_fps is not None:
+            self._fps = Fraction(source_fps).limit_denominator(1_000_000)
+            return
+        interval = facts.interval_us
+        if facts.elapsed_us is not None:
+            elapsed = np.rint(facts.elapsed_us - facts.elapsed_us[0]).astype(np.int64)
+            if np.all(np.diff(elapsed) > 0):
+                self._elapsed = elapsed
+                if len(elapsed) > 1:
+                    interval = float(elapsed[-1]) / (len(elapsed) - 1)
+            else:
+                self._log.add("times", 0, "the times that the file states do not "
+                              "increase and are not used")
+        self._fps = Fraction(ASSUMED_FPS) if interval is None else (
+            1_000_000 / Fraction(interval).limit_denominator(1_000_000))
+
+    def _set_full_scale(self, first: NDArray[Any], given: int | None) -> None:
+        facts = self._pictures.facts
+        self._scale = 1
+        self._full_scale = given or facts.full_scale_dn or (
+            255 if first.dtype == np.uint8 else 0)
+        self._assumed_scale = False
+        if self._full_scale:
+            return
+        count = facts.count or 1
+        samples = [first, *(
+            image for k in sorted({count // 2, count - 1} - {0})
+            if (image := self._sample(k)) is not None)]
+        if first.dtype.kind == "f" and max(image.max() for image in samples) <= 1:
+            self._scale, samples = UNIT_DN, [image * UNIT_DN for image in samples]
+        measured = measured_full_scale(samples)
+        self._full_scale = measured or assumed_full_scale(samples)
+        self._assumed_scale = measured is None
+
+    def _sample(self, k: int) -> NDArray[Any] | None:
+        """Return one image, None if there is none."""
+        with closing(self._pictures.images(k)) as images:
+            return next((image for _, image in images), None)
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the frames with start_us <= time < stop_us."""
+        first = 0
+        if start_us is not None and start_us > self._exposure_us:
+            first = self._number_at(start_us - self._exposure_us)
+        for k, (time, image) in enumerate(self._pictures.images(first), first):
+            t = self._time(k, time)
+            end = t + self._exposure_us
+            if stop_us is not None and end >= stop_us:
+                return
+            if start_us is not None and end < start_us:
+                continue
+            if image.shape != self._size:
+                raise RecordingError(
+                    f"{self._path}: image {k} is {image.shape[-1]}x{image.shape[-2]}, "
+                    f"the first one is {self._size[-1]}x{self._size[-2]}")
+            yield Packet(frames=(self._frame(image, t, end),))
+
+    def _frame(self, image: NDArray[Any], start: int, end: int) -> ApsFrame:
+        full = self._full_scale
+        if self._assumed_scale and image.max() > full:
+            full = assumed_full_scale([image])
+        if self._four:
+            height, width = image.shape[1:]
+            mosaic = np.empty((height, 2, width, 2), np.float32)
+            for plane, place in zip(image, self._layout.places, strict=True):
+                mosaic[:, place // 2, :, place % 2] = plane
+            image = mosaic.reshape(2 * height, 2 * width)
+        if self._scale != 1:
+            image = image * np.float32(self._scale)
+        return ApsFrame(image, start, end, full_scale_dn=full)
+
+    def _time(self, k: int, read: float | None) -> int:
+        """Return the time of image k in us; `read` is the one that came with it."""
+        if self._elapsed is not None and k < len(self._elapsed):
+            return int(self._elapsed[k])
+        if read is not None and self._stated:
+            return round(read)
+        return round(k * 1_000_000 / self._fps)
+
+    def _number_at(self, t_us: int) -> int:
+        """Return the number of the first image at t_us or later, or one before."""
+        if self._elapsed is not None:
+            return int(np.searchsorted(self._elapsed, t_us))
+        if self._stated and self._pictures.facts.count is None:
+            return 0    # their times are known only from reading
+        k = int(t_us * self._fps / 1_000_000)
+        return k if self._time(k, None) >= t_us else k + 1
+
+
+def is_four_planes(source: str) -> bool:
+    """Return whether a name or pattern denotes planes I0, I45, I90, I135.
+
+    These are a recording whatever the layout of a mosaic might be.
+    """
+    try:
+        names = names_of(source)
+        if by_angle(names) is not None:
+            return True
+        return (Path(names[0]).suffix.lower() in TIFF_SUFFIXES
+                and TiffPictures(names[0]).four)
+    except (OSError, ImportError):
+        return False
