@@ -1,6 +1,8 @@
 """Images of other writers: what they state, and four planes of each time."""
+import contextlib
 import json
 import shutil
+import warnings
 from fractions import Fraction
 
 import av
@@ -153,6 +155,66 @@ def test_every_kind_of_tiff_is_read(tmp_path, kind):
     assert info.stop_us == 8 * 40_000 + 1
     frames, _ = read(tmp_path / "stack.tif", source_fps=100)
     assert [frame.mid_us for frame in frames] == [10_000 * k for k in range(9)]
+
+
+def test_files_of_micro_manager_are_one_recording_with_its_times(tmp_path):
+    expected = mosaics(11)
+    for k, image in enumerate(expected):
+        about = json.dumps({"ElapsedTime-ms": 100 + 7 * k, "Exposure-ms": 2.0})
+        tifffile.imwrite(tmp_path / f"img_{k}.tif", image, metadata=None,
+                         extratags=[(51123, 2, None, about, True)])
+    frames, info = read(tmp_path / "img_*.tif")
+    np.testing.assert_array_equal([frame.dn for frame in frames], expected)
+    assert [frame.exposure_start_us for frame in frames] == [
+        7000 * k for k in range(11)]
+    assert info.exposure_us == 2000
+
+
+def test_an_ome_tiff_of_several_files_is_one_recording(tmp_path):
+    expected = mosaics(6)
+
+    def about(me):
+        data = "".join(
+            f'<TiffData FirstT="{t}" FirstC="0" FirstZ="0" IFD="{t % 3}" '
+            f'PlaneCount="1"><UUID FileName="s_{t // 3}.ome.tif">urn:uuid:{t // 3}'
+            "</UUID></TiffData>" for t in range(6))
+        return (
+            '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/'
+            f'OME/2016-06" UUID="urn:uuid:{me}"><Image ID="Image:0"><Pixels '
+            'ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="40" SizeY="32" '
+            'SizeZ="1" SizeC="1" SizeT="6" TimeIncrement="10" TimeIncrementUnit="ms">'
+            f'<Channel ID="Channel:0:0" SamplesPerPixel="1"/>{data}</Pixels></Image>'
+            "</OME>")
+
+    for me in (0, 1):
+        with tifffile.TiffWriter(tmp_path / f"s_{me}.ome.tif") as tiff:
+            for k in range(3):
+                tiff.write(expected[3 * me + k], contiguous=False, metadata=None,
+                           description=about(me) if k == 0 else None)
+    frames, _ = read(tmp_path / "s_0.ome.tif")
+    np.testing.assert_array_equal([frame.dn for frame in frames], expected)
+    assert frames[-1].mid_us == 50_000
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("kind", ["ome", "imagej", "packed", "video"])
+def test_damage_is_an_error_of_one_kind(tmp_path, kind, seed):
+    if kind == "video":
+        path = write(tmp_path / "a.mkv", mosaics(5, top=4095), "ffv1", "gray12le")
+    else:
+        path = tmp_path / "a.tif"
+        {**STATED, **NOT_STATED}[kind](path, mosaics(5))
+    rng, data = np.random.default_rng(seed), bytearray(path.read_bytes())
+    if seed < 4:
+        data = data[:int(rng.integers(len(data)))]
+    for at in rng.integers(0, max(len(data), 1), 20 if seed >= 4 else 0):
+        data[at] = int(rng.integers(256))
+    path.write_bytes(data)
+    frames = []
+    with warnings.catch_warnings(), contextlib.suppress(RecordingError):
+        warnings.simplefilter("ignore", PdavisWarning)
+        frames, _ = read(path)
+    assert all(frame.shape == frames[0].shape for frame in frames)
 
 
 def test_a_hyperstack_is_refused_with_what_to_do(tmp_path):

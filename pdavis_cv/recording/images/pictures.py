@@ -2,7 +2,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 
-__all__ = ["FourPictures", "Images", "PictureFacts", "Pictures", "Several", "one_plane"]
+__all__ = ["FourPictures", "Images", "PictureFacts", "Pictures", "Several", "one_plane",
+           "readable"]
 
 
 Images = Generator[tuple[float | None, NDArray[Any]], None, None]
@@ -138,6 +140,18 @@ class FourPictures(Pictures):
                     "the four channels must have equal sizes, got "
                     f"{[plane.shape for plane in planes]}")
             yield four[0][0], np.stack(planes)
+
+
+@contextmanager
+def readable(path: str, kind: str) -> Iterator[None]:
+    """Turn anything that a package raises for a damaged file into RecordingError."""
+    try:
+        yield
+    except (RecordingError, ImportError, MemoryError):
+        raise
+    except Exception as error:
+        raise RecordingError(f"{path}: not a {kind} that can be read: {error}"
+                             ) from error
 
 
 def one_plane(image: NDArray[Any], name: str) -> NDArray[Any]:

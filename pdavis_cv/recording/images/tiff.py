@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -19,9 +20,13 @@ from pdavis_cv.recording.images.pictures import (
     PictureFacts,
     Pictures,
     one_plane,
+    readable,
 )
 
 __all__ = ["TiffPictures"]
+
+# Damage is an error of ours, not lines that tifffile prints.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 _MICRO_MANAGER = 51123
 """Tag of a page's metadata of Micro-Manager, JSON."""
@@ -60,10 +65,10 @@ class TiffPictures(Pictures):
         self._path = path
         # Some writers describe each page alone: a stack of pages all the same.
         self._alone = False
-        with self._opened() as tiff, _Readable(path):
+        with self._opened() as tiff, readable(path, "TIFF"):
             shape = _shaped(tiff).get("shape", ())
             self._alone = len(shape) > 0 and math.prod(shape) == tiff.pages.first.size
-        with self._opened() as tiff, _Readable(path):
+        with self._opened() as tiff, readable(path, "TIFF"):
             self._describe(tiff, tiff.series[0])
 
     def _opened(self) -> Any:
@@ -73,7 +78,7 @@ class TiffPictures(Pictures):
             raise ImportError(
                 f"{self._path}: TIFF needs a package: pip install tifffile (extra "
                 "[frames])") from None
-        with _Readable(self._path):
+        with readable(self._path, "TIFF"):
             flags: dict[str, Any] = {"is_shaped": False} if self._alone else {}
             return TiffFile(self._path, **flags)
 
@@ -113,8 +118,9 @@ class TiffPictures(Pictures):
         if series.dataoffset is not None:
             places = series.dataoffset + size * np.arange(self._planes.size)
             return places
-        if not all(page is not None and page.is_contiguous for page in series.pages):
-            return None
+        if not all(page is not None and page.is_contiguous and (
+                page.parent is series.keyframe.parent) for page in series.pages):
+            return None     # an OME-TIFF may consist of several files
         pages = np.array([page.dataoffsets[0] for page in series.pages], np.int64)
         parts = np.arange(self._in_page, dtype=np.int64) * size
         places = (pages[:, np.newaxis] + parts).ravel()
@@ -142,7 +148,7 @@ class TiffPictures(Pictures):
     def images(self, first: int = 0) -> Images:
         """Iterate over the images; see `Pictures`."""
         opened = self._pages if self._offsets is None else self._in_place
-        with opened() as plane, _Readable(self._path):
+        with readable(self._path, "TIFF"), opened() as plane:
             for k in range(first, len(self._planes)):
                 planes = [plane(int(n)) for n in self._planes[k]]
                 # One plane has its channels, if any, as the last axis.
@@ -175,6 +181,8 @@ class TiffPictures(Pictures):
         """Give a function that reads a plane by its number."""
         with self._opened() as tiff:
             pages = tiff.series[0].pages
+            for page in pages:      # files of a set are closed; tiff closes them again
+                page.parent.filehandle.open()
             by_opencv = _lacks_codec(pages[0]) and _by_opencv(self._path, pages)
 
             def plane(n: int) -> NDArray[Any]:
@@ -231,22 +239,6 @@ def _by_opencv(path: str, pages: Sequence[Any]) -> Callable[[int], NDArray[Any]]
     return page_at
 
 
-class _Readable:
-    """Turn anything that tifffile raises for a damaged file into RecordingError."""
-
-    def __init__(self, path: str) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        """Do nothing."""
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, Exception) and not isinstance(
-                error, (RecordingError, ImportError)):
-            raise RecordingError(
-                f"{self._path}: not a TIFF that can be read: {error}") from error
-
-
 # ---- metadata ----------------------------------------------------------------
 
 
@@ -273,7 +265,7 @@ def _positive(**found: float | None) -> dict[str, Any]:
 
 def _elapsed(times: Sequence[float | None], count: int) -> dict[str, Any]:
     """Return the times of the images, if there is one for each."""
-    if len(times) != count or count < 2 or None in times:
+    if len(times) != count or None in times:
         return {}
     return {"elapsed_us": np.array(times, np.float64)}
 

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.files import ProblemLog
-from pdavis_cv.recording.images.pictures import Images, PictureFacts, Pictures
+from pdavis_cv.recording.images.pictures import (
+    Images,
+    PictureFacts,
+    Pictures,
+    readable,
+)
 
 __all__ = ["VideoPictures"]
 
@@ -82,18 +87,15 @@ class VideoPictures(Pictures):
             raise ImportError(
                 f"{self._path}: a video needs PyAV: pip install av (extra [frames])"
             ) from None
-        try:
-            # "file:" and a known name keep FFmpeg from reading patterns or protocols.
-            with av.open(f"file:{self._path}") as container:
-                if not container.streams.video:
-                    raise RecordingError(f"{self._path}: holds no video")
-                stream = container.streams.video[0]
-                stream.thread_type = "AUTO"
-                yield container, stream
-        except av.FFmpegError as error:
-            raise RecordingError(
-                f"{self._path}: not a video that can be read: {error.strerror}"
-            ) from None
+        # "file:" and a known name keep FFmpeg from reading patterns or protocols.
+        with (readable(self._path, "video"),
+              av.open(f"file:{self._path}") as container):
+            if not container.streams.video or (
+                    container.streams.video[0].codec_context is None):
+                raise RecordingError(f"{self._path}: holds no video")
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            yield container, stream
 
     def _times(self, container: Any, stream: Any) -> list[float]:
         """Return the time of each image in us, [] if a packet has none."""
