@@ -1,14 +1,14 @@
-"""Polarization sensors and the layouts of their polarizers."""
+"""Sensors and the layouts of their polarizers."""
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from pdavis_cv.errors import LayoutError, LayoutWarning
 
-__all__ = ["CHANNELS", "Layout", "Sensor", "resolve_layout"]
+__all__ = ["CHANNELS", "SENSORS", "Layout", "Sensor", "resolve_layout"]
 
 CHANNELS = (0, 45, 90, 135)
 """Polarizer angle in degrees of each plane of a (4, H, W) array."""
@@ -43,6 +43,9 @@ class Layout:
     row0, row1 : (int, int)
         Angles of the pixels in even and in odd rows, left to right; together a
         permutation of 0, 45, 90, 135.
+    owner : str, optional
+        Name of the sensor whose layout this is, as of ``Layout.SONY`` and what is made
+        from it; None = known by its angles only.  It does not count in comparisons.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Layout:
 
     row0: tuple[int, int]
     row1: tuple[int, int]
+    owner: str | None = field(default=None, compare=False, repr=False)
 
     PDAVIS: ClassVar[Layout]
     SONY: ClassVar[Layout]
@@ -115,6 +119,29 @@ class Layout:
                 f"135,90,0,45, got {value!r}") from None
         return cls((a, b), (c, d))
 
+    @classmethod
+    def stored(cls, angles: str, owner: object = None) -> Layout:
+        """Return the layout that a file holds: four angles and perhaps its owner.
+
+        Raises
+        ------
+        LayoutError
+            If the angles are no layout.
+        """
+        found = cls.of(angles)
+        known = isinstance(owner, str) and owner in SENSORS
+        return cls(found.row0, found.row1, str(owner) if known else None)
+
+    @property
+    def stored_angles(self) -> str:
+        """The angles as a file holds them: by row, with commas between them."""
+        return ",".join(str(angle) for angle in (*self.row0, *self.row1))
+
+    @property
+    def sensor(self) -> Sensor | None:
+        """The sensor whose layout this is, None if it is known by its angles only."""
+        return None if self.owner is None else SENSORS[self.owner]
+
     @property
     def angles_deg(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """The cell, ``angles_deg[row % 2][col % 2]``, in degrees."""
@@ -130,14 +157,14 @@ class Layout:
     def flip_x(self, width: int = 2) -> Layout:
         """Layout after a left-right mirror (``np.fliplr``) of an image this wide."""
         cell = self.angles_deg
-        return _from_cell([[-cell[r][(width - 1 - c) % 2] for c in (0, 1)]
-                           for r in (0, 1)])
+        return self._moved([[-cell[r][(width - 1 - c) % 2] for c in (0, 1)]
+                            for r in (0, 1)])
 
     def flip_y(self, height: int = 2) -> Layout:
         """Layout after a top-bottom mirror (``np.flipud``) of an image this high."""
         cell = self.angles_deg
-        return _from_cell([[-cell[(height - 1 - r) % 2][c] for c in (0, 1)]
-                           for r in (0, 1)])
+        return self._moved([[-cell[(height - 1 - r) % 2][c] for c in (0, 1)]
+                            for r in (0, 1)])
 
     def rot90(self, k: int = 1, size: tuple[int, int] = (2, 2)) -> Layout:
         """Layout after ``np.rot90(image, k)`` (counter-clockwise).
@@ -153,33 +180,32 @@ class Layout:
         for _ in range(k % 4):
             cell = layout.angles_deg
             # np.rot90: new[r, c] = old[c, width - 1 - r]
-            layout = _from_cell([[cell[c][(width - 1 - r) % 2] + 90 for c in (0, 1)]
-                                 for r in (0, 1)])
+            layout = self._moved([[cell[c][(width - 1 - r) % 2] + 90 for c in (0, 1)]
+                                  for r in (0, 1)])
             height, width = width, height
         return layout
 
     def crop(self, x: int, y: int) -> Layout:
         """Layout of an image whose first pixel was at column x, row y of this one."""
         cell = self.angles_deg
-        return _from_cell([[cell[(r + y) % 2][(c + x) % 2] for c in (0, 1)]
-                           for r in (0, 1)])
+        return self._moved([[cell[(r + y) % 2][(c + x) % 2] for c in (0, 1)]
+                            for r in (0, 1)])
+
+    def _moved(self, cell: Sequence[Sequence[int]]) -> Layout:
+        (a, b), (c, d) = cell
+        return Layout((a % 180, b % 180), (c % 180, d % 180), self.owner)
 
     def __str__(self) -> str:
         return f"(({self.row0[0]}, {self.row0[1]}), ({self.row1[0]}, {self.row1[1]}))"
 
 
-def _from_cell(cell: Sequence[Sequence[int]]) -> Layout:
-    (a, b), (c, d) = cell
-    return Layout((a % 180, b % 180), (c % 180, d % 180))
-
-
-Layout.PDAVIS = Layout((135, 90), (0, 45))
-Layout.SONY = Layout((90, 45), (135, 0))
+Layout.PDAVIS = Layout((135, 90), (0, 45), "pdavis")
+Layout.SONY = Layout((90, 45), (135, 0), "sony")
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Properties of a type of polarization sensor.
+    """Properties of a type of sensor.
 
     Parameters
     ----------
@@ -187,12 +213,13 @@ class Sensor:
         Name of the sensor or camera.
     size : (int, int)
         (height, width) in pixels.
-    layout : Layout
-        Nominal polarizer layout.
-    extinction_ratio : float
+    layout : Layout or None
+        Nominal polarizer layout; None for a chip without polarizers, or whose
+        polarizers are not known.
+    extinction_ratio : float or None
         Nominal ratio of largest to smallest response to linearly polarized light.
-    full_scale_dn : int
-        Largest value of the converter.
+    full_scale_dn : int or None
+        Largest value of the converter, None if there is none.
     pixel_um : float
         Pixel pitch in micrometres.
     mismatch : (float, float, float)
@@ -200,6 +227,8 @@ class Sensor:
         polarizer in degrees, and extinction ratio.
     offset_dn : float
         Prior standard deviation of a pixel's offset after double sampling, DN.
+    chip : str
+        Name of the chip under the polarizers, as files give it; default: `name`.
 
     Notes
     -----
@@ -209,21 +238,70 @@ class Sensor:
 
     name: str
     size: tuple[int, int]
-    layout: Layout
-    extinction_ratio: float
-    full_scale_dn: int
+    layout: Layout | None
+    extinction_ratio: float | None
+    full_scale_dn: int | None
     pixel_um: float
     mismatch: tuple[float, float, float] = (0.02, 0.7, 3.0)
     offset_dn: float = 2.0
+    chip: str = ""
 
     PDAVIS: ClassVar[Sensor]
     SONY: ClassVar[Sensor]
+    DAVIS346: ClassVar[Sensor]
+    DAVIS240: ClassVar[Sensor]
+    DVS128: ClassVar[Sensor]
+
+    @classmethod
+    def of(cls, value: Sensor | str) -> Sensor:
+        """Return a sensor by its name; a Sensor as it is.
+
+        Parameters
+        ----------
+        value : Sensor or str
+            One of ``SENSORS``: ``"pdavis"``, ``"sony"``, ``"davis346"``, ...; or the
+            full name.
+
+        Raises
+        ------
+        TypeError
+            If it is neither a Sensor nor a text.
+        ValueError
+            If there is no such sensor.
+        """
+        if isinstance(value, Sensor):
+            return value
+        if not isinstance(value, str):
+            raise TypeError(
+                f"sensor must be a Sensor or its name, got {type(value).__name__}")
+        text = value.strip().lower()
+        for key, one in SENSORS.items():
+            if text in (key, one.name.lower()):
+                return one
+        raise ValueError(f"sensor must be one of {', '.join(SENSORS)}, got {value!r}")
+
+    @classmethod
+    def of_chip(cls, name: str | None) -> Sensor | None:
+        """Return the chip that the name of a camera in a file begins with, or None."""
+        text = (name or "").lower()
+        return next((one for key, one in SENSORS.items()
+                     if not one.chip and text.startswith(key)), None)
 
 
+PDAVIS_EXTINCTION_RATIO = 40.0
 # Haessig et al., "Sensor design and fabrication" and Fig. 1; IMX250MZR data sheet.
-Sensor.PDAVIS = Sensor("PDAVIS", (260, 346), Layout.PDAVIS, 40.0, 1023, 18.5)
+Sensor.PDAVIS = Sensor("PDAVIS", (260, 346), Layout.PDAVIS, PDAVIS_EXTINCTION_RATIO,
+                       1023, 18.5, chip="DAVIS346")
 Sensor.SONY = Sensor("Sony IMX250MZR", (2048, 2448), Layout.SONY, 350.0, 4095, 3.45,
-                     (0.005, 0.2, 20.0), 0.5)
+                     (0.005, 0.2, 20.0), 0.5, chip="IMX250")
+# Lichtsteiner et al. 2008; Brandli et al. 2014; iniVation's specifications.
+Sensor.DAVIS346 = Sensor("DAVIS346", (260, 346), None, None, 1023, 18.5)
+Sensor.DAVIS240 = Sensor("DAVIS240", (180, 240), None, None, 1023, 18.5)
+Sensor.DVS128 = Sensor("DVS128", (128, 128), None, None, None, 40.0)
+
+SENSORS = {"pdavis": Sensor.PDAVIS, "sony": Sensor.SONY, "davis346": Sensor.DAVIS346,
+           "davis240": Sensor.DAVIS240, "dvs128": Sensor.DVS128}
+"""The sensors that a caller can name."""
 
 
 def resolve_layout(
@@ -254,7 +332,7 @@ def resolve_layout(
                 f"the {known[0][0]} says {known[0][1]}, the {name} says {layout}: "
                 "one of them is wrong")
     if known:
-        return known[0][1]
+        return next((one for _, one in known if one.owner), known[0][1])
     warnings.warn(
         f"polarizer layout unknown: assuming Layout.PDAVIS = {Layout.PDAVIS}; the "
         f"alternative is Layout.SONY = {Layout.SONY}. Until one is given "

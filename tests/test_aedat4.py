@@ -126,7 +126,7 @@ def test_header_facts_come_without_reading(real):
     info = real.info
     assert (info.format, info.sensor_size) == ("AEDAT-4", (260, 346))
     assert (info.camera, info.serial) == ("DAVIS346_00000002", "00000002")
-    assert info.sensor is pdavis_cv.Sensor.PDAVIS
+    assert info.sensor == pdavis_cv.Sensor.DAVIS346
     assert info.layout is None
     assert (info.event_count, info.frame_count) == (78_830, 59)
     assert (info.imu_count, info.trigger_count) == (2363, 236)

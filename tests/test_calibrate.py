@@ -31,7 +31,7 @@ def bench():
 @pytest.fixture
 def files(bench, monkeypatch):
     """Let the tool open those recordings by name."""
-    def opener(name, **options):
+    def opener(name, *options):
         if name not in bench[1]:
             raise FileNotFoundError(2, "No such file or directory", name)
         return bench[1][name]

@@ -136,7 +136,7 @@ def test_how_the_bytes_arrive_does_not_matter(compression, most):
 
     thread = threading.Thread(target=send)
     thread.start()
-    got, _ = arrived(DvSource("pair", [ours], None))
+    got, _ = arrived(DvSource("pair", [ours]))
     thread.join(PATIENCE_S)
     np.testing.assert_array_equal(got, events)
 
@@ -150,7 +150,7 @@ def test_a_packet_that_stops_half_way_does_not_stop_time():
     theirs, ours = socket.socketpair()
     with theirs:
         theirs.sendall(encoder.head + first + second[:50])
-        packets = DvSource("pair", [ours], None).packets()
+        packets = DvSource("pair", [ours]).packets()
         assert len(next(packets).events) == 9
         until = next(packets).until_us
         assert until is not None

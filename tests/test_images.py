@@ -77,7 +77,7 @@ def test_every_image_arrives_unchanged(tmp_path, dtype, kind):
 @pytest.mark.parametrize("kind", ["video", "stack", "pattern"])
 def test_an_interval_is_a_part_of_the_whole(tmp_path, kind):
     source, expected = written(tmp_path, np.uint16, kind)
-    recording = open_recording(source, layout=Layout.SONY, fps=30)
+    recording = open_recording(source, layout=Layout.SONY, source_fps=30)
     whole = [f.mid_us for f in frames_of(recording)]
     for start, stop in [(None, 100_000), (33_333, 33_334), (33_334, None),
                         (66_667, 200_000), (10**9, None), (-5, 0), (-5, 1)]:

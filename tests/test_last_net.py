@@ -39,7 +39,7 @@ def one_line(capsys, code=2):
 @pytest.mark.parametrize("arguments", [
     ("--bogus",), ("bogus",), ("export",), ("export", FILE), ("info", "--scan"),
     (*EXPORT, "--bogus"), (*EXPORT, "--roi", "inf,0,2,2"), (*EXPORT, "--roi", "1,2"),
-    (*EXPORT, "--columns", "0"), (*EXPORT, "--columns", "1000000"),
+    (*EXPORT, "--per-row", "0"), (*EXPORT, "--per-row", "1000000"),
     (*EXPORT, "--at", "1e12"), (*SIMULATE, "--seconds", "1e12"),
     (*SIMULATE, "--rpm", "1e12"), (*SIMULATE, "--seed", "-1"),
     (*SIMULATE, "--threads", "0"), (*FAN, "--radius", "9", "--scale", "100000"),

@@ -22,8 +22,8 @@ LINES = (
     ("reconstruct",),
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events"),
-    ("sensor", "errors", "_arrays", "_beside", "_checks", "_opencv", "_remote",
-     "_workers", "data", "registry"),
+    ("sensor", "errors", "_arrays", "_beside", "_checks", "_opencv", "_options",
+     "_remote", "_workers", "data", "registry"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

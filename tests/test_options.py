@@ -12,10 +12,11 @@ import pdavis_cv
 from pdavis_cv import Calibration, FusionOptions, Layout, VideoCapture, fuse
 from pdavis_cv.capture.video import CaptureKeywords
 from pdavis_cv.data import example_recording
-from pdavis_cv.fusion.options import FusionKeywords
+from pdavis_cv.fusion.options import AllKeywords, FusionKeywords
 from pdavis_cv.live import Session
+from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.simulation.ideal import rotating_polarizer
-from pdavis_cv.tools import _common, export, fan
+from pdavis_cv.tools import _flags, _options, export, fan
 
 OPTIONS = sorted(FusionOptions.facts())
 
@@ -45,23 +46,28 @@ def test_an_option_is_a_keyword_of_fuse_and_of_videocapture(name):
         assert capture.isOpened()
 
 
+def told_of(*keywords):
+    return {name: told.__forward_arg__ for one in keywords
+            for name, told in one.__annotations__.items()}
+
+
 def offered_to_type_checkers(taker):
     return [list(overload.__annotations__.values())[-2]     # the last is of the return
             for overload in typing.get_overloads(taker.__init__)]
 
 
 def test_type_checkers_see_the_options_of_a_class():
-    types = {field.name: field.type for field in dataclasses.fields(FusionOptions)}
-    given = {name: told.__forward_arg__
-             for name, told in FusionKeywords.__annotations__.items()}
-    assert given == {name: types[name] for name in OPTIONS}
-    assert offered_to_type_checkers(Session) == ["Unpack[FusionKeywords]", "Any"]
+    for options, keywords in ((FusionOptions, FusionKeywords),
+                              (SourceOptions, SourceKeywords)):
+        types = {field.name: field.type for field in dataclasses.fields(options)}
+        assert told_of(keywords) == {name: types[name] for name in options.facts()}
+    assert told_of(AllKeywords) == told_of(SourceKeywords, FusionKeywords)
+    assert offered_to_type_checkers(Session) == ["Unpack[AllKeywords]", "Any"]
 
 
 def test_type_checkers_see_the_keywords_of_videocapture():
-    given = {name: told.__forward_arg__
-             for name, told in CaptureKeywords.__annotations__.items()
-             if name not in OPTIONS}
+    given = {name: told for name, told in told_of(CaptureKeywords).items()
+             if name not in told_of(AllKeywords)}
     own = VideoCapture.__init__
     assert given == {name: own.__annotations__[name] for name in own.__kwdefaults__}
     assert offered_to_type_checkers(VideoCapture) == ["Unpack[CaptureKeywords]", "Any"]
@@ -70,10 +76,11 @@ def test_type_checkers_see_the_keywords_of_videocapture():
 @pytest.mark.parametrize("name", OPTIONS)
 def test_an_option_is_one_of_every_command(name):
     parser = argparse.ArgumentParser()
-    _common.add_fuse_options(parser)
+    _options.add_fuse_options(parser)
     shown = parser.format_help()
     offered = FusionOptions.facts()[name].word is not None
-    assert (_common._flag(name) in shown) == offered
+    flag = _flags.flag_of(name, FusionOptions.facts()[name])
+    assert (flag in shown) == offered
     assert offered or name == "times_us"     # an array fits no command line
 
 
@@ -83,7 +90,7 @@ def test_a_new_field_reaches_signature_help_and_commands(monkeypatch):
         facts["fps"], help="How often.", brief="how often")
     monkeypatch.setattr(FusionOptions, "facts", classmethod(lambda cls: facts))
     parser = argparse.ArgumentParser()
-    _common.add_fuse_options(parser)
+    _options.add_fuse_options(parser)
     assert parser.parse_args(["--frobnicate", "5"]).frobnicate == 5.0
     assert "how often" in parser.format_help()
 

@@ -67,7 +67,8 @@ WORDS = {"macropixel": "2x2", "redundancy": "I0 \\+ I90|three Stokes",
 
 @pytest.mark.parametrize("word", WORDS)
 def test_words_of_ours_are_explained_where_they_first_occur(root, word):
-    from pdavis_cv.tools._common import Parser, add_fuse_options
+    from pdavis_cv.tools._common import Parser
+    from pdavis_cv.tools._options import add_fuse_options
     parser = Parser("x", "", "")
     add_fuse_options(parser)
     for name, text in (("README.md", (root / "README.md").read_text()),

@@ -452,7 +452,7 @@ def test_no_command_opens_a_recording_past_the_one_way(root):
     for path in (root / "tools").rglob("*.py"):
         calls = len(re.findall(r"\bopen_(?:recording|source)\(", path.read_text()))
         # fan's second camera has options of its own
-        assert calls == {"_common.py": 1, "fan.py": 1}.get(path.name, 0), path
+        assert calls == {"_options.py": 1, "fan.py": 1}.get(path.name, 0), path
 
 
 def test_progress_shows_on_a_terminal_only(tmp_path):

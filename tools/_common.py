@@ -1,4 +1,4 @@
-"""Shared code of the commands: one-line errors, and the options of fuse()."""
+"""Shared code of the commands: one-line errors, checks and results."""
 from __future__ import annotations
 
 import argparse
@@ -10,53 +10,34 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv._beside import takes_bytes
 from pdavis_cv.errors import PdavisError, PdavisWarning
 
+from ._flags import flags
 from ._interrupts import interruptible
 from ._progress import AlwaysProgress, own_progress, progress, progress_in_time, stage
-from ._values import (
-    layout_option,
-    offset,
-    pair,
-    positive,
-    ratio,
-    roi_option,
-    seconds,
-    setting,
-    thresholds,
-    within,
-)
 
 if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
-    from pdavis_cv import Calibration, Recording, Source
-    from pdavis_cv.fusion.options import OptionFacts
+    from pdavis_cv import Recording
 
 __all__ = [
     "OneLineParser",
     "Parser",
     "UsageError",
-    "add_fuse_options",
     "add_json_option",
-    "add_layout_option",
-    "calibration_of",
     "can_draw",
     "checked_out",
     "command",
     "covered",
     "for_people",
-    "fuse_options",
-    "fusion_given",
-    "opened",
-    "option_value",
+    "in_flags",
     "progress",
     "progress_in_time",
     "require_samples",
-    "source_of",
     "stage",
     "start_of",
     "tell",
@@ -65,6 +46,9 @@ __all__ = [
 
 
 TRACEBACK = "PDAVIS_CV_TRACEBACK"
+_ARGUMENT = re.compile(
+    r'(?<![\w/.-])([a-z]+(?:_[a-z]+)*)(?![\w/.]\w)(?:=("[^"]*"|\([^)]*\))?)?')
+"""A word, which may be the name of an argument, and what follows its equals sign."""
 
 
 class Main(Protocol):
@@ -186,70 +170,38 @@ def _drop_output() -> None:
 def _complain(error: object, code: int) -> int:
     if isinstance(error, OSError) and error.strerror and error.filename:
         error = f"{error.filename}: {error.strerror}"
-    print("pdavis:", " ".join(str(error).split()), file=sys.stderr)
+    print("pdavis:", in_flags(str(error)), file=sys.stderr)
     return code
+
+
+def in_flags(text: str) -> str:
+    """Return a message of the library in one line, with flags in place of arguments.
+
+    ``camera=`` and ``layout="sony"`` become ``--camera`` and ``--layout sony``.
+    """
+    def flag(found: re.Match[str]) -> str:
+        name, value = found[1], found[2] or ""
+        if name not in known or not (value or found[0][-1] == "=" or "_" in name):
+            return found[0]
+        placeholder = value[:1] == "("
+        return known[name][0] + (f" {known[name][1]}" if placeholder else
+                                 f" {value.strip(chr(34))}" if value else "")
+
+    text = " ".join(text.split())
+    if not re.search(r"[a-z](=|_)", text):
+        return text
+    known = flags()
+    return _ARGUMENT.sub(flag, text)
 
 
 def _show_warning(
     said: set[str], message: Warning | str, category: type[Warning], filename: str,
     lineno: int, file: TextIO | None = None, line: str | None = None,
 ) -> None:
-    text = " ".join(str(message).split())
+    text = in_flags(str(message))
     if text not in said:    # a command may read a recording several times
         said.add(text)
         print("pdavis: warning:", text, file=sys.stderr)
-
-
-def opened(
-    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
-) -> Recording:
-    """Open a recording of any format according to the options of a command.
-
-    A live source is first recorded to a temporary file until it ends, as commands may
-    read their input more than once.
-
-    Parameters
-    ----------
-    args : Namespace
-        Has ``layout``; if that is None, videos and images are not recordings.
-    file : path, optional
-        Default: ``args.file``.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be opened.
-    """
-    from pdavis_cv.recording.base import Recording
-    source = source_of(args, file)
-    if isinstance(source, Recording):
-        return source
-    from pdavis_cv.live import recorded
-    return recorded(source)
-
-
-def source_of(
-    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
-) -> Source:
-    """Open a recording or a live source according to the options of a command.
-
-    Parameters
-    ----------
-    args, file
-        As in `opened`.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be opened.
-    """
-    from pdavis_cv import open_source
-    from pdavis_cv.recording.hdf5.probe import proved
-    where = args.file if file is None else file
-    proved(where)
-    return open_source(
-        where, layout=args.layout,
-        camera=getattr(args, "camera", None))
 
 
 def checked_out(
@@ -320,131 +272,6 @@ def covered(recording: Recording) -> str:
     return f"the recording covers 0 .. {(report.stop_us - report.start_us) / 1e6:g} s"
 
 
-def add_layout_option(parser: argparse.ArgumentParser) -> None:
-    """Add --layout to a command that does not fuse."""
-    parser.add_argument(
-        "--layout", type=layout_option, metavar="LAYOUT",
-        help="polarizers of the 2x2 cell: pdavis, sony or four angles by row; videos "
-             "and images of a polarization camera need it")
-
-
-def add_fuse_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of fuse()."""
-    group = parser.add_argument_group("fusion")
-    for name, facts in _offered():
-        add: dict[str, Any] = {"help": facts.brief or facts.help}
-        if facts.word == "flag":
-            add["action"] = "store_true"
-        else:
-            add["type"], add["metavar"] = _WORDS[facts.word]
-            if facts.choices:
-                add["choices"], add["metavar"] = facts.choices, None
-        group.add_argument(_flag(name), dest=name, **add)
-    group.add_argument(
-        "--set", action="append", default=[], type=setting, metavar="NAME=VALUE",
-        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6, "
-                              "bandwidth=250,0 or mode=offline")
-
-
-def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
-    """Return the keyword arguments of fuse() for the options.
-
-    Raises
-    ------
-    UsageError
-        If the recording has no sample after ``--start``.
-    """
-    from pdavis_cv.fusion.options import FusionOptions
-    defaults = FusionOptions()
-    options: dict[str, Any] = {name: getattr(defaults, name) for name, _ in _offered()}
-    options["threads"] = _threads_for(recording.info.sensor_size)
-    options |= fusion_given(args)
-    for name in ("start_us", "stop_us"):
-        if options[name] is not None:
-            options[name] += start_of(recording)
-    require_samples(recording, options["start_us"])
-    return options
-
-
-def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the keyword arguments of fuse() for the options that were given.
-
-    Times are in us after the start of the recording, which is unknown here.
-    """
-    options: dict[str, Any] = {}
-    for name, facts in _offered():
-        value = getattr(args, name)
-        if value is None or (facts.word == "flag" and not value):
-            continue
-        if facts.word == "seconds":
-            value = round(value * 1e6)
-        elif facts.word == "calibration":
-            value = calibration_of(value)
-        elif facts.word in ("ratio", "offset") and value == "none":
-            value = None
-        options[name] = value
-    return {**options, **dict(args.settings)}
-
-
-def option_value(name: str, text: str) -> tuple[str, Any]:
-    """Return name and value of an option of fuse() or a parameter of its method.
-
-    Parameters
-    ----------
-    name : str
-        Name on the command line.
-    text : str
-        Numbers of one value may be separated by slashes.
-
-    Raises
-    ------
-    UsageError
-        If the text is invalid, or the option is specific to one recording, as times.
-    """
-    if re.fullmatch(r"[-+.\deE]+(/[-+.\deE]+)+", text):
-        text = text.replace("/", ",")
-    found = dict(_offered()).get(name)
-    if found is None:
-        if name in ("start", "stop", "times_us"):
-            raise UsageError(f"{name} is a time in one recording, not an option of all")
-        return setting(f"{name}={text}")
-    if found.word == "flag":
-        return setting(f"{name}={text}")
-    read = _WORDS[found.word][0]
-    try:
-        value = read(text)
-    except (argparse.ArgumentTypeError, ValueError) as error:
-        raise UsageError(f"{name}: {error}") from None
-    if found.word == "calibration":
-        return name, calibration_of(value)
-    none = found.word in ("ratio", "offset") and value == "none"
-    return name, None if none else value
-
-
-def _threads_for(size: tuple[int, int]) -> int:
-    """Return the number of threads for images of a size, 1 for small ones."""
-    from pdavis_cv._workers import usable_cores
-    return usable_cores() if size[0] * size[1] > 65_536 else 1
-
-
-def calibration_of(path: Path) -> Calibration:
-    """Return a calibration that ``pdavis calibrate`` wrote."""
-    from pdavis_cv.calibration.model import Calibration
-    return Calibration.load(path)
-
-
-def _offered() -> list[tuple[str, OptionFacts]]:
-    """Return the names and facts of the options of fuse() that commands offer."""
-    from pdavis_cv.fusion.options import FusionOptions
-    return [(name, facts) for name, facts in FusionOptions.facts().items()
-            if facts.word is not None]
-
-
-def _flag(name: str) -> str:
-    """Return the name of an option on the command line, e.g. --start for start_us."""
-    return "--" + name.removesuffix("_us").replace("_", "-")
-
-
 def start_of(recording: Recording) -> int:
     """Return the time of the recording's first sample, 0 if it is empty."""
     start = recording.info.start_us
@@ -512,19 +339,3 @@ def _as_json(facts: dict[str, Any], indent: int | None = None) -> str:
     from pdavis_cv.export.files import plain
     text = json.dumps(facts, default=plain)
     return json.dumps(json.loads(text, parse_constant=lambda _: None), indent=indent)
-
-
-_WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
-    "text": (str, "NAME"),
-    "number": (positive, "RATE"),
-    "count": (within(1, 1024), "N"),
-    "seconds": (seconds, "S"),
-    "offset": (offset, "US"),
-    "region": (roi_option, "X,Y,W,H"),
-    "layout": (layout_option, "LAYOUT"),
-    "calibration": (Path, "NPZ"),
-    "ratio": (ratio, "RATIO"),
-    "thresholds": (thresholds, "T"),
-    "pair": (pair, "ON,OFF"),
-}
-"""The parser of each kind of option of fuse(), and the placeholder of its value."""

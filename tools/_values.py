@@ -20,6 +20,7 @@ __all__ = [
     "roi_option",
     "seconds",
     "setting",
+    "size_option",
     "thresholds",
     "whole",
     "within",
@@ -92,6 +93,14 @@ def roi_option(text: str) -> tuple[int, int, int, int]:
     """Parse X,Y,W,H."""
     x, y, width, height = numbers(text, 4, int)
     return x, y, width, height
+
+
+def size_option(text: str) -> tuple[int, int]:
+    """Parse WIDTHxHEIGHT into (height, width)."""
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"WIDTHxHEIGHT is needed, got {text!r}")
+    return int(height), int(width)
 
 
 def layout_option(text: str) -> Layout:

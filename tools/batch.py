@@ -18,15 +18,8 @@ from typing import Any
 from pdavis_cv import FusionOptions, batch
 from pdavis_cv.batch.pools import EXECUTORS
 
-from ._common import (
-    Parser,
-    UsageError,
-    add_json_option,
-    command,
-    for_people,
-    option_value,
-    tell,
-)
+from ._common import Parser, UsageError, add_json_option, command, for_people, tell
+from ._options import option_value
 from ._progress import asked_for
 from ._values import positive, within
 

@@ -28,15 +28,14 @@ from ._common import (
     Parser,
     UsageError,
     add_json_option,
-    add_layout_option,
     checked_out,
     command,
     for_people,
-    opened,
     stage,
     start_of,
     tell,
 )
+from ._options import add_source_options, opened
 from ._values import layout_option, number, numbers, positive, roi_option, within
 
 __all__ = ["main"]
@@ -350,8 +349,8 @@ def _align(args: argparse.Namespace) -> int:
     with opened(args, args.files[0]) as recording, for_people(args):
         layout = resolve_layout(args.layout, None, recording.info.layout)
         known: NDArray[np.float32] | None = None
-        if args.camera:
-            known = Calibration.load(args.camera).dark
+        if args.calibration:
+            known = Calibration.load(args.calibration).dark
         print("  time (s)   mean 0/45/90/135 (DN)      SD 0/45/90/135 (DN)     "
               "0/90  45/135")
         origin = start_of(recording)
@@ -424,11 +423,12 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
     else:
         parser.add_argument("files", nargs="+", metavar="FILE", help="a recording")
     add_json_option(parser)
-    add_layout_option(parser)
+    add_source_options(parser)
     parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
                         help="lit part of the sensor, in pixels")
     if part == "align":
-        parser.add_argument("--camera", metavar="NPZ", help="subtract its dark frame")
+        parser.add_argument(
+            "--calibration", metavar="NPZ", help="subtract its dark frame")
     if part in ("check", "align"):
         return
     parser.add_argument(

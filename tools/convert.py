@@ -12,13 +12,12 @@ from ._common import (
     Parser,
     UsageError,
     add_json_option,
-    add_layout_option,
     checked_out,
     command,
-    opened,
     progress_in_time,
     tell,
 )
+from ._options import add_source_options, opened
 
 __all__ = ["main"]
 
@@ -58,8 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         + ", ".join(name for name, one in FORMATS.usable().items() if one.writer))
     parser.add_argument("--compression", choices=("lz4", "none", "zstd"),
                         help="compression of AEDAT-4; default lz4")
-    add_layout_option(parser)
-    parser.add_argument("--camera", help="name of the camera, if the file has several")
+    add_source_options(parser)
     parser.add_argument(
         "--force", action="store_true", help="replace an existing recording")
     add_json_option(parser)

@@ -26,15 +26,8 @@ from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
 
 from . import export as export_tool
 from . import fan as fan_tool
-from ._common import (
-    Parser,
-    add_json_option,
-    command,
-    for_people,
-    opened,
-    stage,
-    tell,
-)
+from ._common import Parser, add_json_option, command, for_people, stage, tell
+from ._options import opened
 
 __all__ = ["axial_difference", "main", "mean_aop"]
 

@@ -27,13 +27,10 @@ from ._aop_events import SUFFIXES, export_aop_events
 from ._common import (
     Parser,
     UsageError,
-    add_fuse_options,
     add_json_option,
     checked_out,
     command,
     covered,
-    fuse_options,
-    opened,
     progress,
     require_samples,
     stage,
@@ -41,6 +38,7 @@ from ._common import (
     tell,
 )
 from ._images import full_scale, told_if_nothing
+from ._options import add_fuse_options, fuse_options, opened
 from ._values import numbers, positive, seconds, within
 
 __all__ = ["QUANTITIES", "Sheet", "main"]
@@ -200,7 +198,7 @@ def _parser() -> argparse.ArgumentParser:
         help="background of the pictures, to which AoP fades; light is for print")
     look.add_argument("--title", default="", help="a line above each picture")
     look.add_argument(
-        "--columns", type=within(1, 64), metavar="N",
+        "--per-row", type=within(1, 64), metavar="N",
         help="number of panels per row; default: all")
     look.add_argument(
         "--bare", action="store_true", help="no titles, no legends, no margins")
@@ -284,7 +282,7 @@ class Sheet:
             2 if first.provenance.get("demosaic") in HALF_SIZE else 1)
         self._sheet = None if args.bare else render.PanelSheet(
             [self._panel(name) for name in args.quantities],
-            columns=args.columns or len(args.quantities), scale=scale,
+            columns=args.per_row or len(args.quantities), scale=scale,
             keep=export.VideoFile.ahead + 1, style=self.style,
             mark=None if pixel_um is None else functools.partial(
                 render.draw_scale_bar, pixel_um=pixel_um, scale=scale))
@@ -307,7 +305,7 @@ class Sheet:
                     for name, place in zip(names, places, strict=True)]
         if self._sheet is None:
             return render.tile(
-                pictures, columns=self.args.columns or len(names), gap=0)
+                pictures, columns=self.args.per_row or len(names), gap=0)
         seconds = (frame.t_us or 0) / 1e6 - self.origin_us / 1e6
         method = frame.provenance["method"]
         line = f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"

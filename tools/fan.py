@@ -20,12 +20,9 @@ from pdavis_cv.analysis import SectorSummary, Wheel, summarise_sectors
 from ._common import (
     Parser,
     UsageError,
-    add_fuse_options,
     add_json_option,
     checked_out,
     command,
-    fuse_options,
-    opened,
     progress,
     stage,
     start_of,
@@ -40,6 +37,7 @@ from ._images import (
     told_if_nothing,
     tone_of,
 )
+from ._options import add_fuse_options, fuse_options, opened
 from ._values import layout_option, number, numbers, seconds, within
 
 __all__ = ["main", "make_fan"]
@@ -63,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines, facts = make_fan(args, recording, None)
         else:
             with open_recording(args.beside, layout=args.beside_layout,
-                                fps=args.beside_fps) as second:
+                                source_fps=args.beside_fps) as second:
                 lines, facts = make_fan(args, recording, second)
     tell(args, lines, **facts)
     return 0

@@ -16,7 +16,8 @@ from pdavis_cv.fusion.learning import clock_offset_in_situ
 from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
 
-from ._common import Parser, add_layout_option, command, opened
+from ._common import Parser, command
+from ._options import add_source_options, opened
 
 __all__ = ["main"]
 
@@ -64,7 +65,7 @@ def _clock(recording: Recording) -> list[Advice]:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("info", __doc__ or "", "pdavis info recording.aedat4 --scan")
     parser.add_argument("file", help="a recording")
-    add_layout_option(parser)
+    add_source_options(parser)
     parser.add_argument("--json", action="store_true", help="for programs")
     parser.add_argument(
         "--scan", action="store_true", help="read and count all data")

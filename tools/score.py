@@ -34,15 +34,13 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 from ._common import (
     Parser,
     UsageError,
-    add_layout_option,
-    calibration_of,
     can_draw,
     checked_out,
     command,
-    opened,
     progress,
     start_of,
 )
+from ._options import add_source_options, calibration_of, opened
 from ._values import numbers, positive
 
 if TYPE_CHECKING:
@@ -206,7 +204,7 @@ def _parser(known: Mapping[str, Trial]) -> argparse.ArgumentParser:
     parser.add_argument(
         "--seconds", type=positive, default=10.0,
         help="length of the recording's beginning that is scored; default 10")
-    add_layout_option(parser)
+    add_source_options(parser)
     parser.add_argument(
         "--json", action="store_true", help="print JSON instead of the table")
     return parser

@@ -13,14 +13,13 @@ from ._common import (
     Parser,
     UsageError,
     add_json_option,
-    add_layout_option,
     command,
     progress_in_time,
-    source_of,
     stage,
     tell_now,
 )
 from ._interrupts import ended_by_signals
+from ._options import add_source_options, source_of
 from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]
@@ -78,6 +77,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--compression", choices=("none", "lz4", "zstd"),
                         default="none", help="default none")
     add_tls_options(parser, "who must have signed a client's certificate")
-    add_layout_option(parser)
+    add_source_options(parser)
     add_json_option(parser)
     return parser

@@ -11,18 +11,9 @@ import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
-from ._common import (
-    Parser,
-    UsageError,
-    add_fuse_options,
-    add_json_option,
-    command,
-    fusion_given,
-    source_of,
-    start_of,
-    tell_now,
-)
+from ._common import Parser, UsageError, add_json_option, command, start_of, tell_now
 from ._interrupts import ended_by_signals
+from ._options import add_fuse_options, fusion_given, source_of
 from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]

@@ -52,13 +52,14 @@ def _check(chain: _Chain) -> None:
       by_time=True)
 def _guided() -> Iterator[Comparison]:
     for sensor in (Sensor.PDAVIS, Sensor.SONY):
-        height, width = sensor.size
+        (height, width), layout = sensor.size, sensor.layout
+        assert layout is not None
         ramp = np.add.outer(0.3 * np.arange(height), 0.5 * np.arange(width))
         mosaic = mosaic_input(
-            sensor.size, sensor.layout, AOP, DOLP, 20 + 60 * ramp / ramp.max())
+            sensor.size, layout, AOP, DOLP, 20 + 60 * ramp / ramp.max())
         mosaic = (mosaic + np.random.default_rng(3).normal(0, 2, sensor.size)).astype(
             np.uint8)
-        chain = _Chain(sensor.size, sensor.layout)
+        chain = _Chain(sensor.size, layout)
         yield Comparison(
             f"{width}x{height}", partial(_check, chain),
             partial(chain.seconds, mosaic, "guided"),

@@ -139,7 +139,7 @@ def read_dv(data, folder):
             theirs.send(data)
     times, before = [], None
     try:
-        with DvSource("dv", [ours], None) as source:
+        with DvSource("dv", [ours]) as source:
             height, width = source.info.sensor_size
             for packet in source.packets():
                 assert packet.start_us is None or before is None or (

@@ -23,7 +23,6 @@ from pdavis_cv.tools._common import (
     Parser,
     UsageError,
     add_json_option,
-    calibration_of,
     can_draw,
     checked_out,
     command,
@@ -31,6 +30,7 @@ from pdavis_cv.tools._common import (
     progress,
     tell,
 )
+from pdavis_cv.tools._options import calibration_of
 from pdavis_cv.tools._values import (
     LAST_SEED,
     layout_option,

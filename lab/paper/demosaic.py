@@ -118,14 +118,15 @@ def demosaic_cases(settings: Settings) -> Iterator[Score]:
     """Score every method on every scene, sensor and noise."""
     for name, truth in scenes_of(settings).items():
         for sensor_name, sensor in SENSORS.items():
-            ratio = sensor.extinction_ratio
-            clean = mosaic_of(truth, sensor.layout, ratio)
+            ratio, layout = sensor.extinction_ratio, sensor.layout
+            assert layout is not None
+            clean = mosaic_of(truth, layout, ratio)
             for snr_db in SNRS_DB:
                 rng = np.random.default_rng(7)
                 noise = rng.standard_normal(clean.shape).astype(np.float32)
                 sigma = clean.mean() * np.float32(10 ** (-snr_db / 20))
                 for method in DEMOSAIC_METHODS:
-                    found = demosaic(clean + sigma * noise, sensor.layout, method)
+                    found = demosaic(clean + sigma * noise, layout, method)
                     yield Score(name, sensor_name, snr_db, method,
                                 *score(found, truth, ratio))
 

@@ -20,7 +20,7 @@ from pdavis_cv.reconstruct.checkpoint import firenet_weights
 from pdavis_cv.reconstruct.firenet import PLACES, FireNet, Joint, response_table
 from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.sensor import CHANNELS, Sensor
+from pdavis_cv.sensor import CHANNELS, PDAVIS_EXTINCTION_RATIO, Sensor
 from pdavis_cv.simulation import (
     Camera,
     Fan,
@@ -316,7 +316,7 @@ def _curves(recording: Recording, truth: Truth, times: NDArray[np.int64],
         recording, times_us=times, demosaic="superpixel",
         **{**parameters, "scaling": None})]).T
     s0, s1, s2 = truth.stokes(times)
-    ratio = Sensor.PDAVIS.extinction_ratio  # images make up for it again
+    ratio = PDAVIS_EXTINCTION_RATIO  # images make up for it again
     k = (ratio - 1) / (ratio + 1)
     light = np.array([s0 + k * s1, s0 + k * s2, s0 - k * s1, s0 - k * s2]) / 2
     order = [CHANNELS.index(info.layout.angles_deg[row][column])

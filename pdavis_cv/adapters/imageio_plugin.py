@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pdavis_cv.capture import VideoCapture
 from pdavis_cv.capture.constants import CAP_PDAVIS_BGR, CAP_PROP_PDAVIS_POS_US
 from pdavis_cv.recording.open import open_recording
+from pdavis_cv.recording.options import source_part
 from pdavis_cv.recording.registry import suffixes
 
 __all__ = ["PdavisPlugin", "register"]
@@ -59,7 +60,7 @@ class PdavisPlugin(PluginV3):
             raise InitializationError("recordings are not written through imageio")
         self._path = request.get_local_filename()
         try:
-            open_recording(self._path).close()
+            open_recording(self._path, **source_part(parameters)).close()
         except (OSError, ImportError) as error:
             raise InitializationError(str(error)) from error
 

@@ -12,6 +12,7 @@ from pdavis_cv._opencv import native_capture, opencv
 from pdavis_cv.capture import VideoCapture
 from pdavis_cv.capture.source import checked_parameters, is_ours
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.options import SourceOptions, source_part
 
 __all__ = ["patched_cv2"]
 
@@ -33,7 +34,7 @@ def patched_cv2(
         Further modules whose ``VideoCapture`` is replaced.
     mosaics : bool
         Also read videos and images as those of a polarization camera; needs a
-        ``layout``.
+        ``layout`` or ``sensor``.
     **parameters
         Parameters of `VideoCapture` for every recording that is opened, e.g. ``fps``.
 
@@ -53,7 +54,7 @@ def patched_cv2(
     -----
     The change affects all threads.
     """
-    if mosaics and parameters.get("layout") is None:
+    if mosaics and SourceOptions(**source_part(parameters)).known_layout is None:
         raise ValueError("mosaics=True needs layout=, the images do not say it")
     of_fuse = {name: value for name, value in parameters.items()
                if name not in ("output", "gain", "gamma", "log")}
@@ -86,7 +87,7 @@ def _holding(value: object) -> list[ModuleType]:
 def _patched(
     parameters: dict[str, Any], mosaics: bool, real: Any
 ) -> type[VideoCapture]:
-    layout = parameters.get("layout") if mosaics else None
+    stated = parameters if mosaics else {}
 
     class PatchedVideoCapture(VideoCapture):
         """A VideoCapture that applies the parameters to recordings only."""
@@ -109,7 +110,7 @@ def _patched(
         def _open(
             self, function: str, filename: Any, backend: Any, params: Any, index: Any
         ) -> bool:
-            ours = is_ours(filename, backend, layout)
+            ours = is_ours(filename, backend, stated)
             self._parameters = self._asked if ours else {}
             return super()._open(function, filename, backend, params, index)
 

@@ -289,13 +289,13 @@ class Calibration:
             raise CalibrationError(
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
-            layout = head["layout"]
+            cell = head["layout"]
             for name in ("bandwidth_sigma", "clock_offset_us"):
                 head.setdefault(name, None)     # missing in files of earlier versions
             return cls(
                 sensor_size=tuple(head["sensor_size"]), chip=head["chip"],
                 serial=head["serial"], notes=head["notes"],
-                layout=None if layout is None else Layout(*map(tuple, layout)),
+                layout=None if cell is None else Layout(tuple(cell[0]), tuple(cell[1])),
                 **{name: head[name] for name in _NUMBERS}, **planes)
         except (KeyError, TypeError, ValueError, AttributeError,
                 OverflowError) as error:

@@ -16,13 +16,13 @@ from pdavis_cv.capture.seeking import Bookmark, Cursor
 from pdavis_cv.capture.source import (
     NAME_OF_PROPERTY,
     decoded_value,
-    fuse_parameters,
     layout_code,
     opened,
 )
 from pdavis_cv.capture.stream import LiveCursor
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion
+from pdavis_cv.fusion.options import fusion_part
 from pdavis_cv.live import Session as LiveSession
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
@@ -110,7 +110,7 @@ class Session:
         if isinstance(self.recording, Recording):
             return (Cursor(self._fusion(self.parameters)),
                     picture.first_frame(self.recording))
-        self._live = LiveSession(self.recording, **fuse_parameters(self.parameters))
+        self._live = LiveSession(self.recording, **fusion_part(self.parameters))
         self._live.wait(self.view.open_timeout_ms / 1000)
         return (LiveCursor(self._live, self.view.read_timeout_ms / 1000),
                 self._live.first_frame)
@@ -123,7 +123,7 @@ class Session:
             self.recording.close()
 
     def _fusion(self, parameters: Mapping[str, Any]) -> Fusion:
-        return Fusion(self.recording, **fuse_parameters(parameters))
+        return Fusion(self.recording, **fusion_part(parameters))
 
     def _made_tone(self, view: View) -> ToneCurve:
         white = picture.white_level(self.cursor.fusion.needs.frames, self._first)

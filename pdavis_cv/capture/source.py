@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pdavis_cv.capture import constants as c
-from pdavis_cv.fusion import FusionOptions
+from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.live import is_address, open_source
 from pdavis_cv.live.camera import address_of
 from pdavis_cv.reconstruct.methods import METHODS, method_parameters
 from pdavis_cv.recording.base import Source
+from pdavis_cv.recording.options import SourceOptions, source_part
 from pdavis_cv.recording.registry import is_recording
 from pdavis_cv.sensor import Layout
 
@@ -24,29 +25,31 @@ __all__ = [
 ]
 
 _FUSE = tuple(FusionOptions.facts())
-_OPEN = ("bad_events", "camera")
+_OPEN = tuple(SourceOptions.facts())
 
 
-def is_ours(source: Any, backend: int, layout: Layout | None) -> bool:
+def is_ours(source: Any, backend: int, parameters: Mapping[str, Any]) -> bool:
     """Return whether a source is opened here and not by cv2.
 
     That is so for recordings and live sources, their addresses, and files with the name
-    of a recording; and, if a layout is given, for every path, which is then a mosaic
-    video or image sequence.
+    of a recording; and, if a layout or a sensor is given, for every path, which is then
+    a mosaic video or image sequence, and for several.
 
     Parameters
     ----------
     source : path, address, Source or anything that cv2 accepts
     backend : int
         ``CAP_PDAVIS`` = here, 0 = depends on the source, others = cv2.
-    layout : Layout or None
+    parameters : mapping of str to object
+        Those of VideoCapture.
     """
+    mosaic = any(parameters.get(name) is not None for name in ("layout", "sensor"))
     if (backend == c.CAP_PDAVIS or isinstance(source, Source)
             or (backend == 0 and is_address(source))):
         return True
-    if backend != 0 or not isinstance(source, (str, os.PathLike)):
+    if backend != 0 or not isinstance(source, (str, os.PathLike, list, tuple)):
         return False
-    return layout is not None or is_recording(source)
+    return mosaic or (isinstance(source, (str, os.PathLike)) and is_recording(source))
 
 
 def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
@@ -61,13 +64,12 @@ def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
         return source
     if isinstance(source, int) and not isinstance(source, bool):
         source = address_of(source)
-    if not isinstance(source, (str, os.PathLike)):
+    paths = source if isinstance(source, (list, tuple)) else [source]
+    if not paths or not all(isinstance(path, (str, os.PathLike)) for path in paths):
         raise OSError(f"a recording is opened by its path, got {source!r}")
-    if "\0" in os.fspath(source):
+    if any("\0" in os.fspath(path) for path in paths):
         raise OSError(f"{source!r}: a path cannot hold a null character")
-    keywords = {name: parameters[name] for name in (*_OPEN, "layout", "fps")
-                if name in parameters}
-    return open_source(source, **keywords)
+    return open_source(source, **source_part(parameters))
 
 
 def checked_parameters(parameters: Mapping[str, Any]) -> None:
@@ -82,11 +84,6 @@ def _method_parameters() -> frozenset[str]:
     return frozenset(
         name for method in METHODS.usable().values()
         for name in method_parameters(method))
-
-
-def fuse_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those parameters that belong to `fuse`."""
-    return {name: value for name, value in parameters.items() if name not in _OPEN}
 
 
 # ---- parameters as numbers ---------------------------------------------------

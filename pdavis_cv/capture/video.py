@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._opencv import native_capture
+from pdavis_cv._options import names_options
 from pdavis_cv.capture.constants import CAP_PDAVIS_BGR, output_of
 from pdavis_cv.capture.manners import (
     StsBadArg,
@@ -21,15 +22,17 @@ from pdavis_cv.capture.manners import (
 )
 from pdavis_cv.capture.session import FAILURES, Session, View
 from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
-from pdavis_cv.fusion.options import FusionKeywords, names_options
+from pdavis_cv.fusion.options import AllKeywords, FusionOptions
 from pdavis_cv.recording.base import Source
+from pdavis_cv.recording.options import SourceOptions
 
 __all__ = ["CaptureStatus", "VideoCapture"]
 
 _CAP_ANY, _PROP_BACKEND = 0, 42
 _VIEW = ("output", "gain", "gamma", "log", "open_timeout_ms", "read_timeout_ms")
 
-Openable = str | os.PathLike[str] | int | Source | None
+Openable = (str | os.PathLike[str] | int | Source
+            | Sequence[str | os.PathLike[str]] | None)
 
 
 class CaptureStatus(enum.StrEnum):
@@ -41,7 +44,7 @@ class CaptureStatus(enum.StrEnum):
     ERROR = "error"
 
 
-class CaptureKeywords(FusionKeywords, total=False):
+class CaptureKeywords(AllKeywords, total=False):
     """The keyword arguments of `VideoCapture`, for type checkers and editors."""
 
     index: int | None
@@ -51,7 +54,7 @@ class CaptureKeywords(FusionKeywords, total=False):
     log: bool
 
 
-@names_options
+@names_options(FusionOptions, SourceOptions, rest="method_parameters")
 class VideoCapture:
     """Read a recording as a sequence of images, like cv2.VideoCapture.
 
@@ -64,7 +67,7 @@ class VideoCapture:
 
     Parameters
     ----------
-    filename : path, address or Source, optional
+    filename : path, address, Source or list of paths, optional
         The source to open; None opens nothing.  A live source (see `open_source`) has
         no positions, and its ``FRAME_COUNT`` is -1; `grab` waits for the next image, at
         most ``CAP_PROP_READ_TIMEOUT_MSEC``.
@@ -84,7 +87,7 @@ class VideoCapture:
         Make grey proportional to the logarithm, down to white / 1023.
     {options}
     **method_parameters
-        Parameters of the method of `fuse`, e.g. ``cutoff_hz``, and of `open_recording`.
+        Parameters of the method of `fuse`, e.g. ``cutoff_hz``.
 
     Raises
     ------
@@ -179,16 +182,19 @@ class VideoCapture:
             source = filename if index is None else index
             if filename is not None and index is not None:
                 self._refuse(function, "filename and index exclude each other")
-            if not _is_source(source):
+            several = isinstance(source, (list, tuple))
+            if not _is_source(source) and not several:
                 self._refuse(function, f"can't open by {type(source).__name__}")
             if not _is_integer(backend):
                 self._refuse(function, "apiPreference must be an integer")
             backend = int(backend)
-            ours = is_ours(source, backend, self._parameters.get("layout"))
+            ours = is_ours(source, backend, self._parameters)
             try:
                 values = [float(value) for value in params]
             except (TypeError, ValueError):
                 self._refuse(function, "params must be a sequence of integers")
+            if not ours and several:
+                self._refuse(function, "several images need layout=")
             if not ours:
                 return self._open_foreign(function, source, backend, values)
             return self._open_here(function, source, values)

@@ -13,11 +13,12 @@ from pdavis_cv.errors import LayoutError
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.reconstruct.base import Reconstructor
 from pdavis_cv.recording.base import Source
+from pdavis_cv.recording.facts import sensor_of
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
 __all__ = ["analyser_of", "check_calibration_fits", "check_layout_fits",
-           "chosen_layout", "gain_of", "mismatch_of", "resolved_extinction_ratio",
-           "response_of"]
+           "chosen_layout", "chosen_sensor", "gain_of", "mismatch_of",
+           "resolved_extinction_ratio", "response_of"]
 
 # Sources whose unknown layout has already been warned about.
 _warned: weakref.WeakSet[Source] = weakref.WeakSet()
@@ -52,12 +53,18 @@ def check_layout_fits(method: Reconstructor, layout: Layout) -> None:
             f"diagonally, got {layout}")
 
 
+def chosen_sensor(layout: Layout | str | None, source: Source) -> Sensor | None:
+    """Return the sensor that the caller's layout or the source names, or None."""
+    named = None if layout is None else Layout.of(layout).sensor
+    return sensor_of(named, source.info.sensor)
+
+
 def resolved_extinction_ratio(
     value: float | str | None, sensor: Sensor | None
 ) -> float | None:
     """Return the extinction ratio that S1 and S2 are corrected for, or None."""
     if isinstance(value, str):
-        return (sensor or Sensor.PDAVIS).extinction_ratio
+        return None if sensor is None else sensor.extinction_ratio
     return None if value is None else float(value)
 
 
@@ -134,7 +141,8 @@ def gain_of(
 
 def mismatch_of(sensor: Sensor | None) -> tuple[float, float, float]:
     """Return the spread of gain, angle (radians) and contrast of a sensor's pixels."""
-    sensor = sensor or Sensor.PDAVIS
+    if sensor is None or sensor.extinction_ratio is None:
+        sensor = Sensor.PDAVIS
     gain, angle_deg, ratio = sensor.mismatch
-    contrast = 2 * ratio / (sensor.extinction_ratio + 1) ** 2
+    contrast = 2 * ratio / ((sensor.extinction_ratio or math.inf) + 1) ** 2
     return gain, math.radians(angle_deg), contrast

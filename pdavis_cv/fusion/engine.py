@@ -18,6 +18,7 @@ from pdavis_cv.fusion.camera import (
     check_calibration_fits,
     check_layout_fits,
     chosen_layout,
+    chosen_sensor,
     resolved_extinction_ratio,
     response_of,
 )
@@ -89,7 +90,8 @@ class Fusion:
         self.recording, self.options = recording, options
         check_calibration_fits(options.calibration, recording)
         self.layout = chosen_layout(options.layout, options.calibration, recording)
-        ratio = resolved_extinction_ratio(options.extinction_ratio, info.sensor)
+        sensor = chosen_sensor(options.layout, recording)
+        ratio = resolved_extinction_ratio(options.extinction_ratio, sensor)
         roi = checked_roi(options.roi, info.sensor_size, options.demosaic)
         self._factory = factory_of(options.method or default_method(info))
         self._denoise = None if options.denoise is False else (
@@ -105,7 +107,7 @@ class Fusion:
             roi, info.sensor_size, probe.margin + REACH[options.demosaic])
         self._images = ImageMaker(
             self.window, roi, self.layout, options.demosaic, ratio,
-            options.calibration, info.sensor, self._workers)
+            options.calibration, sensor, self._workers)
         self.shape = self._images.shape
         self._fps, self._times = options.rate, options.times
         if self._fps is None and self._times is None and info.frame_count == 0:

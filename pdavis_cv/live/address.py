@@ -3,18 +3,18 @@ from __future__ import annotations
 
 import functools
 import inspect
-import os
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import parse_qsl
 
+from pdavis_cv._options import takes
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.live.base import Address, LiveSource
 from pdavis_cv.live.faults import FaultySource, LinkFaults
 from pdavis_cv.recording.base import Source
-from pdavis_cv.recording.open import open_recording
+from pdavis_cv.recording.open import AnySource, open_recording
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.registry import Registry
-from pdavis_cv.sensor import Layout
 
 __all__ = ["SOURCES", "is_address", "open_source", "options_of"]
 
@@ -44,15 +44,15 @@ def is_address(where: object) -> bool:
         where.partition(":")[0] in SOURCES)
 
 
+@takes(SourceOptions)
 def open_source(
-    where: str | os.PathLike[str] | Source, *, layout: Layout | str | None = None,
-    bad_events: str = "drop", camera: str | None = None, **options: Any,
+    where: AnySource | Source, options: SourceOptions | None = None, **changes: Any,
 ) -> Source:
     """Open a recording, or a device by its address.
 
     Parameters
     ----------
-    where : path, address or Source
+    where : path, address, sequence of paths, or Source
         A Source is returned as it is, and a path goes to `open_recording`.  Addresses
         are ``usb:`` or ``usb:SERIAL`` of a DAVIS346-based camera (``exposure_us=``,
         ``frame_interval_us=`` and its biases), ``usb:simulated`` of none (``replay=`` a
@@ -65,11 +65,11 @@ def open_source(
         and those of replay), followed by ``?name=value&...``.  The last two take
         ``seconds=``, after which they end; all take the faults of `LinkFaults`, such as
         ``unplug=3``.
-    layout : Layout or str, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-    **options
-        As in `open_recording`.
+    options : SourceOptions, optional
+        Options to begin with; keywords override them.
+    {options}
+    **parameters
+        Options of the file's format; see ``Format.read_options``.
 
     Returns
     -------
@@ -93,9 +93,9 @@ def open_source(
     """
     if isinstance(where, Source):
         return where
+    options = (options or SourceOptions()).replace(**changes)
     if not is_address(where):
-        return open_recording(where, layout=layout, bad_events=bad_events,
-                              camera=camera, **options)
+        return open_recording(where, options)
     assert isinstance(where, str)
     scheme, _, rest = where.partition(":")
     target, _, query = rest.partition("?")
@@ -108,8 +108,8 @@ def open_source(
             for name in LinkFaults.names() if name in values})
         opener = SOURCES[scheme]
         opened = opener(Address(where, target, functools.partial(
-            open_recording, layout=layout, bad_events=bad_events, camera=camera,
-            **options)), **options_of(opener, values))
+            open_recording, options=options)), **options_of(opener, values))
+        opened.state(options)
     except ValueError as error:
         raise DeviceError(f"{where}: {error}") from error
     return opened if faults == LinkFaults() else FaultySource(opened, faults)

@@ -12,6 +12,7 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.live.clock import in_order
 from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo, Source
 from pdavis_cv.recording.files import ProblemLog
+from pdavis_cv.recording.options import SourceOptions
 
 __all__ = ["HEARTBEAT_S", "Address", "LiveSource", "endless"]
 
@@ -99,6 +100,10 @@ class LiveSource(Source):
     def info(self) -> RecordingInfo:
         """What is known before the first packet."""
         return self._info
+
+    def state(self, options: SourceOptions) -> None:
+        """Note what the caller states about the source."""
+        self._info = self._info.restated(options)
 
     @property
     def problems(self) -> Sequence[Problem]:

@@ -16,6 +16,7 @@ from pdavis_cv.live.base import HEARTBEAT_S
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.davis import DAVIS346_SIZE, Orientation
 from pdavis_cv.recording.davis_trace import Transfer
+from pdavis_cv.sensor import Sensor
 
 __all__ = ["SETTINGS", "Davis346", "address_of", "listed"]
 
@@ -132,7 +133,8 @@ class Davis346:
         self.info = RecordingInfo(
             format="DAVIS346 over USB", sensor_size=DAVIS346_SIZE,
             camera=f"DAVIS346 {found}", serial=found,
-            exposure_us=self.settings["exposure_us"],
+            exposure_us=self.settings["exposure_us"], sensor=Sensor.DAVIS346,
+            full_scale_dn=Sensor.DAVIS346.full_scale_dn, frame_times="time stamps",
             header={"settings": dict(self.settings),
                     "background_activity_filter": False})
 

@@ -175,8 +175,6 @@ class DvSource(LiveSource):
         The address.
     connections : list of socket
         Closed with the source.
-    layout : Layout, optional
-        Layout of the polarizers; default: as the header says.
 
     Raises
     ------
@@ -185,16 +183,16 @@ class DvSource(LiveSource):
     """
 
     def __init__(
-        self, name: str, connections: list[socket.socket], layout: Layout | None
+        self, name: str, connections: list[socket.socket]
     ) -> None:
         self._connections = [_Connection(link, name) for link in connections]
-        super().__init__(self._facts(name, layout), name)
+        super().__init__(self._facts(name), name)
         self._state = np.array([0, NEVER, 0, 0, 0, -1, NEVER], np.int64)
         self._scale: samples.FrameScale | None = None
         self._last_us: int | None = None
         self._held: deque[ApsFrame] = deque()   # until events reach their time
 
-    def _facts(self, name: str, layout: Layout | None) -> RecordingInfo:
+    def _facts(self, name: str) -> RecordingInfo:
         streams = [stream for one in self._connections
                    for stream in one.streams.values()]
         kinds = {stream.kind for stream in streams}
@@ -206,21 +204,18 @@ class DvSource(LiveSource):
         if not all(0 < side <= MAX_SIDE for side in size):
             raise DeviceError(f"{name}: sensor sides must lie in 1..{MAX_SIDE}, the "
                               f"header says {size[1]}x{size[0]}")
-        text = next((s.attributes["polarizerLayout"] for s in streams
-                     if "polarizerLayout" in s.attributes), None)
-        if layout is None and text is not None:
-            try:
-                a, b, c, d = (int(angle) for angle in text.split(","))
-                layout = Layout((a, b), (c, d))
-            except ValueError as error:
-                raise DeviceError(f"{name}: polarizerLayout {text!r}: {error}"
-                                  ) from None
-        davis = (first.source.upper().startswith("DAVIS346")
-                 or size == Sensor.PDAVIS.size)
+        text, owner = next((
+            (s.attributes["polarizerLayout"], s.attributes.get("polarizerSensor"))
+            for s in streams if "polarizerLayout" in s.attributes), (None, None))
+        try:
+            layout = None if text is None else Layout.stored(text, owner)
+        except ValueError as error:
+            raise DeviceError(f"{name}: polarizerLayout {text!r}: {error}") from None
         return RecordingInfo(
             format="dv stream", sensor_size=size, layout=layout,
-            camera=first.source or None, sensor=Sensor.PDAVIS if davis else None,
-            event_count=None if "EVTS" in kinds else 0,
+            camera=first.source or None,
+            sensor=(layout and layout.sensor) or Sensor.of_chip(first.source),
+            frame_times="time stamps", event_count=None if "EVTS" in kinds else 0,
             frame_count=None if "FRME" in kinds else 0)
 
     def _arrivals(self) -> Iterator[Packet]:
@@ -400,7 +395,7 @@ def _connected(
     try:
         for connect in connects:
             links.append(connect())
-        return DvSource(where, links, None)
+        return DvSource(where, links)
     except BaseException as error:
         for link in links:
             link.close()

@@ -12,7 +12,7 @@ from pathlib import Path
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.live.inbox import size_of, together
 from pdavis_cv.recording.aedat4.reader import Aedat4Recording
-from pdavis_cv.recording.aedat4.writer import Aedat4Writer
+from pdavis_cv.recording.aedat4.writer import UNKNOWN, Aedat4Writer, full_scale_of
 from pdavis_cv.recording.base import (
     MAX_PACKET_EVENTS,
     MAX_PACKET_US,
@@ -22,6 +22,7 @@ from pdavis_cv.recording.base import (
     Source,
 )
 from pdavis_cv.recording.files import ProblemLog
+from pdavis_cv.recording.options import SourceOptions
 
 __all__ = ["Recorder", "recorded"]
 
@@ -66,8 +67,7 @@ class Recorder:
     ) -> None:
         self._writer = Aedat4Writer(
             path, sensor_size=info.sensor_size, layout=info.layout,
-            camera=info.camera or "DAVIS346_00000000",
-            full_scale_dn=info.sensor.full_scale_dn if info.sensor else 1023)
+            camera=info.camera or UNKNOWN, full_scale_dn=full_scale_of(info))
         self.path = self._writer.path
         self._lossy, self._log = lossy, log
         self._waiting: deque[Packet] = deque()
@@ -240,7 +240,7 @@ def recorded(source: Source) -> Recording:
             recorder.close()
         if recorder.error is not None:
             raise OSError(recorder.error)
-        return _Temporary(recorder.path, layout=info.layout)
+        return _Temporary(recorder.path, SourceOptions(layout=info.layout))
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

@@ -13,9 +13,10 @@ from typing import Any, Self, Unpack, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._options import names_options
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.fusion import Fusion, FusionOptions
-from pdavis_cv.fusion.options import FusionKeywords, names_options
+from pdavis_cv.fusion import Fusion
+from pdavis_cv.fusion.options import AllKeywords, FusionOptions, fusion_part
 from pdavis_cv.live.address import open_source
 from pdavis_cv.live.base import endless
 from pdavis_cv.live.clock import HostClock
@@ -33,6 +34,7 @@ from pdavis_cv.recording.base import (
     joined,
 )
 from pdavis_cv.recording.files import ProblemLog
+from pdavis_cv.recording.options import SourceOptions, source_part
 
 __all__ = ["Session"]
 
@@ -85,7 +87,7 @@ class _Tap:
         return packet
 
 
-@names_options
+@names_options(FusionOptions, SourceOptions, rest="method_parameters")
 class Session:
     """Images of a live source, made while its data arrive.
 
@@ -134,26 +136,26 @@ class Session:
     def __init__(
         self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
         record: str | os.PathLike[str] | None = ...,
-        **fuse_parameters: Unpack[FusionKeywords],
+        **parameters: Unpack[AllKeywords],
     ) -> None: ...
 
     @overload
     def __init__(
         self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
-        record: str | os.PathLike[str] | None = ..., **fuse_parameters: Any,
+        record: str | os.PathLike[str] | None = ..., **parameters: Any,
     ) -> None: ...
 
     def __init__(
         self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
-        record: str | os.PathLike[str] | None = None, **fuse_parameters: Any,
+        record: str | os.PathLike[str] | None = None, **parameters: Any,
     ) -> None:
-        options = FusionOptions().replace(
-            **{"fps": DEFAULT_FPS, **fuse_parameters, "causal": True})
+        options = FusionOptions().replace(**{
+            "fps": DEFAULT_FPS, **fusion_part(parameters), "causal": True})
         self._source: Source | None = None
         if isinstance(where, RecordingInfo):
             self.info, name = endless(where), where.format
         else:
-            self._source = open_source(where, layout=options.layout)
+            self._source = open_source(where, **source_part(parameters))
             self.info, name = self._source.info, str(where)
         realtime = self._source is not None and self._source.realtime
         self._log = ProblemLog(name)

@@ -22,7 +22,9 @@ from pdavis_cv.recording.base import (
     Packet,
     RecordingInfo,
 )
+from pdavis_cv.recording.facts import ASSUMED, CALLER, Fact, stated
 from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import (
     LOOK_AHEAD,
@@ -34,7 +36,7 @@ from pdavis_cv.recording.timeline import (
     possible_range,
     spikes,
 )
-from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.sensor import Sensor
 
 __all__ = ["Aedat3Recording"]
 
@@ -76,13 +78,11 @@ class Aedat3Recording(FileRecording):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Must be part of the source's name if given.
+    options : SourceOptions
+        Its ``camera`` must be part of the source's name if given.
     """
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
         self._marks = Marks(MARK_BYTES)
         head = self._reader.read(0, 1 << 20)
@@ -95,22 +95,23 @@ class Aedat3Recording(FileRecording):
         facts = dict(line[1:].split(":", 1) for line in lines if ":" in line[1:])
         source = next((value.strip() for name, value in facts.items()
                        if name.startswith("Source")), "")
-        if camera is not None and camera.lower() not in source.lower():
-            raise RecordingError(
-                f"{self.path}: no camera named {camera!r}: it is {source}")
+        self._check_camera(options.camera, source)
         name = source.lower()
-        size = next((s for chip, s in CHIP_SIZES.items() if name.startswith(chip)),
-                    None)
-        if size is None:
-            size = self._frame_size()
-        if size is None:
+        size: Any = next((s for chip, s in CHIP_SIZES.items() if name.startswith(chip)),
+                         None) or self._frame_size()
+        if size is None and options.size is None:
             self._log.add("unknown chip", None, f"the header names {source or 'none'}: "
                           "taken for a DAVIS346")
-            size = Sensor.PDAVIS.size
+            size = Fact(Sensor.DAVIS346.size, ASSUMED)
+        elif size is None:
+            size = Fact(options.size, CALLER)
+        has_frames = self._has_frames()
         return RecordingInfo(
-            format="AEDAT-3.1", sensor_size=size, writer="cAER", camera=source or None,
-            sensor=Sensor.PDAVIS if size == Sensor.PDAVIS.size else None,
-            layout=layout, frame_count=None if self._has_frames() else 0, header={
+            format="AEDAT-3.1", writer="cAER", camera=source or None, **stated(
+                options, sensor_size=size, sensor=Sensor.of_chip(source),
+                frame_times="time stamps" if has_frames else None,
+                full_scale_dn=1023 if has_frames else None),
+            frame_count=None if has_frames else 0, header={
                 "first_row": "top", "imu_axes": "iniVation",
                 **{name.strip(): value.strip() for name, value in facts.items()}})
 

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
+from pdavis_cv.recording.facts import FILE, Fact, stated
+from pdavis_cv.recording.options import MOST_DN, SourceOptions
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = [
@@ -43,8 +45,6 @@ right, y up, z towards the scene, rotation counter-clockwise positive."""
 TRIGGER_DTYPE = np.dtype([("t", "<i8"), ("type", "u1")])
 """Time in us; type as in AEDAT-4: 0 time reset, 1/2/3 external rising/falling/pulse,
 4/5 generator rising/falling, 6/7 frame start/end, 8/9 exposure start/end."""
-MOST_DN = 2**32
-"""Largest full scale that is accepted; converters have 8 to 16 bits."""
 
 
 class ApsFrame:
@@ -314,7 +314,7 @@ class RecordingInfo:
     serial : str, optional
         Serial number of the camera.
     sensor : Sensor, optional
-        The kind of polarization sensor, if known; gives the extinction ratio.
+        The kind of sensor, if the file or the caller names it.
     layout : Layout, optional
         Polarizer layout, if the caller or the file gives it.
     demosaic : str, optional
@@ -326,12 +326,19 @@ class RecordingInfo:
         0 when the file has no such stream.
     exposure_us : int, optional
         Exposure time in the header.
+    full_scale_dn : int, optional
+        Largest DN of the frames' converter.
+    frame_times : float or str, optional
+        Rate of the frames in Hz from which their times are made, or the kind of times
+        that they have.
     wall_clock_us : int, optional
         Unix time in microseconds at time 0 of the recording.
     biases : mapping of str to float
         Bias currents in ampere, if the header has them.
     header : mapping of str to object
         All other entries of the header.
+    origins : mapping of str to str
+        Where a field comes from if not from the file, by its name; see `Fact`.
     """
 
     format: str
@@ -349,18 +356,44 @@ class RecordingInfo:
     imu_count: int | None = None
     trigger_count: int | None = None
     exposure_us: int | None = None
+    full_scale_dn: int | None = None
+    frame_times: float | str | None = None
     wall_clock_us: int | None = None
     biases: Mapping[str, float] = field(default_factory=dict)
     header: Mapping[str, Any] = field(default_factory=dict)
+    origins: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("biases", "header"):
+        for name in _MAPPINGS:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @property
+    def extinction_ratio(self) -> float | None:
+        """Nominal extinction ratio of the polarizers, None if no sensor is known."""
+        return None if self.sensor is None else self.sensor.extinction_ratio
+
+    @property
+    def facts(self) -> Mapping[str, Fact]:
+        """What is known of the source by name, with its origin; see `Fact`."""
+        origins = {"extinction_ratio": self.origins.get("sensor", FILE), **self.origins}
+        return {name: Fact(value, origins.get(name, FILE)) for name in _FACTS
+                if (value := getattr(self, name)) is not None}
+
+    def restated(self, options: SourceOptions) -> RecordingInfo:
+        """Return the info with what a caller states in place of what is known here."""
+        known = {name: fact for name, fact in self.facts.items()
+                 if name != "extinction_ratio"}
+        return dataclasses.replace(self, **stated(options, **known))
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        values["biases"], values["header"] = dict(self.biases), dict(self.header)
+        values |= {name: dict(values[name]) for name in _MAPPINGS}
         return _restore_info, (values,)
+
+
+_MAPPINGS = ("biases", "header", "origins")
+_FACTS = ("sensor_size", "sensor", "layout", "extinction_ratio", "frame_times",
+          "exposure_us", "full_scale_dn")
 
 
 def _restore_info(values: dict[str, Any]) -> RecordingInfo:

@@ -20,9 +20,11 @@ from pdavis_cv._beside import Unfinished
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Packet, RecordingInfo
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
+from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.files import FileRecording, ProblemLog
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, packetise
-from pdavis_cv.sensor import Layout
+from pdavis_cv.sensor import Sensor
 
 __all__ = ["MAGIC", "TraceRecording", "TraceWriter", "Transfer"]
 
@@ -118,7 +120,7 @@ class TraceWriter:
 class TraceRecording(FileRecording):
     """A recording in a file of `TraceWriter`; always read from its beginning."""
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
         start = self._reader.read(0, _LONGEST_LINE)
         end = start.find(b"\n", len(MAGIC))
@@ -137,13 +139,13 @@ class TraceRecording(FileRecording):
         if not (0 < height <= _LARGEST_SIDE and 0 < width <= _LARGEST_SIDE):
             raise RecordingError(f"{self._path}: no sensor has {width}x{height} pixels")
         name = head.get("camera")
-        if camera is not None and camera.lower() not in str(name).lower():
-            raise RecordingError(
-                f"{self._path}: no camera named {camera!r}: it is {name}")
+        self._check_camera(options.camera, name)
         self._begin = end + 1
         return RecordingInfo(
-            format="DAVIS346 over USB", sensor_size=(height, width), layout=layout,
-            camera=name, serial=head.get("serial"), header=header)
+            format="DAVIS346 over USB", camera=name, serial=head.get("serial"),
+            header=header, **stated(
+                options, sensor_size=(height, width), sensor=Sensor.of_chip(name),
+                frame_times="time stamps", full_scale_dn=1023))
 
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None

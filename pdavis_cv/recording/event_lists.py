@@ -14,6 +14,7 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.numpy_files import (
     MOST_RATIO,
@@ -21,6 +22,7 @@ from pdavis_cv.recording.numpy_files import (
     stored_arrays,
     unpacked,
 )
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
 from pdavis_cv.recording.text_form import (
@@ -33,7 +35,6 @@ from pdavis_cv.recording.text_form import (
     unit_of_times,
 )
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
-from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["NumpyRecording", "TextRecording"]
 
@@ -48,24 +49,26 @@ LOOKED_AT = 1 << 16
 class _EventList(SequentialRecording):
     """Base of event lists, which do not give the sensor's size or the unit of time."""
 
-    def _facts(self, kind: str, layout: Layout | None,
-               size: tuple[int, int] | None, header: Mapping[str, Any]
+    def _facts(self, kind: str, options: SourceOptions,
+               header: Mapping[str, Any], of_file: tuple[int, int] | None = None
                ) -> RecordingInfo:
         """Return the facts; without a size, the first events determine it."""
+        size, origin = options.size, CALLER
+        if of_file is not None:
+            size, origin = of_file, FILE
         if size is None:
-            size = likely_size(*self._farthest())
+            size, origin = likely_size(*self._farthest()), ASSUMED
             self._log.add("unknown size", None, "the file does not give the sensor's "
                           f"size: {size[1]}x{size[0]} holds the first events; "
                           "sensor_size=(height, width) sets another")
-        height, width = (int(side) for side in size)
+        height, width = size
         if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
             raise RecordingError(
                 f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, got "
                 f"{width}x{height}")
         return RecordingInfo(
-            format=kind, sensor_size=(height, width), layout=layout, frame_count=0,
-            imu_count=0, trigger_count=0, header=header,
-            sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None)
+            format=kind, frame_count=0, imu_count=0, trigger_count=0, header=header,
+            **stated(options, sensor_size=Fact((height, width), origin)))
 
     @abstractmethod
     def _farthest(self) -> tuple[int, int]:
@@ -83,21 +86,10 @@ class TextRecording(_EventList):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Not used: such files hold one camera.
-    sensor_size : (int, int), optional
-        (height, width); default: that of the text, else the smallest usual one that
-        holds the first events.
-    columns : str, optional
-        Order of the columns, e.g. ``"xypt"``, with ``_`` for one of something else;
-        default: the names in the text, else ``"txyp"``.
+    options : SourceOptions
     """
 
-    def _open(self, layout: Layout | None, camera: str | None, *,
-              sensor_size: tuple[int, int] | None = None,
-              columns: str | None = None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._text()
         self._end = self._reader.size
         blocks = self._looked_at()
@@ -105,17 +97,18 @@ class TextRecording(_EventList):
         if form is None:
             raise RecordingError(
                 f"{self._path}: its lines are not four or more numbers")
-        order = checked_order(self._path, form, columns, blocks)
+        order = checked_order(self._path, form, options.columns, blocks)
         self._more = form.columns > len(order)
-        if self._more and "_" not in order and columns is None and not form.order:
+        if self._more and "_" not in order and not (options.columns or form.order):
             self._log.add("further columns", None, f"lines have {form.columns} columns:"
                           " the first four are read as time, x, y, polarity")
         self._begin, self._bottom = form.begin, form.bottom
         self._order = np.array(["txyp".find(name) for name in order], np.int64)
         unit = form.unit or unit_of_times(blocks, order)
         self._unit_of_time = UNITS.index(unit)
-        return self._facts("text", layout, sensor_size or form.size, {
-            "time_unit": unit, "first_row": "bottom" if form.bottom else "top"})
+        return self._facts("text", options, {
+            "time_unit": unit, "first_row": "bottom" if form.bottom else "top"},
+            form.size)
 
     def _text(self) -> FileReader:
         """Return the text, unpacked if it is in an archive.
@@ -209,16 +202,10 @@ class NumpyRecording(_EventList):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Not used: such files hold one camera.
-    sensor_size : (int, int), optional
-        (height, width); default: the smallest usual one that holds the first events.
+    options : SourceOptions
     """
 
-    def _open(self, layout: Layout | None, camera: str | None, *,
-              sensor_size: tuple[int, int] | None = None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
         try:
             found = stored_arrays(
@@ -231,7 +218,7 @@ class NumpyRecording(_EventList):
         self._arrays_of = _events_of(found, str(self._path))
         self._end = len(self._arrays_of[0])
         self._scale = self._time_unit()
-        return self._facts("NumPy", layout, sensor_size, {"time_unit": self._scale})
+        return self._facts("NumPy", options, {"time_unit": self._scale})
 
     def _time_unit(self) -> str:
         t = self._arrays_of[0].rows(0, ROWS)

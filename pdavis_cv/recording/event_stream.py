@@ -14,10 +14,11 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import RecordingInfo
+from pdavis_cv.recording.facts import stated
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
 from pdavis_cv.recording.timeline import FILLED, Clock
-from pdavis_cv.sensor import Layout
 
 __all__ = ["EventStreamRecording"]
 
@@ -38,13 +39,10 @@ class EventStreamRecording(SequentialRecording):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Not used: such files hold one camera.
+    options : SourceOptions
     """
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
         head = self._reader.read(0, _HEADER).ljust(_HEADER, b"\0")
         version, kind = head[12:15], head[15]
@@ -62,9 +60,9 @@ class EventStreamRecording(SequentialRecording):
         self._atis = kind == ATIS
         return RecordingInfo(
             format=f"Event Stream ({_KINDS[kind].partition(' ')[0]})",
-            sensor_size=(height, width), layout=layout, frame_count=0, imu_count=0,
-            trigger_count=0, header={"first_row": "bottom",
-                                     "version": ".".join(map(str, version))})
+            **stated(options, sensor_size=(height, width)),
+            frame_count=0, imu_count=0, trigger_count=0, header={
+                "first_row": "bottom", "version": ".".join(map(str, version))})
 
     def _first(self) -> NDArray[np.int64]:
         return np.zeros(1, np.int64)

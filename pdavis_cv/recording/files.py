@@ -19,11 +19,13 @@ from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
 from pdavis_cv.recording.file_reader import FileReader, RemoteReader
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.timeline import BACKWARD, FILLED, OFFSET, OUTSIDE, Clock
-from pdavis_cv.sensor import Layout
 
 __all__ = ["FileRecording", "ProblemLog", "clock_text"]
+
+_NOTHING_STATED = SourceOptions()
 
 
 class ProblemLog:
@@ -96,12 +98,8 @@ class FileRecording(Recording):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Name of the camera, if the file holds several.
-    **options
-        Options of the format; see `Format`.
+    options : SourceOptions
+        What the caller states.
 
     Attributes
     ----------
@@ -111,30 +109,34 @@ class FileRecording(Recording):
         Holds what `_open` opens, to be released by `close`.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, layout: Layout | None = None,
-                 bad_events: str = "drop", camera: str | None = None,
-                 **options: Any) -> None:
-        self._arguments = {"layout": layout, "bad_events": bad_events,
-                           "camera": camera, **options}
+    def __init__(self, path: str | os.PathLike[str],
+                 options: SourceOptions = _NOTHING_STATED) -> None:
+        self._options = options
         self._path = as_path(path)
-        self._strict = bad_events == "raise"
+        self._strict = options.bad_events == "raise"
         self._log = ProblemLog(str(path))
         self._closing = ExitStack()
         try:
-            self._info = self._open(layout, camera, **options)
+            self._info = self._open(options)
         except BaseException:
             self._closing.close()
             raise
 
     @abstractmethod
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
-        """Open the file and return its facts; options of the format are passed as well.
+    def _open(self, options: SourceOptions) -> RecordingInfo:
+        """Open the file and return its facts, with those of `stated`.
 
         Raises
         ------
         RecordingError
             If it cannot be opened or has another format.
         """
+
+    def _check_camera(self, camera: str | None, name: str | None) -> None:
+        """Raise RecordingError if the caller's camera is no part of the file's name."""
+        if camera is not None and camera.lower() not in (name or "").lower():
+            raise RecordingError(
+                f"{self._path}: no camera named {camera!r}: it is {name}")
 
     def _bytes(self) -> FileReader:
         """Return the file's bytes, which `close` releases."""
@@ -260,7 +262,7 @@ class FileRecording(Recording):
         self._closing.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopen, (type(self), os.fspath(self._path), self._arguments)
+        return type(self), (os.fspath(self._path), self._options)
 
 
 def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
@@ -273,11 +275,6 @@ def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
     elif column.dtype.itemsize > 4:
         column = np.clip(column, -1, 1 << 30)
     return np.ascontiguousarray(column, np.int32)
-
-
-def _reopen(reader: Callable[..., FileRecording], path: str,
-            arguments: dict[str, Any]) -> FileRecording:
-    return reader(path, **arguments)
 
 
 def clock_text(start_us: int | None, stop_us: int | None) -> str:

@@ -28,8 +28,8 @@ class Format:
     title : str
         Name to show to users.
     reader : str or callable
-        Called with (path, layout=, bad_events=, camera=, and the given ones of
-        `read_options`); returns a `Recording`.
+        Called with a path (or several, of images) and `SourceOptions`; returns a
+        `Recording`.
     magic : tuple of bytes
         Possible first bytes of such a file.
     sniff : str or callable, optional
@@ -49,8 +49,11 @@ class Format:
     needs_layout : bool
         True if such a file is a recording only if a layout is given, because the format
         is also used for other data, such as any video.
-    read_options, write_options : tuple of str
-        Names of further keyword arguments of the reader and the writer.
+    read_options : tuple of str
+        Options that not every format has: names of fields of `SourceOptions`, or keys
+        of its ``parameters``.
+    write_options : tuple of str
+        Names of further keyword arguments of the writer.
     by_ranges : bool
         Whether the reader gets all bytes from `FileRecording._bytes`, so that it can
         read objects in a store as well.

@@ -18,8 +18,9 @@ from pdavis_cv.recording.base import (
     Recording,
     RecordingInfo,
 )
+from pdavis_cv.recording.facts import CALLER
 from pdavis_cv.recording.packetise import Batch, packetise
-from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.sensor import Layout
 
 __all__ = ["MemoryRecording", "recording_from_arrays"]
 
@@ -126,20 +127,14 @@ def recording_from_arrays(
              if t is not None]
     info = RecordingInfo(
         format="memory", sensor_size=(height, width), layout=layout,
-        sensor=_likely_sensor((height, width), events, layout),
+        sensor=None if layout is None else layout.sensor,
+        full_scale_dn=frames[0].full_scale_dn if frames else None,
+        origins=dict.fromkeys(
+            ("sensor_size", "layout", "sensor", "full_scale_dn"), CALLER),
         start_us=min(starts, default=None), stop_us=max(stops, default=None),
         event_count=len(events), frame_count=len(frames), imu_count=len(imu),
         trigger_count=len(triggers))
     return MemoryRecording(info, events, frames, imu, triggers)
-
-
-def _likely_sensor(
-    size: tuple[int, int], events: NDArray[Any], layout: Layout | None
-) -> Sensor | None:
-    """Return SONY for frames alone with Sony's layout, PDAVIS if there are events."""
-    if len(events) or size == Sensor.PDAVIS.size:
-        return Sensor.PDAVIS
-    return Sensor.SONY if layout == Layout.SONY else None
 
 
 def _checked_samples(

@@ -3,51 +3,45 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pdavis_cv._options import takes
 from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.images.reader import is_four_planes
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
-from pdavis_cv.sensor import Layout
 
-__all__ = ["open_recording"]
-
-_BAD_EVENTS = ("drop", "raise")
+__all__ = ["AnySource", "open_recording"]
 
 
+AnySource = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+"""What can be opened: a path, a pattern of names, or several images in their order."""
+
+
+@takes(SourceOptions)
 def open_recording(
-    source: str | os.PathLike[str] | Recording,
-    *,
-    layout: Layout | str | None = None,
-    fps: float | None = None,
-    bad_events: str = "drop",
-    camera: str | None = None,
-    **options: Any,
+    source: AnySource | Recording, options: SourceOptions | None = None,
+    **changes: Any,
 ) -> Recording:
     """Open a recording of any format, which its first bytes determine, not its name.
 
     Parameters
     ----------
-    source : path or Recording
+    source : path, sequence of paths, or Recording
         A file, or an object in a store such as ``s3://bucket/run.aedat4`` (extra
         ``[remote]``), which is read by ranges.  If a layout is given, also a grey
         video, image, TIFF stack or pattern of image names (``shot_%04d.png``,
-        ``shot_*.png``) of a polarization camera; four planes I0, I45, I90, I135 of
-        each time need none.  A Recording is returned as it is.
-    layout : Layout or str, optional
-        Polarizer layout of the camera, or its name; see `Layout.of`.
-    fps : float, optional
-        Images per second of a video or images; default: the times that the file
-        states, else 25.
-    bad_events : {"drop", "raise"}
-        Whether events outside the sensor or before their predecessor are dropped and
-        counted in ``problems``, or raise RecordingError.
-    camera : str, optional
-        Name or serial number of the camera, if the file holds several.
-    **options
+        ``shot_*.png``) of a polarization camera; several paths are its images, in
+        their order; four planes I0, I45, I90, I135 of each time need none.  A Recording
+        is returned as it is.
+    options : SourceOptions, optional
+        Options to begin with; keywords override them.
+    {options}
+    **parameters
         Options of the file's format; see ``Format.read_options``.
 
     Returns
@@ -59,8 +53,8 @@ def open_recording(
     RecordingError
         If the source cannot be opened or is not a recording; the message names the
         file, the byte and what was seen.
-    LayoutError
-        If the recording has another layout than the caller.
+    LayoutError, ValueError
+        If the recording has another layout or size than the caller says.
     TypeError
         If the format has no such option.
 
@@ -71,25 +65,24 @@ def open_recording(
     """
     if isinstance(source, Recording):
         return source
-    layout = None if layout is None else Layout.of(layout)
-    if bad_events not in _BAD_EVENTS:
-        raise ValueError(
-            f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got {bad_events!r}")
+    options = (options or SourceOptions()).replace(**changes)
+    if not isinstance(source, str | os.PathLike):
+        [source, *more] = source
+        if more:
+            return read_with(FORMATS["images"], (source, *more), options)
     path = as_path(source)
     # A path that does not exist may be a pattern of image names.
     start = first_bytes(path) if is_remote(path) or path.exists() else b""
     found = format_of(path, start)
-    if found is None and (layout is not None or is_four_planes(str(path))):
+    if found is None and (
+            options.known_layout is not None or is_four_planes(str(path))):
         found = FORMATS["images"]
     if found is None:
         raise _not_a_recording(path, first_bytes(path))
     if is_remote(path) and not found.by_ranges:
         raise RecordingError(
             f"{path}: {found.title} cannot be read by ranges: copy it to a disk")
-    if "source_fps" in found.read_options:
-        options = {"source_fps": fps, **options}
-    return read_with(
-        found, source, options, layout=layout, bad_events=bad_events, camera=camera)
+    return read_with(found, source, options)
 
 
 def _not_a_recording(path: Path, start: bytes) -> RecordingError:
@@ -101,7 +94,7 @@ def _not_a_recording(path: Path, start: bytes) -> RecordingError:
         return RecordingError(f"{path}: byte 0: the file is empty")
     return RecordingError(
         f"{path}: byte 0: not a recording, first bytes {start[:8]!r} (a video or "
-        "image of a polarization camera needs its layout: layout=, --layout)")
+        "image of a polarization camera needs its layout, e.g. layout=\"sony\")")
 
 
 def _other_aedat(start: bytes) -> str:

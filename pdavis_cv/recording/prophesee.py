@@ -15,10 +15,11 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import TRIGGER_DTYPE, RecordingInfo
+from pdavis_cv.recording.facts import ASSUMED, CALLER, Fact, stated
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
-from pdavis_cv.sensor import Layout
 
 __all__ = ["PropheseeRecording", "WordStream", "is_prophesee", "ordered_triggers"]
 
@@ -181,13 +182,11 @@ class PropheseeRecording(SequentialRecording):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Must be part of the header's camera or serial number if given.
+    options : SourceOptions
+        Its ``camera`` must be part of the header's camera or serial number if given.
     """
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
         self._end = self._reader.size
         facts = self._header()
@@ -195,24 +194,25 @@ class PropheseeRecording(SequentialRecording):
             "integrator_name", "camera_integrator_name", "plugin_name", "system_ID"
             )).strip() or None
         serial = facts.get("serial_number")
-        if camera is not None and camera.lower() not in f"{name} {serial}".lower():
-            raise RecordingError(
-                f"{self._path}: no camera named {camera!r}: it is {name} {serial}")
+        self._check_camera(options.camera, f"{name} {serial}")
         self._version = self._kind(facts)
-        stated = facts.get("t0", facts.get("T0", ""))   # of faery
-        self._origin = int(stated) if re.fullmatch(r"\d{1,18}", stated) else 0
+        origin = facts.get("t0", facts.get("T0", ""))   # of faery
+        self._origin = int(origin) if re.fullmatch(r"\d{1,18}", origin) else 0
         self._high_first = self._version == EVT21 and {
             "little": False, "legacy": True}.get(_endianness(facts), _upper_first(
                 self._words(self._begin, Scratch()).reshape(-1, 2)))
-        size = self._sensor_size(facts)
-        if size is None:
+        size: Any = self._sensor_size(facts)
+        if size is None and options.size is not None:
+            size = Fact(options.size, CALLER)
+        elif size is None:
             size = self._hull()
             self._log.add("unknown size", None, "the header does not give the sensor's "
                           f"size: {size[1]}x{size[0]} holds the first events")
+            size = Fact(size, ASSUMED)
         return RecordingInfo(
             format=_NAMES[self._version],
-            sensor_size=size, writer=facts.get("generator", "Prophesee"), camera=name,
-            serial=serial, layout=layout, frame_count=0, imu_count=0,
+            writer=facts.get("generator", "Prophesee"), camera=name, serial=serial,
+            **stated(options, sensor_size=size), frame_count=0, imu_count=0,
             trigger_count=0 if self._version == DAT else None,
             event_count=(self._reader.size - self._begin) // 8 if (
                 self._version == DAT) else None,

@@ -14,13 +14,15 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.format import Format
 from pdavis_cv.recording.images.reader import is_four_planes
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.registry import Registry, loaded
-from pdavis_cv.sensor import Layout
 
 __all__ = ["FORMATS", "first_bytes", "format_of", "is_recording", "read_with",
            "suffixes", "writer_for"]
 
 _HEAD = 4096
+_ALWAYS = frozenset(("layout", "sensor", "sensor_size", "camera", "bad_events"))
+"""Options that every format has."""
 
 _ALL = frozenset(("events", "frames", "imu", "triggers"))
 _EVENTS = frozenset(("events",))
@@ -78,18 +80,17 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
     Format(
         name="text", title="events as lines of text", holds=_EVENTS,
         suffixes=(".csv", ".txt"), sniff=f"{_ROOM}.text_form:is_text_events",
-        read_options=("sensor_size", "columns"),
+        read_options=("columns",),
         reader=f"{_ROOM}.event_lists:TextRecording"),
     Format(
         name="images", title="video or images of a polarization camera",
         holds=frozenset(("frames",)), needs_layout=True, extra="frames",
         sniff=f"{_ROOM}.images.stills:is_image_array",
-        read_options=("names", "source_fps", "exposure_us", "full_scale_dn"),
+        read_options=("source_fps", "exposure_us", "bits", "full_scale_dn"),
         reader=f"{_ROOM}.images.reader:ImageRecording"),
     Format(
         name="numpy", title="NumPy arrays of events", holds=_EVENTS,
         suffixes=(".npy", ".npz"), magic=(b"\x93NUMPY", b"PK\x03\x04"),
-        read_options=("sensor_size",),
         reader=f"{_ROOM}.event_lists:NumpyRecording"))}, Format)
 """The formats by name, in the order in which they are tried on a file."""
 
@@ -151,33 +152,27 @@ def first_bytes(path: Path) -> bytes:
             f"{path}: cannot be opened: {error.strerror or error}") from error
 
 
-def read_with(
-    one: Format, source: str | os.PathLike[str], options: Mapping[str, Any], *,
-    layout: Layout | None, bad_events: str, camera: str | None,
-) -> Recording:
+def read_with(one: Format, source: Any, options: SourceOptions) -> Recording:
     """Open a file with a format's reader.
 
     Parameters
     ----------
     one : Format
-    source : path
-    options : mapping of str to object
-        Options of the format; None = not given.
-    layout, bad_events, camera
-        As in `open_recording`.
+    source : path, or sequence of paths
+    options : SourceOptions
 
     Raises
     ------
     TypeError
         If the format has no such option.
     """
-    given = {name: value for name, value in options.items() if value is not None}
-    for name in given.keys() - set(one.read_options):
+    given = {name for name in options.facts() if getattr(options, name) is not None}
+    for name in sorted(given.union(options.parameters) - _ALWAYS - set(
+            one.read_options)):
         raise TypeError(
             f"{name} is no option of {one.title}, which has "
-            f"{', '.join(one.read_options) or 'none'}")
-    recording: Recording = loaded(one.reader)(
-        source, layout=layout, bad_events=bad_events, camera=camera, **given)
+            f"{', '.join(sorted(_ALWAYS.union(one.read_options)))}")
+    recording: Recording = loaded(one.reader)(source, options)
     return recording
 
 

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.recording.prophesee import WordStream
 from pdavis_cv.recording.scratch import Gathering, Scratch
@@ -31,7 +33,6 @@ from pdavis_cv.recording.timeline import (
     Timeline,
     possible_range,
 )
-from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["RosRecording"]
 
@@ -144,13 +145,11 @@ class RosRecording(FileRecording):
     ----------
     path : path
         A ``.bag`` file, or the folder of a ROS 2 bag.
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Substring of the topics' names, if the bag holds several cameras.
+    options : SourceOptions
+        Its ``camera`` is a part of the topics' names, if the bag holds several.
     """
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         try:
             from rosbags import rosbag1, rosbag2
         except ImportError:
@@ -162,7 +161,7 @@ class RosRecording(FileRecording):
         self._closing.callback(setattr, self, "_closed", True)
         try:
             with self._kind(self._path) as bag:
-                self._topics = self._choose(bag.connections, camera)
+                self._topics = self._choose(bag.connections, options.camera)
                 size = self._sensor_size(bag)
                 self._message_count = sum(
                     c.msgcount for c in bag.connections
@@ -174,9 +173,10 @@ class RosRecording(FileRecording):
                 f"{self._path}: not a bag that can be read: {error}") from error
         images = sum(kind == IMAGES for _, kind in self._topics)
         return RecordingInfo(
-            format=f"ROS {2 if self._cdr else 1} bag", sensor_size=size, layout=layout,
-            camera=", ".join(sorted(topic for topic, _ in self._topics)),
-            sensor=Sensor.PDAVIS if size == Sensor.PDAVIS.size else None,
+            format=f"ROS {2 if self._cdr else 1} bag",
+            camera=", ".join(sorted(topic for topic, _ in self._topics)), **stated(
+                options, sensor_size=size,
+                frame_times="time stamps" if images else None),
             frame_count=None if images else 0, imu_count=0, trigger_count=0,
             event_count=None if images < len(self._topics) else 0, wall_clock_us=0)
 

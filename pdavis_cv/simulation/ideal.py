@@ -13,7 +13,7 @@ from pdavis_cv._checks import MOST_ANGLE, plain, sensor_shape, whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.recording.memory import recording_from_arrays
-from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.sensor import PDAVIS_EXTINCTION_RATIO, Layout
 from pdavis_cv.simulation.checks import affordable
 from pdavis_cv.simulation.scenes import FloatArray, RotatingPolarizer
 from pdavis_cv.simulation.truth import Truth
@@ -34,7 +34,7 @@ def rotating_polarizer(
     layout: Layout = Layout.PDAVIS,
     start_angle: float = 0.0,
     dolp: float = 1.0,
-    extinction_ratio: float = Sensor.PDAVIS.extinction_ratio,
+    extinction_ratio: float = PDAVIS_EXTINCTION_RATIO,
 ) -> tuple[Recording, Truth]:
     """Record a rotating polarizer with an ideal camera.
 

@@ -89,7 +89,8 @@ class Specimen:
             format="simulation", sensor_size=self.size, writer="pdavis_cv",
             camera=self.name, serial=self.serial, sensor=self.sensor,
             layout=self.layout, start_us=0, stop_us=stop_us,
-            exposure_us=None if aps is None else aps.exposure_us)
+            exposure_us=None if aps is None else aps.exposure_us,
+            full_scale_dn=None if aps is None else self.sensor.full_scale_dn)
 
     def exact_calibration(self) -> dict[str, Any]:
         """Return the specimen's true parameters, as arguments of `Calibration`.

@@ -34,17 +34,15 @@ from pdavis_cv.selfcal import USUAL_BANDWIDTH
 from .._common import (
     Parser,
     UsageError,
-    add_fuse_options,
     add_json_option,
     command,
-    fuse_options,
-    opened,
     progress,
     stage,
     start_of,
     tell,
 )
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
+from .._options import add_fuse_options, fuse_options, opened
 from .._values import number, seconds, within
 from . import report
 from .findings import Findings, MeanStokes

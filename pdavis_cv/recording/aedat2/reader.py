@@ -14,10 +14,12 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat2.decoder import Decoder, ImuScale, Mark
 from pdavis_cv.recording.aedat2.header import bias_currents, read_header
 from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
 from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.timeline import NEVER
-from pdavis_cv.sensor import Layout, Sensor
+from pdavis_cv.sensor import Sensor
 
 __all__ = ["Aedat2Recording"]
 
@@ -37,39 +39,37 @@ class Aedat2Recording(FileRecording):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Must be part of the chip's name if given.
+    options : SourceOptions
+        Its ``camera`` must be part of the chip's name if given.
     """
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
         self._lock = threading.Lock()
         self._complete = False
         self._header = read_header(self._reader)
         self._marks = [Mark(0, self._header.origin_us, NEVER)]
-        self._size = self._sensor_size(camera)
-        return self._make_info(layout)
+        self._size_fact = self._sensor_size(options)
+        self._size: tuple[int, int] = self._size_fact.value
+        return self._make_info(options)
 
-
-    def _sensor_size(self, camera: str | None) -> tuple[int, int]:
+    def _sensor_size(self, options: SourceOptions) -> Fact:
         chip = self._header.chip
-        if camera is not None and camera.lower() not in (chip or "").lower():
-            raise RecordingError(
-                f"{self.path}: no camera named {camera!r}: it is {chip}")
+        self._check_camera(options.camera, chip)
         size = self._header.size
         if size is not None:
-            return size
+            return Fact(size, FILE)
+        if options.size is not None:
+            return Fact(options.size, CALLER)
         if chip is not None and not chip.lower().startswith("davis"):
             raise RecordingError(
                 f"{self.path}: chip {chip} is not a DAVIS, its addresses mean other "
                 "things")
         self._log.add("unknown chip", None, f"the header names {chip or 'no chip'}: "
                       "addresses are read as those of a DAVIS346")
-        return Sensor.PDAVIS.size
+        return Fact(Sensor.DAVIS346.size, ASSUMED)
 
-    def _make_info(self, layout: Layout | None) -> RecordingInfo:
+    def _make_info(self, options: SourceOptions) -> RecordingInfo:
         header = self._header
         first = self._reader.read(header.data_start, 8)
         start = None if len(first) < 8 else header.origin_us + int.from_bytes(
@@ -79,12 +79,12 @@ class Aedat2Recording(FileRecording):
             clock = header.creation_ms
         serial = _SERIAL.search(self.path.stem)
         return RecordingInfo(
-            format="AEDAT-2.0", sensor_size=self._size, writer=_writer(header.facts),
-            camera=header.chip, serial=serial[1] if serial else None,
-            sensor=Sensor.PDAVIS if self._size == Sensor.PDAVIS.size else None,
-            layout=layout, start_us=start,
-            frame_count=None if self._has_frames() else 0,
-            exposure_us=header.number("APS.Exposure"),
+            format="AEDAT-2.0", writer=_writer(header.facts),
+            camera=header.chip, serial=serial[1] if serial else None, start_us=start,
+            frame_count=None if self._has_frames() else 0, **stated(
+                options, sensor_size=self._size_fact,
+                sensor=Sensor.of_chip(header.chip), frame_times="time stamps",
+                exposure_us=header.number("APS.Exposure"), full_scale_dn=1023),
             wall_clock_us=None if clock is None else clock * 1000 - (start or 0),
             biases=bias_currents(header),
             header={"first_row": "bottom", "imu_axes": "jAER",

@@ -12,7 +12,9 @@ from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, Stream
 from pdavis_cv.recording.aedat4.cursor import Cursor
 from pdavis_cv.recording.aedat4.flatbuffer import PayloadError
 from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import (
     END_OF_TIME,
     Batch,
@@ -21,7 +23,7 @@ from pdavis_cv.recording.packetise import (
     packetise,
 )
 from pdavis_cv.recording.timeline import NEVER, Marks, Timeline
-from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["Aedat4Recording"]
 
@@ -40,22 +42,19 @@ class Aedat4Recording(FileRecording):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Name of the source, or a part of it, if the file holds several cameras.
+    options : SourceOptions
+        Its ``camera`` is the name of the source, or a part of it.
     """
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         self._file = Aedat4File(self._bytes(), self._log)
-        self._streams = self._choose(camera)
+        self._streams = self._choose(options.camera)
         self._marks = Marks(MARK_PULLS)
         self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
                          for s in self._streams.values())
         self._size = self._sensor_size()
         self._scale = self._frame_scale()
-        return self._make_info(layout)
-
+        return self._make_info(options)
 
     # Opening -------------------------------------------------------------------
 
@@ -122,7 +121,7 @@ class Aedat4Recording(FileRecording):
             return samples.scale_of(raw.pixels)
         return None
 
-    def _make_info(self, layout: Layout | None) -> RecordingInfo:
+    def _make_info(self, options: SourceOptions) -> RecordingInfo:
         streams = self._streams
         counts: dict[str, int | None] = {}
         for kind in KINDS:
@@ -131,13 +130,15 @@ class Aedat4Recording(FileRecording):
                 self._file.indexed or not entries) else None
         source = next(iter(streams.values())).source
         start, stop = self._span()
-        name, _, serial = source.partition("_")
-        davis = name.upper().startswith("DAVIS346") or self._size == Sensor.PDAVIS.size
+        serial = source.partition("_")[2]
         writer = next(iter(streams.values())).attributes.get("originalModuleName")
         return RecordingInfo(
-            format="AEDAT-4", sensor_size=self._size, writer=writer,
-            camera=source or None, serial=serial or None,
-            sensor=Sensor.PDAVIS if davis else None, layout=self._layout(layout),
+            format="AEDAT-4", writer=writer, camera=source or None,
+            serial=serial or None, **stated(
+                options, sensor_size=self._size, layout=self._layout(),
+                sensor=Sensor.of_chip(source),
+                full_scale_dn=self._scale and self._scale.full_scale_dn,
+                frame_times="time stamps" if "FRME" in streams else None),
             start_us=start, stop_us=stop if self._file.indexed else None,
             event_count=counts["EVTS"], frame_count=counts["FRME"],
             imu_count=counts["IMUS"], trigger_count=counts["TRIG"],
@@ -148,20 +149,19 @@ class Aedat4Recording(FileRecording):
                     "streams": {str(s.number): {"type": s.kind, **s.attributes}
                                 for s in self._file.streams.values()}})
 
-    def _layout(self, layout: Layout | None) -> Layout | None:
-        """Return the layout that the caller and the header agree on."""
-        texts = {s.attributes["polarizerLayout"] for s in self._streams.values()
-                 if "polarizerLayout" in s.attributes}
-        if not texts:
-            return layout
+    def _layout(self) -> Layout | None:
+        """Return the layout in the header."""
+        found = {s.attributes["polarizerLayout"]: s.attributes.get("polarizerSensor")
+                 for s in self._streams.values() if "polarizerLayout" in s.attributes}
+        if not found:
+            return None
         try:
-            [text] = texts
-            a, b, c, d = (int(angle) for angle in text.split(","))
+            [(text, owner)] = found.items()
+            return Layout.stored(text, owner)
         except ValueError:
             raise RecordingError(
                 f"{self.path}: polarizerLayout must be four angles, got "
-                f"{', '.join(sorted(texts))}") from None
-        return resolve_layout(layout, recording=Layout((a, b), (c, d)))
+                f"{', '.join(sorted(found))}") from None
 
     def _span(self) -> tuple[int | None, int | None]:
         """Return the half-open interval of all samples, from the index if there is one.

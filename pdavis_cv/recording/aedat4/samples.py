@@ -58,9 +58,10 @@ class FrameScale:
     itemsize: int = 2
 
 
-EIGHT_BIT = FrameScale(4.0, 1020, 255, 1)
-TEN_BIT = FrameScale(1.0, 1023, 1023)
-LEFT_JUSTIFIED = FrameScale(1 / 64, 1023, 1023 << 6)
+EIGHT_BIT_DN, TEN_BIT_DN = 1020, 1023
+EIGHT_BIT = FrameScale(4.0, EIGHT_BIT_DN, 255, 1)
+TEN_BIT = FrameScale(1.0, TEN_BIT_DN, TEN_BIT_DN)
+LEFT_JUSTIFIED = FrameScale(1 / 64, TEN_BIT_DN, TEN_BIT_DN << 6)
 
 
 @dataclass(slots=True)

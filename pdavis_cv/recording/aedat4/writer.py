@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
+from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
 from pdavis_cv.recording.writer import RecordingWriter
 from pdavis_cv.sensor import Layout
@@ -46,6 +47,15 @@ _STORED = -65_537
 """LZ4's largest acceleration: it looks for repetitions so seldom that it finds none."""
 _INDEX_VTABLE = struct.pack("<7H", 14, 44, 4, 12, 20, 28, 36)
 
+UNKNOWN = "unknown"
+"""Source of a file whose camera is not known."""
+
+
+def full_scale_of(info: RecordingInfo) -> int:
+    """Return the full scale of frames of 16 bits; that of a DAVIS if it is unknown."""
+    known = info.full_scale_dn
+    return TEN_BIT_DN if known in (None, EIGHT_BIT_DN) else known
+
 
 class Aedat4Writer(RecordingWriter):
     """Write an AEDAT-4 file that DV, dv-processing, aedat and this library can read.
@@ -57,7 +67,7 @@ class Aedat4Writer(RecordingWriter):
     sensor_size : (int, int)
         (height, width).
     layout : Layout, optional
-        Polarizer layout, written to the header.
+        Polarizer layout, written to the header with its owner.
     camera : str
         Name and serial number in the form of DV.
     compression : {"lz4", "none", "zstd"}
@@ -87,9 +97,9 @@ class Aedat4Writer(RecordingWriter):
 
     def __init__(
         self, path: str | os.PathLike[str], *, sensor_size: tuple[int, int],
-        layout: Layout | None = None, camera: str = "DAVIS346_00000000",
+        layout: Layout | None = None, camera: str = UNKNOWN,
         compression: str = "lz4", frame_bits: int | None = None,
-        full_scale_dn: int = 1023,
+        full_scale_dn: int = TEN_BIT_DN,
     ) -> None:
         if compression not in ("lz4", "none", "zstd"):
             raise ValueError(
@@ -140,7 +150,7 @@ class Aedat4Writer(RecordingWriter):
     def _frame_bits(self, frame: ApsFrame) -> int:
         """Return the number of bits of frames, which the first one determines."""
         if self._bits is None:
-            self._bits = 8 if frame.full_scale_dn == 1020 else 16
+            self._bits = 8 if frame.full_scale_dn == EIGHT_BIT_DN else 16
         return self._bits
 
     def _note(self, what: str, count: int) -> None:
@@ -180,8 +190,7 @@ class StreamEncoder:
         self._stream = stream
         self.head = _header(
             [stream], info.sensor_size, info.layout,
-            info.camera or "DAVIS346_00000000", compression,
-            info.sensor.full_scale_dn if info.sensor else 1023)
+            info.camera or UNKNOWN, compression, full_scale_of(info))
 
     def encoded(self, packet: Packet) -> Iterator[bytes]:
         """Yield what a packet holds of this stream, each as its bytes on the wire.
@@ -230,9 +239,8 @@ def write_aedat4(
     clear(path)
     with Aedat4Writer(
             path, sensor_size=info.sensor_size, layout=info.layout,
-            camera=info.camera or "DAVIS346_00000000", compression=compression,
-            frame_bits=frame_bits,
-            full_scale_dn=info.sensor.full_scale_dn if info.sensor else 1023) as writer:
+            camera=info.camera or UNKNOWN, compression=compression,
+            frame_bits=frame_bits, full_scale_dn=full_scale_of(info)) as writer:
         for packet in recording.packets():
             writer.add(packet)
     return writer.losses
@@ -377,8 +385,9 @@ def _info_node(
         if number == FRAMES:
             lines.append(attribute("fullScaleDN", full_scale_dn, "int"))
         if layout is not None:
-            cell = ",".join(str(a) for a in (*layout.row0, *layout.row1))
-            lines.append(attribute("polarizerLayout", cell))
+            lines.append(attribute("polarizerLayout", layout.stored_angles))
+        if layout is not None and layout.owner is not None:
+            lines.append(attribute("polarizerSensor", layout.owner))
         lines += [attribute("source", camera), attribute("tsOffset", 0, "long"),
                   "</node>", "</node>"]
     return "\n".join([*lines, "</node>", "</dv>", ""])

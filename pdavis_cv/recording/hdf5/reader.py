@@ -26,11 +26,13 @@ from pdavis_cv.recording.base import (
     RecordingInfo,
     joined,
 )
+from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
 from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
-from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["Hdf5Recording", "h5py_module"]
 
@@ -75,13 +77,10 @@ class Hdf5Recording(FileRecording):
     Parameters
     ----------
     path : path
-    layout : Layout, optional
-    bad_events : {"drop", "raise"}
-    camera : str, optional
-        Not used: such files hold one camera.
+    options : SourceOptions
     """
 
-    def _open(self, layout: Layout | None, camera: str | None) -> RecordingInfo:
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         h5py, path = h5py_module(), self._path
         try:
             with _reading():
@@ -98,7 +97,7 @@ class Hdf5Recording(FileRecording):
                 images = self._file.get("images")
                 if self._frames is None and isinstance(images, h5py.Group):
                     self._frames = _Images(images, self._dataset)
-                return self._make_info(layout)
+                return self._make_info(options)
         except _LostError as error:
             raise RecordingError(f"{path}: the file is damaged: {error}") from error
 
@@ -176,19 +175,23 @@ class Hdf5Recording(FileRecording):
                 return read(rows)
         raise _LostError("none of its events can be read")
 
-    def _make_info(self, layout: Layout | None) -> RecordingInfo:
+    def _make_info(self, options: SourceOptions) -> RecordingInfo:
         attributes = self._file.attrs
-        stated = attributes.get("sensor_size", attributes.get("sensor_resolution"))
-        if stated is not None:
-            height, width = (int(side) for side in stated[:2])
+        size = attributes.get("sensor_size", attributes.get("sensor_resolution"))
+        origin = FILE
+        if size is not None:
+            height, width = (int(side) for side in size[:2])
         elif self._frames is not None and len(self._frames):
             height, width = self._frames.shape[1:]
+        elif options.size is not None:
+            (height, width), origin = options.size, CALLER
         else:
             # DSEC has no size: use that of the first events, at least a DAVIS346.
             height = max(260, 1 + int(
                 self._first(lambda rows: self._columns(rows)[2]).max(initial=0)))
             width = max(346, 1 + int(
                 self._first(lambda rows: self._columns(rows)[1]).max(initial=0)))
+            origin = ASSUMED
         if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
             raise RecordingError(
                 f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, the file says "
@@ -199,14 +202,16 @@ class Hdf5Recording(FileRecording):
                 f"{self._path}: frames are of shape {self._frames.shape[1:]}, the "
                 f"sensor is {(height, width)}")
         known = attributes.get("layout")
-        if known is not None:
-            a, b, c, d = (int(angle) for angle in known)
-            layout = resolve_layout(layout, recording=Layout((a, b), (c, d)))
+        layout = None if known is None else Layout.stored(
+            ",".join(str(int(angle)) for angle in known), attributes.get("sensor"))
+        camera = attributes.get("camera")
         return RecordingInfo(
-            format=self._format, sensor_size=(height, width),
-            writer=attributes.get("writer"), camera=attributes.get("camera"),
-            sensor=Sensor.PDAVIS if (height, width) == Sensor.PDAVIS.size else None,
-            layout=layout, start_us=self._start(), event_count=self._length,
+            format=self._format, writer=attributes.get("writer"), camera=camera,
+            **stated(
+                options, sensor_size=Fact((height, width), origin), layout=layout,
+                sensor=Sensor.of_chip(camera),
+                frame_times=None if self._frames is None else "time stamps"),
+            start_us=self._start(), event_count=self._length,
             frame_count=0 if self._frames is None else len(self._frames),
             imu_count=len(self._table("imu", IMU_DTYPE)),
             trigger_count=len(self._table("triggers", TRIGGER_DTYPE)))

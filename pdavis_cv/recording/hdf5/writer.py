@@ -55,6 +55,8 @@ def _fill(file: Any, recording: Recording, flavour: str) -> dict[str, int]:
         file.attrs["camera"] = info.camera
     if info.layout is not None:
         file.attrs["layout"] = (*info.layout.row0, *info.layout.row1)
+        if info.layout.owner is not None:
+            file.attrs["sensor"] = info.layout.owner
 
     def growing(name: str, dtype: Any, *shape: int) -> Any:
         chunk = (CHUNK if not shape or shape == (4,) else 1, *shape)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, MEASURED, Fact, stated
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.images.checks import (
     assumed_full_scale,
@@ -24,6 +25,7 @@ from pdavis_cv.recording.images.pictures import FourPictures, Pictures, Several
 from pdavis_cv.recording.images.stills import ArrayPictures, StillPicture
 from pdavis_cv.recording.images.tiff import TiffPictures
 from pdavis_cv.recording.images.video import VideoPictures
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import Layout
 
 __all__ = ["ImageRecording", "is_four_planes"]
@@ -44,22 +46,14 @@ class ImageRecording(FileRecording):
 
     Parameters
     ----------
-    path : path
+    source : path or sequence of paths
         ``clip.mkv``, ``shot.png``, ``shot_%04d.png``, ``shot_*.png``, ``stack.tif``,
-        ``planes.npy``; names that differ only in 0, 45, 90, 135 are four planes.
-    layout : Layout, optional
-        Layout of the images after any crop or mirroring; four planes need none.
-    bad_events, camera : str, optional
-        Not used: images hold no events and belong to one camera.
-    names : sequence of str, optional
-        The files, in order; default: those that `path` denotes.
-    source_fps : float, optional
-        Images per second; default: the times that the file states, else 25.
-    exposure_us : float, optional
-        Default: that of the file, else unknown.
-    full_scale_dn : int, optional
-        Largest value of the converter; default: that of the file, else measured from
-        clipped samples, else the smaller of 4095 and 65535 that holds all values.
+        ``planes.npy``, or several files in their order; names that differ only in 0,
+        45, 90, 135 are four planes.
+    options : SourceOptions
+        Its layout is that of the images after any crop or mirroring; four planes need
+        none.  The full scale is by default that of the file, else measured from clipped
+        samples, else the smaller of 4095 and 65535 that holds all values.
 
     Raises
     ------
@@ -67,37 +61,45 @@ class ImageRecording(FileRecording):
         If there is no image, it is not grey, or colour filters lie over it.
     """
 
-    def _open(
-        self, layout: Layout | None, camera: str | None, *,
-        names: Sequence[str] | None = None, source_fps: float | None = None,
-        exposure_us: float | None = None, full_scale_dn: int | None = None,
-    ) -> RecordingInfo:
+    def __init__(
+        self, source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        options: SourceOptions,
+    ) -> None:
+        self._names: list[str] | None = None
+        if not isinstance(source, str | os.PathLike):
+            self._names = [os.fspath(name) for name in source]
+            source = self._names[0]
+        super().__init__(source, options)
+
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         source = os.fspath(self._path)
-        self._pictures = pictures = self._opened(names or names_of(source))
+        self._pictures = pictures = self._opened(self._names or names_of(source))
         first = self._sample(0)
         if first is None:
             raise RecordingError(f"{source}: holds no image")
         self._four, self._size = first.ndim == 3, first.shape
         facts = pictures.facts
         if not self._four:
-            self._check_mosaic(first, layout)
+            self._check_mosaic(first, options.known_layout)
             if facts.lossy:
                 self._log.add(
                     "lossy codec", 0, f"codec {facts.lossy} loses detail that the four "
                     "polarizers of a cell differ in: AoP and DoLP are biased; record "
                     "without loss (FFV1, TIFF, PNG)", warning=PdavisWarning)
-        self._layout = layout or Layout.PDAVIS
-        self._set_times(source_fps)
-        self._exposure_us = round(exposure_us or facts.exposure_us or 0)
-        self._set_full_scale(first, full_scale_dn)
+        # That of four planes is ours; it does not name their sensor.
+        self._layout = options.known_layout or Layout.of(Layout.PDAVIS.stored_angles)
+        times = self._set_times(options.source_fps)
+        self._exposure_us = options.exposure_us or round(facts.exposure_us or 0)
+        full_scale = self._set_full_scale(first, options.known_full_scale_dn)
         height, width = (side * (2 if self._four else 1) for side in first.shape[-2:])
         count = facts.count
         last = self._time(count - 1, None) if count else None
         return RecordingInfo(
             format=f"four planes, {facts.kind}" if self._four else facts.kind,
-            sensor_size=(height, width), layout=self._layout,
+            **stated(options, sensor_size=(height, width), layout=self._layout,
+                     exposure_us=self._exposure_us or None, frame_times=times,
+                     full_scale_dn=full_scale),
             start_us=0, stop_us=None if last is None else last + self._exposure_us + 1,
-            exposure_us=self._exposure_us or None,
             event_count=0, frame_count=count, imu_count=0, trigger_count=0,
             demosaic="superpixel" if self._four else None,
             header={"fps": float(self._fps), "dtype": str(first.dtype)})
@@ -124,7 +126,7 @@ class ImageRecording(FileRecording):
         if layout is None:
             raise RecordingError(
                 f"{self._path}: images of a polarization camera need its layout "
-                "(layout=, --layout), unless they are four planes I0, I45, I90, I135")
+                '(layout="sony"), unless they are four planes I0, I45, I90, I135')
         spread = colour_spread(first)
         if spread is not None:
             raise RecordingError(
@@ -132,13 +134,14 @@ class ImageRecording(FileRecording):
                 f"2x2 blocks differ by {spread:.0%} with period 4; read one colour: "
                 "rows and columns 0, 1, 4, 5, .. of it are a mosaic of one colour")
 
-    def _set_times(self, source_fps: float | None) -> None:
+    def _set_times(self, source_fps: float | None) -> Fact:
+        """Set what `_time` needs; return the frames' rate or the kind of times."""
         facts = self._pictures.facts
         self._elapsed: NDArray[np.int64] | None = None
         self._stated = source_fps is None
         if source_fps is not None:
             self._fps = Fraction(source_fps).limit_denominator(1_000_000)
-            return
+            return Fact(source_fps, CALLER)
         interval = facts.interval_us
         if facts.elapsed_us is not None:
             elapsed = np.rint(facts.elapsed_us - facts.elapsed_us[0]).astype(np.int64)
@@ -151,15 +154,19 @@ class ImageRecording(FileRecording):
                               "increase and are not used")
         self._fps = Fraction(ASSUMED_FPS) if interval is None else (
             1_000_000 / Fraction(interval).limit_denominator(1_000_000))
+        if self._elapsed is not None or facts.count is None:
+            return Fact("time stamps", FILE)
+        return Fact(float(self._fps), ASSUMED if interval is None else FILE)
 
-    def _set_full_scale(self, first: NDArray[Any], given: int | None) -> None:
+    def _set_full_scale(self, first: NDArray[Any], given: int | None) -> Fact:
+        """Set the largest DN and what numbers are multiplied by; return the former."""
         facts = self._pictures.facts
         self._scale = 1
         self._full_scale = given or facts.full_scale_dn or (
             255 if first.dtype == np.uint8 else 0)
         self._assumed_scale = False
         if self._full_scale:
-            return
+            return Fact(self._full_scale, FILE)
         count = facts.count or 1
         samples = [first, *(
             image for k in sorted({count // 2, count - 1} - {0})
@@ -169,6 +176,7 @@ class ImageRecording(FileRecording):
         measured = measured_full_scale(samples)
         self._full_scale = measured or assumed_full_scale(samples)
         self._assumed_scale = measured is None
+        return Fact(self._full_scale, ASSUMED if measured is None else MEASURED)
 
     def _sample(self, k: int) -> NDArray[Any] | None:
         """Return one image, None if there is none."""
@@ -225,6 +233,10 @@ class ImageRecording(FileRecording):
             return 0    # their times are known only from reading
         k = int(t_us * self._fps / 1_000_000)
         return k if self._time(k, None) >= t_us else k + 1
+
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._names or os.fspath(self._path), self._options)
 
 
 def is_four_planes(source: str) -> bool:

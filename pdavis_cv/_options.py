@@ -1,0 +1,205 @@
+"""Lists of options: dataclasses from which signatures and docstrings are made."""
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import textwrap
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import (
+    Any,
+    Concatenate,
+    ParamSpec,
+    Protocol,
+    Self,
+    TypeVar,
+    cast,
+    overload,
+)
+
+__all__ = ["OptionFacts", "Options", "documented", "names_options", "option", "takes"]
+
+
+@dataclass(frozen=True)
+class OptionFacts:
+    """Type, help text and command-line form of an option.
+
+    Parameters
+    ----------
+    type : str
+        Type and unit, as they appear in a docstring.
+    help : str
+        One or more sentences.
+    word : str or None
+        How the command line parses it, the name of a parser in ``tools/_options.py``,
+        e.g. ``"text"``, ``"seconds"`` (after the start of the recording) or
+        ``"flag"``; None = the command line does not offer it.
+    brief : str
+        Help text on the command line; default: the first sentence of `help`.
+    choices : collection of str
+        The allowed texts; empty = any.
+    """
+
+    type: str
+    help: str
+    word: str | None
+    brief: str = ""
+    choices: Collection[str] = ()
+
+
+def option(
+    default: Any, type: str, help: str, word: str | None, brief: str = "",
+    choices: Collection[str] = (),
+) -> Any:
+    """Return a field of `Options`; see `OptionFacts`."""
+    return dataclasses.field(default=default, metadata={"facts": OptionFacts(
+        type, help, word, brief, choices)})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Options:
+    """Base of the lists: checked once, frozen, picklable.
+
+    Parameters
+    ----------
+    parameters : mapping of str to object
+        Parameters of the method, or of the format, that have no field.
+    """
+
+    parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._put("parameters", MappingProxyType(dict(self.parameters)))
+
+    def _put(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return these options with some changed.
+
+        Parameters
+        ----------
+        **changes
+            Options by name; any other name is taken as one of `parameters`.
+        """
+        names = self.facts()
+        known = {name: value for name, value in changes.items() if name in names}
+        parameters = {**self.parameters, **changes.pop("parameters", {})}
+        parameters |= {name: value for name, value in changes.items()
+                       if name not in names}
+        return dataclasses.replace(self, **known, parameters=parameters)
+
+    @classmethod
+    def facts(cls) -> Mapping[str, OptionFacts]:
+        """Return the `OptionFacts` of each option, by name."""
+        return {one.name: one.metadata["facts"] for one in dataclasses.fields(cls)
+                if "facts" in one.metadata}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+        return _restored, (
+            type(self), {**values, "parameters": dict(self.parameters)})
+
+
+def _restored(kind: type[Options], values: dict[str, Any]) -> Options:
+    return kind(**values)
+
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def names_options(*lists: type[Options], rest: str = "parameters"
+                  ) -> Callable[[_F], _F]:
+    """Return a decorator that writes options into a signature and a docstring.
+
+    Parameters
+    ----------
+    *lists : class
+        Lists of options; of two options of one name, the first one's text is used.
+    rest : str
+        Name, in the signature, of the keyword arguments that are no option.
+
+    Returns
+    -------
+    callable
+        Takes and returns a function, or a class with an ``__init__``, that receives the
+        options in its last parameter, ``**changes`` or another name.  A line
+        ``{options}`` of its docstring is replaced by their description.
+    """
+    def decorate(function: _F) -> _F:
+        called = vars(function)["__init__"] if inspect.isclass(function) else function
+        found = inspect.signature(called)
+        *own, last = found.parameters.values()
+        named = {one.name: inspect.Parameter(
+            one.name, inspect.Parameter.KEYWORD_ONLY, default=one.default,
+            annotation=one.type)
+            for each in reversed(lists) for one in dataclasses.fields(each)
+            if one.name in each.facts()}
+        vars(called)["__signature__"] = found.replace(
+            parameters=[*own, *(named[name] for name in _merged(*lists)),
+                        last.replace(name=rest)])
+        if function.__doc__ is not None:
+            function.__doc__ = documented(function.__doc__, *lists)
+        return function
+    return decorate
+
+
+_P = ParamSpec("_P")
+_Source = TypeVar("_Source", contravariant=True)
+_Made = TypeVar("_Made", covariant=True)
+
+
+class _TakesOptions(Protocol[_Source, _P, _Made]):
+    """A function of a source and options, as type checkers and editors see it."""
+
+    @overload
+    def __call__(
+        self, source: _Source, /, *_: _P.args, **options: _P.kwargs
+    ) -> _Made: ...
+
+    @overload
+    def __call__(
+        self, source: _Source, /, options: Options | None = None, **changes: Any
+    ) -> _Made: ...
+
+
+def takes(
+    options: Callable[_P, Options], rest: str = "parameters"
+) -> Callable[[Callable[Concatenate[_Source, ...], _Made]],
+              _TakesOptions[_Source, _P, _Made]]:
+    """Return a decorator of functions ``(source, options=None, **changes)``.
+
+    Signature, docstring and type checkers then name the options; see `names_options`.
+    """
+    def decorate(
+        function: Callable[Concatenate[_Source, ...], _Made]
+    ) -> _TakesOptions[_Source, _P, _Made]:
+        return cast("_TakesOptions[_Source, _P, _Made]", names_options(
+            cast("type[Options]", options), rest=rest)(function))
+    return decorate
+
+
+def documented(text: str | None, *lists: type[Options]) -> str:
+    """Return a docstring with its line ``{options}`` replaced by their description."""
+    return "\n".join(_lines(text or "", _merged(*lists)))
+
+
+def _merged(*lists: type[Options]) -> dict[str, OptionFacts]:
+    found: dict[str, OptionFacts] = {}
+    for each in lists:
+        found = {**found, **{name: facts for name, facts in each.facts().items()
+                             if name not in found}}
+    return found
+
+
+def _lines(text: str, options: Mapping[str, OptionFacts]) -> Iterator[str]:
+    for line in text.splitlines():
+        if line.strip() != "{options}":
+            yield line
+            continue
+        indent = line[:len(line) - len(line.lstrip())]
+        for name, facts in options.items():
+            yield f"{indent}{name} : {facts.type}"
+            for part in textwrap.wrap(facts.help, 84 - len(indent)):
+                yield f"{indent}    {part}"

@@ -1,0 +1,116 @@
+"""Facts about a recording: each a value, and where it comes from."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pdavis_cv.recording.options import SourceOptions
+from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+
+__all__ = ["ASSUMED", "CALIBRATION", "CALLER", "FILE", "MEASURED", "Fact", "sensor_of",
+           "stated"]
+
+FILE, CALLER, CALIBRATION = "file", "caller", "calibration"
+MEASURED, ASSUMED = "measured", "assumed"
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """A fact about a recording, and where it comes from.
+
+    Parameters
+    ----------
+    value : object
+        In the unit of its name, as a field of `RecordingInfo`.
+    origin : str
+        ``"file"``, ``"caller"``, ``"calibration"``, ``"measured"`` (from the data) or
+        ``"assumed"``.
+    """
+
+    value: Any
+    origin: str
+
+
+def stated(options: SourceOptions, **found: Any) -> dict[str, Any]:
+    """Return the facts of a recording as arguments of `RecordingInfo`.
+
+    What the caller states replaces what the file says, what was measured or assumed.
+    Layouts that differ, and sizes of which both are stated, are refused.
+
+    Parameters
+    ----------
+    options : SourceOptions
+        What the caller states.
+    **found
+        Facts by their name in `RecordingInfo`: a value that the file gives, or a
+        `Fact` with another origin; None = not known.  ``frame_times`` is the frames'
+        rate in Hz if they have no times of their own, else their kind.
+
+    Returns
+    -------
+    dict of str to object
+        With ``origins``.
+
+    Raises
+    ------
+    LayoutError, ValueError
+        If caller and file disagree.
+    """
+    known = {name: value if isinstance(value, Fact) else Fact(value, FILE)
+             for name, value in found.items() if value is not None}
+    known |= {name: Fact(value, CALLER) for name, value in (
+        ("frame_times", options.source_fps), ("exposure_us", options.exposure_us),
+        ("full_scale_dn", options.known_full_scale_dn)) if value is not None}
+    known |= _size(options, known.get("sensor_size"))
+    known |= _polarizers(options, known.get("sensor"), known.get("layout"))
+    return {**{name: one.value for name, one in known.items()},
+            "origins": {name: one.origin for name, one in known.items()}}
+
+
+def _size(options: SourceOptions, found: Fact | None) -> dict[str, Fact]:
+    size = options.sensor_size
+    if size is None:
+        return {}
+    if found is not None and found.origin == FILE and found.value != size:
+        raise ValueError(
+            f"sensor_size says {size[1]}x{size[0]}, the file {found.value[1]}x"
+            f"{found.value[0]}: one of them is wrong")
+    return {"sensor_size": Fact(size, CALLER)}
+
+
+def _polarizers(
+    options: SourceOptions, sensor: Fact | None, layout: Fact | None
+) -> dict[str, Fact]:
+    """Return sensor and layout, each if it is known."""
+    facts = {}
+    of_file: Layout | None = None if layout is None else layout.value
+    chip: Sensor | None = None if sensor is None else sensor.value
+    if layout is not None and of_file is not None:
+        chip, origin = sensor_of(of_file.sensor, chip), layout.origin
+        if chip is not None and (sensor is None or chip != sensor.value):
+            facts["sensor"] = Fact(chip, origin)
+    of_caller = options.known_layout
+    if of_caller is not None:
+        facts["layout"] = Fact(resolve_layout(of_caller, recording=of_file), CALLER)
+    named = options.known_sensor
+    if options.sensor is None:
+        named = sensor_of(named, chip)
+    if named is not None and named != chip:
+        facts["sensor"] = Fact(named, CALLER)
+    return facts
+
+
+def sensor_of(named: Sensor | None, found: Sensor | None) -> Sensor | None:
+    """Return the sensor that a layout names, unless the file names another chip.
+
+    Parameters
+    ----------
+    named : Sensor or None
+        Owner of a layout.
+    found : Sensor or None
+        Sensor or chip that the file gives.
+    """
+    if named is None or (found is not None and found.name not in (
+            named.name, named.chip)):
+        return found
+    return named

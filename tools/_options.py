@@ -1,0 +1,199 @@
+"""Options of commands that are made from SourceOptions and FusionOptions."""
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ._common import UsageError, require_samples, start_of
+from ._flags import WORDS, add_offered, fusion_options, offered, source_options
+from ._values import setting
+
+if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
+    from pdavis_cv import Calibration, Recording, Source
+
+__all__ = [
+    "add_fuse_options",
+    "add_source_options",
+    "calibration_of",
+    "fuse_options",
+    "fusion_given",
+    "opened",
+    "option_value",
+    "source_given",
+    "source_of",
+]
+
+
+def opened(
+    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
+) -> Recording:
+    """Open a recording of any format according to the options of a command.
+
+    A live source is first recorded to a temporary file until it ends, as commands may
+    read their input more than once.
+
+    Parameters
+    ----------
+    args : Namespace
+        With those of `addsource_options`.
+    file : path, optional
+        Default: ``args.file``.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened.
+    """
+    from pdavis_cv.recording.base import Recording
+    source = source_of(args, file)
+    if isinstance(source, Recording):
+        return source
+    from pdavis_cv.live import recorded
+    return recorded(source)
+
+
+def source_of(
+    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
+) -> Source:
+    """Open a recording or a live source according to the options of a command.
+
+    Parameters
+    ----------
+    args, file
+        As in `opened`.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened.
+    """
+    from pdavis_cv import open_source
+    from pdavis_cv.recording.hdf5.probe import proved
+    where = args.file if file is None else file
+    proved(where)
+    return open_source(where, **source_given(args))
+
+
+def source_given(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what the options of a command state about its source."""
+    return {name: value for name, _ in offered(source_options())
+            if (value := getattr(args, name, None)) is not None}
+
+
+def add_source_options(
+    parser: argparse.ArgumentParser, without: Sequence[str] = ()
+) -> None:
+    """Add what can be stated about a source.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+    without : sequence of str
+        Options that the command has itself.
+    """
+    group = parser.add_argument_group("source")
+    add_offered(
+        group, (one for one in offered(source_options()) if one[0] not in without))
+
+
+def add_fuse_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of fuse(), and what can be stated about the source."""
+    group = parser.add_argument_group("fusion")
+    add_offered(group, offered(fusion_options()))
+    add_source_options(parser, ("layout",))
+    group.add_argument(
+        "--set", action="append", default=[], type=setting, metavar="NAME=VALUE",
+        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6, "
+                              "bandwidth=250,0 or mode=offline")
+
+
+def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
+    """Return the keyword arguments of fuse() for the options.
+
+    Raises
+    ------
+    UsageError
+        If the recording has no sample after ``--start``.
+    """
+    from pdavis_cv.fusion.options import FusionOptions
+    defaults = FusionOptions()
+    options: dict[str, Any] = {
+        name: getattr(defaults, name) for name, _ in offered(FusionOptions)}
+    options["threads"] = _threads_for(recording.info.sensor_size)
+    options |= fusion_given(args)
+    for name in ("start_us", "stop_us"):
+        if options[name] is not None:
+            options[name] += start_of(recording)
+    require_samples(recording, options["start_us"])
+    return options
+
+
+def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the keyword arguments of fuse() for the options that were given.
+
+    Times are in us after the start of the recording, which is unknown here.
+    """
+    options: dict[str, Any] = {}
+    for name, facts in offered(fusion_options()):
+        value = getattr(args, name)
+        if value is None or (facts.word == "flag" and not value):
+            continue
+        if facts.word == "seconds":
+            value = round(value * 1e6)
+        elif facts.word == "calibration":
+            value = calibration_of(value)
+        elif facts.word in ("ratio", "offset") and value == "none":
+            value = None
+        options[name] = value
+    return {**options, **dict(args.settings)}
+
+
+def option_value(name: str, text: str) -> tuple[str, Any]:
+    """Return name and value of an option of fuse() or a parameter of its method.
+
+    Parameters
+    ----------
+    name : str
+        Name on the command line.
+    text : str
+        Numbers of one value may be separated by slashes.
+
+    Raises
+    ------
+    UsageError
+        If the text is invalid, or the option is specific to one recording, as times.
+    """
+    if re.fullmatch(r"[-+.\deE]+(/[-+.\deE]+)+", text):
+        text = text.replace("/", ",")
+    found = dict(offered(fusion_options())).get(name)
+    if found is None:
+        if name in ("start", "stop", "times_us"):
+            raise UsageError(f"{name} is a time in one recording, not an option of all")
+        return setting(f"{name}={text}")
+    if found.word == "flag":
+        return setting(f"{name}={text}")
+    read = WORDS[found.word][0]
+    try:
+        value = read(text)
+    except (argparse.ArgumentTypeError, ValueError) as error:
+        raise UsageError(f"{name}: {error}") from None
+    if found.word == "calibration":
+        return name, calibration_of(value)
+    none = found.word in ("ratio", "offset") and value == "none"
+    return name, None if none else value
+
+
+def _threads_for(size: tuple[int, int]) -> int:
+    """Return the number of threads for images of a size, 1 for small ones."""
+    from pdavis_cv._workers import usable_cores
+    return usable_cores() if size[0] * size[1] > 65_536 else 1
+
+
+def calibration_of(path: Path) -> Calibration:
+    """Return a calibration that ``pdavis calibrate`` wrote."""
+    from pdavis_cv.calibration.model import Calibration
+    return Calibration.load(path)
