@@ -25,7 +25,7 @@ WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
 demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo --progress
 
-test: $(VENV)/.with-test
+test: $(VENV)/.with-$(if $(ALL),lab,test)
 	$(VENV)/bin/pytest -q -n $(WORKERS) --dist worksteal $(if $(ALL),-m '' tests lab/tests)
 
 docs: $(VENV)/.with-docs
@@ -37,11 +37,11 @@ SECONDS := 60
 fuzz: $(VENV)/.with-test
 	$(VENV)/bin/python -P lab/fuzz/fuzz.py --seconds $(SECONDS)
 
-paper: $(VENV)/.with-test
+paper: $(VENV)/.with-lab
 	mkdir -p paper
 	$(VENV)/bin/python -m lab.paper all --quick -o paper/all --progress
 
-bench: $(VENV)/.with-test
+bench: $(VENV)/.with-lab
 	$(VENV)/bin/python -m lab.bench
 
 MINUTES := 40

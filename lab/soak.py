@@ -35,7 +35,6 @@ from pdavis_cv.tools._values import positive
 if TYPE_CHECKING:
     from pdavis_cv import PolarFrame
 
-__all__ = ["main"]
 
 RPM = 6.0
 PERIOD_US = round(60e6 / RPM)

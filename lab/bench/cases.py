@@ -22,8 +22,6 @@ from pdavis_cv.sensor import Layout
 
 from .floor import compiled_floor
 
-__all__ = ["CASES", "Case", "Comparison", "case", "event_input"]
-
 SHAPE = (260, 346)
 EVENTS, PACKET = 1_000_000, 10_000
 

@@ -35,8 +35,6 @@ from . import (  # noqa: F401  # they register their cases
 from .cases import CASES, Case, Comparison
 from .picture import Curve, draw
 
-__all__ = ["Result", "main", "measure"]
-
 PAIRS = 15
 
 

@@ -11,8 +11,6 @@ from pdavis_cv._workers import usable_cores
 
 from .floor import compiled
 
-__all__ = ["Placed", "between_cores"]
-
 PARTS = 5
 """Parts of a measurement of the way between cores: .1 ms."""
 

@@ -5,8 +5,6 @@ from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
 
-__all__ = ["compiled", "compiled_floor"]
-
 
 def compiled() -> ModuleType:
     """Return the module of these kernels.

@@ -30,9 +30,6 @@ from pdavis_cv.sensor import Layout
 
 from .cases import CASES, SHAPE, Case, Comparison, case, mosaic_input
 
-__all__ = ["IMAGES", "Repeatable", "chain", "check_same", "endless", "per_image",
-           "shown"]
-
 FRAME_US, EXPOSURE_US, READOUT_US = 40_000, 8_000, 12_000
 PACKET_EVENTS = 10_000
 """Events of a packet, of 10 ms at most: a camera's are as small."""

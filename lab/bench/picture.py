@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Curve", "draw"]
 
 Curve = list[tuple[float, float]]
 """Positions on an axis, and the milliseconds that an image takes there."""

@@ -31,8 +31,6 @@ from .cases import (
 )
 from .floor import compiled_floor
 
-__all__ = ["CLOSED_FORM", "texture_video"]
-
 VIDEO_FPS, VIDEO_FRAMES = 1000.0, 40
 CLOSED_FORM: dict[str, tuple[Scene, tuple[int, int], float]] = {
     "polarizer, 64x64": (RotatingPolarizer(rpm=1013.0), (64, 64), 0.1),

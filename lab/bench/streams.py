@@ -33,8 +33,6 @@ from .images import (
     shown,
 )
 
-__all__ = ["SIZES"]
-
 SIZES = ((64, 64), (128, 128), SHAPE, (480, 640), (720, 1280))
 """Heights and widths of sensors."""
 

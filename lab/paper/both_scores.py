@@ -19,7 +19,6 @@ from .page import table
 from .robustness import edges
 from .run import OFF_LOCK, Settings
 
-__all__ = ["BothScores", "both_scores", "both_scores_page", "columns"]
 
 _SIZE = (16, 16)
 _SECONDS = 2.0
@@ -45,11 +44,6 @@ class BothScores:
     light_in_cell: float
     aop_error_deg: float
     dolp_error: float
-
-
-def columns() -> tuple[str, ...]:
-    """Names of the columns."""
-    return tuple(field.name for field in dataclasses.fields(BothScores))
 
 
 def _scenes(settings: Settings, seed: int, start_deg: float) -> dict[str, Scene]:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.simulation import ApsPixel, Camera, Optics, Scene
 
-__all__ = ["Bound", "Limits", "frame_bound", "held_errors", "limits", "optics_bound"]
 
 FloatArray = NDArray[np.float64]
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -68,13 +69,13 @@ from .recording import fit_files, fits_page
 from .robustness_page import robustness_figure, robustness_page
 from .run import METHODS, Case, Row, Settings, Takes, run
 
-__all__ = ["EXPERIMENTS", "PAPER", "main", "settings_of"]
 
 PAPER = ("fig2", "fig3", "fig4a", "dr", "flicker")
 """The experiments of the paper."""
 
 EVENT_CAMERAS = tuple(name for name in PRESETS if PRESETS[name]["dvs"] is not None)
 
+_NONE: Mapping[str, Any] = MappingProxyType({})
 
 Result = tuple[str, list[Row]]
 
@@ -101,7 +102,7 @@ def _recorded(stem: Path, settings: Settings, args: argparse.Namespace) -> Resul
 def _compared(
     figure: str, stem: Path, settings: Settings, scenes: Sequence[rotation.Rotation],
     made: Sequence[Sequence[Case]], head: Sequence[str] | None,
-    weights: Mapping[str, Weights] = MappingProxyType({}),
+    weights: Mapping[str, Weights] = _NONE,
 ) -> Result:
     count = (2 if weights else 1) * sum(map(len, made))
     shown = iter(progress(range(count), count, "cases"))
@@ -129,8 +130,8 @@ def _compared(
          for low, high, count in zip(
              rotation.INTERVALS_US, rotation.INTERVALS_US[1:], spectrum.intervals,
              strict=False)))
-    plots = _plots()
-    if plots is not None:
+    if can_draw():
+        plots = _plots()
         for result in results:
             ending = "" if len(results) == 1 else (
                 "-" + result.rotation.name.replace(" ", "-"))
@@ -142,107 +143,120 @@ def _compared(
     return write_page(stem, rotation_page.page(figure, results, settings, head)), rows
 
 
+def _written(
+    figure: str, stem: Path, settings: Settings, kind: type, rows: Iterable[Any],
+    page: Callable[[list[Any]], list[str]],
+    draw: Callable[[list[Any]], Any] | None = None, facts: Mapping[str, Any] = _NONE,
+) -> Result:
+    """Write a table of dataclasses of one kind, a page of it and a picture."""
+    found = list(rows)
+    write_rows(stem, found, {**_facts(figure, settings), **facts}, kind)
+    if found and draw is not None and can_draw():
+        save_figure(stem, draw(found))
+    return write_page(stem, page(found)), found if kind is Row else []
+
+
 def _range(figure: str, stem: Path, settings: Settings) -> Result:
     """Figure 4a, the dynamic range, flicker: cases, a page and a picture."""
     make, describe = _RANGES[figure]
     made = make(settings)
-    rows = [row for case in progress(made, len(made), "cases")
-            for row in run(case, settings, Takes(case))]
-    write_rows(stem, rows, _facts(figure, settings))
-    plots = _plots()
-    if plots is not None:
-        save_figure(stem, plots.range_figure(figure, rows))
-    return write_page(stem, describe(rows, settings)), rows
+    return _written(
+        figure, stem, settings, Row,
+        (row for case in progress(made, len(made), "cases")
+         for row in run(case, settings, Takes(case))),
+        lambda rows: describe(rows, settings),
+        lambda rows: _plots().range_figure(figure, rows))
 
 
 def _networks(figure: str, stem: Path, settings: Settings) -> Result:
     """Networks beside the other methods."""
     weights = network.all_weights(settings.weights)
     made = network.network_cases(settings)
-    rows = [row for case in progress(made, len(made), "cases")
-            for row in network.measure(case, settings, weights)]
-    write_csv(beside_stem(stem, ".csv"), network.columns(),
-              (dataclasses.astuple(row) for row in rows), {
-                  **_facts(figure, settings),
-                  **{f"{name} weights": w.digest for name, w in weights.items()}})
-    costs = network.step_costs(
-        network.network_steps(weights), 2 if settings.quick else 20)
-    if rows and _plots() is not None:
-        save_figure(stem, network.network_figure(rows))
-    lines = network.network_page(rows, weights, costs, settings.seeds)
-    return write_page(stem, lines), []  # its rows have columns of their own
+    return _written(
+        figure, stem, settings, network.NetworkRow,
+        (row for case in progress(made, len(made), "cases")
+         for row in network.measure(case, settings, weights)),
+        lambda rows: network.network_page(rows, weights, network.step_costs(
+            network.network_steps(weights), 2 if settings.quick else 20),
+            settings.seeds), network.network_figure,
+        {f"{name} weights": w.digest for name, w in weights.items()})
 
 
 def _denoising(figure: str, stem: Path, settings: Settings) -> Result:
     """Noise that denoising leaves, and true events that it keeps."""
-    rows = list(denoise.denoise_cases(settings))
-    write_csv(beside_stem(stem, ".csv"), denoise.columns(),
-              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
-    if _plots() is not None:
-        save_figure(stem, denoise.denoise_figure(rows, denoise.example(settings)))
-    return write_page(stem, denoise.denoise_page(rows)), []
+    return _written(
+        figure, stem, settings, denoise.Denoised, denoise.denoise_cases(settings),
+        denoise.denoise_page,
+        lambda rows: denoise.denoise_figure(rows, denoise.example(settings)))
 
 
 def _demosaicing(figure: str, stem: Path, settings: Settings) -> Result:
     """Demosaicing methods against whole images."""
-    rows = list(demosaic.demosaic_cases(settings))
-    write_csv(beside_stem(stem, ".csv"), demosaic.columns(),
-              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
-    if _plots() is not None:
-        save_figure(stem, demosaic.demosaic_figure(settings))
-    return write_page(stem, demosaic.demosaic_page(rows)), []
+    return _written(
+        figure, stem, settings, demosaic.Score, demosaic.demosaic_cases(settings),
+        demosaic.demosaic_page, lambda rows: demosaic.demosaic_figure(settings))
 
 
 def _robustness(figure: str, stem: Path, settings: Settings) -> Result:
     """Cameras and light that depart from what is assumed."""
     count = len(robustness.robustness_cases(settings))
-    rows = [row for each in progress(
-        robustness.robustness_rows(settings), count, "cases") for row in each]
-    write_rows(stem, rows, _facts(figure, settings))
-    if _plots() is not None:
-        save_figure(stem, robustness_figure(rows))
-    return write_page(stem, robustness_page(rows)), rows
+    return _written(
+        figure, stem, settings, Row, itertools.chain.from_iterable(progress(
+            robustness.robustness_rows(settings), count, "cases")),
+        robustness_page, robustness_figure)
 
 
 def _both_scores(figure: str, stem: Path, settings: Settings) -> Result:
     """Score by frames left out beside the score by the truth."""
-    rows = list(both_scores.both_scores(settings))
-    write_csv(beside_stem(stem, ".csv"), both_scores.columns(),
-              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
-    return write_page(stem, both_scores.both_scores_page(rows)), []
+    return _written(
+        figure, stem, settings, both_scores.BothScores,
+        both_scores.both_scores(settings), both_scores.both_scores_page)
 
 
 def _transfer(figure: str, stem: Path, settings: Settings) -> Result:
     """Gain and phase of the methods."""
-    rows = list(transfer.transfer_rows(settings))
-    write_csv(beside_stem(stem, ".csv"), transfer.columns(),
-              (dataclasses.astuple(row) for row in rows), _facts(figure, settings))
-    if _plots() is not None:
-        save_figure(stem, transfer.transfer_figure(rows))
-    return write_page(stem, transfer.transfer_page(rows)), []
+    return _written(
+        figure, stem, settings, transfer.Response, transfer.transfer_rows(settings),
+        transfer.transfer_page, transfer.transfer_figure)
+
+
+def _spans(figure: str, stem: Path, settings: Settings) -> Result:
+    """Follow the supplement's protocol of its dynamic range."""
+    return _written(
+        figure, stem, settings, correct_span.Level, progress(
+            correct_span.levels(settings), correct_span.count(settings), "levels"),
+        correct_span.span_page, correct_span.span_figure)
 
 
 def _tables(figure: str, stem: Path, settings: Settings) -> Result:
     """Tables S1 and S2."""
     camera = (settings.cameras or ("nominal",))[0]
-    found = list(specification.specification(settings))
     compared = list(specification.ways(settings))
-    for ending, columns, lines in (
-            (".csv", specification.columns(), found),
-            ("-methods.csv", specification.ways_columns(), compared)):
-        write_csv(beside_stem(stem, ending), columns,
-                  map(dataclasses.astuple, lines), _facts(figure, settings))
-    return write_page(
-        stem, specification.specification_page(camera, found, compared)), []
+    write_rows(stem, compared, _facts(figure, settings), specification.Way, "-methods")
+    return _written(
+        figure, stem, settings, specification.Quantity,
+        specification.specification(settings),
+        lambda found: specification.specification_page(camera, found, compared))
+
+
+def _optics(figure: str, stem: Path, settings: Settings) -> Result:
+    """Extinction ratio by wavelength and while aligning, and what a lens does."""
+    effects = list(lens_effects.effects(settings))
+    write_rows(
+        stem, effects, _facts(figure, settings), lens_effects.Effect, "-effects")
+    return _written(
+        figure, stem, settings, optics_bench.Point, optics_bench.points(settings),
+        lambda found: [*optics_bench.bench_page(found),
+                       *lens_effects.effects_page(effects)], optics_bench.bench_figure)
 
 
 def _fan_images(figure: str, stem: Path, settings: Settings) -> Result:
     """Figure 4a: what each method shows of the fan."""
     count = fan_images.count(settings)
     views = list(progress(fan_images.fan_views(settings), count, "images"))
-    write_csv(beside_stem(stem, ".csv"), fan_images.profile_columns(),
+    write_csv(beside_stem(stem, ".csv"), fan_images.PROFILE_COLUMNS,
               fan_images.profile_rows(views), _facts(figure, settings))
-    if _plots() is not None:
+    if can_draw():
         save_figure(stem, fan_images.views_figure(views))
         save_figure(beside_stem(stem, "-profile"), fan_images.profiles_figure(views))
         stated = fan_images.uncertainty_figure(views)
@@ -258,11 +272,11 @@ def _videos(figure: str, stem: Path, settings: Settings) -> Result:
         path = beside_stem(stem, f"-{name}.webm")
         errors[name] = videos.write_video(path, name, settings, facts)
         sizes[name] = path.stat().st_size
-    write_csv(beside_stem(stem, ".csv"), videos.columns(),
+    write_csv(beside_stem(stem, ".csv"), videos.COLUMNS,
               ((name, *row) for name, rows in errors.items() for row in rows), facts)
-    write_html(stem, "The paper's videos, simulated",
-               videos.videos_html(stem.name, list(errors)))
-    return write_page(stem, videos.videos_page(stem.name, errors, sizes)), []
+    page = videos.videos_page(stem.name, errors, sizes)
+    write_html(stem, page)
+    return write_page(stem, page), []
 
 
 def _overview(figure: str, stem: Path, settings: Settings) -> Result:
@@ -271,45 +285,20 @@ def _overview(figure: str, stem: Path, settings: Settings) -> Result:
     frame, counts, views = overview.network_views(settings)
     write_csv(beside_stem(stem, ".csv"), overview.CLOUD_COLUMNS,
               overview.cloud_rows(cloud), _facts(figure, settings))
-    if _plots() is not None:
+    if can_draw():
         save_figure(stem, overview.overview_figure(step, cloud))
         save_figure(beside_stem(stem, "-networks"),
                     overview.views_figure(frame, counts, views))
     return write_page(stem, overview.overview_page(step, cloud, views)), []
 
 
-def _spans(figure: str, stem: Path, settings: Settings) -> Result:
-    """Follow the supplement's protocol of its dynamic range."""
-    lines = list(progress(correct_span.levels(settings), correct_span.count(settings),
-                          "levels"))
-    write_csv(beside_stem(stem, ".csv"), correct_span.columns(),
-              map(dataclasses.astuple, lines), _facts(figure, settings))
-    if _plots() is not None:
-        save_figure(stem, correct_span.span_figure(lines))
-    return write_page(stem, correct_span.span_page(lines)), []
-
-
-def _optics(figure: str, stem: Path, settings: Settings) -> Result:
-    """Extinction ratio by wavelength and while aligning, and what a lens does."""
-    found = list(optics_bench.points(settings))
-    write_csv(beside_stem(stem, ".csv"), optics_bench.columns(),
-              map(dataclasses.astuple, found), _facts(figure, settings))
-    effects = list(lens_effects.effects(settings))
-    write_csv(beside_stem(stem, "-effects.csv"), lens_effects.columns(),
-              map(dataclasses.astuple, effects), _facts(figure, settings))
-    if _plots() is not None:
-        save_figure(stem, optics_bench.bench_figure(found))
-    return write_page(stem, [*optics_bench.bench_page(found),
-                             *lens_effects.effects_page(effects)]), []
-
-
 def _tendon(figure: str, stem: Path, settings: Settings) -> Result:
     """Figure 4b: traces, spectra and lock-in maps of a tendon."""
     count = tendon_images.count(settings)
     made = list(progress(tendon_images.pulls(settings), count, "traces"))
-    write_csv(beside_stem(stem, ".csv"), tendon_images.columns(),
+    write_csv(beside_stem(stem, ".csv"), tendon_images.COLUMNS,
               tendon_images.pull_rows(made), _facts(figure, settings))
-    if _plots() is not None:
+    if can_draw():
         save_figure(stem, tendon_images.tendon_figure(made))
     return write_page(stem, tendon_images.tendon_page(made)), []
 
@@ -374,7 +363,7 @@ def _all(figure: str, stem: Path, settings: Settings) -> Result:
 
 Experiment = Callable[[str, Path, Settings], Result]
 EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
-    "fig1": ("layout and optics, a pixel's answer to a step, AoP events, networks",
+    "fig1": ("layout, a pixel's answer to a step, AoP events, networks",
              _overview),
     "fig2": ("error against speed, rotating polarizer", _rotation),
     "fig3": ("error against speed, plate and polarizer, both ways round", _rotation),
@@ -535,7 +524,5 @@ def _facts(figure: str, settings: Settings) -> dict[str, Any]:
 
 
 def _plots() -> Any:
-    if not can_draw():
-        return None
     from . import plots
     return plots

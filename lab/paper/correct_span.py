@@ -1,7 +1,6 @@
 """The supplement's dynamic range: of which angles, out of 180, AoP is right."""
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,8 +23,6 @@ from .run import OFF_LOCK, Case, Settings, fuse_parameters
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["RIGHT_DEG", "Level", "columns", "count", "decibels", "level_of", "levels",
-           "span_figure", "span_page"]
 
 RPM = 60.0
 """The paper's."""
@@ -64,11 +61,6 @@ class Level:
     span_deg: float
     right_deg: float
     error_deg: float
-
-
-def columns() -> tuple[str, ...]:
-    """Names of the columns."""
-    return tuple(field.name for field in dataclasses.fields(Level))
 
 
 def _cases(settings: Settings) -> list[tuple[str, str, float]]:

@@ -1,7 +1,6 @@
 """Demosaicing: each method against four whole images, by scene, sensor and noise."""
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +20,6 @@ from .run import Settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Score", "columns", "demosaic_cases", "demosaic_figure", "demosaic_page",
-           "mosaic_of", "scenes_of", "score"]
 
 SENSORS = {"PDAVIS": Sensor.PDAVIS, "Sony": Sensor.SONY}
 SNRS_DB = (np.inf, 40.0, 30.0)
@@ -44,11 +41,6 @@ class Score:
     """PSNR of DoLP, clipped to 1; peak 1."""
     aop_deg: float
     """RMS error of AoP where the true DoLP exceeds .1."""
-
-
-def columns() -> tuple[str, ...]:
-    """Return the names of the table's columns."""
-    return tuple(field.name for field in dataclasses.fields(Score))
 
 
 def scenes_of(settings: Settings) -> dict[str, NDArray[np.float32]]:

@@ -17,7 +17,6 @@ from scipy import ndimage
 
 from pdavis_cv.tools._common import UsageError
 
-__all__ = ["MADE", "four_angle_folder", "make"]
 
 ANGLES_DEG = (0, 45, 90, 135)
 Fields = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]

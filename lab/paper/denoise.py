@@ -1,7 +1,6 @@
 """What `EventDenoiser` leaves of noise, and keeps of the events that light makes."""
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,8 +20,6 @@ from .run import OFF_LOCK, SETTLE_US, Settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Denoised", "Example", "columns", "denoise_cases", "denoise_figure",
-           "denoise_page", "example"]
 
 SIZE = (48, 48)
 HOT_FRACTION, HOT_HZ = 0.01, 100.0
@@ -72,11 +69,6 @@ class Example:
     true: NDArray[np.bool_]
     kept: NDArray[np.bool_]
     rpm: float
-
-
-def columns() -> tuple[str, ...]:
-    """Return the names of the columns."""
-    return tuple(field.name for field in dataclasses.fields(Denoised))
 
 
 def denoise_cases(settings: Settings) -> Iterator[Denoised]:

@@ -24,8 +24,6 @@ from .run import OFF_LOCK, SONY_FULL, Settings, Take, fuse_parameters
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["View", "count", "fan_images_page", "fan_views", "profile_columns",
-           "profile_rows", "profiles_figure", "uncertainty_figure", "views_figure"]
 
 _NETWORKS = ("firenet", "joint")
 _LEFT_OUT = ("kalman offline", "Sony 75 fps")
@@ -194,9 +192,7 @@ def _window_us(rpm: float) -> int:
 # ---- what is written and drawn ---------------------------------------------------
 
 
-def profile_columns() -> tuple[str, ...]:
-    """Return the columns of the table of profiles."""
-    return "rpm", "method", "around_deg", "aop_deg", "true_aop_deg"
+PROFILE_COLUMNS = ("rpm", "method", "around_deg", "aop_deg", "true_aop_deg")
 
 
 def profile_rows(views: Sequence[View]) -> Iterator[tuple[Any, ...]]:

@@ -3,34 +3,32 @@ from __future__ import annotations
 
 import glob
 import html
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from pdavis_cv import __version__
 from pdavis_cv.export import write_beside
 
-from .print_style import SUFFIXES, beside_stem
+from .print_style import beside_stem
 from .run import Settings
 
-__all__ = ["as_html", "write_html", "write_index"]
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
        padding: 0 1rem; color: #222; background: #fff; }
-figure { margin: 2.5rem 0; } img { max-width: 100%; height: auto; }
-figcaption { color: #444; } code { background: #f2f2f2; padding: 0 .2em; }
+h2 { margin-top: 2.5rem; } img { max-width: 100%; height: auto; }
+code { background: #f2f2f2; padding: 0 .2em; }
 details { overflow-x: auto; } video { max-width: 100%; }
 table { border-collapse: collapse; font-size: 85%; margin: 1em 0; }
 th, td { border-top: 1px solid #ccc; padding: .2em .6em; text-align: left; }
 """
 
 _CAPTIONS = {
-    "fig1": "Fig. 1. a, layout, as the code has it; b, stack; c, a pixel's answer to a "
-    "step of the light, simulated without noise; d, AoP events of a rectangular "
-    "polarizer that turns, their colour the angle as in e; e, those inside it beside "
-    "the truth. Networks: frame, events, and S0, AoP and DoLP of a moving texture by "
-    "firenet and joint, below the truth.",
+    "fig1": "Fig. 1. a, layout, as the code has it; b, a pixel's answer to a step of "
+    "the light, simulated without noise; c, AoP events of a rectangular polarizer that "
+    "turns, their colour the angle as in d; d, those inside it beside the truth. "
+    "Networks: frame, events, and S0, AoP and DoLP of a moving texture by firenet and "
+    "joint, below the truth.",
     "fig2": "Fig. 2. Mean absolute errors behind a turning polarizer: a, of "
     "super-pixels; b, of the mean of 12 x 12 pixels, as in the paper, whose limits are "
     "arrows; c, DoLP of that mean; bounds are the least errors that physics leaves "
@@ -73,7 +71,7 @@ _CAPTIONS = {
 
 
 def write_index(stem: Path, figures: Sequence[tuple[str, str, Settings]]) -> None:
-    """Write STEM.html: the pictures STEM-NAME*.png, with captions.
+    """Write STEM.html: the pictures STEM-NAME*.png, with captions and numbers.
 
     Parameters
     ----------
@@ -81,88 +79,43 @@ def write_index(stem: Path, figures: Sequence[tuple[str, str, Settings]]) -> Non
     figures : sequence of (str, str, Settings)
         Name, what it shows, and of which specimens and speeds, in order.
     """
-    parts = []
+    lines = ["# The paper's figures, simulated", "",
+             f"All methods in [one table](<{stem.name}.md>).", ""]
     for name, what, settings in figures:
-        found = sorted(path.name.removesuffix(".png") for path in stem.parent.glob(
-            f"{glob.escape(stem.name)}-{name}*.png"))
-        caption = (f"<b>{html.escape(name)}</b>: "
-                   f"{html.escape(_CAPTIONS.get(name, what + '.'))} "
-                   f"{html.escape(_of(name, settings))} <code>python -m lab.paper {name}"
-                   f"{' --quick' if settings.quick else ''}</code>, pdavis_cv "
-                   f"{__version__}. <a href=\"{html.escape(stem.name)}-{name}.md\">"
-                   f"Numbers</a>, <a href=\"{html.escape(stem.name)}-{name}.csv\">table"
-                   "</a>.")
-        pictures = "".join(
-            f'<img src="{html.escape(one)}.png" alt="{html.escape(what)}"><br>'
-            + " ".join(f'<a href="{html.escape(one)}.{kind}">{kind.upper()}</a>'
-                       for kind in SUFFIXES) for one in found)
-        pictures += "".join(
-            f'<video src="{html.escape(path.name)}" controls loop muted></video>'
-            for path in sorted(stem.parent.glob(
-                f"{glob.escape(stem.name)}-{name}-*.webm")))
-        numbers = _numbers(beside_stem(stem, f"-{name}.md"), opened=not pictures)
-        parts.append(f'<figure id="{html.escape(name)}">{pictures}<figcaption>{caption}'
-                     f"</figcaption>{numbers}</figure>")
-    table = html.escape(f"{stem.name}.md")
-    write_html(stem, "The paper's figures, simulated",
-               f'<p>All methods in <a href="{table}">one table</a>.</p>'
-               + "\n".join(parts))
+        start = f"{stem.name}-{name}"
+        pictures = sorted(stem.parent.glob(f"{glob.escape(start)}*.png"))
+        quick = " --quick" * settings.quick
+        page = beside_stem(stem, f"-{name}.md")
+        text = page.read_text(encoding="utf-8") if page.exists() else ""
+        lines += [
+            f"## {name}", "", *(f"![{what}](<{one.name}>)" for one in pictures), "",
+            f"{_CAPTIONS.get(name, what + '.')} {_of(name, settings)} "
+            f"`python -m lab.paper {name}{quick}`, pdavis_cv {__version__}. "
+            f"[Table](<{start}.csv>).", "", "<details><summary>numbers</summary>", "",
+            *text.splitlines()[1:], "", "</details>", ""]
+    write_html(stem, lines)
 
 
-def _numbers(page: Path, opened: bool) -> str:
-    """Return a page's tables and text as HTML that can be unfolded."""
-    if not page.exists():
-        return ""
-    body = as_html(page.read_text(encoding="utf-8").splitlines()[1:])
-    return (f"<details{' open' if opened else ''}><summary>numbers</summary>{body}"
-            "</details>")
+def played(name: str) -> str:
+    """Return a line of Markdown that plays a video."""
+    return f'<video src="{html.escape(name)}" controls loop muted></video>'
 
 
-def as_html(lines: Sequence[str]) -> str:
-    """Return the Markdown that `write_page` writes as HTML.
+def write_html(stem: Path, lines: Sequence[str]) -> None:
+    """Write STEM.html, a page on its own, from Markdown whose first line is its title.
 
-    Parameters
-    ----------
-    lines : sequence of str
-        Headings, tables, and paragraphs with code and bold words.
+    Raises
+    ------
+    ImportError
+        Without markdown-it-py.
     """
-    parts, rows = [], []
-    for line in [*lines, ""]:
-        if line.startswith("|"):
-            rows.append([_inline(cell.strip()) for cell in line.strip("|").split("|")])
-            continue
-        if rows:
-            head, body = rows[0], rows[2:]
-            parts.append("<table><tr>" + "".join(f"<th>{cell}</th>" for cell in head)
-                         + "</tr>" + "".join(
-                "<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>"
-                for row in body) + "</table>")
-            rows = []
-        if line.startswith("#"):
-            parts.append(f"<h3>{_inline(line.lstrip('# '))}</h3>")
-        elif line:
-            parts.append(f"<p>{_inline(line)}</p>")
-    return "".join(parts)
+    from markdown_it import MarkdownIt
 
-
-def _inline(text: str) -> str:
-    text = re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(text))
-    return re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", text)
-
-
-def write_html(stem: Path, title: str, body: str) -> None:
-    """Write STEM.html, a page on its own.
-
-    Parameters
-    ----------
-    stem : path
-    title, body : str
-        HTML.
-    """
+    body = MarkdownIt("commonmark").enable("table").render("\n".join(lines))
     text = (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" '
-        f'content="width=device-width"><title>{title}</title><style>{_STYLE}</style>'
-        f"<h1>{title}</h1>{body}</html>\n")
+        f'content="width=device-width"><title>{html.escape(lines[0].lstrip("# "))}'
+        f"</title><style>{_STYLE}</style>{body}</html>\n")
     with write_beside(beside_stem(stem, ".html")) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
 

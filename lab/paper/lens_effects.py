@@ -28,7 +28,6 @@ from pdavis_cv.simulation import (
 from .page import table
 from .run import Settings
 
-__all__ = ["Effect", "columns", "effects", "effects_page", "expected"]
 
 FloatArray = NDArray[np.float64]
 
@@ -94,11 +93,6 @@ class Effect:
     calibrated_dolp: float
     theory_aop_deg: float
     theory_dolp: float
-
-
-def columns() -> tuple[str, ...]:
-    """Names of the columns."""
-    return tuple(each.name for each in dataclasses.fields(Effect))
 
 
 def expected(case: str, where: str, ratio: float) -> tuple[float, float]:

@@ -13,8 +13,6 @@ from pdavis_cv.simulation import RotatingPolarizer as Polarizer
 from .page import mean, pivot, table
 from .run import METHODS, OFF_LOCK, Case, Row, Settings
 
-__all__ = ["dynamic_range_cases", "dynamic_range_page", "fan_cases", "fan_page",
-           "flicker_cases", "flicker_page"]
 
 Light = Callable[[float], Scene]
 

@@ -1,7 +1,6 @@
 """Networks on events alone beside the other methods: what turns, moves and dims."""
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -47,10 +46,6 @@ from .run import OFF_LOCK, TAIL_US, Case, Settings, Take
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["METHODS", "SCENES", "SETTLING", "SIDE", "TEXTURE_SEEDS", "NetworkCase",
-           "NetworkRow", "all_weights", "columns", "measure", "middle_of",
-           "network_cases", "network_figure", "network_page", "network_steps",
-           "parameters_of", "step_costs", "window_ends", "window_us"]
 
 _TABLE = "firenet, table"
 METHODS: dict[str, Mapping[str, Any]] = {
@@ -520,11 +515,6 @@ def _cell(rows: Sequence[NetworkRow], columns: Sequence[str]) -> str:
         values = values[np.isfinite(values)]
         parts.append(_FORMATS[column].format(values.mean()) if len(values) else "-")
     return " / ".join(parts)
-
-
-def columns() -> tuple[str, ...]:
-    """Return the names of a row's cells."""
-    return tuple(item.name for item in dataclasses.fields(NetworkRow))
 
 
 def network_figure(rows: Sequence[NetworkRow]) -> Figure:

@@ -23,8 +23,6 @@ from .run import SONY_FULL, Settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PUBLISHED", "Point", "ShiftedOptics", "bench_figure", "bench_page",
-           "columns", "expected_ratio", "points", "published_ratio"]
 
 FloatArray = NDArray[np.float64]
 
@@ -99,11 +97,6 @@ class Point:
     channel: str
     ratio: float
     true: float
-
-
-def columns() -> tuple[str, ...]:
-    """Names of the columns."""
-    return tuple(field.name for field in dataclasses.fields(Point))
 
 
 def published_ratio(camera: str, nm: float) -> float:

@@ -1,4 +1,4 @@
-"""Figure 1: layout and optics, a pixel's answer to a step, AoP events, networks."""
+"""Figure 1: layout, a pixel's answer to a step, AoP events, networks."""
 from __future__ import annotations
 
 import math
@@ -28,8 +28,6 @@ from .run import OFF_LOCK, Settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["AopCloud", "NetworkView", "Step", "aop_cloud", "network_views",
-           "overview_figure", "overview_page", "step_response", "views_figure"]
 
 # ---- a pixel's answer to a step --------------------------------------------------
 
@@ -280,17 +278,16 @@ def overview_page(step: Step, cloud: AopCloud, views: Sequence[NetworkView]
 
 
 def overview_figure(step: Step, cloud: AopCloud) -> Figure:
-    """Draw layout, optics, the step, the cloud of AoP events, and AoP over time."""
+    """Draw layout, the step, the cloud of AoP events, and AoP over time."""
     from matplotlib.colors import hsv_to_rgb
 
     drawing = new_figure(PAGE_IN, 4.9)
     grid = drawing.add_gridspec(2, 3, width_ratios=(1, 1.25, 1.25))
-    places = [drawing.add_subplot(grid[0, k]) for k in range(3)]
+    places = [drawing.add_subplot(grid[0, 0]), drawing.add_subplot(grid[0, 1:])]
     cloud_axes = drawing.add_subplot(grid[1, :2], projection="3d")
     angle_axes = drawing.add_subplot(grid[1, 2])
     _draw_layout(places[0], np.array(Layout.PDAVIS.angles_deg, np.float64))
-    _draw_stack(places[1])
-    _draw_step(places[2], step)
+    _draw_step(places[1], step)
     hue = np.stack([cloud.events["aop"] / np.pi % 1, np.ones(len(cloud.events)),
                     np.full(len(cloud.events), 0.9)], -1)
     colours = hsv_to_rgb(hue)
@@ -324,45 +321,6 @@ def _draw_layout(axes: Any, layout_deg: NDArray[np.float64]) -> None:
              ylabel="row")
     axes.grid(visible=False)
     axes.set_title("lines: axes passed")
-
-
-# From the top: what it is, height drawn, colour.  Not to scale.
-_STACK = (("cover glass", 0.7, "#DCEAF2"), ("quartz", 0.7, "#EAF2F8"),
-          ("Al wires", 0.35, "#777777"), ("adhesive", 0.3, "#F6EFD8"),
-          ("microlenses", 0.45, "#BFD7E4"), ("silicon", 1.0, "#E8D6B8"))
-
-
-def _draw_stack(axes: Any) -> None:
-    """Draw the stack of two pixels from the side; sizes as the paper states them."""
-    from matplotlib.patches import Ellipse, Rectangle
-
-    y = 0.0
-    for name, height, colour in _STACK:
-        if name == "Al wires":
-            for x in np.arange(0.03, 1.95, 0.12):
-                axes.add_patch(Rectangle((x, y), 0.06, height, color=colour))
-            axes.add_patch(Rectangle((0.95, y), 0.1, height, color="black"))
-        elif name == "microlenses":
-            for x in (0.5, 1.5):
-                axes.add_patch(
-                    Ellipse((x, y + height), 0.9, 1.6 * height, color=colour))
-        else:
-            axes.add_patch(Rectangle((0, y), 2, height, color=colour))
-        if name == "silicon":
-            for x in (0.5, 1.5):
-                axes.add_patch(Rectangle((x - 0.28, y), 0.56, 0.4, color="#B07A3B"))
-            axes.text(1, y + 0.72, "photodiode, DVS, APS", ha="center", va="center")
-        axes.text(2.08, y + height / 2, name, va="center")
-        y += height
-    axes.annotate("", (1, -0.05), (1, -0.75),
-                  arrowprops={"arrowstyle": "->", "linewidth": 0.8})
-    axes.text(1.08, -0.45, "light", va="center")
-    axes.annotate("", (0, y + 0.15), (1, y + 0.15),
-                  arrowprops={"arrowstyle": "<->", "linewidth": 0.8})
-    axes.text(0.5, y + 0.2, "18.5 µm", ha="center", va="top")
-    axes.set(xlim=(-0.05, 3.4), ylim=(y + 0.7, -0.8))
-    axes.set_axis_off()
-    axes.set_title("two pixels, not to scale")
 
 
 def _draw_step(axes: Any, step: Step) -> None:

@@ -1,7 +1,6 @@
 """Tables and pages of `python -m lab.paper`: one writer for every experiment."""
 from __future__ import annotations
 
-import csv
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,10 +13,6 @@ from pdavis_cv.export import write_beside, write_csv
 from .print_style import beside_stem
 from .run import SHOWN, Row
 
-__all__ = ["cell", "mean", "pivot", "read_rows", "summary", "table", "write_page",
-           "write_rows"]
-
-_KINDS = {"str": str, "int": int, "float": float}
 
 # Columns of the tables, and how their numbers are written.
 FORMATS = {
@@ -154,21 +149,12 @@ def _summed(rows: Sequence[Row], columns: Sequence[str], join: str) -> str:
         for level in levels)) for column in columns)
 
 
-def write_rows(stem: Path, rows: Iterable[Row], facts: dict[str, Any]) -> None:
-    """Write STEM.csv, one line per method, region and recording."""
-    write_csv(beside_stem(stem, ".csv"), Row.columns(),
-              (row.values() for row in rows), facts)
-
-
-def read_rows(path: Path) -> Iterator[Row]:
-    """Yield the rows that `write_rows` wrote into a file."""
-    kinds = {item.name: _KINDS[str(item.type)] for item in dataclasses.fields(Row)}
-    with path.open(newline="", encoding="utf-8") as file:
-        for line in csv.DictReader(file):
-            values: dict[str, Any] = {
-                name: kind(line[name] or "nan") if kind is float else kind(line[name])
-                for name, kind in kinds.items()}
-            yield Row(**values)
+def write_rows(stem: Path, rows: Iterable[Any], facts: Mapping[str, Any],
+               kind: type = Row, ending: str = "") -> None:
+    """Write STEM-ending.csv: a line for each of some dataclasses of one kind."""
+    write_csv(beside_stem(stem, f"{ending}.csv"),
+              [field.name for field in dataclasses.fields(kind)],
+              map(dataclasses.astuple, rows), facts)
 
 
 def write_page(stem: Path, lines: Sequence[str]) -> str:

@@ -19,7 +19,6 @@ from .run import SHOWN, Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["errors", "range_figure", "rotation_figure", "traces_figure"]
 
 # Limits that the paper states of its camera with events (text beside its Figs. 2 and
 # 3): turns per minute, and degrees or points of DoLP.

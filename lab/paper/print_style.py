@@ -14,8 +14,6 @@ from pdavis_cv.tools._common import can_draw
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["COLUMN_IN", "PAGE_IN", "beside_stem", "journal", "letters", "look",
-           "new_figure", "save_figure"]
 
 COLUMN_IN, PAGE_IN = 89 / 25.4, 183 / 25.4
 """Widths of a column and of a page, as journals print them."""

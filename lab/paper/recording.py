@@ -22,7 +22,6 @@ from pdavis_cv.tools._common import UsageError
 from .page import table
 from .run import SETTLE_US, TAIL_US, Case, Take
 
-__all__ = ["Fitted", "fit_files", "fits_page", "region_of"]
 
 # A region of 12x12 pixels, as the paper's.
 _SIDE = 12

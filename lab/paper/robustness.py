@@ -26,8 +26,6 @@ from pdavis_cv.simulation import (
 from .light import EVENT_DN, LOW_UW_CM2, fan_cases
 from .run import METHODS, OFF_LOCK, Case, Method, Row, Settings, Takes, run
 
-__all__ = ["ALL", "CAUSAL", "DEPARTURES", "QUICK_SEEDS", "RECORDED", "SEEDS",
-           "STEPS_US", "case_rows", "edges", "robustness_cases", "robustness_rows"]
 
 CAUSAL: dict[str, Method] = {
     "frames": METHODS["frames"],

@@ -16,8 +16,6 @@ from .run import Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Against", "Cell", "against", "cells", "robustness_figure",
-           "robustness_page"]
 
 _ALLOWED = 1.1
 """Times the best other method's error: kalman beyond it has lost the cell."""

@@ -32,8 +32,6 @@ from .run import (
     run,
 )
 
-__all__ = ["INTERVALS_US", "RPMS", "SCENES", "Comparison", "Rotation",
-           "Spectrum", "Trace", "cases", "compare", "mean_traces"]
 
 RPMS = (30.0, 60.0, 100.0, 200.0, 500.0, 1000.0)
 # A fixed plate along 0 or 45 degrees would leave two channels without a change.

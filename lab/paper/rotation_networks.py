@@ -25,7 +25,6 @@ from .run import (
     score,
 )
 
-__all__ = ["add_networks", "network_case"]
 
 _SCORED_US = 400_000
 _TRACE_CYCLES = 2.2

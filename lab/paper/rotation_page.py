@@ -11,7 +11,6 @@ from .page import mean, pivot, table
 from .rotation import Comparison
 from .run import NETWORKS, OFF_LOCK, Settings
 
-__all__ = ["below_bound", "page"]
 
 _USE_EVENTS = ("events", "cf", "firenet", "joint", "kalman")
 

@@ -18,23 +18,6 @@ from pdavis_cv.simulation import FULL, PRESETS, Camera, Scene
 
 from pdavis_cv.tools._images import warn_of_nothing
 
-__all__ = [
-    "METHODS",
-    "NETWORKS",
-    "OFF_LOCK",
-    "SHOWN",
-    "SONY_FULL",
-    "Case",
-    "Method",
-    "Row",
-    "Settings",
-    "Take",
-    "Takes",
-    "fuse_parameters",
-    "row_of",
-    "run",
-    "score",
-]
 
 # Held until the first frames and a slow high-pass have settled.
 SETTLE_US = 1_000_000
@@ -238,15 +221,6 @@ class Row:
     valid: float
     events_per_pixel_s: float
     median_interval_us: float
-
-    @classmethod
-    def columns(cls) -> tuple[str, ...]:
-        """Names of the columns."""
-        return tuple(item.name for item in dataclasses.fields(cls))
-
-    def values(self) -> tuple[Any, ...]:
-        """Return the cells."""
-        return dataclasses.astuple(self)
 
 
 @dataclass(frozen=True, kw_only=True)

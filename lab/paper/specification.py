@@ -5,7 +5,6 @@ rest is what the code's description of the sensor says.
 """
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,9 +34,6 @@ from pdavis_cv.simulation import (
 from .page import table
 from .run import SONY_FULL, Settings
 
-__all__ = ["Quantity", "Way", "columns", "extinction_ratio", "first_event_us",
-           "frame_range_db", "latency", "leak_hz", "specification",
-           "specification_page", "threshold_spread", "ways", "ways_columns"]
 
 FloatArray = NDArray[np.float64]
 Stokes = tuple[FloatArray, FloatArray, FloatArray]
@@ -226,11 +222,6 @@ def specification(settings: Settings) -> Iterator[Quantity]:
         how=f"{_LEAK_DN_PER_MS:g} DN/ms; leak and shot noise, at the same bias")
 
 
-def columns() -> tuple[str, ...]:
-    """Return the columns of table S1."""
-    return tuple(item.name for item in dataclasses.fields(Quantity))
-
-
 # ---- table S2 --------------------------------------------------------------------
 
 _SENSOR = Sensor.PDAVIS.size
@@ -365,11 +356,6 @@ def ways(settings: Settings) -> Iterator[Way]:
             event_operations=per_event, pixel_operations=per_pixel,
             event_ns=1e9 * event_s if made.needs.events else math.nan,
             image_ns=1e9 * image_s / (_SENSOR[0] * _SENSOR[1]), image_ms=1e3 * image_s)
-
-
-def ways_columns() -> tuple[str, ...]:
-    """Return the columns of table S2."""
-    return tuple(item.name for item in dataclasses.fields(Way))
 
 
 # ---- words -----------------------------------------------------------------------

@@ -22,8 +22,6 @@ from .run import OFF_LOCK, Case, Settings, Take, fuse_parameters
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["SPEEDS_HZ", "Pull", "amplitude_at", "columns", "count", "error",
-           "pull_rows", "pulls", "tendon_figure", "tendon_page"]
 
 SPEEDS_HZ = (1.0, 5.0, 10.0)
 """The paper's."""
@@ -146,9 +144,7 @@ def amplitude_at(pull: Pull, values: NDArray[np.float64], hz: float) -> float:
 # ---- what is written and drawn ---------------------------------------------------
 
 
-def columns() -> tuple[str, ...]:
-    """Return the columns of the table of traces."""
-    return "hz", "method", "t_us", "dolp", "true_dolp"
+COLUMNS = ("hz", "method", "t_us", "dolp", "true_dolp")
 
 
 def pull_rows(made: Sequence[Pull]) -> Iterator[tuple[Any, ...]]:

@@ -21,8 +21,6 @@ from .run import OFF_LOCK, Settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FREQUENCIES_HZ", "WAYS", "Response", "columns", "expected_of_cf",
-           "measured", "transfer_figure", "transfer_page", "transfer_rows"]
 
 # None near 100 or 120 Hz: there, light that is alike everywhere is taken for a lamp's.
 FREQUENCIES_HZ = (0.4, 0.8, 1.6, 3.0, 6.0, 12.0, 25.0, 50.0, 75.0, 170.0)
@@ -50,11 +48,6 @@ class Response:
     phase_deg: float
     expected_gain: float
     expected_phase_deg: float
-
-
-def columns() -> tuple[str, ...]:
-    """Names of the columns."""
-    return tuple(field.name for field in dataclasses.fields(Response))
 
 
 def pixel_response(hz: float) -> complex:

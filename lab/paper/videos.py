@@ -5,7 +5,6 @@ with a Sony camera; 5: a tendon that is pulled at 1 and 10 Hz.
 """
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,11 +43,10 @@ from pdavis_cv.simulation import (
 )
 
 from . import run as runs
+from .index import played
 from .page import table
 from .run import OFF_LOCK, SONY_FULL, Settings
 
-__all__ = ["VIDEOS", "Moment", "Shown", "columns", "error_of", "moments",
-           "videos_html", "videos_page", "write_video"]
 
 _SIDE, _QUICK_SIDE = 64, 32
 _BEFORE_S, _AFTER_S = 0.5, 0.1
@@ -330,9 +328,7 @@ def error_of(seen: Sequence[Moment], k: int) -> tuple[float, float]:
 # ---- pages -----------------------------------------------------------------------
 
 
-def columns() -> tuple[str, ...]:
-    """Return the columns of the table of errors."""
-    return "video", "method", "aop_error_deg", "dolp_error"
+COLUMNS = ("video", "method", "aop_error_deg", "dolp_error")
 
 
 def videos_page(stem: str, errors: Mapping[str, Sequence[tuple[str, float, float]]],
@@ -353,7 +349,8 @@ def videos_page(stem: str, errors: Mapping[str, Sequence[tuple[str, float, float
              "demosaicing: AoP in degrees where the true DoLP is over .1 / DoLP.", ""]
     for name, rows in errors.items():
         lines += [f"**Video {name}**, `{stem}-{name}.webm`, "
-                  f"{sizes[name] / 1e6:.1f} MB: {VIDEOS[name].what}.", ""]
+                  f"{sizes[name] / 1e6:.1f} MB: {VIDEOS[name].what}.", "",
+                  played(f"{stem}-{name}.webm"), ""]
         lines += table(("method", "AoP / DoLP"), [
             (row, f"{aop:.1f} / {dolp:.3f}") for row, aop, dolp in rows])
     beside = [(f"video {name}", stated, _beside(rows, column), _shown(
@@ -398,13 +395,3 @@ def _shown(rows: Sequence[tuple[str, float, float]], column: int) -> str:
     if frames > _MUCH * others and frames > _ALIKE:
         return "agrees: events only"
     return "agrees: both" if column == 2 and frames < _ALIKE else "differs"
-
-
-def videos_html(stem: str, names: Sequence[str]) -> str:
-    """Return the body of a page that plays them."""
-    name = html.escape(stem)
-    return "\n".join(
-        f'<figure><video controls loop muted preload="metadata" '
-        f'src="{name}-{one}.webm" style="max-width: 100%"></video><figcaption>'
-        f"<b>Video {one}</b>: {html.escape(VIDEOS[one].what)}.</figcaption></figure>"
-        for one in names)

@@ -213,7 +213,7 @@ def test_what_lies_below_the_bound_by_more_than_its_error_is_named():
     limits = [Limits("event camera", RPM, bound, bound, (1.0, 0.1), 1.0, 36),
               Limits("Sony 50 fps", RPM, Bound(0.1, 0.002, 0.06, 0.0006), bound,
                      (1.0, 0.1), 1.0, 36)]
-    numbers = {name: math.nan for name in runs.Row.columns()}
+    numbers = {name: math.nan for name in runs.Row.__dataclass_fields__}
 
     def row(method, aop, dolp):
         return runs.Row(**{**numbers, "scene": "", "region": "", "camera": "",

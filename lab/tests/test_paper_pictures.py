@@ -1,4 +1,4 @@
-"""Pictures of `python -m lab.paper`: sizes and letters of print, and what they show."""
+"""What the pictures of `python -m lab.paper` show."""
 import dataclasses
 
 import numpy as np
@@ -6,7 +6,6 @@ import pytest
 
 from lab.paper import command, denoise, fan_images, network, print_style
 from lab.paper.bound import Bound, Limits
-from lab.paper.index import as_html
 from lab.paper.rotation import SCENES, Comparison, Spectrum, Trace
 from lab.paper.run import SHOWN, Row, Settings
 from pdavis_cv import render
@@ -52,23 +51,6 @@ def result():
 def in_print():
     with print_style.journal():
         yield
-
-
-def all_text(drawing):
-    from matplotlib.text import Text
-    return [text for text in drawing.findobj(Text) if text.get_text().strip()]
-
-
-@pytest.mark.gate
-@pytest.mark.parametrize("figure", ["fig2", "fig3", "traces", "range"])
-def test_pictures_are_as_wide_as_a_page_and_legible(result, figure):
-    drawing = {"traces": lambda: plots.traces_figure(result),
-               "range": lambda: plots.range_figure("fig4a", result.rows),
-               }.get(figure, lambda: plots.rotation_figure(figure, result))()
-    width, height = drawing.get_size_inches()
-    assert round(width * 25.4) in (89, 183)
-    assert height * 25.4 < 247        # what a journal's page holds
-    assert min(text.get_fontsize() for text in all_text(drawing)) == 8
 
 
 def test_errors_are_medians_with_the_spread_of_the_specimens(result):
@@ -123,17 +105,6 @@ def test_the_mean_of_a_region_has_a_bound_of_its_own_with_its_standard_error(res
 
 
 @pytest.mark.gate
-def test_networks_and_the_papers_limits_are_drawn_and_the_legend_is_whole(result):
-    drawing = plots.rotation_figure("fig2", result)
-    drawing.canvas.draw()
-    lines = {line.get_label() for line in drawing.axes[1].get_lines()}
-    assert {"firenet", "joint", "paper, with events: less"} <= lines
-    box = drawing.legends[0].get_window_extent()
-    assert box.x0 >= 0
-    assert box.x1 <= drawing.bbox.x1
-
-
-@pytest.mark.gate
 def test_a_trace_per_method_has_the_truth_behind_it(result):
     drawing = plots.traces_figure(result)
     lines = [axes.get_lines() for axes in drawing.axes]
@@ -141,22 +112,6 @@ def test_a_trace_per_method_has_the_truth_behind_it(result):
     for behind, line in lines:
         np.testing.assert_array_equal(behind.get_ydata(), line.get_ydata())
         assert behind.get_linewidth() > line.get_linewidth()
-
-
-def test_methods_differ_in_line_or_marker_where_there_is_no_colour():
-    looks = [print_style.look(name) for name in SHOWN]
-    assert len({(look["linestyle"], look["marker"]) for look in looks}) == len(looks)
-    assert print_style.look("a method of someone else") == {}
-
-
-@pytest.mark.gate
-def test_three_files_of_a_picture_are_written(result, tmp_path):
-    print_style.save_figure(tmp_path / "fig.2", plots.rotation_figure("fig2", result))
-    assert (tmp_path / "fig.2.pdf").read_bytes().startswith(b"%PDF")
-    assert b"<text" in (tmp_path / "fig.2.svg").read_bytes()    # text, not outlines
-    png = (tmp_path / "fig.2.png").read_bytes()
-    assert png.startswith(b"\x89PNG")
-    assert int.from_bytes(png[16:20], "big") == round(183 / 25.4 * 300)
 
 
 @pytest.mark.gate
@@ -233,11 +188,3 @@ def test_denoised_events_are_shown_with_what_made_them():
         shown.events)
     assert sum(len(line.get_xdata()) for line in after.get_lines()) == shown.kept.sum()
     assert [line.get_ydata()[0] for line in rates.get_lines()] == [42.0, 2.6, 0.06]
-
-
-def test_the_page_of_figures_has_the_tables():
-    found = as_html(["## Least `a < b`", "", "| m | x |", "|---|---|",
-                     "| **k** | 1 |", "", "so."])
-    assert found == (
-        "<h3>Least <code>a &lt; b</code></h3><table><tr><th>m</th><th>x</th></tr><tr>"
-        "<td><b>k</b></td><td>1</td></tr></table><p>so.</p>")

@@ -23,7 +23,7 @@ from lab.paper.run import Row, Settings
 
 QUICK = Settings(quick=True, methods=tuple(ALL), step_us=50_000, rpms=(200.0,))
 
-BLANK = dict.fromkeys(Row.columns(), float("nan")) | {
+BLANK = dict.fromkeys(Row.__dataclass_fields__, float("nan")) | {
     "scene": "drift", "region": "all", "camera": "nominal", "rpm": 200.0, "seed": 1}
 
 

@@ -13,7 +13,7 @@ NOTHING = Bound(0.0, 0.0, 0.0, 0.0)
 
 
 def a_row(method, rpm, aop, dolp, rate=math.nan):
-    numbers = dict.fromkeys(Row.columns(), math.nan)
+    numbers = dict.fromkeys(Row.__dataclass_fields__, math.nan)
     return Row(**{**numbers, "scene": "", "region": "all", "camera": "nominal",
                   "seed": 1, "start_deg": 0.0, "rpm": rpm, "method": method,
                   "aop_error_deg": aop, "aop_error_roi_deg": aop,

@@ -20,8 +20,6 @@ from pdavis_cv.tools._common import (
 )
 from pdavis_cv.tools._values import LAST_SEED, positive, within
 
-__all__ = ["main"]
-
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:

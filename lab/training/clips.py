@@ -22,8 +22,6 @@ from .scenery import (
     walk,
 )
 
-__all__ = ["UNIT", "Chunk", "Clips"]
-
 STEPS = 8
 """Times per window at which light is computed; two per interval between bins."""
 

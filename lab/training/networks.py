@@ -5,8 +5,6 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-__all__ = ["WIDTH", "Network"]
-
 WIDTH = 16
 """Planes of each hidden layer."""
 

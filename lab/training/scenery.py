@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KINDS", "MAP_SIDE", "Motion", "Path", "draw_map", "draw_motion"]
-
 KINDS = ("texture", "polarizer", "plate", "wheel")
 """Kinds of scenes, see `draw_motion`."""
 

@@ -10,8 +10,6 @@ from torch import nn
 from .clips import Chunk
 from .networks import WIDTH, Network
 
-__all__ = ["Task", "task_of"]
-
 DARKEST = 1e-2
 """Intensity below which a channel counts as dark, where mean S0 is 1."""
 

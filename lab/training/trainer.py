@@ -16,8 +16,6 @@ from .clips import UNIT, Chunk, Clips
 from .networks import WIDTH
 from .tasks import Task, task_of
 
-__all__ = ["Recipe", "Trainer", "train"]
-
 
 @dataclass(frozen=True)
 class Recipe:
