@@ -5,12 +5,14 @@ import inspect
 import re
 from pathlib import Path
 
+import numpy as np
 from docutils import nodes
 
 import pdavis_cv
 from pdavis_cv.capture import constants
+from pdavis_cv.capture.outputs import output_at, outputs
 from pdavis_cv.fusion.options import FusionOptions
-from pdavis_cv.reconstruct.methods import factory_of
+from pdavis_cv.quantities import GROUPS
 
 ROOMS = {
     "fusion": "Fusing", "capture": "OpenCV's manners", "recording": "Recordings",
@@ -23,8 +25,9 @@ ROOMS = {
 """Rooms of the house that have a page each, and its title."""
 
 _PAGE_OF = {"sensor": "polarimetry", "stokes_vector": "polarimetry",
-            "analyser": "polarimetry", "mosaic": "polarimetry", "aps": "recording",
-            "packed": "recording", "selfcal": "calibration"}
+            "analyser": "polarimetry", "quantities": "polarimetry",
+            "mosaic": "polarimetry", "aps": "recording", "packed": "recording",
+            "selfcal": "calibration"}
 _INSIDE = {
     "fusion": ("fusion",), "live": ("live",), "batch": ("batch",), "data": ("data",),
     "calibration": ("calibration", "selfcal"), "analysis": ("analysis",),
@@ -44,7 +47,7 @@ def write(folder):
     """Write all pages that differ from what is there."""
     folder.mkdir(exist_ok=True)
     texts = {room: _room(room) for room in ROOMS}
-    texts |= {"options": _options(), "opencv": _opencv()}
+    texts |= {"options": _options(), "opencv": _opencv(), "quantities": _quantities()}
     for name, text in texts.items():
         path = folder / f"{name}.rst"
         if not path.exists() or path.read_text() != text:
@@ -108,8 +111,7 @@ def _options():
         rows.append((f"``{name}``", f"``{flag}``" if facts.word else "",
                      facts.type, facts.help))
     methods = [("method", "uses events", "uses frames", "learns", "parameters")]
-    for name in pdavis_cv.METHODS:
-        made = factory_of(name)
+    for name, made in pdavis_cv.METHODS.usable().items():
         needs = made.needs if inspect.isclass(made) else None
         given = [key for key, value in inspect.signature(made).parameters.items()
                  if value.kind is value.KEYWORD_ONLY
@@ -119,12 +121,39 @@ def _options():
                 _yes(needs.events), _yes(needs.frames),
                 ", ".join(sorted(needs.learned)))),
             ", ".join(f"``{key}``" for key in given)))
+    sources = [("address", "what may follow the question mark, and its default")]
+    for scheme, opener in pdavis_cv.SOURCES.usable().items():
+        sources.append((f"``{scheme}:``", ", ".join(
+            f"``{key}={value.default}``"
+            for key, value in inspect.signature(opener).parameters.items()
+            if value.kind is value.KEYWORD_ONLY)))
     return "\n".join([
         *_title("Options and methods"),
         "What ``fuse``, ``VideoCapture`` and the commands that fuse take.", "",
         *_table((2, 2, 3, 9), *rows), *_title("Methods", "-"),
         "``method=`` or ``--method``; its parameters are keyword arguments, or "
-        "``--set NAME=VALUE``.", "", *_table((2, 1, 1, 2, 6), *methods)])
+        "``--set NAME=VALUE``.", "", *_table((2, 1, 1, 2, 6), *methods),
+        *_title("Live addresses", "-"), *_table((2, 10), *sources)])
+
+
+def _quantities():
+    """Everything that an image has, from the one table."""
+    rows = [("name", "also", "what", "unit", "range", "drawn in", "array")]
+    for one in pdavis_cv.QUANTITIES.usable().values():
+        rows.append((
+            f"``{one.name}``", ", ".join(f"``{each}``" for each in one.aliases),
+            one.title, one.unit, " to ".join(f"{end:.4g}" for end in one.range),
+            one.colours, np.dtype(one.dtype).name))
+    return "\n".join([
+        *_title("Quantities"),
+        "Names mean the same in ``pdavis export --quantities``, stacks, arrays of "
+        "xarray, ``VideoCapture(output=...)`` and the viewer; ``_bgr`` after a name "
+        "is its picture.  " + ", ".join(
+            f"``{name}`` stands for {', '.join(members)}"
+            for name, members in GROUPS.items())
+        + ".  Ranges of intensities are in parts of the converter's full scale; "
+        "``--lossless`` maps the range to 16 bits.", "",
+        *_table((3, 2, 5, 1, 3, 2, 2), *rows)])
 
 
 def _yes(value):
@@ -132,32 +161,27 @@ def _yes(value):
 
 
 def _opencv():
-    """Outputs and properties of VideoCapture, from the comments of their numbers."""
+    """Outputs of VideoCapture, and properties from the comments of their numbers."""
     source = inspect.getsource(constants)
-    found = re.findall(r"^(CAP_(?:PROP_)?PDAVIS_\w+) = (\d+) +# (.*)$", source, re.M)
-    outputs = [("flag", "name", "value", "what")]
     properties = [("property", "value", "set", "what")]
-    for name, number, text in found:
-        if name.startswith("CAP_PROP_"):
-            can = text.startswith("set: ")
-            properties.append((f"``{name}``", number, _yes(can),
-                               text.removeprefix("set: ")))
-        else:
-            outputs.append((
-                f"``{name}``", f'``"{constants.NAMES_OF_OUTPUTS[int(number)]}"``',
-                number, text))
-    others = [name for name in constants.__all__ if name.startswith("CAP_PDAVIS_")
-              and not any(name == one[0] for one in found)]
-    for name in others:
-        number = getattr(constants, name)
-        outputs.append((f"``{name}``", f'``"{constants.NAMES_OF_OUTPUTS[number]}"``',
-                        str(number), "as the one before"))
-    head, *rows = outputs
-    rows.sort(key=lambda row: int(row[2]))
+    for name, number, text in re.findall(
+            r"^(CAP_PROP_PDAVIS_\w+) = (\d+) +# (.*)$", source, re.M):
+        properties.append((f"``{name}``", number, _yes(text.startswith("set: ")),
+                           text.removeprefix("set: ")))
+    flags = {getattr(constants, name): f"``{name}``" for name in constants.__all__
+             if name.startswith("CAP_PDAVIS_")}
+    rows = [("flag", "name", "value", "what")]
+    for number, name in enumerate(outputs()):
+        one = output_at(number)
+        rows.append((
+            flags.get(number, ""), f'``"{name}"``', str(number),
+            ("picture of " if one.picture else "")
+            + ", ".join(each.title for each in one.quantities)
+            + (", faded where DoLP is low" if one.faded else "")))
     return "\n".join([
         *_title("OpenCV: outputs and properties"),
         "Flags of ``VideoCapture.retrieve`` and values of ``CAP_PROP_PDAVIS_OUTPUT``; "
         "the names do as well, as in ``VideoCapture(..., output=\"aop\")``.", "",
-        *_table((4, 2, 1, 6), head, *rows),
+        *_table((4, 3, 1, 6), *rows),
         "Properties of ``get`` and ``set``, beside OpenCV's own:", "",
         *_table((5, 1, 1, 6), *properties)])

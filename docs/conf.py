@@ -44,7 +44,7 @@ PARTS = {
                   "start/calibration"],
     "How to": ["tools", "recipes", "applications", "calibration", "score",
                "demosaicing", "batch", "live", "formats", "promises", "glossary"],
-    "Reference": ["reference/options", "reference/opencv", *(
+    "Reference": ["reference/options", "reference/opencv", "reference/quantities", *(
         f"reference/{room}" for room in api_pages.ROOMS)],
     "Theory": ["theory/index"],
     "Evidence": ["lab/index", *sorted(

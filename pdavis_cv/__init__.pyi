@@ -211,6 +211,12 @@ from .polarimetry import (
 from .polarimetry import (
     polarization as polarization,
 )
+from .quantities import (
+    QUANTITIES as QUANTITIES,
+)
+from .quantities import (
+    Quantity as Quantity,
+)
 from .reconstruct.aop_events import (
     AOP_EVENT_DTYPE as AOP_EVENT_DTYPE,
 )

@@ -37,20 +37,21 @@ class Registry(Mapping[str, T]):
     Parameters
     ----------
     kind : str
-        What each is, such as ``"method"``; their entry points are in the group
-        ``pdavis_cv.methods``.
+        What each is, such as ``"method"``.
     known : mapping of str to object
         This library's, or where they are: ``"package.module:name"``.
     base : type
         Class that those of other packages are objects of, or derived from.
     attribute : str
         Attribute with the name, if a thing has it.
+    group : str, optional
+        Group of entry points; default: of ``"method"`` it is ``pdavis_cv.methods``.
     """
 
     def __init__(self, kind: str, known: Mapping[str, T | str], base: type, *,
-                 attribute: str = "name") -> None:
+                 attribute: str = "name", group: str | None = None) -> None:
         self.kind, self.known, self.base = kind, known, base
-        self.group, self._attribute = f"pdavis_cv.{kind}s", attribute
+        self.group, self._attribute = group or f"pdavis_cv.{kind}s", attribute
         self._broken: dict[EntryPoint, str] = {}
 
     def __getitem__(self, name: str) -> T:

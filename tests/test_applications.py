@@ -402,7 +402,7 @@ def test_export_writes_stacks(tmp_path, name, capsys):
     sample = str(example_recording())
     assert export.main([sample, "-o", str(tmp_path / name), "--fps", "50", "--layout",
                         "pdavis", "--pixel-um", "0.5", "--quantities", "i45,dolp"]) == 0
-    assert "float32, 9 x 2 x 260 x 346 (I45, DoLP)" in capsys.readouterr().out
+    assert "float32, 9 x 2 x 260 x 346 (i45, dolp)" in capsys.readouterr().out
     with open_recording(sample, layout=Layout.PDAVIS) as recording:
         want = [f.quad[1] for f in fuse(recording, fps=50)]
         seen = [f.valid for f in fuse(recording, fps=50)]
@@ -411,10 +411,10 @@ def test_export_writes_stacks(tmp_path, name, capsys):
         got = pytest.importorskip("tifffile").imread(tmp_path / name)[:, 0]
     elif name.endswith("h5"):
         with pytest.importorskip("h5py").File(tmp_path / name) as file:
-            got = file["I45"][:]
+            got = file["i45"][:]
     else:
         with np.load(tmp_path / name) as file:
-            got = file["I45"]
+            got = file["i45"]
     np.testing.assert_array_equal(got, want)
 
 

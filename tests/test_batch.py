@@ -160,7 +160,7 @@ def test_export_writes_what_fuse_gives(three, tmp_path):
         assert stack["t_us"].tolist() == [image.t_us for image in images]
         for k, image in enumerate(images):
             np.testing.assert_array_equal(
-                stack["AoP"][k][image.valid], image.aop[image.valid])
+                stack["aop"][k][image.valid], image.aop[image.valid])
 
 
 def test_score_tells_what_the_command_tells(data_dir, tmp_path, capsys):

@@ -95,7 +95,7 @@ def by_writer(path):
 
 
 def by_stack(path):
-    with NpzFile(path, ("S0",), resume=True) as stack:
+    with NpzFile(path, ("s0",), resume=True) as stack:
         stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=5))
 
 
@@ -196,11 +196,11 @@ def test_a_command_does_not_replace_a_device(tmp_path, capsys):
 @POSIX
 def test_two_programs_do_not_write_the_same_stack_at_once(tmp_path):
     path = tmp_path / "x.npz"
-    with NpzFile(path, ("S0",)) as stack:
+    with NpzFile(path, ("s0",)) as stack:
         stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=5))
         for resume in (False, True):
             with pytest.raises(OSError, match="another process is writing it"):
-                NpzFile(path, ("S0",), resume=resume)
+                NpzFile(path, ("s0",), resume=resume)
         stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=6))
     with np.load(path) as whole:
         assert len(whole["t_us"]) == 2
@@ -214,7 +214,7 @@ def test_an_interrupt_at_any_line_of_opening_a_stack(tmp_path, resume):
     path = tmp_path / "x.npz"
 
     def begin():
-        with NpzFile(path, ("S0",), resume=True) as stack:
+        with NpzFile(path, ("s0",), resume=True) as stack:
             for t_us in (5, 6):
                 stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=t_us))
             raise KeyboardInterrupt
@@ -242,7 +242,7 @@ def test_an_interrupt_at_any_line_of_opening_a_stack(tmp_path, resume):
         countdown = lines
         sys.settrace(called)
         try:
-            stack = NpzFile(path, ("S0",), resume=resume)
+            stack = NpzFile(path, ("s0",), resume=resume)
         except KeyboardInterrupt:
             sys.settrace(None)
             assert resume or not list(tmp_path.iterdir())

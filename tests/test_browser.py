@@ -97,14 +97,15 @@ def test_colours_on_the_page_are_those_of_the_pictures(page, served):
     page.keyboard.press("4")
     until(page, "document.querySelector('#pane-events')?.width === 24")
     _, image = served.site.show.latest(0, 1)
-    for name in ("s0", "aop", "dolp", "events"):
+    for name, output in (("s0", "bgr"), ("aop", "aop_faded_bgr"), ("dolp", "dolp_bgr"),
+                         ("events", "events_bgr")):
         found = page.evaluate("""name => {
             const canvas = document.getElementById('pane-' + name);
             return [...canvas.getContext('2d').getImageData(
                 0, 0, canvas.width, canvas.height).data];
         }""", name)
         shown = np.array(found).reshape(16, 24, 4)
-        picture = pane(name, served.site.show, image)[..., ::-1].astype(int)
+        picture = pane(output, served.site.show, image)[..., ::-1].astype(int)
         # A part in 255 of a turn of hue is six of its colours, of the ramp at most 7.
         most = 7 if name in ("aop", "dolp") else 0
         assert np.abs(shown[..., :3] - picture).max() <= most
@@ -132,7 +133,7 @@ def test_method_pictures_and_region_are_changed(page):
     page.select_option("#method", "frames")
     until(page, "document.querySelector('#stats').textContent.includes('frames')")
     page.keyboard.press("5")
-    until(page, "document.querySelector('#pane-uncertainty')?.width === 24")
+    until(page, "document.querySelector('#pane-sigma_aop')?.width === 24")
     page.keyboard.press("z")
     until(page, "document.querySelector('#said').textContent === 'drag a region first'")
     assert page.input_value("#method") == "frames"

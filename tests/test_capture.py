@@ -12,7 +12,7 @@ import pytest
 
 import pdavis_cv as p
 from pdavis_cv import CaptureStatus, Layout, VideoCapture, fuse
-from pdavis_cv.capture.constants import NAMES_OF_OUTPUTS
+from pdavis_cv.capture.outputs import outputs
 from pdavis_cv.capture.picture import tone
 from pdavis_cv.capture.source import layout_code, layout_of_code
 from pdavis_cv.simulation.ideal import rotating_polarizer
@@ -83,12 +83,41 @@ def test_the_valid_plane_is_a_mask_for_cv2(cap):
 
 def test_an_output_may_be_named(ideal, cap):
     cap.grab()
-    for number, name in enumerate(NAMES_OF_OUTPUTS):
+    for number, name in enumerate(outputs()[:16]):
         assert getattr(p, f"CAP_PDAVIS_{name.upper()}") == number
         np.testing.assert_array_equal(
             cap.retrieve(None, name)[1], cap.retrieve(None, number)[1])
-    with VideoCapture(ideal, output="aop_bgr", layout="pdavis") as other:
+    with VideoCapture(ideal, output="AoLP_bgr", layout="pdavis") as other:
         assert other.get(p.CAP_PROP_PDAVIS_OUTPUT) == p.CAP_PDAVIS_AOP_BGR
+
+
+def test_every_quantity_is_an_output_as_numbers_and_as_a_picture(ideal):
+    with VideoCapture(ideal, method="kalman", layout="pdavis") as capture:
+        capture.grab()
+        for number, name in enumerate(outputs()):
+            got, image = capture.retrieve(None, number)
+            if name.startswith("quality"):
+                assert not got
+                assert capture.last_error.startswith("quality needs events with")
+                continue
+            assert got, capture.last_error
+            assert (image.ndim, image.dtype) == (
+                (3, np.uint8) if name.endswith("bgr") else
+                (3 if name in ("quad", "stokes") else 2,
+                 np.uint8 if name == "valid" else np.float32))
+            assert capture.set(p.CAP_PROP_PDAVIS_OUTPUT, number)
+            assert capture.get(p.CAP_PROP_PDAVIS_OUTPUT) == number
+            assert int(capture.get(cv2.CAP_PROP_FORMAT)) % 8 == (
+                0 if image.dtype == np.uint8 else 5)
+        faded, full = (capture.retrieve(None, f"aop{word}_bgr")[1].astype(int)
+                       for word in ("_faded", ""))
+        valid, dolp = (capture.retrieve(None, name)[1] for name in ("valid", "dolp"))
+        weak = (valid > 0) & (dolp < 0.2)
+        assert np.all(faded[weak] <= full[weak])
+        np.testing.assert_array_equal(faded[valid == 0], full[valid == 0])
+    for name in ("colour", "events", "dolp_faded_bgr", "quad_bgr"):
+        with pytest.raises(ValueError, match=f"output must be one of bgr, .*{name}"):
+            VideoCapture(ideal, output=name)
 
 
 def test_output_selects_what_read_gives(ideal):
@@ -248,7 +277,7 @@ def test_a_change_of_the_rate_keeps_the_time(ideal):
     (p.CAP_PROP_PDAVIS_METHOD, 99), (p.CAP_PROP_PDAVIS_METHOD, 0.5),
     (p.CAP_PROP_PDAVIS_DEMOSAIC, 4), (p.CAP_PROP_PDAVIS_FPS, 0),
     (p.CAP_PROP_PDAVIS_FPS, -3), (p.CAP_PROP_PDAVIS_FPS, math.nan),
-    (p.CAP_PROP_PDAVIS_GAIN, 0), (p.CAP_PROP_PDAVIS_OUTPUT, 16),
+    (p.CAP_PROP_PDAVIS_GAIN, 0), (p.CAP_PROP_PDAVIS_OUTPUT, 999),
     (p.CAP_PROP_PDAVIS_OUTPUT, -1), (p.CAP_PROP_PDAVIS_LAYOUT, 3202),
     (p.CAP_PROP_PDAVIS_LAYOUT, 2130), (p.CAP_PROP_PDAVIS_LAYOUT, math.inf),
     (p.CAP_PROP_PDAVIS_START_US, 0), (p.CAP_PROP_PDAVIS_WHITE, 1)])

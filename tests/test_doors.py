@@ -11,10 +11,12 @@ from test_aedat4 import joined
 from test_aedat4_writer import small
 
 import pdavis_cv
-from pdavis_cv import FORMATS, METHODS, SOURCES, Layout, VideoCapture
+from pdavis_cv import FORMATS, METHODS, QUANTITIES, SOURCES, Layout, VideoCapture
 from pdavis_cv.data import example_recording
+from pdavis_cv.export import to_xarray
 from pdavis_cv.tools import score
 from pdavis_cv.tools.main import main
+from pdavis_cv.viewer.panes import palettes, pane, planes
 from pdavis_cv.viewer.show import show_of
 
 
@@ -116,10 +118,65 @@ def test_a_source_is_opened_by_its_address(mine, tmp_path, capsys):
     assert "2,560" in told(capsys, "info", "blink:?hz=50&seconds=0.1")
 
 
+def test_a_quantity_goes_through_every_door(mine, tmp_path, capsys):
+    path = str(example_recording())
+    options = {"layout": Layout.PDAVIS, "method": "cf", "fps": 50}
+    with pdavis_cv.open_recording(path) as recording:
+        images = list(pdavis_cv.fuse(recording, **options))
+    image = images[0]
+    i0, _, i90, _ = image.quad
+    want = (i0 - i90) / np.maximum(i0 + i90, 1e-6)
+    assert list(QUANTITIES)[-1] == "contrast"
+    for name in ("contrast", "q"):
+        with VideoCapture(path, output=name, **options) as capture:
+            np.testing.assert_allclose(capture.read()[1], want, rtol=1e-6)
+            number = int(capture.get(pdavis_cv.CAP_PROP_PDAVIS_OUTPUT))
+            np.testing.assert_array_equal(
+                capture.retrieve(None, number)[1], capture.retrieve(None, name)[1])
+            drawn = capture.retrieve(None, "contrast_bgr")[1]
+    np.testing.assert_array_equal(
+        drawn, pdavis_cv.render.dolp_bgr(want + 1, image.valid, top=2))
+    np.testing.assert_allclose(
+        to_xarray(images, ["contrast"])["contrast"][0],
+        np.where(image.valid, want, np.nan), rtol=1e-6)
+    words = ("export", path, "--layout", "pdavis", "--method", "cf", "--fps", "50",
+             "--quantities", "s0,q")
+    told(capsys, *words, "-o", str(tmp_path / "x.npz"))
+    with np.load(tmp_path / "x.npz") as stack:
+        np.testing.assert_allclose(
+            stack["contrast"][0], np.where(image.valid, want, np.nan), rtol=1e-6)
+    told(capsys, *words, "-o", str(tmp_path / "x.png"), "--range", "contrast=0,1")
+    assert (tmp_path / "x-00000.png").stat().st_size > 10_000
+    told(capsys, *words[:-1], "contrast", "-o", str(tmp_path / "x.mkv"), "--lossless")
+    assert "-1 .. 1" in told(
+        capsys, *words[:-1], "q", "-o", str(tmp_path / "y.mkv"), "--lossless")
+    assert "contrast" in told(capsys, "export", "--help")
+    told(capsys, "batch", path, "-o", str(tmp_path / "out"), "--set", "method=cf",
+         "--set", "layout=pdavis", "--with", "quantities=contrast", "--jobs", "1")
+    [made] = (tmp_path / "out").rglob("images.npz")
+    with np.load(made) as stack:
+        assert "contrast" in stack
+    show = show_of(path, tmp_path, options)
+    try:
+        _, shown = show.latest(0, 1)
+        assert palettes()["quantities"][-1] == {
+            "name": "contrast", "title": "contrast of 0 and 90 degrees",
+            "ends": ["-1", "1"], "colours": "viridis"}
+        part = planes(["contrast"], show, shown)["contrast"][shown.valid]
+        i0, _, i90, _ = shown.quad[:, shown.valid]
+        np.testing.assert_allclose(
+            part, 127 * (1 + (i0 - i90) / np.maximum(i0 + i90, 1e-6)).clip(0, 2),
+            atol=1.01)
+        assert pane("contrast_bgr", show, shown).shape == (*shown.shape, 3)
+    finally:
+        show.close()
+
+
 def test_what_is_broken_stops_nobody_and_is_told_by_name(tmp_path):
     site = tmp_path / "site"
-    install(site, {f"pdavis_cv.{kind}": {"broken": "broken_module:Thing"} for kind in (
-        "formats", "methods", "sources")}, {"broken_module.py": "1 / 0\n"})
+    groups = ("formats", "methods", "sources", "quantities")
+    install(site, {f"pdavis_cv.{kind}": {"broken": "broken_module:Thing"}
+                   for kind in groups}, {"broken_module.py": "1 / 0\n"})
     environment = {**os.environ, "PYTHONPATH": str(site)}
 
     def run(*words):
@@ -138,5 +195,9 @@ def test_what_is_broken_stops_nobody_and_is_told_by_name(tmp_path):
     assert asked.returncode == 2
     assert ("method 'broken' of broken_module:Thing cannot be used: division by zero"
             in asked.stderr)
+    asked = run(*pdavis, "export", str(example_recording()), "-o",
+                str(tmp_path / "x.npy"), "--quantities", "broken")
+    assert asked.returncode == 2
+    assert "quantity 'broken' of broken_module:Thing cannot be used" in asked.stderr
     opened = run("-c", "import pdavis_cv; pdavis_cv.open_source('broken:')")
     assert "source 'broken' of broken_module:Thing cannot be used" in opened.stderr

@@ -25,7 +25,7 @@ def recording():
 @pytest.fixture(scope="module")
 def stack(recording, tmp_path_factory):
     path = tmp_path_factory.mktemp("napari") / "a.ome.tif"
-    with OmeTiffFile(path, ("S0", "AoP", "DoLP"), pixel_um=0.5,
+    with OmeTiffFile(path, ("s0", "aop", "dolp"), pixel_um=0.5,
                      facts={"method": "frames"}) as file:
         for image in pdavis_cv.fuse(recording, fps=50, method="frames"):
             file.add(image)
@@ -47,7 +47,7 @@ def read(path):
 def test_an_exported_stack_is_three_named_scaled_layers(stack):
     layers = read(stack)
     assert [kind for _, _, kind in layers] == ["image"] * 3
-    assert [facts["name"] for _, facts, _ in layers] == ["S0", "AoP", "DoLP"]
+    assert [facts["name"] for _, facts, _ in layers] == ["s0", "aop", "dolp"]
     for data, facts, _ in layers:
         assert data.shape[1:] == (8, 10)
         assert facts["scale"] == (0.02, 0.5, 0.5)
@@ -61,7 +61,7 @@ def test_a_recording_is_fused_into_three_layers(tmp_path, recording):
     path = tmp_path / "a.aedat4"
     pdavis_cv.write_aedat4(path, recording)
     layers = read(path)
-    assert [facts["name"] for _, facts, _ in layers] == ["S0", "AoP", "DoLP"]
+    assert [facts["name"] for _, facts, _ in layers] == ["s0", "aop", "dolp"]
     assert {data.dtype for data, _, _ in layers} == {np.dtype(np.float32)}
     assert layers[0][1]["scale"][0] == pytest.approx(0.05, abs=1e-3)
 
@@ -82,7 +82,7 @@ def test_the_widget_fuses_a_part_of_a_recording(tmp_path, recording):
         warnings.simplefilter("ignore")
         fused = manager.commands.execute(widget.command, (
             path, "cf", 100.0, 0.05, 0.2))
-    assert [facts["name"] for _, facts, _ in fused] == ["S0", "AoP", "DoLP"]
+    assert [facts["name"] for _, facts, _ in fused] == ["s0", "aop", "dolp"]
     assert fused[1][0].shape == (20, 8, 10)
     assert fused[0][1]["metadata"]["method"] == "cf"
     with pytest.raises(ValueError, match="no image lies in that part"):

@@ -19,7 +19,7 @@ from pdavis_cv.export import (
     to_xarray,
 )
 
-NAMES = ("I0", "I45", "I90", "I135", "S0", "AoP", "DoLP")
+NAMES = ("i0", "i45", "i90", "i135", "s0", "aop", "dolp")
 FACTS = {"method": "cf", "parameters": {"cutoff_hz": 1.6}, "label": "größe µm <&>"}
 
 
@@ -74,7 +74,7 @@ def test_ome_tiff_returns_numbers_axes_names_sizes_and_times(tmp_path):
     assert facts["parameters"] == {"cutoff_hz": 1.6}
     assert facts["label"] == FACTS["label"]
     assert facts["first_t_us"] == 1_000_000
-    assert facts["units"]["AoP"] == "rad"
+    assert facts["units"]["aop"] == "rad"
 
 
 def test_the_ome_xml_is_of_the_published_schema(tmp_path):
@@ -100,7 +100,7 @@ def test_a_big_tiff_reads_the_same(tmp_path, monkeypatch):
     with tifffile.TiffFile(tmp_path / "big.ome.tif") as tiff:
         assert tiff.is_bigtiff
         assert tiff.series[0].axes == "TCYX"
-        np.testing.assert_array_equal(tiff.asarray()[:, 4], expected("S0", 3))
+        np.testing.assert_array_equal(tiff.asarray()[:, 4], expected("s0", 3))
 
 
 def test_opencv_reads_the_planes_of_the_tiff(tmp_path):
@@ -109,7 +109,7 @@ def test_opencv_reads_the_planes_of_the_tiff(tmp_path):
     found, planes = cv2.imreadmulti(
         str(tmp_path / "stack.ome.tif"), flags=cv2.IMREAD_UNCHANGED)
     assert found
-    np.testing.assert_array_equal(planes[4], expected("S0", 2)[0])
+    np.testing.assert_array_equal(planes[4], expected("s0", 2)[0])
 
 
 def test_hdf5_returns_numbers_units_and_provenance(tmp_path):
@@ -118,7 +118,7 @@ def test_hdf5_returns_numbers_units_and_provenance(tmp_path):
     with h5py.File(tmp_path / "stack.h5") as file:
         for name in NAMES:
             np.testing.assert_array_equal(file[name][:], expected(name, 5))
-        assert file["AoP"].attrs["units"] == "rad"
+        assert file["aop"].attrs["units"] == "rad"
         np.testing.assert_array_equal(file["t_us"], 1_000_000 + 5000 * np.arange(5))
         assert json.loads(file.attrs["provenance"])["method"] == "cf"
         assert file.attrs["pixel_um"] == 0.74
@@ -130,25 +130,25 @@ def test_xarray_opens_the_hdf5_with_named_dimensions(tmp_path, pixel_um, unit):
     pytest.importorskip("h5netcdf")
     write(Hdf5File, tmp_path / "stack.h5", pixel_um=pixel_um)
     with xarray.open_dataset(tmp_path / "stack.h5", engine="h5netcdf") as data:
-        assert data["AoP"].dims == ("t_us", "y", "x")
-        np.testing.assert_array_equal(data["AoP"], expected("AoP", 5))
+        assert data["aop"].dims == ("t_us", "y", "x")
+        np.testing.assert_array_equal(data["aop"], expected("aop", 5))
         np.testing.assert_array_equal(
             data["t_us"], 1_000_000 + 5000 * np.arange(5))
         np.testing.assert_allclose(
             data["x"], (pixel_um or 1) * np.arange(data.sizes["x"]))
-        assert (data["AoP"].units, data["x"].units) == ("rad", unit)
+        assert (data["aop"].units, data["x"].units) == ("rad", unit)
 
 
 def test_images_become_an_xarray_dataset():
     pytest.importorskip("xarray")
     some = list(images(3))
-    data = to_xarray(iter(some), ["aop", "S0"])
-    assert list(data) == ["AoP", "S0"]
-    np.testing.assert_array_equal(data["AoP"], expected("AoP", 3))
+    data = to_xarray(iter(some), ["aop", "s0"])
+    assert list(data) == ["aop", "s0"]
+    np.testing.assert_array_equal(data["aop"], expected("aop", 3))
     assert data["t_us"].values.tolist() == [image.t_us for image in some]
-    assert data["AoP"].units == "rad"
+    assert data["aop"].units == "rad"
     assert json.loads(data.provenance) == dict(some[0].provenance)
-    assert to_xarray(some[1])["S0"].shape == (1, *some[1].shape)
+    assert to_xarray(some[1])["s0"].shape == (1, *some[1].shape)
     with pytest.raises(ValueError, match="quantity must be one of"):
         to_xarray(some, ["angle"])
     with pytest.raises(ValueError, match="at least one, got none"):
@@ -241,7 +241,7 @@ from pdavis_cv import PolarFrame, export
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 kind, path = getattr(export, sys.argv[1]), sys.argv[2]
 try:
-    with kind(path, ("S0",)) as file:
+    with kind(path, ("s0",)) as file:
         for k in range(int(sys.argv[3])):
             file.add(PolarFrame(np.ones((4, 100, 100)), t_us=k))
 except OSError as error:
@@ -270,7 +270,7 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path, kind, name):
 
 
 def test_unfit_images_and_names_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"one of I0, .* got 'colour'"):
+    with pytest.raises(ValueError, match=r"one of i0, .* got 'colour'"):
         NpzFile(tmp_path / "a.npz", ["colour"])
     with pytest.raises(ValueError, match="pixel_um must be positive"):
         NpzFile(tmp_path / "a.npz", pixel_um=0)
@@ -287,7 +287,7 @@ def test_unfit_images_and_names_are_refused(tmp_path):
         with pytest.raises(ValueError, match="first one's shape"):
             file.add(PolarFrame(np.ones((4, 3, 3)), t_us=9_000_000))
     with pytest.raises(ValueError, match="needs a method that knows its variance"):
-        plane(frame, "sigma_AoP")
+        plane(frame, "sigma_aop")
 
 
 def test_provenance_names_the_input_and_shortens_maps(tmp_path):

@@ -84,7 +84,7 @@ def test_version(capsys):
     (["export", SAMPLE, "-o", "x.mp4", "--roi", "340,0,20,20"], "roi"),
     (["export", SAMPLE, "-o", "x.mp4", "--layout", "0,0,45,90"], "layout must hold"),
     (["export", SAMPLE, "-o", "x.mp4", "--method", "magic"], "method"),
-    (["export", SAMPLE, "-o", "x.mp4", "--quantities", "aop,q"], "'q' is none of"),
+    (["export", SAMPLE, "-o", "x.mp4", "--quantities", "aop,q"], "valid, got 'q'"),
     (["export", SAMPLE, "-o", "x.mp4", "--start", "100"], "no image at 100 s"),
     (["export", SAMPLE, "-o", "x.png", "--at", "100"],
      "no image at 100 s or later: the recording covers 0 .. "),

@@ -97,13 +97,13 @@ def test_the_page_and_its_files_are_there_and_name_no_other_address(served):
 
 
 def test_a_frame_holds_the_planes_and_values_of_its_image(served, recording):
-    told, found = frame(served, panes="uncertainty,aop,s0", region="2,1,4,3")
+    told, found = frame(served, panes="sigma_aop,aop,s0", region="2,1,4,3")
     image = image_at(recording, told["t_us"])
-    assert list(found) == ["uncertainty", "aop", "s0", "dolp"]
+    assert list(found) == ["sigma_aop", "aop", "s0", "dolp"]
     np.testing.assert_array_equal(
-        found["s0"], pane("s0", served.site.show, image)[..., 0])
+        found["s0"], pane("bgr", served.site.show, image)[..., 0])
     np.testing.assert_array_equal(found["dolp"] == NONE, ~image.valid)
-    np.testing.assert_array_equal(found["uncertainty"], NONE)     # cf gives none
+    np.testing.assert_array_equal(found["sigma_aop"], NONE)     # cf gives none
     assert told["values"] == json.loads(json.dumps(values(image, (2, 1, 4, 3))))
     assert told["values"]["pixels"] == np.count_nonzero(image.valid[1:4, 2:6])
 
@@ -113,17 +113,21 @@ def test_colours_of_planes_are_those_of_the_pictures():
     valid = np.random.default_rng(4).random((20, 30)) > 0.1
     image = pdavis_cv.PolarFrame(
         quad, variance=np.full_like(quad, 30), t_us=7, valid=valid)
-    found = planes(["aop", "uncertainty"], None, image)
+    found = planes(["aop", "sigma_aop", "dolp_debiased"], None, image)
     colours = palettes()
-    ramp, hues = (np.array(colours[name], int) for name in ("ramp", "aop"))
+    ramp, greys, hues = (np.array(colours["colours"][name], int)
+                         for name in ("viridis", "grey", "hue"))
     part = np.minimum(found["dolp"][..., None] / 254 / colours["full_dolp"], 1)
     part[~valid] = 1
+    show = types.SimpleNamespace(white=50.0)
     for drawn, name in ((ramp[found["dolp"]], "dolp"),
-                        (ramp[found["uncertainty"]], "uncertainty"),
-                        (hues[found["aop"]] * part, "aop")):
-        picture = pane(name, None, image)[..., ::-1].astype(int)
+                        (ramp[found["dolp_debiased"]], "dolp_debiased"),
+                        (greys[found["sigma_aop"]], "sigma_aop"),
+                        (hues[found["aop"]] * part, "aop_faded")):
+        picture = pane(f"{name}_bgr", show, image)[..., ::-1].astype(int)
         # A part in 255 of a turn of hue is six of its colours.
-        assert np.abs(drawn - picture).max() <= 7, name
+        seen = valid if name == "sigma_aop" else np.ones_like(valid)
+        assert np.abs(drawn - picture)[seen].max() <= 7, name
 
 
 def test_values_are_those_of_the_mean_stokes_vector():
@@ -318,7 +322,7 @@ def test_a_socket_gives_an_image_for_each_message(served):
 
 @pytest.mark.parametrize(("data", "message_"), [
     (b"no", "Expecting value"), (b"[]", "must be {"), (b'{"panes": 7}', "panes"),
-    (b'{"panes": ["no"]}', "panes must be of"), (b'{"after": 1.5}', "after"),
+    (b'{"panes": ["no"]}', "quantity must be one"), (b'{"after": 1.5}', "after"),
     (b'{"region": [1, 2, 3]}', "region"), (b"[" * 3000, ""), (b"x" * 5000, "at most"),
     (b'{"panes": [' + b'"s0", ' * 99 + b'"s0"]}', "at most")])
 def test_what_a_socket_does_not_take_ends_it(served, data, message_):

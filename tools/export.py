@@ -21,6 +21,7 @@ import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv.mosaic import HALF_SIZE
+from pdavis_cv.quantities import GROUPS, INTENSITY, QUANTITIES, Quantity, chosen
 from pdavis_cv.render.colours import Picture
 
 from ._aop_events import SUFFIXES, export_aop_events
@@ -41,17 +42,8 @@ from ._images import full_scale, told_if_nothing
 from ._options import add_fuse_options, fuse_options, opened
 from ._values import numbers, positive, seconds, within
 
-__all__ = ["QUANTITIES", "Sheet", "main"]
+__all__ = ["Sheet", "main"]
 
-QUANTITIES = {name.lower(): unit for name, unit in export.QUANTITIES.items()}
-"""Names of quantities on the command line, with units."""
-
-_TITLES = {"s0": "intensity S0", "aop": "angle of polarization",
-           "dolp": "degree of linear polarization",
-           "dolp_debiased": "DoLP corrected for noise",
-           "sigma_aop": "standard deviation of AoP",
-           "sigma_dolp": "standard deviation of DoLP"}
-_UNIFORM = math.pi / math.sqrt(12)  # sigma of a uniformly distributed angle
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
 _COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
@@ -124,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "one image for each frame; --fps 200 makes 200 per second, by events")
     tell(args, lines, method=first[0].provenance["method"],
          quantities=args.quantities,
-         units=[QUANTITIES[name] for name in args.quantities], **facts)
+         units=[QUANTITIES[name].unit for name in args.quantities], **facts)
     return 0
 
 
@@ -159,7 +151,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quantities", type=_quantities, default=["s0", "aop", "dolp"],
         metavar="LIST",
-        help=f"quantities from {','.join(QUANTITIES)}; default s0,aop,dolp")
+        help=f"quantities from {', '.join(_names())}; default s0,aop,dolp")
     parser.add_argument(
         "--lossless", action="store_true", help="write one quantity as 16-bit FFV1")
     parser.add_argument(
@@ -207,13 +199,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _names() -> list[str]:
+    return [*(name for name, one in QUANTITIES.usable().items()
+              if one.colours != "events"), *GROUPS]
+
+
 def _quantities(text: str) -> list[str]:
-    names = text.lower().split(",")
-    for name in names:
-        if name not in QUANTITIES:
-            raise argparse.ArgumentTypeError(
-                f"{name!r} is none of {', '.join(QUANTITIES)}")
-    return names
+    try:
+        return [one.name for one in chosen(text.split(","))]
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _range(text: str) -> tuple[str | None, float, float]:
@@ -271,7 +266,7 @@ class Sheet:
         top = full_scale(recording)
         self.white = float(args.white or _white(first, top))
         self.saturated = math.inf if top is None else top / 2
-        self.ranges = {name: _shown_range(name, self.white) for name in
+        self.ranges = {name: QUANTITIES[name].shown(self.white) for name in
                        args.quantities} | _ranges(args)
         self.fading = _ranges(args).get("dolp", (0.0, render.FULL_COLOUR_DOLP))
         self.style = render.LIGHT if args.background == "light" else render.DARK
@@ -337,40 +332,21 @@ class Sheet:
             picture[~good] = render.INVALID
             return picture
         low, high = self.ranges[name]
-        plane, width = export.plane(frame, name) - np.float32(low), high - low
-        if name.startswith("dolp"):
-            return render.dolp_bgr(plane, frame.valid, top=width, out=out)
-        if name == "quality" or name.startswith("sigma") or name in ("s1", "s2"):
-            return render.grey_bgr(plane, width, out=out)
-        # Intensities that are not valid are too dark or too bright to measure, but
-        # may be shown.
-        return render.grey_bgr(
-            plane, width, frame.valid, saturated=self.saturated - low, out=out)
+        return render.quantity_bgr(
+            QUANTITIES[name], frame, low, high, saturated=self.saturated, out=out)
 
     def _panel(self, name: str) -> render.Panel:
-        title = _TITLES.get(name, name.upper())
+        one = QUANTITIES[name]
         if name == "aop":
             legend = "aop" if self.args.aop == "full" else self.args.aop
-            return render.Panel(title, legend, end=f"{self.fading[1]:g}")
+            return render.Panel(one.title, legend, end=f"{self.fading[1]:g}")
         low, high = self.ranges[name]
-        unit = "" if QUANTITIES[name] == "1" else f" {QUANTITIES[name]}"
-        if name == "sigma_aop":
+        unit = "" if one.unit == "1" else f" {one.unit}"
+        if one.unit == "rad":
             low, high, unit = math.degrees(low), math.degrees(high), " deg"
         return render.Panel(
-            title, "dolp" if name.startswith("dolp") else "grey", f"{low:.4g}",
+            one.title, "dolp" if one.colours == "viridis" else "grey", f"{low:.4g}",
             f"{high:.4g}{unit}")
-
-
-def _shown_range(name: str, white: float) -> tuple[float, float]:
-    """Return the default values at the ends of a quantity's colours.
-
-    The middle grey of S1 and S2 is 0.
-    """
-    if name == "sigma_aop":
-        return 0.0, _UNIFORM
-    if QUANTITIES[name] == "1":
-        return 0.0, 1.0
-    return (-white if name in ("s1", "s2") else 0.0), white
 
 
 def _white(frame: PolarFrame, top: float | None) -> float:
@@ -463,19 +439,20 @@ def _write_plane(
     recording: Recording, first: PolarFrame,
 ) -> tuple[list[str], dict[str, Any]]:
     name = args.quantities[0]
-    low, high = _ranges(args).get(name) or _natural_range(name, recording)
+    one = QUANTITIES[name]
+    low, high = _ranges(args).get(name) or _natural_range(one, recording)
     log = _Log(frames)
     facts = export.provenance(
-        first.provenance, recording.path, quantity=name, unit=QUANTITIES[name])
+        first.provenance, recording.path, quantity=name, unit=one.unit)
     with export.PlaneVideo(args.out, rate, low, high, facts) as video:
         for frame in log:
-            video.add_plane(export.plane(frame, name), frame.valid)
+            video.add_plane(one.of(frame), frame.valid)
     beside = log.write(
-        args.out, quantity=name, unit=QUANTITIES[name], **video.scale,
+        args.out, quantity=name, unit=one.unit, **video.scale,
         clipped=video.clipped, height=first.shape[0], width=first.shape[1],
         playing_fps=rate)
     lines = [f"wrote {args.out}: {video.count} images of {name}, 16 bits for "
-             f"{low:g} .. {high:g} {QUANTITIES[name]}",
+             f"{low:g} .. {high:g} {one.unit}",
              f"wrote {beside}: times and scale"]
     if video.clipped:
         lines.append(f"{video.clipped} samples were beyond that range and clipped")
@@ -483,18 +460,13 @@ def _write_plane(
                    "playing_fps": rate, "clipped": video.clipped, **video.scale}
 
 
-def _natural_range(name: str, recording: Recording) -> tuple[float, float]:
+def _natural_range(one: Quantity, recording: Recording) -> tuple[float, float]:
     """Return the largest range of a quantity that the camera's converter allows."""
-    fixed = {"aop": (0.0, math.pi), "dolp": (0.0, 1.0), "dolp_debiased": (0.0, 1.0),
-             "sigma_aop": (0.0, _UNIFORM), "sigma_dolp": (0.0, 1.0),
-             "quality": (0.0, 1.0)}
-    if name in fixed:
-        return fixed[name]
-    top = full_scale(recording)
+    top = full_scale(recording) if one.unit == INTENSITY else 1.0
     if top is None:
-        raise UsageError(f"--range is needed: no frame says how large {name} can be")
-    return {"s0": (0.0, 2 * top), "s1": (-top, top), "s2": (-top, top)}.get(
-        name, (0.0, top))
+        raise UsageError(
+            f"--range is needed: no frame says how large {one.name} can be")
+    return one.ends(top)
 
 
 def _write_stack(
@@ -523,13 +495,14 @@ def _write_arrays(
     log, names = _Log(frames), args.quantities
     with export.ArrayFile(args.out) as file:
         for frame in log:
-            planes = np.stack([export.plane(frame, name) for name in names])
+            planes = np.stack([
+                QUANTITIES[name].of(frame).astype(np.float32) for name in names])
             planes[:, ~frame.valid] = np.nan
             file.add(planes)
             shape = planes.shape
     beside = log.write(
         args.out, axes="T, quantity, row, column", quantities=names,
-        units=[QUANTITIES[name] for name in names], invalid="NaN")
+        units=[QUANTITIES[name].unit for name in names], invalid="NaN")
     size = " x ".join(map(str, (file.count, *shape)))
     lines = [f"wrote {args.out}: float32, {size} ({', '.join(names)})",
              f"wrote {beside}: times and scale"]

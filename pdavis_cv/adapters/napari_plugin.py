@@ -4,7 +4,6 @@ napari finds it through ``napari.yaml`` next to this file, and makes a widget of
 `fuse_recording` from its annotations, which therefore must not be strings.
 """
 import json
-import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from pdavis_cv import export
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.quantities import INTENSITY, quantity
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.open import open_recording
 
@@ -26,9 +26,8 @@ __all__ = ["fuse_recording", "get_reader", "read_recording", "read_stack"]
 
 Layer = tuple[NDArray[np.float32], dict[str, Any], str]
 
-_QUANTITIES = ("S0", "AoP", "DoLP")
-_COLOURS = {"AoP": "hsv", "DoLP": "viridis"}
-_LIMITS = {"AoP": (0.0, math.pi), "DoLP": (0.0, 1.0)}
+_QUANTITIES = ("s0", "aop", "dolp")
+_COLOURS = {"hue": "hsv", "viridis": "viridis"}
 _BRIGHT = 99.5  # percentile of an intensity that is shown as white
 _METHODS = ("what fits the file", *METHODS)
 _LAYOUTS = ("as the file says", "pdavis", "sony")
@@ -158,14 +157,15 @@ def _layer(
     name: str, data: NDArray[np.float32], scale: tuple[float, float, float],
     facts: dict[str, Any],
 ) -> Layer:
-    limits = _LIMITS.get(name)
-    if limits is None:
+    one = quantity(name)
+    top = 1.0
+    if one.unit == INTENSITY:
         usable = data[np.isfinite(data)]
-        top = float(np.percentile(usable, _BRIGHT)) if usable.size else 1.0
-        limits = (min(0.0, -top if name in ("S1", "S2") else 0.0), top or 1.0)
+        top = (float(np.percentile(usable, _BRIGHT)) if usable.size else 0.0) or 1.0
+    low, high = one.shown(top)
     return data, {
-        "name": name, "scale": scale, "contrast_limits": limits,
-        "colormap": _COLOURS.get(name, "gray"), "metadata": facts}, "image"
+        "name": name, "scale": scale, "contrast_limits": (low, high),
+        "colormap": _COLOURS.get(one.colours, "gray"), "metadata": facts}, "image"
 
 
 def _description(path: str) -> str:

@@ -14,8 +14,9 @@ import pdavis_cv
 from pdavis_cv import export
 from pdavis_cv.batch.jobs import Work
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.export.stacks import StackFile, names_of
+from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.quantities import chosen
 from pdavis_cv.reconstruct.methods import default_method
 from pdavis_cv.recording.base import Recording
 
@@ -81,7 +82,7 @@ class Export(_Part):
     suffix : {".npz", ".h5", ".ome.tif"}
         Format of the stack.
     quantities : tuple of str
-        Names from ``export.QUANTITIES``.
+        Names from `pdavis_cv.QUANTITIES`.
     start_s, stop_s : float, optional
         Seconds after the recording's first sample, half-open; default all.
 
@@ -98,7 +99,7 @@ class Export(_Part):
         if self.suffix not in _STACKS:
             raise ValueError(
                 f"suffix must be one of {', '.join(_STACKS)}, got {self.suffix!r}")
-        names_of(self.quantities)
+        chosen(self.quantities)
 
     def __call__(
         self, recording: Recording, options: FusionOptions, folder: Path

@@ -37,9 +37,6 @@ __all__ = [
     "CAP_PROP_PDAVIS_WHITE",
     "CAP_PROP_READ_TIMEOUT_MSEC",
     "CODE_OF_DEMOSAIC",
-    "NAMES_OF_OUTPUTS",
-    "PLANES",
-    "output_of",
 ]
 
 CAP_PDAVIS = 9400
@@ -62,36 +59,6 @@ CAP_PDAVIS_STOKES = 12      # float32 (H, W, 3): S0, S1, S2
 CAP_PDAVIS_AOP_BGR = 13     # uint8 (H, W, 3), as the next two
 CAP_PDAVIS_DOLP_BGR = 14
 CAP_PDAVIS_EVENTS_BGR = 15
-
-PLANES = range(CAP_PDAVIS_I0, CAP_PDAVIS_AOP_BGR)
-"""Outputs that are not pictures: planes of float32, except VALID, which is uint8."""
-
-NAMES_OF_OUTPUTS = (
-    "bgr", "i0", "i45", "i90", "i135", "s0", "s1", "s2", "aop", "dolp", "valid", "quad",
-    "stokes", "aop_bgr", "dolp_bgr", "events_bgr")
-"""Names of the outputs by number; Python functions accept either."""
-
-
-def output_of(value: int | str) -> int:
-    """Return the number of an output.
-
-    Parameters
-    ----------
-    value : int or str
-        ``CAP_PDAVIS_*``, or its name in small letters, such as ``"aop"``.
-
-    Raises
-    ------
-    ValueError
-        If there is no output of this name.
-    """
-    if not isinstance(value, str):
-        return value
-    if value.lower() not in NAMES_OF_OUTPUTS:
-        raise ValueError(
-            f"output must be one of {', '.join(NAMES_OF_OUTPUTS)}, got {value!r}")
-    return NAMES_OF_OUTPUTS.index(value.lower())
-
 
 # Properties; "set" means that set() and the params of open() accept it.
 CAP_PROP_PDAVIS_OUTPUT = 94000       # set: output of read()

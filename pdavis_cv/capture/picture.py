@@ -8,21 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.capture import constants as c
+from pdavis_cv.capture.outputs import Output
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.base import ApsFrame, Recording
-from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr
+from pdavis_cv.render import ToneCurve, fade, quantity_bgr
 
-__all__ = ["event_counts", "events_bgr", "first_frame", "plane", "tone", "white_level"]
+__all__ = ["colour", "event_counts", "events_bgr", "first_frame", "plane", "tone",
+           "white_level"]
 
 WHITE_WITHOUT_FRAMES = 2.0
 """Intensity shown as white if there are no frames; it then starts from 1."""
-
-_CHANNEL = {c.CAP_PDAVIS_I0: 0, c.CAP_PDAVIS_I45: 1, c.CAP_PDAVIS_I90: 2,
-            c.CAP_PDAVIS_I135: 3}
-_NAME = {c.CAP_PDAVIS_S0: "s0", c.CAP_PDAVIS_S1: "s1", c.CAP_PDAVIS_S2: "s2",
-         c.CAP_PDAVIS_AOP: "aop", c.CAP_PDAVIS_DOLP: "dolp",
-         c.CAP_PDAVIS_AOP_BGR: "aop", c.CAP_PDAVIS_DOLP_BGR: "dolp"}
 
 
 def first_frame(recording: Recording) -> ApsFrame | None:
@@ -83,40 +78,64 @@ def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
     return ToneCurve(white / float(gain), gamma=float(gamma), log=bool(log))
 
 
-def plane(frame: PolarFrame, output: int) -> NDArray[Any]:
-    """Return the plane of an output; for a picture, the plane that it shows.
+def plane(frame: PolarFrame, output: Output) -> NDArray[Any]:
+    """Return the numbers of an output; for a picture, those that it shows.
 
     Parameters
     ----------
     frame : PolarFrame
-    output : int
-        ``CAP_PDAVIS_*``, but not ``CAP_PDAVIS_EVENTS_BGR``.
+    output : Output
+        Not of events.
 
     Returns
     -------
-    ndarray of float32, shape (H, W), or (H, W, 4) for QUAD, (H, W, 3) for STOKES
-        A new array with channels last, as in cv2.  VALID is uint8: 0, or 255 = usable.
+    ndarray of float32 or the quantity's dtype, shape (H, W) or (H, W, channels)
+        A new array.  For the picture of an intensity it is divided by the greatest
+        part of the converter's full scale that it can reach: S0 / 2.
+
+    Raises
+    ------
+    ValueError
+        If the method does not provide it.
     """
-    if output == c.CAP_PDAVIS_BGR:
-        half: NDArray[np.float32] = frame.s0 * np.float32(0.5)
-        return half
-    if output == c.CAP_PDAVIS_QUAD:
-        return np.ascontiguousarray(np.moveaxis(frame.quad, 0, -1))
-    if output == c.CAP_PDAVIS_STOKES:
-        return np.stack((frame.s0, frame.s1, frame.s2), axis=-1)
-    if output in _CHANNEL:
-        return np.array(frame.quad[_CHANNEL[output]])
-    if output == c.CAP_PDAVIS_VALID:
-        return frame.valid.view(np.uint8) * np.uint8(255)
-    made: NDArray[np.float32] = getattr(frame, _NAME[output]).copy()
+    planes = [one.of(frame) for one in output.quantities]
+    if len(planes) > 1:
+        return np.stack(planes, axis=-1)
+    if output.picture and output.quantity.light:
+        part: NDArray[np.float32] = planes[0] * np.float32(
+            1 / output.quantity.range[1])
+        return part
+    return np.array(planes[0])
+
+
+def colour(frame: PolarFrame, output: Output, curve: ToneCurve) -> NDArray[np.uint8]:
+    """Return the picture of an output.
+
+    Parameters
+    ----------
+    frame : PolarFrame
+    output : Output
+        Not of events.
+    curve : ToneCurve
+        Of intensities; see `tone`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR.  Where AoP and DoLP are not valid they are grey, and intensities are black.
+
+    Raises
+    ------
+    ValueError
+        If the method does not provide it.
+    """
+    one = output.quantity
+    if one.light:
+        return curve.bgr(plane(frame, output), invalid=(0, 0, 0))
+    made = quantity_bgr(one, frame, *one.ends(curve.white))
+    if output.faded:
+        fade(made, frame.dolp, frame.valid)
     return made
-
-
-def colour(frame: PolarFrame, output: int) -> NDArray[np.uint8]:
-    """Return the colour picture of AoP or DoLP; invalid pixels are grey."""
-    if output == c.CAP_PDAVIS_AOP_BGR:
-        return aop_bgr(frame.aop, frame.valid)
-    return dolp_bgr(frame.dolp, frame.valid)
 
 
 def event_counts(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pdavis_cv.capture import constants as c
 from pdavis_cv.capture import picture
 from pdavis_cv.capture.manners import type_code
+from pdavis_cv.capture.outputs import output_at
 from pdavis_cv.capture.seeking import Bookmark, Cursor
 from pdavis_cv.capture.source import (
     NAME_OF_PROPERTY,
@@ -163,24 +164,20 @@ class Session:
         ------
         LookupError
             If nothing was grabbed or there is no such output.
+        ValueError
+            If the method does not provide it.
         """
         if not self.grabbed:
             raise LookupError("no image was grabbed")
-        if not c.CAP_PDAVIS_BGR <= output <= c.CAP_PDAVIS_EVENTS_BGR:
-            raise LookupError(
-                f"flag must be one of CAP_PDAVIS_* (0..{c.CAP_PDAVIS_EVENTS_BGR}), "
-                f"got {output}")
-        if output == c.CAP_PDAVIS_EVENTS_BGR:
+        wanted = output_at(output)
+        if wanted.quantity.colours == "events":
             counts = self._event_counts()
             return picture.events_bgr(counts) if self.view.convert else counts
         if self._frame is None:
             self._frame = self.cursor.image()
-        if output in c.PLANES or not self.view.convert:
-            return picture.plane(self._frame, output)
-        if output == c.CAP_PDAVIS_BGR:
-            return self._tone.bgr(
-                picture.plane(self._frame, output), invalid=(0, 0, 0))
-        return picture.colour(self._frame, output)
+        if wanted.picture and self.view.convert:
+            return picture.colour(self._frame, wanted, self._tone)
+        return picture.plane(self._frame, wanted)
 
     def _event_counts(self) -> NDArray[np.float32]:
         fusion = self.cursor.fusion
@@ -302,15 +299,11 @@ class Session:
         return 0.0 if t is None or start is None else (t - start) / 1000
 
     def _format(self) -> float:
-        output = self.view.output
-        if output == c.CAP_PDAVIS_QUAD:
-            return type_code("CV_32FC4")
-        if output == c.CAP_PDAVIS_STOKES:
-            return type_code("CV_32FC3")
-        if output == c.CAP_PDAVIS_VALID:
-            return type_code("CV_8UC1")
-        plane = output in c.PLANES or not self.view.convert
-        return type_code("CV_32FC1" if plane else "CV_8UC3")
+        output = output_at(self.view.output)
+        if output.picture and self.view.convert:
+            return type_code("CV_8UC3")
+        depth = "8U" if output.quantity.dtype == np.uint8 else "32F"
+        return type_code(f"CV_{depth}C{len(output.quantities)}")
 
     def _exposure_us(self) -> float | None:
         if self._first is None:

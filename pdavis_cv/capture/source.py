@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pdavis_cv.capture import constants as c
+from pdavis_cv.capture.outputs import outputs
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.live import is_address, open_source
 from pdavis_cv.live.camera import address_of
@@ -144,7 +145,7 @@ def decoded_value(name: str, value: float) -> Any:
                 "read_timeout_ms"):
         return float(value) if value > 0 else None
     if name == "output":
-        known = 0 <= value <= c.CAP_PDAVIS_EVENTS_BGR and value == int(value)
+        known = 0 <= value < len(outputs()) and value == int(value)
         return int(value) if known else None
     if name == "layout":
         return layout_of_code(value)

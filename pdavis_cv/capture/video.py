@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from pdavis_cv._opencv import native_capture
 from pdavis_cv._options import names_options
-from pdavis_cv.capture.constants import CAP_PDAVIS_BGR, output_of
+from pdavis_cv.capture.constants import CAP_PDAVIS_BGR
 from pdavis_cv.capture.manners import (
     StsBadArg,
     overloads,
     raise_like_cv2,
     unknown_property,
 )
+from pdavis_cv.capture.outputs import number_of
 from pdavis_cv.capture.session import FAILURES, Session, View
 from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
 from pdavis_cv.fusion.options import AllKeywords, FusionOptions
@@ -79,7 +80,8 @@ class VideoCapture:
     index : int, optional
         Number of a camera, for cv2.
     output : int or str
-        Output of ``read()``: ``CAP_PDAVIS_*``, or its name, such as ``"aop"``.
+        Output of ``read()``: ``CAP_PDAVIS_*``, or its name, such as ``"aop"``: of any
+        quantity in ``QUANTITIES`` as numbers, or with ``_bgr`` as a picture.
     gain, gamma : float
         Parameters of the grey picture ``255 * (gain * S0 / 2 / white) ** (1 / gamma)``;
         white is the converter's full scale at the recording's first exposure.
@@ -145,7 +147,7 @@ class VideoCapture:
         self._foreign: Any = None
         self._source: Any = None
         self._parameters = fuse_parameters
-        self._view = View(output_of(output), True, gain, gamma, log)
+        self._view = View(number_of(output), True, gain, gamma, log)
         self._status = CaptureStatus.CLOSED
         self._error: str | None = None
         if filename is not None or index is not None:
@@ -291,7 +293,7 @@ class VideoCapture:
                 return bool(found[0]), found[1]
             self._check_image("retrieve", image)
             try:
-                flag = output_of(flag)
+                flag = number_of(flag)
             except ValueError as error:
                 self._refuse("retrieve", str(error))
             if not _is_integer(flag):

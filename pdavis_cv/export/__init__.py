@@ -9,13 +9,13 @@ from pdavis_cv.export.labelled import to_xarray
 from pdavis_cv.export.npz import NpzFile, write_npz
 from pdavis_cv.export.ometiff import OmeTiffFile
 from pdavis_cv.export.provenance import provenance, read_embedded
-from pdavis_cv.export.stacks import QUANTITIES, StackFile, plane
+from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.export.tables import write_csv, write_jaer_csv, write_traces
 from pdavis_cv.export.video import PlaneVideo, VideoFile, write_png
+from pdavis_cv.quantities import plane
 
 __all__ = [
     "ANIMATIONS",
-    "QUANTITIES",
     "AnimationFile",
     "AopEventsFile",
     "ArrayFile",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv.export.provenance import to_json
-from pdavis_cv.export.stacks import HEADER, QUANTITIES, StackFile
+from pdavis_cv.export.stacks import HEADER, StackFile
 
 __all__ = ["Hdf5File"]
 
@@ -60,7 +60,7 @@ class Hdf5File(StackFile):
                 for c, name in enumerate(self.quantities):
                     data = file.create_dataset(
                         name, (self.count, height, width), "<f4")
-                    data.attrs["units"] = QUANTITIES[name]
+                    data.attrs["units"] = self.units[name]
                     for axis, scale in zip(data.dims, scales, strict=True):
                         axis.attach_scale(file[scale])
                     for t in range(self.count):

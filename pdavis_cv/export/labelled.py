@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdavis_cv.export.provenance import to_json
-from pdavis_cv.export.stacks import QUANTITIES, names_of, plane
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.quantities import chosen
 
 if TYPE_CHECKING:
     import xarray
@@ -18,7 +18,7 @@ __all__ = ["to_xarray"]
 
 def to_xarray(
     images: PolarFrame | Iterable[PolarFrame],
-    quantities: Sequence[str] = ("S0", "AoP", "DoLP"),
+    quantities: Sequence[str] = ("s0", "aop", "dolp"),
 ) -> xarray.Dataset:
     """Return images as an `xarray.Dataset` with times, units and coordinates.
 
@@ -27,13 +27,14 @@ def to_xarray(
     images : PolarFrame, or iterable of PolarFrame of one shape
         Images from `fuse`; all are kept in memory.
     quantities : sequence of str
-        Names from ``QUANTITIES``, in any case.
+        Names from `pdavis_cv.QUANTITIES`, or ``"quad"`` and ``"stokes"``.
 
     Returns
     -------
     xarray.Dataset
         A float32 variable (t_us, y, x) per quantity, NaN where a pixel is not valid,
-        with attribute ``units``; coordinates are microseconds and sensor pixels.
+        with attributes ``units`` and ``long_name``; coordinates are microseconds and
+        sensor pixels.
         ``provenance`` (JSON) is that of the first image.
 
     Raises
@@ -50,14 +51,14 @@ def to_xarray(
     >>> from pdavis_cv.data import example_recording
     >>> with open_recording(example_recording(), layout="pdavis") as recording:
     ...     data = to_xarray(fuse(recording, fps=50, method="cf"))
-    >>> dict(data["AoP"].sizes)
+    >>> dict(data["aop"].sizes)
     {'t_us': 9, 'y': 260, 'x': 346}
     """
     try:
         import xarray
     except ImportError:
         raise ImportError("to_xarray needs xarray: pip install xarray") from None
-    names = names_of(quantities)
+    wanted = chosen(quantities)
     kept = [images] if isinstance(images, PolarFrame) else list(images)
     if not kept:
         raise ValueError("images must hold at least one, got none")
@@ -66,10 +67,10 @@ def to_xarray(
         raise ValueError(f"images must have one shape, got {shapes}")
     height, width = shapes[0]
     variables = {
-        name: (("t_us", "y", "x"),
-               np.stack([np.where(image.valid, plane(image, name), np.float32(np.nan))
-                         for image in kept]), {"units": QUANTITIES[name]})
-        for name in names}
+        one.name: (("t_us", "y", "x"), np.stack([
+            np.where(image.valid, one.of(image), np.float32(np.nan))
+            for image in kept]), {"units": one.unit, "long_name": one.title})
+        for one in wanted}
     coordinates = {
         "t_us": ("t_us", np.array([image.t_us or 0 for image in kept], np.int64),
                  {"units": "us"}),

@@ -20,7 +20,7 @@ _LEVEL = 1  # of zlib; higher levels take longer and hardly compress noise bette
 class OmeTiffFile(StackFile):
     """Write an OME-TIFF for Fiji (Bio-Formats), napari, QuPath, bioio and tifffile.
 
-    Channels are named by the quantities; ``AoP`` is in radians.  The annotation with
+    Channels are named by the quantities; ``aop`` is in radians.  The annotation with
     the provenance also holds the units.  Compression is lossless (zlib).  Files that
     may reach 4 GB are BigTIFF.
 

@@ -11,73 +11,15 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv._beside import Place, sole
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.quantities import chosen
 
-__all__ = ["QUANTITIES", "StackFile", "names_of", "plane"]
+__all__ = ["StackFile"]
 
-QUANTITIES = {
-    "I0": "DN/ms", "I45": "DN/ms", "I90": "DN/ms", "I135": "DN/ms", "S0": "DN/ms",
-    "S1": "DN/ms", "S2": "DN/ms", "AoP": "rad", "DoLP": "1", "sigma_AoP": "rad",
-    "sigma_DoLP": "1", "DoLP_debiased": "1", "quality": "1",
-}
-"""Quantities of a PolarFrame that can be written, with their units."""
-
-_BY_NAME = {name.lower(): name for name in QUANTITIES}
 HEADER = 16  # bytes before the first plane: space for either TIFF header
-
-
-def names_of(quantities: Sequence[str]) -> tuple[str, ...]:
-    """Return quantities in the spelling of ``QUANTITIES``.
-
-    Raises
-    ------
-    ValueError
-        If a quantity is unknown, or none is given.
-    """
-    for name in quantities:
-        if name.lower() not in _BY_NAME:
-            raise ValueError(
-                f"quantity must be one of {', '.join(QUANTITIES)}, got {name!r}")
-    if not quantities:
-        raise ValueError("quantities must name at least one")
-    return tuple(_BY_NAME[name.lower()] for name in quantities)
-
-
-def plane(frame: PolarFrame, name: str) -> NDArray[np.float32]:
-    """Return one quantity of an image.
-
-    Parameters
-    ----------
-    frame : PolarFrame
-        The image.
-    name : str
-        One of ``QUANTITIES``, in any case.
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W)
-        Read-only; pixels that are not valid keep their computed values.
-
-    Raises
-    ------
-    ValueError
-        If there is no such quantity, or the method does not provide it.
-    """
-    key = names_of([name])[0].lower()
-    if key.startswith("i"):
-        channel: NDArray[np.float32] = frame.quad[
-            ("i0", "i45", "i90", "i135").index(key)]
-        return channel
-    values: NDArray[np.float32] | None = getattr(frame, key)
-    if values is None:
-        needs = ("events with offsets='redundancy'" if key == "quality"
-                 else "a method that knows its variance, such as kalman")
-        raise ValueError(f"{name} needs {needs}")
-    return values
 
 
 class StackFile(ABC):
@@ -93,7 +35,7 @@ class StackFile(ABC):
     path : path
         File to write; appears when it is complete.
     quantities : sequence of str
-        Names from ``QUANTITIES``.
+        Names from `pdavis_cv.QUANTITIES`, or ``"quad"`` and ``"stokes"``.
     facts : mapping of str to object
         Provenance, written into the file; see `provenance`.
     pixel_um : float, optional
@@ -105,6 +47,10 @@ class StackFile(ABC):
     ----------
     count : int
         Number of images so far.
+    quantities : tuple of str
+        Names of the planes.
+    units : dict of str to str
+        Their units.
 
     Raises
     ------
@@ -114,17 +60,18 @@ class StackFile(ABC):
 
     def __init__(
         self, path: str | os.PathLike[str],
-        quantities: Sequence[str] = ("I0", "I45", "I90", "I135", "S0", "AoP", "DoLP"),
+        quantities: Sequence[str] = ("quad", "s0", "aop", "dolp"),
         facts: Mapping[str, Any] | None = None, *, pixel_um: float | None = None,
         resume: bool = False,
     ) -> None:
         self.path = Path(path)
-        self.quantities = names_of(quantities)
+        self._chosen = chosen(quantities)
+        self.quantities = tuple(one.name for one in self._chosen)
         if pixel_um is not None and not (np.isfinite(pixel_um) and pixel_um > 0):
             raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
         self.pixel_um = pixel_um
-        self.facts = {**(facts or {}), "units": {
-            name: QUANTITIES[name] for name in self.quantities}}
+        self.units = {one.name: one.unit for one in self._chosen}
+        self.facts = {**(facts or {}), "units": self.units}
         self.times_us: list[int] = []
         self.shape: tuple[int, int] | None = None
         self._closed = False
@@ -224,9 +171,9 @@ class StackFile(ABC):
                 f"frame must be later than {self.times_us[-1]} us, got {frame.t_us}")
         bad = None if frame.valid.all() else ~frame.valid
         with self._named():
-            for name in self.quantities:
-                values = plane(frame, name)
-                if bad is not None:
+            for one in self._chosen:
+                values = one.of(frame)
+                if bad is not None and one.dtype == np.float32:
                     values = np.where(bad, np.float32(np.nan), values)
                 self._data.write(np.ascontiguousarray(values, "<f4").data)
             self._log.write(frame.t_us.to_bytes(8, "little", signed=True))

@@ -39,6 +39,7 @@ from pdavis_cv.render.overlay import (
     scale_bar,
 )
 from pdavis_cv.render.polar import draw_polarization
+from pdavis_cv.render.quantity import quantity_bgr
 from pdavis_cv.render.sheet import Panel, PanelSheet
 from pdavis_cv.render.tone import ToneCurve
 
@@ -73,6 +74,7 @@ __all__ = [
     "panel",
     "png_of",
     "quad_picture",
+    "quantity_bgr",
     "reliable",
     "scale_bar",
     "stack",

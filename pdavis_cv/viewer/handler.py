@@ -17,8 +17,9 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.quantities import QUANTITIES
 from pdavis_cv.viewer.page import page
-from pdavis_cv.viewer.panes import PANES, archive, palettes, planes, values
+from pdavis_cv.viewer.panes import archive, missing, palettes, planes, values
 from pdavis_cv.viewer.site import Site
 from pdavis_cv.viewer.socket import accepted_key, binary, closing, received
 
@@ -309,7 +310,7 @@ class Handler(BaseHTTPRequestHandler):
         if image is not None:
             told["t_us"] = image.t_us
             told["height"], told["width"] = image.s0.shape
-            told["no_sigma"] = image.variance is None
+            told["missing"] = missing(asked.panes, image)
             for name, plane in planes(asked.panes, show, image).items():
                 told["planes"].append(name)
                 parts.append(plane.data)
@@ -322,7 +323,6 @@ class Handler(BaseHTTPRequestHandler):
     def _stream(self) -> None:
         """Send pictures one after the other; repeat the last one if none comes."""
         output = self.query.get("output", "bgr")
-        output = "s0" if output == "bgr" else output
         with self._place():
             self.close_connection = True
             sent = 0
@@ -406,8 +406,9 @@ class _Asked:
         panes, region = given.get("panes", []), given.get("region")
         if not isinstance(panes, list) or not all(isinstance(n, str) for n in panes):
             raise ValueError("panes must be a list of names")
-        if len(panes) > len(PANES):
-            raise ValueError(f"panes must be at most {len(PANES)}, got {len(panes)}")
+        if len(panes) > len(QUANTITIES):
+            raise ValueError(
+                f"panes must be at most {len(QUANTITIES)}, got {len(panes)}")
         if region and not (isinstance(region, list) and len(region) == 4):
             raise ValueError("region must be x,y,width,height, got "
                              f"{str(region)[:40]!r}")

@@ -3,12 +3,6 @@
 const $ = id => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token");
 const MOST_POINTS = 20000;
-const LABELS = {s0: "S0", aop: "AoP", dolp: "DoLP", events: "events",
-  uncertainty: "sigma"};
-const NAMES = {s0: "S0", aop: "AoP, faded by DoLP", dolp: "DoLP",
-  events: "events", uncertainty: "sigma of AoP"};
-const ENDS = {s0: ["0", "full scale"], aop: ["0\u00b0", "180\u00b0"], dolp: ["0", "1"],
-  events: ["OFF", "ON"], uncertainty: ["0\u00b0", "45\u00b0"]};
 const shown = new Set(["s0", "aop", "dolp"]);
 const figures = {};
 let large = null, region = null, drag = null, status = {}, after = 0, drawn = 0;
@@ -75,9 +69,11 @@ function take(buffer) {
     planes[name] = new Uint8Array(buffer, 4 + length + i * size, size);
   });
   for (const name of shown) if (planes[name]) draw(name, told, planes);
-  const title = figures.uncertainty.title, no = told.no_sigma
-    ? `${NAMES.uncertainty}: ${told.status.method} gives none` : NAMES.uncertainty;
-  if (title.textContent !== no) title.textContent = no;
+  for (const name of shown) {
+    const {title, facts} = figures[name], text = (told.missing || []).includes(name)
+      ? `${facts.title}: ${told.status.method} gives none` : facts.title;
+    if (title.textContent !== text) title.textContent = text;
+  }
   after = told.number;
   if (told.planes.length) {
     drawn += 1;
@@ -101,11 +97,11 @@ function draw(name, {width, height}, planes) {
     figure.words = new Uint32Array(figure.image.data.buffer);
   }
   const words = figure.words, pixels = planes[name], n = words.length;
-  if (name === "aop") {
-    const faded = colours.aop, dolp = planes.dolp;
+  const table = colours[figure.facts.colours];
+  if (figure.facts.colours === "hue") {
+    const faded = table, dolp = planes.dolp;
     for (let i = 0; i < n; i++) words[i] = faded[dolp[i] << 8 | pixels[i]];
   } else {
-    const table = colours[name];
     for (let i = 0; i < n; i++) words[i] = table[pixels[i]];
   }
   figure.context.putImageData(figure.image, 0, 0);
@@ -113,16 +109,17 @@ function draw(name, {width, height}, planes) {
 }
 
 // Tables from a plane's number to a pixel of a canvas; of AoP, by DoLP's number too.
-function makeColours({aop, ramp, full_dolp: full}) {
+function makeColours({colours: lists, full_dolp: full}) {
   const word = ([r, g, b], part) => (0xff000000 | Math.round(b * part) << 16
     | Math.round(g * part) << 8 | Math.round(r * part)) >>> 0;
-  const greys = Uint32Array.from({length: 256}, (_, i) => word([i, i, i], 1));
-  const ramps = Uint32Array.from(ramp, colour => word(colour, 1));
+  colours = {};
+  for (const [name, list] of Object.entries(lists))
+    colours[name] = Uint32Array.from(list, colour => word(colour, 1));
   const faded = new Uint32Array(256 * 256);
   for (let d = 0; d < 256; d++)
     for (let a = 0; a < 256; a++)
-      faded[d << 8 | a] = word(aop[a], a === 255 ? 1 : Math.min(d / 254 / full, 1));
-  colours = {s0: greys, events: greys, dolp: ramps, uncertainty: ramps, aop: faded};
+      faded[d << 8 | a] = word(lists.hue[a], a === 255 ? 1 : Math.min(d / 254 / full, 1));
+  colours.hue = faded;
 }
 
 // Numbers and curves change four to ten times a second, as fast as one can read; the
@@ -174,21 +171,27 @@ function histogram() {
 
 // ---- pictures and regions -----------------------------------------------------------
 
-function makeFigures() {
-  for (const name of Object.keys(NAMES)) {
+function makeFigures({quantities, colours: lists}) {
+  for (const facts of quantities) {
+    const name = facts.name, list = lists[facts.colours];
     const button = document.createElement("button");
-    button.textContent = LABELS[name];
-    button.title = `show or hide ${NAMES[name]} (${Object.keys(figures).length + 1})`;
+    button.textContent = name;
+    button.title = `show or hide ${facts.title} (${Object.keys(figures).length + 1})`;
     button.onclick = () => toggle(name);
     $("panes").append(button);
     const figure = document.createElement("figure");
     const caption = document.createElement("figcaption");
     const title = document.createElement("span");
-    title.textContent = NAMES[name];
+    title.textContent = facts.title;
     const legend = document.createElement("span");
     const bar = document.createElement("canvas");
     bar.className = "legend"; bar.width = 144; bar.height = 12;
-    legend.append(ENDS[name][0] + " ", bar, " " + ENDS[name][1]);
+    legend.append(facts.ends[0] + " ", bar, " " + facts.ends[1]);
+    const context = bar.getContext("2d");
+    for (let x = 0; x < 144; x++) {
+      context.fillStyle = `rgb(${list[Math.round(254 * x / 143)]})`;
+      context.fillRect(x, 0, 1, 12);
+    }
     caption.append(title, legend);
     const canvas = document.createElement("canvas");
     canvas.className = "picture";
@@ -196,7 +199,7 @@ function makeFigures() {
     const mark = document.createElement("div");
     mark.className = "region"; mark.hidden = true;
     figure.append(caption, canvas, mark);
-    figures[name] = {figure, canvas, button, bar, mark, title, image: null};
+    figures[name] = {figure, canvas, button, mark, title, facts, image: null};
     title.ondblclick = () => { large = large === name ? null : name; arrange(); };
     canvas.onpointerdown = event => {
       canvas.setPointerCapture(event.pointerId);
@@ -241,22 +244,6 @@ function arrange() {
       mark.style.height = region[3] * s + "px";
     }
   }
-}
-
-function legends(palettes) {
-  const fill = (name, colour) => {
-    const context = figures[name].bar.getContext("2d");
-    for (let x = 0; x < 144; x++) {
-      context.fillStyle = colour(x / 143);
-      context.fillRect(x, 0, 1, 12);
-    }
-  };
-  const grey = part => `rgb(${[0, 0, 0].map(() => Math.round(255 * part))})`;
-  fill("s0", grey);
-  fill("events", grey);
-  fill("aop", part => `rgb(${palettes.aop[Math.round(254 * part)]})`);
-  for (const name of ["dolp", "uncertainty"])
-    fill(name, part => `rgb(${palettes.ramp[Math.round(254 * part)]})`);
 }
 
 // ---- numbers and traces --------------------------------------------------------------
@@ -417,7 +404,6 @@ function begin() {
   if (matchMedia("(prefers-color-scheme: dark)").matches)
     document.documentElement.classList.add("dark");
   named();
-  makeFigures();
   for (const speed of [0.01, 0.03, 0.1, 0.25, 0.5, 1, 2, 4])
     $("speed").add(new Option(speed, speed));
   $("method").onchange = () => command("method", $("method").value);
@@ -436,7 +422,7 @@ function begin() {
     s: "snapshot", l: "look", w: "whole", z: "zoom"};
   document.onkeydown = event => {
     if (event.ctrlKey || event.metaKey || /INPUT|SELECT/.test(event.target.tagName)) return;
-    const pane = Object.keys(NAMES)[Number(event.key) - 1];
+    const pane = Object.keys(figures)[Number(event.key) - 1];
     if (pane) toggle(pane);
     else if (keys[event.key] && !$(keys[event.key]).closest("[hidden]")) {
       event.preventDefault();
@@ -447,7 +433,7 @@ function begin() {
   fetch(address("status", {palettes: 1})).then(answer => answer.json()).then(told => {
     if (told.error) { say(told.error); return; }
     makeColours(told.palettes);
-    legends(told.palettes);
+    makeFigures(told.palettes);
     tell(told);
     follow();
   }).catch(error => say(error.message));

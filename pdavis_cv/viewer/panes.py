@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._opencv import opencv
-from pdavis_cv.capture.picture import event_counts, events_bgr
+from pdavis_cv.capture.outputs import output_named
+from pdavis_cv.capture.picture import colour, event_counts, events_bgr
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, fade
+from pdavis_cv.quantities import INTENSITY, QUANTITIES, Quantity, quantity
+from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, grey_bgr
 from pdavis_cv.render.colours import (
     AOP_SCALE,
     FULL_COLOUR_DOLP,
@@ -26,50 +28,15 @@ from pdavis_cv.render.colours import (
 from pdavis_cv.stokes_vector import aop, dolp
 from pdavis_cv.viewer.show import Show
 
-__all__ = [
-    "PANES", "PLANES", "archive", "jpeg", "palettes", "pane", "planes", "values"]
+__all__ = ["archive", "jpeg", "missing", "palettes", "pane", "planes", "values"]
 
-LARGEST_SIGMA_RAD = math.pi / 4
-"""Standard deviation of AoP at the end of the colour scale; that of an unknown angle is
-pi / sqrt(12), 52 degrees."""
 JPEG_QUALITY = 95
 
-
-def _events(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
-    assert image.t_us is not None
-    provenance = show.fusion.provenance
-    step = 2 if provenance["demosaic"] in HALF_SIZE else 1
-    return events_bgr(event_counts(show.events(image.t_us), provenance["roi"], step))
-
-
-def _aop(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
-    picture = aop_bgr(image.aop, image.valid)
-    fade(picture, image.dolp, image.valid)
-    return picture
-
-
-def _uncertainty(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
-    sigma = image.sigma_aop
-    if sigma is None:           # the method gives none
-        return np.full((*image.s0.shape, 3), 64, np.uint8)
-    return dolp_bgr(sigma / np.float32(LARGEST_SIGMA_RAD), image.valid)
-
-
-PANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
-    "s0": lambda show, image: ToneCurve(show.white).bgr(
-        image.s0 * np.float32(0.5), invalid=(0, 0, 0)),
-    "aop": _aop,
-    "dolp": lambda show, image: dolp_bgr(image.dolp, image.valid),
-    "events": _events,
-    "uncertainty": _uncertainty,
-    "aop_bgr": lambda show, image: aop_bgr(image.aop, image.valid),
-}
-"""Pictures by name, uint8 (H, W, 3), BGR: grey S0, AoP faded by DoLP, DoLP, events
-since the image before, the standard deviation of AoP, and AoP in full colour."""
 
 NONE = 255
 """Value of a pixel without an estimate in a plane."""
 _PARTS = 255    # values 0 .. 254 of a plane
+_GREY = 64      # of a picture that the method does not give
 
 
 def _numbers(count: int) -> NDArray[np.uint8]:
@@ -81,35 +48,29 @@ def _numbers(count: int) -> NDArray[np.uint8]:
 _HUES, _RAMP = _numbers(len(HUE_TABLE) - 2), _numbers(_PARTS)
 
 
-def _grey(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.ascontiguousarray(picture[..., 0])
+def _plane(one: Quantity, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
+    """Return a quantity as numbers that the page colours itself.
 
-
-def _ramp_plane(
-    value: NDArray[np.float32], valid: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
-    return _grey(through_table(
-        _kernels.ramp_bgr, value, valid, _PARTS - 1, _RAMP))
-
-
-def _uncertainty_plane(show: Show, image: PolarFrame) -> NDArray[np.uint8]:
-    sigma = image.sigma_aop
-    if sigma is None:           # the method gives none
+    Pictures would take three times as long to receive.  Numbers of intensities and of
+    events are grey values; those of others map the quantity's range to 0 .. 254, or are
+    `NONE`.
+    """
+    if one.light or one.colours == "events":
+        return np.ascontiguousarray(
+            pane(f"{one.name}_bgr", show, image)[..., 0])
+    values = one.plane(image)
+    if values is None:
         return np.full(image.s0.shape, NONE, np.uint8)
-    return _ramp_plane(sigma / np.float32(LARGEST_SIGMA_RAD), image.valid)
-
-
-PLANES: dict[str, Callable[[Show, PolarFrame], NDArray[np.uint8]]] = {
-    "s0": lambda show, image: _grey(PANES["s0"](show, image)),
-    "aop": lambda show, image: _grey(through_table(
-        _kernels.hue_bgr, image.aop, image.valid, AOP_SCALE, _HUES)),
-    "dolp": lambda show, image: _ramp_plane(image.dolp, image.valid),
-    "events": lambda show, image: _grey(_events(show, image)),
-    "uncertainty": _uncertainty_plane,
-}
-"""Planes that the page colours itself, by name; uint8 (H, W).  S0 and events are grey
-values; the others map 0 to 180 degrees, 0 to 1 or 0 to `LARGEST_SIGMA_RAD` to 0 .. 254,
-or are `NONE`.  Coloured pictures would take three times as long to receive."""
+    values = one.of(image)
+    if one.colours == "hue":
+        picture = through_table(
+            _kernels.hue_bgr, values, image.valid, AOP_SCALE, _HUES)
+    else:
+        low, high = one.ends(show.white if one.unit == INTENSITY else 1.0)
+        picture = through_table(
+            _kernels.ramp_bgr, (values - np.float32(low)) / np.float32(high - low),
+            image.valid, _PARTS - 1, _RAMP)
+    return np.ascontiguousarray(picture[..., 0])
 
 
 def planes(names: Iterable[str], show: Show, image: PolarFrame
@@ -119,51 +80,93 @@ def planes(names: Iterable[str], show: Show, image: PolarFrame
     Parameters
     ----------
     names : iterable of str
-        Names of `PLANES`.
+        Names of quantities.
     show : Show
         The source of events and settings.
     image : PolarFrame
         The image.
 
+    Returns
+    -------
+    dict of str to ndarray of uint8, shape (H, W)
+
     Raises
     ------
     ValueError
-        If there is no such picture.
+        If there is no such quantity.
     """
-    wanted = list(names)
-    for name in wanted:
-        if name not in PLANES:
-            raise ValueError(f"panes must be of {', '.join(PLANES)}, got {name!r}")
-    if "aop" in wanted:
-        wanted.append("dolp")
-    return {name: PLANES[name](show, image) for name in dict.fromkeys(wanted)}
+    wanted = [quantity(name) for name in names]
+    if any(one.colours == "hue" for one in wanted):
+        wanted.append(quantity("dolp"))
+    return {one.name: _plane(one, show, image) for one in dict.fromkeys(wanted)}
+
+
+def missing(names: Iterable[str], image: PolarFrame) -> list[str]:
+    """Return the names of those quantities that the image's method does not give."""
+    return [one.name for one in map(quantity, names)
+            if one.colours != "events" and one.plane(image) is None]
 
 
 def palettes() -> dict[str, Any]:
-    """Return the RGB colours of the planes' values, and the DoLP of full colour."""
+    """Return the quantities that a page offers, and the RGB colours of their planes.
+
+    Returns
+    -------
+    dict
+        ``quantities``: name, title, colours and the texts at the ends of the legend of
+        each; ``colours``: 256 colours of a plane's numbers, by the name of the colours;
+        ``full_dolp``: DoLP from which AoP has its full colour.
+    """
     middle = (np.arange(_PARTS, dtype=np.float32) + 0.5) * np.float32(math.pi / _PARTS)
     steps = np.arange(_PARTS, dtype=np.float32) / np.float32(_PARTS - 1)
+    tones = [[grey] * 3 for grey in range(256)]
 
     def rgb(colours: NDArray[np.uint8]) -> list[list[int]]:
         found: list[list[int]] = colours[0, :, ::-1].tolist()
         return [*found, [*INVALID[::-1]]]
 
-    return {"aop": rgb(aop_bgr(middle[None])), "ramp": rgb(dolp_bgr(steps[None])),
-            "full_dolp": FULL_COLOUR_DOLP}
+    return {
+        "quantities": [
+            {"name": one.name, "title": one.title, "ends": _ends(one),
+             "colours": "tone" if one.light or one.colours == "events" else one.colours}
+            for one in QUANTITIES.usable().values() if one.pane],
+        "colours": {"tone": tones, "hue": rgb(aop_bgr(middle[None])),
+                    "viridis": rgb(dolp_bgr(steps[None])),
+                    "grey": rgb(grey_bgr(steps[None], 1.0))},
+        "full_dolp": FULL_COLOUR_DOLP}
+
+
+def _ends(one: Quantity) -> list[str]:
+    """Return the texts at the ends of a quantity's legend."""
+    if one.light:
+        return ["0", "full scale"]
+    if one.unit == "rad":
+        return [f"{math.degrees(end):.0f}\N{DEGREE SIGN}" for end in one.range]
+    return [f"{end:g} {'' if one.unit == '1' else one.unit}".rstrip()
+            for end in one.range]
 
 
 def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
-    """Return a picture of an image by name, with or without the suffix ``_bgr``.
+    """Return a picture of an image by the name of an output of `VideoCapture`.
 
     Raises
     ------
     ValueError
         If there is no such picture.
     """
-    found = PANES.get(name) or PANES.get(name.removesuffix("_bgr"))
-    if found is None:
-        raise ValueError(f"output must be one of {', '.join(PANES)}, got {name!r}")
-    return found(show, image)
+    output = output_named(name)
+    if not output.picture:
+        raise ValueError(
+            f"output must be a picture, such as {output.name}_bgr, got {name!r}")
+    if output.quantity.colours == "events":
+        assert image.t_us is not None
+        provenance = show.fusion.provenance
+        step = 2 if provenance["demosaic"] in HALF_SIZE else 1
+        return events_bgr(event_counts(
+            show.events(image.t_us), provenance["roi"], step))
+    if output.quantity.plane(image) is None:
+        return np.full((*image.s0.shape, 3), _GREY, np.uint8)
+    return colour(image, output, ToneCurve(show.white))
 
 
 def jpeg(picture: NDArray[np.uint8]) -> bytes:

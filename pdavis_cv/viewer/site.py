@@ -4,6 +4,7 @@ from __future__ import annotations
 import ssl
 import threading
 
+from pdavis_cv.capture.outputs import output_named
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.viewer.panes import jpeg, pane
 from pdavis_cv.viewer.show import Show
@@ -42,6 +43,7 @@ class Site:
 
     def picture(self, output: str, number: int, image: PolarFrame) -> bytes:
         """Return a picture as JPEG, encoded once for all clients."""
+        output = output_named(output).name
         with self._encoding:
             known = self._jpegs.get(output)
             if known is None or known[0] != number:

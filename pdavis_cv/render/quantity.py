@@ -1,0 +1,47 @@
+"""The picture of any quantity."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.quantities import Quantity
+from pdavis_cv.render.colours import Picture, aop_bgr, dolp_bgr, grey_bgr
+
+__all__ = ["quantity_bgr"]
+
+
+def quantity_bgr(
+    quantity: Quantity, frame: PolarFrame, low: float, high: float, *,
+    saturated: float = math.inf, out: Picture | None = None,
+) -> Picture:
+    """Draw a quantity of an image in its colours.
+
+    Parameters
+    ----------
+    quantity : Quantity
+        One of an image, not ``events``.
+    frame : PolarFrame
+    low, high : float
+        Values at the ends of the colours; a hue goes round and has none.
+    saturated : float
+        Of an intensity, as for `grey_bgr`.
+    out : ndarray of uint8, shape (H, W, 3), optional
+        As for `aop_bgr`.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        BGR.
+    """
+    if quantity.colours == "hue":
+        return aop_bgr(quantity.of(frame), frame.valid, out)
+    values, width = quantity.of(frame) - np.float32(low), high - low
+    if quantity.colours == "viridis":
+        return dolp_bgr(values, frame.valid, top=width, out=out)
+    if quantity.light:
+        # Intensities that are not valid are too dark or too bright to measure, but
+        # may be shown.
+        return grey_bgr(values, width, frame.valid, saturated=saturated - low, out=out)
+    return grey_bgr(values, width, out=out)
