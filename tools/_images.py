@@ -22,6 +22,7 @@ from pdavis_cv import (
 )
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion import Fusion
+from pdavis_cv.fusion.grid import grid_count, grid_us
 
 from ._common import UsageError, covered
 
@@ -68,10 +69,9 @@ def grid_times(
         raise UsageError(
             f"{recording.path or 'the recording'}: no image in the interval asked for: "
             f"{covered(recording)}")
-    count = int(np.ceil(float(Fraction(end - start) * Fraction(fps) / 1_000_000))) + 1
-    times = start + np.array([round(Fraction(k * 1_000_000) / Fraction(fps))
-                              for k in range(count)], np.int64)
-    return times[times < end]
+    rate = Fraction(fps)
+    return start + np.array([grid_us(k, rate) for k in range(
+        grid_count(end - start, rate))], np.int64)
 
 
 def of_frames(options: dict[str, Any], settings: list[tuple[str, Any]]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.fusion import Fusion, FusionSnapshot
+from pdavis_cv.fusion.grid import grid_count
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import nbytes
 from pdavis_cv.recording.base import Recording
@@ -209,14 +210,7 @@ class Cursor:
             return 0
         stops = [stop for stop in (self._last_stop(), self.fusion.stop_us)
                  if stop is not None]
-        if not stops or min(stops) <= start:
-            return 0
-        period = Fraction(1_000_000) / rate
-        # The last k with start + round(k * period) < stop; rounding can shift it.
-        k = int((min(stops) - start) / period) + 1
-        while start + round(k * period) >= min(stops):
-            k -= 1
-        return k + 1
+        return grid_count(min(stops) - start, rate) if stops else 0
 
     def _last_stop(self) -> int | None:
         recording = self._recording

@@ -23,6 +23,7 @@ from pdavis_cv.fusion.camera import (
     response_of,
 )
 from pdavis_cv.fusion.feed import Feed
+from pdavis_cv.fusion.grid import grid_us
 from pdavis_cv.fusion.images import ImageMaker
 from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.fusion.online_learning import OnlineLearning
@@ -336,7 +337,7 @@ class Fusion:
         assert self._feed is not None
         if self._fps is not None:
             start = self._grid_start
-            t = None if start is None else start + _grid_us(self._index, self._fps)
+            t = None if start is None else start + grid_us(self._index, self._fps)
         else:
             t = self._next_frame_mid(self._feed)
         stop = self.options.stop_us
@@ -556,9 +557,3 @@ class Fusion:
         arrived = self.options.causal or method.shows_at_readout
         return next((mid for mid, available in reversed(self._frames)
                      if (available if arrived else mid) <= t), None)
-
-
-def _grid_us(index: int, fps: Fraction) -> int:
-    """Return index / fps in us, rounded half to even as by round()."""
-    us, rest = divmod(index * 1_000_000 * fps.denominator, fps.numerator)
-    return us + (2 * rest + (us & 1) > fps.numerator)

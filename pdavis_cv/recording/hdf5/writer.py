@@ -2,14 +2,16 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
-from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.base import ApsFrame, Recording, RecordingInfo
 from pdavis_cv.recording.hdf5.reader import CHUNK, h5py_module
 
 __all__ = ["write_dsec", "write_e2p", "write_hdf5"]
@@ -39,101 +41,116 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
     ImportError
         If h5py is not installed.
     """
-    if flavour not in ("e2p", "dsec"):
+    if flavour not in _FLAVOURS:
         raise ValueError(f"flavour must be e2p or dsec, got {flavour!r}")
-    with write_beside(path) as part, h5py_module().File(part, "w") as file:
-        lost = _fill(file, recording, flavour)
-    return MappingProxyType(lost)
-
-
-def _fill(file: Any, recording: Recording, flavour: str) -> dict[str, int]:
     info = recording.info
-    lost: dict[str, int] = {}
-    file.attrs["sensor_size"] = info.sensor_size
-    file.attrs["writer"] = "pdavis_cv"
-    if info.camera:
-        file.attrs["camera"] = info.camera
-    if info.layout is not None:
-        file.attrs["layout"] = (*info.layout.row0, *info.layout.row1)
-        if info.layout.owner is not None:
-            file.attrs["sensor"] = info.layout.owner
-
-    def growing(name: str, dtype: Any, *shape: int) -> Any:
-        chunk = (CHUNK if not shape or shape == (4,) else 1, *shape)
-        return file.create_dataset(
-            name, (0, *shape), dtype, maxshape=(None, *shape), chunks=chunk,
-            compression="gzip", compression_opts=1, shuffle=True)
-
-    def append(data: Any, rows: Any) -> None:
-        n = len(data)
-        data.resize(n + len(rows), axis=0)
-        data[n:] = rows
-
-    columns = {}
-    table = None
-    if flavour == "dsec":
-        columns = {name: growing(f"events/{name}", kind) for name, kind in (
-            ("t", "i8"), ("x", "u2"), ("y", "u2"), ("p", "u1"))}
-        file["t_offset"] = np.int64(info.start_us or 0)
-    else:
-        table = growing("events", "i8", 4)
-    height, width = info.sensor_size
-    images: Any = None
-    count, milliseconds = 0, np.zeros(1, np.int64)
-    extras: dict[str, list[Any]] = {name: [] for name in (
-        "frame_ts", "frame_idx", "exposure_start_us", "exposure_end_us",
-        "available_us")}
     imu, triggers = [], []
-    for packet in recording.packets():
-        events = packet.events
-        if len(events) and table is not None:
-            append(table, np.stack([events[k].astype(np.int64) for k in "txyp"], 1))
-        elif len(events):
-            offset = info.start_us or 0
-            for name in "xyp":
-                append(columns[name], events[name])
-            t = events["t"] - offset
-            append(columns["t"], t)
-            last = int(t[-1]) // 1000
-            if last >= len(milliseconds):
-                edges = np.arange(len(milliseconds), last + 1) * 1000
-                milliseconds = np.concatenate(
-                    [milliseconds, count + np.searchsorted(t.copy(), edges)])
-        count += len(events)
-        for frame in packet.frames:
-            if flavour == "dsec":
-                lost["frames"] = lost.get("frames", 0) + 1
-                continue
-            if images is None:
-                images = growing("frame", "f4", height, width)
-                valid = growing("pdavis/valid", "?", height, width)
-            append(images, frame.dn[None])
-            append(valid, (np.ones(frame.shape, np.bool_) if frame.valid is None
-                           else frame.valid)[None])
-            if np.ndim(frame.exposure_start_us) or np.ndim(frame.exposure_end_us):
-                lost["exposure times per column"] = lost.get(
-                    "exposure times per column", 0) + 1
+    with write_beside(path) as part, h5py_module().File(part, "w") as file:
+        file.attrs["sensor_size"] = info.sensor_size
+        file.attrs["writer"] = "pdavis_cv"
+        if info.camera:
+            file.attrs["camera"] = info.camera
+        if info.layout is not None:
+            file.attrs["layout"] = (*info.layout.row0, *info.layout.row1)
+            if info.layout.owner is not None:
+                file.attrs["sensor"] = info.layout.owner
+        filled = _FLAVOURS[flavour](file, info)
+        for packet in recording.packets():
+            if len(packet.events):
+                filled.add_events(packet.events)
+            for frame in packet.frames:
+                filled.add_frame(frame)
+            imu.append(packet.imu)
+            triggers.append(packet.triggers)
+        filled.finish()
+        for name, parts in (("imu", imu), ("triggers", triggers)):
+            rows = np.concatenate(parts) if parts else np.empty(0)
+            if len(rows):
+                file[f"pdavis/{name}"] = rows
+    return MappingProxyType(dict(filled.lost))
+
+
+class _E2p:
+    """A table of events, frames with the number of events before them."""
+
+    def __init__(self, file: Any, info: RecordingInfo) -> None:
+        self._file, self._size = file, info.sensor_size
+        self._events = _growing(file, "events", "i8", 4)
+        self._images: Any = None
+        self._valid: Any = None
+        self._times: list[tuple[int, int, int, int, int]] = []
+        self.lost: Counter[str] = Counter()
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        _append(self._events, np.stack(
+            [events[name].astype(np.int64) for name in "txyp"], 1))
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        if self._images is None:
+            self._images = _growing(self._file, "frame", "f4", *self._size)
+            self._valid = _growing(self._file, "pdavis/valid", "?", *self._size)
+        _append(self._images, frame.dn[None])
+        _append(self._valid, (np.ones(frame.shape, np.bool_) if frame.valid is None
+                              else frame.valid)[None])
+        start, end = frame.exposure_start_us, frame.exposure_end_us
+        if np.ndim(start) or np.ndim(end):
+            self.lost["exposure times per column"] += 1
+        if not (isinstance(start, int) and isinstance(end, int)):
             half = round(frame.exposure_ms * 500)
             start, end = frame.mid_us - half, frame.mid_us + half
-            if isinstance(frame.exposure_start_us, int) and isinstance(
-                    frame.exposure_end_us, int):
-                start, end = frame.exposure_start_us, frame.exposure_end_us
-            for name, value in zip(extras, (frame.mid_us, count, start, end,
-                                            frame.available_us), strict=True):
-                extras[name].append(value)
-        imu.append(packet.imu)
-        triggers.append(packet.triggers)
-    if flavour == "dsec":
-        file["ms_to_idx"] = milliseconds
-    elif images is not None:
-        for name, values in extras.items():
-            place = name if name.startswith("frame_") else f"pdavis/{name}"
-            file[place] = np.array(values, np.int64)
-    for name, parts in (("imu", imu), ("triggers", triggers)):
-        rows = np.concatenate(parts) if parts else np.empty(0)
-        if len(rows):
-            file[f"pdavis/{name}"] = rows
-    return lost
+        self._times.append(
+            (frame.mid_us, len(self._events), start, end, frame.available_us))
+
+    def finish(self) -> None:
+        if self._times:
+            for name, values in zip(
+                    ("frame_ts", "frame_idx", "pdavis/exposure_start_us",
+                     "pdavis/exposure_end_us", "pdavis/available_us"),
+                    np.array(self._times, np.int64).T, strict=True):
+                self._file[name] = values
+
+
+class _Dsec:
+    """Columns of events, and the first event of each millisecond."""
+
+    def __init__(self, file: Any, info: RecordingInfo) -> None:
+        self._file, self._offset = file, info.start_us or 0
+        self._columns = {name: _growing(file, f"events/{name}", kind) for name, kind
+                         in (("t", "i8"), ("x", "u2"), ("y", "u2"), ("p", "u1"))}
+        file["t_offset"] = np.int64(self._offset)
+        self._first = np.zeros(1, np.int64)
+        self.lost: Counter[str] = Counter()
+
+    def add_events(self, events: NDArray[Any]) -> None:
+        count, t = len(self._columns["t"]), events["t"] - self._offset
+        for name in "xyp":
+            _append(self._columns[name], events[name])
+        _append(self._columns["t"], t)
+        edges = np.arange(len(self._first), int(t[-1]) // 1000 + 1) * 1000
+        self._first = np.concatenate([self._first, count + np.searchsorted(t, edges)])
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        self.lost["frames"] += 1
+
+    def finish(self) -> None:
+        self._file["ms_to_idx"] = self._first
+
+
+_FLAVOURS: dict[str, type[_E2p] | type[_Dsec]] = {"e2p": _E2p, "dsec": _Dsec}
+
+
+def _growing(file: Any, name: str, dtype: str, *shape: int) -> Any:
+    """Return a new dataset without rows, of the given shape each."""
+    chunk = (CHUNK if not shape or shape == (4,) else 1, *shape)
+    return file.create_dataset(
+        name, (0, *shape), dtype, maxshape=(None, *shape), chunks=chunk,
+        compression="gzip", compression_opts=1, shuffle=True)
+
+
+def _append(data: Any, rows: NDArray[Any]) -> None:
+    n = len(data)
+    data.resize(n + len(rows), axis=0)
+    data[n:] = rows
 
 
 def write_e2p(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
