@@ -85,10 +85,6 @@ class HostClock:
         difference = self.difference_s
         return None if difference is None else device_us * 1e-6 + difference
 
-    def restart(self) -> None:
-        """Forget everything, because the device's clock was reset."""
-        self.__init__(self._window_s)  # type: ignore[misc]
-
 
 def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
     """Yield packets whose times never run backward.

@@ -13,7 +13,6 @@ from pdavis_cv.render.colours import (
 from pdavis_cv.render.cyclic import cyclic_bgr
 from pdavis_cv.render.layouts import (
     fan_sheet,
-    frames_and_fused,
     png_of,
     quad_picture,
     summary,
@@ -32,7 +31,6 @@ from pdavis_cv.render.legends import (
     tile,
 )
 from pdavis_cv.render.overlay import (
-    burn,
     draw_scale_bar,
     events_on,
     reliable,
@@ -57,7 +55,6 @@ __all__ = [
     "aop_bgr",
     "aop_legend",
     "bar_legend",
-    "burn",
     "caption",
     "chart",
     "cyclic_bgr",
@@ -68,7 +65,6 @@ __all__ = [
     "events_on",
     "fade",
     "fan_sheet",
-    "frames_and_fused",
     "grey_bgr",
     "opencv",
     "panel",

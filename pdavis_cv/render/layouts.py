@@ -23,7 +23,6 @@ from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
     "fan_sheet",
-    "frames_and_fused",
     "png_of",
     "quad_picture",
     "summary",
@@ -52,50 +51,6 @@ def quad_picture(frame: PolarFrame, white: float) -> Picture:
     height, width = (side // 2 * 2 for side in frame.shape)
     parts = [grey_bgr(channel[:height:2, :width:2], white) for channel in frame.quad]
     return np.vstack((np.hstack(parts[:2]), np.hstack(parts[2:])))
-
-
-def frames_and_fused(
-    held: PolarFrame, fused: PolarFrame, *, white: float, quantity: str = "aop",
-    scale: int = 1, title: str = "", least_dolp: float | None = None,
-) -> Picture:
-    """Lay out Supplementary Videos 1 (AoP) and 2 (DoLP).
-
-    Frames are above, fused images below; the four channels at the left, the quantity
-    at the right.
-
-    Parameters
-    ----------
-    held, fused : PolarFrame
-        Images of the same time, from ``frames`` and from another method.
-    white : float
-        Intensity that becomes white, DN per ms.
-    quantity : {"aop", "dolp"}
-        Quantity at the right.
-    scale : int
-        Picture pixels per pixel.
-    title : str
-        One line over all.
-    least_dolp : float, optional
-        AoP of weaker polarization is masked.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H', W', 3)
-        BGR of even size.
-    """
-    pictures = []
-    for frame, name in ((held, "frames"),
-                        (fused, str(fused.provenance.get("method", "fused")))):
-        pictures.append(panel(
-            quad_picture(frame, white), f"{name}: I0 I45 / I90 I135", legend="grey",
-            end=f"{white:.3g} DN/ms", scale=scale))
-        if quantity == "aop":
-            colour = aop_bgr(frame.aop, reliable(frame, least_dolp=least_dolp))
-        else:
-            colour = dolp_bgr(frame.dolp, frame.valid)
-        pictures.append(panel(colour, f"{name}: {_NAMES[quantity]}", legend=quantity,
-                              scale=scale))
-    return tile(pictures, columns=2, title=title)
 
 
 def summary(image: PolarFrame) -> Picture:
@@ -145,8 +100,6 @@ def png_of(picture: NDArray[Any]) -> bytes:
         raise OSError(f"OpenCV cannot encode {picture.shape} as PNG")
     return bytes(data)
 
-
-_NAMES = {"aop": "angle of polarization", "dolp": "degree of linear polarization"}
 
 
 def fan_sheet(

@@ -13,7 +13,7 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import Picture
 from pdavis_cv.render.legends import caption, text_width
 
-__all__ = ["burn", "draw_scale_bar", "events_on", "reliable", "scale_bar"]
+__all__ = ["draw_scale_bar", "events_on", "reliable", "scale_bar"]
 
 ON, OFF = (255, 255, 255), (0, 0, 0)
 
@@ -105,46 +105,6 @@ def reliable(
                 "most_sigma_deg needs a method that knows its variance, such as kalman")
         good &= frame.sigma_aop <= np.deg2rad(most_sigma_deg)
     return good
-
-
-def burn(picture: Picture, *lines: str, corner: str = "bottom left") -> Picture:
-    """Write lines of text into a corner, on a darkened background.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (H, W, 3)
-        BGR.
-    *lines : str
-        ASCII.
-    corner : str
-        ``top`` or ``bottom``, and ``left`` or ``right``.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        A new picture.
-
-    Raises
-    ------
-    ValueError
-        If the corner is unknown.
-    """
-    words = corner.split()
-    if len(words) != 2 or words[0] not in ("top", "bottom") or words[1] not in (
-            "left", "right"):
-        raise ValueError(
-            f"corner must be top or bottom, and left or right, got {corner!r}")
-    result = np.ascontiguousarray(picture).copy()
-    height, width = result.shape[:2]
-    text_height = 16 * len(lines) + 4
-    text_columns = max(map(text_width, lines), default=0) + 8
-    top = 0 if words[0] == "top" else max(0, height - text_height)
-    left = 0 if words[1] == "left" else max(0, width - text_columns)
-    ground = result[top:top + text_height, left:left + text_columns]
-    ground[:] = ground // 3
-    for i, line in enumerate(lines):
-        caption(result, line, left + 4, top + 14 + 16 * i)
-    return result
 
 
 def scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> Picture:

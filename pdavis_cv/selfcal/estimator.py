@@ -195,7 +195,6 @@ class SelfCalibration:
         self._sigma = float(threshold_sigma)
         self._window, self._cells = PixelWindow(self.shape), CellWindow(self.shape)
         self._whole = SensorWindow(self.shape) if every_pixel else None
-        self._taken = 0
 
     @property
     def full(self) -> bool:
@@ -207,16 +206,10 @@ class SelfCalibration:
         """Whether more events would be ignored as long as no frame has come."""
         return self._window.full_without_frames
 
-    @property
-    def events_taken(self) -> int:
-        """Number of events that `add_events` was given, kept or not."""
-        return self._taken
-
     def add_events(self, events: NDArray[Any]) -> None:
         """Take events of the whole sensor, later than all before."""
         events = timed_events(events)
         if len(events):
-            self._taken += len(events)
             self._window.add_events(events)
             self._cells.add_events(events)
             if self._whole is not None:
@@ -376,13 +369,12 @@ class SelfCalibration:
 
     def state(self) -> Mapping[str, Any]:
         """Return the data kept; they are never changed in place."""
-        return {"taken": self._taken, "window": self._window.state(),
+        return {"window": self._window.state(),
                 "cells": self._cells.state(),
                 "whole": None if self._whole is None else self._whole.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Return to what `state` returned."""
-        self._taken = state["taken"]
         self._window.restore(state["window"])
         self._cells.restore(state["cells"])
         if self._whole is not None:
