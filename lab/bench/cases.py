@@ -46,10 +46,6 @@ class Comparison:
         Whether the case's goal applies.
     at : (str, float), optional
         Name of an axis and the input's position on it, for the picture.
-    repeat : int
-        So many times as many pairs are timed, of what the machine changes now and then.
-    remark : callable, optional
-        Returns what is to be said of the pairs after they have been timed.
     """
 
     name: str
@@ -60,8 +56,6 @@ class Comparison:
     unit: str
     judged: bool = True
     at: tuple[str, float] | None = None
-    repeat: int = 1
-    remark: Callable[[], str] | None = None
 
 
 @dataclass(frozen=True)

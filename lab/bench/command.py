@@ -60,8 +60,6 @@ class Result:
     unit : str
     at : (str, float) or None
         Name of an axis and the input's position on it.
-    remark : str or None
-        What else was noted while it was timed.
     """
 
     case: str
@@ -74,7 +72,6 @@ class Result:
     floor: float
     unit: str
     at: tuple[str, float] | None
-    remark: str | None = None
 
 
 def measure(case: Case, pairs: int = PAIRS) -> list[Result]:
@@ -91,7 +88,7 @@ def measure(case: Case, pairs: int = PAIRS) -> list[Result]:
 def _measure(case: Case, comparison: Comparison, pairs: int) -> Result:
     comparison.check()
     times = [(comparison.floor(), comparison.candidate())
-             for _ in range(comparison.repeat * pairs + 1)]
+             for _ in range(pairs + 1)]
     times = times[1:]  # the first pair warms the caches
     if case.by_time:
         ratios = [candidate / floor for floor, candidate in times]
@@ -106,7 +103,7 @@ def _measure(case: Case, comparison: Comparison, pairs: int) -> Result:
     return Result(
         case.name, comparison.name, ratio, (low, high), case.goal,
         reached if comparison.judged else None, candidate, floor, comparison.unit,
-        comparison.at, comparison.remark() if comparison.remark else None)
+        comparison.at)
 
 
 @contextlib.contextmanager
@@ -131,7 +128,7 @@ def _line(result: Result) -> str:
     return (
         f"  {result.input:<28} {result.candidate:9.3f} {result.floor:9.3f} "
         f"{result.unit:<5}  {result.ratio:6.3f} ({low:.3f} .. {high:.3f}) "
-        f"{verdict}" + (f"\n    {result.remark}" if result.remark else ""))
+        f"{verdict}")
 
 
 def _write(

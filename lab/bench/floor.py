@@ -3,22 +3,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from types import ModuleType
-
-
-def compiled() -> ModuleType:
-    """Return the module of these kernels.
-
-    Raises
-    ------
-    ImportError
-        If the library was installed from a wheel.
-    """
-    try:
-        return import_module("pdavis_cv._kernels._floor")
-    except ImportError:
-        raise ImportError("its floor is compiled only where the sources are "
-                          "(pip install --editable .)") from None
 
 
 def compiled_floor() -> Callable[..., int]:
@@ -35,5 +19,9 @@ def compiled_floor() -> Callable[..., int]:
     ImportError
         If the library was installed from a wheel.
     """
-    floor: Callable[..., int] = compiled().floor_sum
+    try:
+        floor: Callable[..., int] = import_module("pdavis_cv._kernels._floor").floor_sum
+    except ImportError:
+        raise ImportError("its floor is compiled only where the sources are "
+                          "(pip install --editable .)") from None
     return floor

@@ -85,107 +85,26 @@ def told(name: str, values: Sequence[float]) -> None:
           f"most {max(values):.1f} ms", flush=True)
 
 
-def stolen_ms() -> float:
-    """Return the time for which the host of a virtual machine gave it no core, ms.
-
-    Summed over the cores, since the start, in steps of a tick; 0 on other systems.
-    """
-    try:
-        total = Path("/proc/stat").read_text().partition("\n")[0].split()
-    except OSError:
-        return 0.0
-    return 1e3 * int(total[8]) / os.sysconf("SC_CLK_TCK")
-
-
-WATCH_S = 0.002         # between two looks of `stops`
-STOP_S = 0.003          # a look this late is noted, from when it was due
-
-
-def _watch(core: int, pipe: Any) -> None:
-    """Note when this process, before all others on a core, gets to run late."""
-    try:
-        os.sched_setaffinity(0, {core})
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    except PermissionError:
-        pipe.send(False)
-        return
-    found: list[tuple[float, float]] = []
-    pipe.send(True)
-    due = time.monotonic() + WATCH_S
-    while not pipe.poll():
-        time.sleep(max(due - time.monotonic(), 0))
-        now = time.monotonic()
-        if now - due > STOP_S:
-            found.append((due, now))
-        due = now + WATCH_S
-    pipe.send(found)
-
-
-@contextlib.contextmanager
-def stops() -> Iterator[list[list[tuple[float, float]]]]:
-    """Collect for each core when it stood still, from and to, s; empty before the end.
-
-    Nothing in this system delays a process of real-time priority.  Under Linux and for
-    who may ask for it, as root may; else nothing is collected.
-    """
-    collected: list[list[tuple[float, float]]] = []
-    context = multiprocessing.get_context("spawn")
-    watching = []
-    for core in sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else ():
-        mine, theirs = context.Pipe()
-        process = context.Process(target=_watch, args=(core, theirs), daemon=True)
-        process.start()
-        if mine.recv():
-            watching.append((process, mine))
-    try:
-        yield collected
-    finally:
-        for process, mine in watching:
-            mine.send(None)
-            collected.append(mine.recv())
-            process.join()
-
-
-def still_ms(cores: list[list[tuple[float, float]]], begin: float, end: float) -> float:
-    """Return the longest time for which one of the cores stood still, ms."""
-    return max((sum(max(min(to, end) - max(since, begin), 0.0) for since, to in core)
-                for core in cores), default=0.0) * 1e3
-
-
 def image(folder: Path, args: argparse.Namespace) -> None:
     """Print the latency from an event's time to the image that shows it."""
     source = ReplaySource(SCENES[args.scene](folder, args.rate), "fan", loop=True)
-    late: list[tuple[float, float, float]] = []
-    with stops() as cores, Session(source, method=args.method, fps=args.fps,
-                                   threads=args.threads) as session:
+    late: list[tuple[float, float]] = []
+    with Session(source, method=args.method, fps=args.fps,
+                 threads=args.threads) as session:
         begun, cpu = time.monotonic(), time.process_time()
         while time.monotonic() - begun < args.seconds:
             shown = session.read(60)
             assert shown is not None
             now = time.monotonic()
-            late.append((now - begun, 1e3 * (now - session.clock.host_s(shown.t_us)),
-                         stolen_ms()))
+            late.append((now - begun, 1e3 * (now - session.clock.host_s(shown.t_us))))
         stats = session.stats
         used = (time.process_time() - cpu) / (time.monotonic() - begun)
-    told(f"first {LEARN_S:g} s", [value for t, value, _ in late if t < LEARN_S])
-    told("after", [value for t, value, _ in late if t >= LEARN_S])
+    told(f"first {LEARN_S:g} s", [value for t, value in late if t < LEARN_S])
+    told("after", [value for t, value in late if t >= LEARN_S])
     # An image whose successor is due is skipped, so that ages alone do not show for how
     # long none has come.
-    each = [(now, age, 1e3 * (now - before), stolen - stolen_before) for (
-        (before, _, stolen_before), (now, age, stolen)) in itertools.pairwise(late)]
-    for name, values in (
-            ("oldest", [(age, now, stolen) for now, age, _, stolen in each]),
-            ("longest gaps", [(gap, now, stolen) for now, _, gap, stolen in each])):
-        worst = sorted(sorted(values)[-8:], key=lambda one: one[1])
-        print(name, end=" ")
-        for value, now, stolen in worst:
-            still = still_ms(cores, begun + now - 1e-3 * value, begun + now)
-            print(f"{value:.0f} ms at {now:.1f} s", end="")
-            print(f", {stolen:.0f} ms stolen" if stolen else "", end="")
-            print(f", a core still for {still:.0f} ms" if still else "", end="; ")
-        print()
-    for core, found in enumerate(cores):
-        told(f"core {core} stood still", [1e3 * (to - since) for since, to in found])
+    told("between two images", [1e3 * (now - before) for (before, _), (now, _)
+                                in itertools.pairwise(late) if now >= LEARN_S])
     print(f"{used:.2f} CPU-s per s, skipped {stats.skipped_images}, dropped "
           f"{stats.dropped_events}, {stats.events_per_s / 1e6:.2f} Mev/s, load "
           f"{os.getloadavg()[0]:.1f}")

@@ -2,14 +2,13 @@
 import dataclasses
 import json
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import reference
 from streams import random_events
 
-from lab.bench import command, cores, event_files, picture
+from lab.bench import command, event_files, picture
 from lab.bench.cases import CASES, Case, Comparison, event_input
 from pdavis_cv import open_recording
 
@@ -251,51 +250,3 @@ def test_images_of_two_threads_equal_those_of_one(monkeypatch):
     compared.check()
     assert compared.candidate() > 0
     assert compared.name == "kalman, 0.033 Mev/s"
-
-
-def test_what_two_threads_gain_is_told_by_where_they_were(monkeypatch):
-    ways = iter([25, 25, 55, 55, 55, 50, 55, 240, 240, 240])
-    monkeypatch.setattr(cores, "between_cores", lambda: next(ways))
-    monkeypatch.setattr(cores, "usable_cores", lambda: 2)
-    two = iter([2.0, 1.0, 1.5, 9.0, 2.0])
-    timed = cores.Placed(lambda: 3.0, lambda: next(two))
-    assert timed.remark() == ""
-    for _ in range(5):
-        assert timed.floor() == 3
-        assert timed.candidate() > 0
-    assert timed.remark() == (
-        "2.50 with a common cache (40 %); 1.50 on one core (20 %); "
-        "0.33 moved (20 %); 1.50 further apart (20 %)")
-
-
-def test_without_the_sources_it_is_not_told_where_threads_were(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pdavis_cv._kernels._floor", None)
-    monkeypatch.setattr(cores, "usable_cores", lambda: 2)
-    timed = cores.Placed(lambda: 3.0, lambda: 1.5)
-    timed.floor()
-    timed.candidate()
-    assert timed.remark() == "2.00 somewhere (100 %)"
-
-
-def test_a_value_passes_between_two_threads():
-    kernel = pytest.importorskip("pdavis_cv._kernels._floor")
-    places = np.zeros(32, np.int64)
-    with ThreadPoolExecutor(1) as pool:
-        other = pool.submit(kernel.pass_value, places, 2, False)
-        assert kernel.pass_value(places, 2, True) > 0
-        other.result()
-    assert places[0] == places[31] == 2 * 100
-    assert not places[1:31].any()
-    for wrong, n in ((np.zeros(31, np.int64), 2), (places, 0)):
-        with pytest.raises(ValueError, match=r"places must be \(32,\), and n at lea"):
-            kernel.pass_value(wrong, n, True)
-
-
-def test_what_the_machine_changes_is_timed_more_often_and_remarked(
-        monkeypatch, capsys):
-    comparison, = case_of([1.0] * 6).comparisons()
-    comparison = dataclasses.replace(comparison, repeat=3, remark=lambda: "all well")
-    monkeypatch.setitem(
-        CASES, "fake", Case("fake", "a fake", 0.5, lambda: iter([comparison])))
-    assert command.main(["fake", "--pairs", "2"]) == 0
-    assert capsys.readouterr().out.endswith("\n    all well\n")
