@@ -473,6 +473,9 @@ def test_arrays_of_mosaics_need_a_layout(tmp_path):
     np.testing.assert_array_equal([frame.dn for frame in frames], mosaics(6))
     with pytest.raises(RecordingError, match="need its layout"):
         read(tmp_path / "a.npy", None)
+    np.save(tmp_path / "one.npy", mosaics(1)[0])
+    frames, _ = read(tmp_path / "one.npy")
+    np.testing.assert_array_equal([frame.dn for frame in frames], mosaics(1))
     np.save(tmp_path / "f.npy", np.asfortranarray(mosaics(6)))
     with pytest.raises(RecordingError, match="column by column"):
         read(tmp_path / "f.npy")

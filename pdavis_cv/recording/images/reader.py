@@ -96,7 +96,8 @@ class ImageRecording(FileRecording):
         last = self._time(count - 1, None) if count else None
         return RecordingInfo(
             format=f"four planes, {facts.kind}" if self._four else facts.kind,
-            **stated(options, sensor_size=(height, width), layout=self._layout,
+            **stated(options, sensor_size=(height, width),
+                     layout=self._layout if self._four else None,
                      exposure_us=self._exposure_us or None, frame_times=times,
                      full_scale_dn=full_scale),
             start_us=0, stop_us=None if last is None else last + self._exposure_us + 1,
@@ -131,8 +132,9 @@ class ImageRecording(FileRecording):
         if spread is not None:
             raise RecordingError(
                 f"{self._path}: a mosaic of colours and polarizers (as IMX250MYR): its "
-                f"2x2 blocks differ by {spread:.0%} with period 4; read one colour: "
-                "rows and columns 0, 1, 4, 5, .. of it are a mosaic of one colour")
+                f"2x2 blocks differ by {spread:.0%} with period 4; its colours are not "
+                "read together: save rows and columns 0, 1, 4, 5, .. as the mosaic of "
+                "one colour")
 
     def _set_times(self, source_fps: float | None) -> Fact:
         """Set what `_time` needs; return the frames' rate or the kind of times."""
@@ -233,7 +235,6 @@ class ImageRecording(FileRecording):
             return 0    # their times are known only from reading
         k = int(t_us * self._fps / 1_000_000)
         return k if self._time(k, None) >= t_us else k + 1
-
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._names or os.fspath(self._path), self._options)

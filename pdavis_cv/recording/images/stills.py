@@ -21,14 +21,17 @@ from pdavis_cv.recording.numpy_files import stored_arrays
 __all__ = ["ArrayPictures", "StillPicture", "is_image_array"]
 
 _PGM = re.compile(rb"P[25]\s(?:\s*#.*\n)*\s*\d+\s+\d+\s+(\d+)\s")
-_IMAGES = re.compile(
-    rb"\x93NUMPY.{4,6}\{[^}]*'shape': \(\d+, \d+, \d+", re.DOTALL)
+_SHAPE = re.compile(rb"\x93NUMPY.{4,6}\{[^}]*'shape': \((\d[\d, ]*)\)", re.DOTALL)
+_FEWEST_COLUMNS = 16
+"""Fewer are the columns of a list of events."""
 _JPEG = b"\xff\xd8\xff"
 
 
 def is_image_array(start: bytes) -> bool:
-    """Return whether a file is an array of three or four axes, from its first bytes."""
-    return _IMAGES.match(start) is not None
+    """Return whether a file is an array of images, from its first bytes."""
+    found = _SHAPE.match(start)
+    sides = [] if found is None else [int(n) for n in found[1].split(b",") if n.strip()]
+    return len(sides) > 2 or (len(sides) == 2 and sides[1] >= _FEWEST_COLUMNS)
 
 
 class StillPicture(Pictures):
