@@ -1,0 +1,47 @@
+"""The commands of docs/tools.md run as they stand."""
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from pdavis_cv.data import example_recording
+from pdavis_cv.tools.main import main
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tools.md"
+LINES = re.findall(r"\| `pdavis ([^`]+)` \|$", PAGE.read_text(), re.M)
+RUNS_ON = ("view", "stream", "devices")     # servers, and a camera on USB
+ELSEWHERE = ("weights", "demo")             # tests/test_checkpoint.py, test_tools.py
+SIZE = ("--size", "24x24")
+WHAT_THE_SHELL_FINDS = ["recording.aedat4"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with the files that the commands name."""
+    folder = tmp_path_factory.mktemp("tools")
+    for scene, seconds, name in (("polarizer", "2", "recording.aedat4"),
+                                 ("dark", "1", "covered.aedat4"),
+                                 ("malus", "37", "steps.aedat4")):
+        assert main(["simulate", scene, *SIZE, "--seconds", seconds,
+                     "-o", str(folder / name)]) == 0
+    assert main(["convert", str(example_recording()), str(folder / "old.aedat")]) == 0
+    for name in ("fan", "tendon"):
+        shutil.copy(example_recording(name), folder / f"{name}.aedat4")
+    return folder
+
+
+@pytest.mark.gate
+def test_the_commands_of_the_page_run(folder, monkeypatch):
+    pytest.importorskip("tifffile")
+    monkeypatch.chdir(folder)
+    ran = []
+    for line in LINES:
+        command, *arguments = [
+            path for word in shlex.split(line)
+            for path in (WHAT_THE_SHELL_FINDS if "*" in word else [word])]
+        if command not in RUNS_ON + ELSEWHERE:
+            assert main([command, *arguments]) == 0, line
+            ran.append(command)
+    assert len(ran) > 15
