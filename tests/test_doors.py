@@ -184,8 +184,11 @@ def test_what_is_broken_stops_nobody_and_is_told_by_name(tmp_path):
             [sys.executable, "-P", "-W", "error", *words], env=environment,
             capture_output=True, text=True, check=False)
 
-    assert run("-c", "import pdavis_cv; pdavis_cv.fuse; pdavis_cv.VideoCapture"
-               ).returncode == 0
+    plain = run("-c", "from pdavis_cv import VideoCapture, data\n"
+                "path = data.example_recording()\n"
+                "with VideoCapture(path, layout='pdavis', output='aop', method='cf',"
+                " cutoff_hz=1) as one: assert one.read()[0], one.last_error")
+    assert (plain.returncode, plain.stderr) == (0, "")
     pdavis = ("-m", "pdavis_cv.tools.main")
     whole = run(*pdavis, "--help")
     assert (whole.returncode, whole.stderr) == (0, "")

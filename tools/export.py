@@ -200,8 +200,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _names() -> list[str]:
-    return [*(name for name, one in QUANTITIES.usable().items()
-              if one.colours != "events"), *GROUPS]
+    return [*(name for name in QUANTITIES if name != "events"), *GROUPS]
 
 
 def _quantities(text: str) -> list[str]:

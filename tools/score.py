@@ -16,6 +16,7 @@ import functools
 import inspect
 import json
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ import numpy as np
 from pdavis_cv import Calibration, Recording, __version__
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, pooled
 from pdavis_cv.batch import both_halves, predicted
+from pdavis_cv.errors import PdavisWarning
 from pdavis_cv.export import write_beside, write_csv
 from pdavis_cv.reconstruct.base import Estimate
 from pdavis_cv.reconstruct.methods import METHODS, make_reconstructor
@@ -86,7 +88,14 @@ def trials() -> dict[str, Trial]:
     found: dict[str, Trial] = {}
     for method, maker in METHODS.usable().items():
         probe = functools.partial(make_reconstructor, maker, (2, 2), 0.2, 0.2)
-        said = probe({}).trials
+        try:
+            said = probe({}).trials
+        except ImportError:     # a package that the method needs is missing
+            continue
+        except Exception as error:  # of another package's method
+            warnings.warn(f"method {method!r} is not scored: {error}", PdavisWarning,
+                          stacklevel=2)
+            continue
         for name, parameters in (said or {method: {}}).items():
             made = probe(parameters)
             trial = found[name] = Trial(

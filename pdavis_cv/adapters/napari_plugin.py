@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pdavis_cv import export
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.quantities import INTENSITY, quantity
+from pdavis_cv.quantities import INTENSITY, QUANTITIES
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.open import open_recording
 
@@ -157,14 +157,14 @@ def _layer(
     name: str, data: NDArray[np.float32], scale: tuple[float, float, float],
     facts: dict[str, Any],
 ) -> Layer:
-    one = quantity(name)
+    # A stack may have a quantity of a package that is not installed here.
+    one = QUANTITIES.get(name) or QUANTITIES["s0"]
     top = 1.0
     if one.unit == INTENSITY:
         usable = data[np.isfinite(data)]
         top = (float(np.percentile(usable, _BRIGHT)) if usable.size else 0.0) or 1.0
-    low, high = one.shown(top)
     return data, {
-        "name": name, "scale": scale, "contrast_limits": (low, high),
+        "name": name, "scale": scale, "contrast_limits": one.shown(top),
         "colormap": _COLOURS.get(one.colours, "gray"), "metadata": facts}, "image"
 
 

@@ -117,4 +117,6 @@ def number_of(value: int | str) -> int:
     """
     if not isinstance(value, str):
         return value
-    return outputs().index(output_named(value).name)
+    wanted = output_named(value)
+    return (_fixed() if wanted in _fixed() else
+            [output_named(name) for name in outputs()]).index(wanted)

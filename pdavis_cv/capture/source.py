@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pdavis_cv.capture import constants as c
-from pdavis_cv.capture.outputs import outputs
+from pdavis_cv.capture.outputs import output_at
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.live import is_address, open_source
 from pdavis_cv.live.camera import address_of
@@ -75,16 +75,14 @@ def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
 
 def checked_parameters(parameters: Mapping[str, Any]) -> None:
     """Raise TypeError if no method of `fuse` has one of the parameters."""
-    of_methods = _method_parameters()
-    for name in parameters:
-        if name not in _FUSE and name not in _OPEN and name not in of_methods:
+    others = [name for name in parameters if name not in _FUSE and name not in _OPEN]
+    # The method may be changed later, but to none of another package unnamed.
+    methods = [*METHODS.known, parameters.get("method")] if others else []
+    of_methods = {
+        name for method in methods if method for name in method_parameters(method)}
+    for name in others:
+        if name not in of_methods:
             raise TypeError(f"VideoCapture has no parameter {name!r}")
-
-
-def _method_parameters() -> frozenset[str]:
-    return frozenset(
-        name for method in METHODS.usable().values()
-        for name in method_parameters(method))
 
 
 # ---- parameters as numbers ---------------------------------------------------
@@ -145,8 +143,10 @@ def decoded_value(name: str, value: float) -> Any:
                 "read_timeout_ms"):
         return float(value) if value > 0 else None
     if name == "output":
-        known = 0 <= value < len(outputs()) and value == int(value)
-        return int(value) if known else None
+        try:
+            return int(value) if value == int(value) and output_at(int(value)) else None
+        except (LookupError, OverflowError):    # also infinity
+            return None
     if name == "layout":
         return layout_of_code(value)
     choices = tuple(METHODS) if name == "method" else c.CODE_OF_DEMOSAIC
