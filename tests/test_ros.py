@@ -16,19 +16,22 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ARRAY, PACKET, IMAGE = ("dvs_msgs/msg/EventArray", "event_camera_msgs/msg/EventPacket",
                         "sensor_msgs/msg/Image")
+PROPHESEE, OLDER = ("prophesee_event_msgs/msg/EventArray",
+                    "event_array_msgs/msg/EventArray")
 START_S = 1_500_000_000
 
 
 def store(two):
     found = get_typestore(Stores.ROS2_HUMBLE if two else Stores.ROS1_NOETIC)
+    time = "builtin_interfaces/Time" if two else "time"
+    event = f"uint16 x\nuint16 y\n{time} ts\nbool polarity\n"
+    array = "std_msgs/Header header\nuint32 height\nuint32 width\nEvent[] events\n"
+    packet = ("std_msgs/Header header\nuint32 height\nuint32 width\nuint64 seq\n"
+              "uint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n")
     for name, text in (
-            ("dvs_msgs/msg/Event", "uint16 x\nuint16 y\n"
-             + ("builtin_interfaces/Time ts" if two else "time ts")
-             + "\nbool polarity\n"),
-            (ARRAY, "std_msgs/Header header\nuint32 height\nuint32 width\n"
-             "dvs_msgs/Event[] events\n"),
-            (PACKET, "std_msgs/Header header\nuint32 height\nuint32 width\nuint64 seq\n"
-             "uint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n")):
+            ("dvs_msgs/msg/Event", event), (ARRAY, array), (PACKET, packet),
+            ("prophesee_event_msgs/msg/Event", event), (PROPHESEE, array),
+            (OLDER, packet)):
         found.register(get_types_from_msg(text, name))
     return found
 
@@ -36,10 +39,11 @@ def store(two):
 class Bag:
     """Writes messages of each kind."""
 
-    def __init__(self, path, two):
+    def __init__(self, path, two, **options):
         self.two, self.store = two, store(two)
         self.types = self.store.types
-        self.bag = rosbag2.Writer(path, version=8) if two else rosbag1.Writer(path)
+        self.bag = (rosbag2.Writer(path, version=8, **options) if two
+                    else rosbag1.Writer(path))
         self.bag.open()
         self.connections = {}
 
@@ -60,20 +64,21 @@ class Bag:
         self.bag.write(self.connections[topic],
                        (START_S * 10**6 + t_us) * 1000, bytes(data))
 
-    def events(self, events, size, topic="/dvs/events", frame="camera"):
+    def events(self, events, size, topic="/dvs/events", frame="camera", kind=ARRAY):
         time, one = (self.types[name] for name in (
-            "builtin_interfaces/msg/Time", "dvs_msgs/msg/Event"))
+            "builtin_interfaces/msg/Time", kind.replace("EventArray", "Event")))
         at = int(events["t"][-1]) if len(events) else 0
-        self.write(topic, ARRAY, at, self.types[ARRAY](
+        self.write(topic, kind, at, self.types[kind](
             header=self.header(at, frame), height=size[0], width=size[1], events=[
                 one(x=int(e["x"]), y=int(e["y"]), polarity=bool(e["p"]), ts=time(
                     sec=START_S + int(e["t"]) // 10**6,
                     nanosec=int(e["t"]) % 10**6 * 1000)) for e in events]))
 
-    def packet(self, data, size, t_us, encoding, base=0):
-        self.write("/event_camera/events", PACKET, t_us, self.types[PACKET](
+    def packet(self, data, size, t_us, encoding, base=0, *, kind=PACKET,
+               topic="/event_camera/events", big=False):
+        self.write(topic, kind, t_us, self.types[kind](
             header=self.header(t_us), height=size[0], width=size[1], seq=0,
-            time_base=base, encoding=encoding, is_bigendian=False,
+            time_base=base, encoding=encoding, is_bigendian=big,
             events=np.frombuffer(data, np.uint8)))
 
     def image(self, image, t_us, encoding="mono8", topic="/dvs/image_raw"):
@@ -146,19 +151,183 @@ def test_images_come_with_the_events(bag):
     assert [f.full_scale_dn for f in frames] == [255, 255, 255, 65535]
 
 
-def test_mono_packets_are_read(bag):
+@pytest.mark.parametrize("kind", [PACKET, OLDER])
+def test_mono_packets_are_read(bag, kind):
     events = some_events()
     base = (START_S * 10**6 + 7) * 1000
     words = ((events["t"] * 1000).astype(np.uint64)
              | events["x"].astype(np.uint64) << np.uint64(32)
              | events["y"].astype(np.uint64) << np.uint64(48)
              | events["p"].astype(np.uint64) << np.uint64(63))
-    bag.packet(words.astype("<u8").tobytes(), (12, 16), 0, "mono", base)
+    bag.packet(words.astype("<u8").tobytes(), (12, 16), 0, "mono", base, kind=kind)
     bag.bag.close()
     expected = absolute(events)
     expected["t"] += 7
     with open_recording(bag.path) as recording:
+        assert recording.info.trigger_count == 0
         np.testing.assert_array_equal(recording.events(), expected)
+
+
+def test_events_of_prophesees_messages_are_read(bag):
+    for part in np.split(some_events(), 4):
+        bag.events(part, (12, 16), kind=PROPHESEE)
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        np.testing.assert_array_equal(recording.events(), absolute(some_events()))
+
+
+def libcaer_words(events, offset=0):
+    """Return events as libcaer has them: a word of data, 31 bits of time."""
+    words = np.empty((len(events), 2), "<u4")
+    words[:, 0] = (events["x"].astype("u4") << 17 | events["y"].astype("u4") << 2
+                   | events["p"].astype("u4") << 1 | 1)
+    words[:, 1] = events["t"] + offset & 0x7FFFFFFF
+    return words.tobytes()
+
+
+def libcaer_cmp_words(events, *, high_bits=12):
+    """Return events in the compressed words of libcaer_driver.
+
+    A vector holds neighbours of a column whose y have the same upper bits.
+    """
+    words, state = [], {}
+
+    def change(kind, value):
+        if state.get(kind) != value:
+            state[kind] = value
+            words.append(kind << 12 | value)
+
+    rows = events.tolist()
+    while rows:
+        t, x, y, p = rows[0]
+        change(0, t >> 12 & (1 << high_bits) - 1)
+        change(1, t & 0xFFF)
+        change(2, x)
+        group = [row for row in rows[:8] if (row[0], row[1], row[3]) == (t, x, p)
+                 and row[2] & ~7 == y & ~7]
+        if len(group) == 1 or group != rows[:len(group)]:
+            group = rows[:1]
+            words.append(3 << 12 | p << 11 | y)
+        else:
+            words += [4 << 12 | p << 11 | y & ~7,
+                      5 << 12 | sum(1 << row[2] % 8 for row in group)]
+        del rows[:len(group)]
+    return np.array(words, "<u2").tobytes()
+
+
+def columns_of_neighbours(n=600, size=(180, 240)):
+    events = some_events(n, size, step=250)
+    for k in range(0, n - 8, 40):
+        events[k:k + 8] = [(int(events["t"][k]), 7, 16 + i, 1) for i in range(8)]
+    return events
+
+
+@pytest.mark.parametrize("encoding", ["libcaer", "libcaer_cmp"])
+def test_packets_of_libcaer_are_read_with_frames_beside(bag, encoding):
+    events = columns_of_neighbours()
+    base = START_S * 10**9
+    for k, part in enumerate(np.split(events, 6)):
+        t = int(part["t"][0])
+        if encoding == "libcaer":   # whose time overflows in the third packet
+            offset = 2**31 - int(events["t"][250])
+            low = t + offset >> 31 << 31
+            bag.packet(libcaer_words(part, offset), (180, 240), t, encoding,
+                       base + 1000 * (low - offset))
+        else:
+            relative = part.copy()
+            relative["t"] -= t
+            bag.packet(libcaer_cmp_words(relative), (180, 240), t, encoding,
+                       base + 1000 * t)
+        bag.image(np.full((180, 240), 64 * k, np.uint16), t, "mono16",
+                  topic="/event_camera/image_raw")
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        assert recording.info.sensor_size == (180, 240)
+        found, frames, _, _ = joined(recording.packets())
+        assert not recording.problems
+    np.testing.assert_array_equal(found, absolute(events))
+    assert [int(f.dn[0, 0]) for f in frames] == [0, 64, 128, 192, 256, 320]
+
+
+@pytest.mark.parametrize("high_bits", [12, 4])
+def test_a_compressed_packet_may_be_long(bag, high_bits):
+    events = some_events(3000, (180, 240), step=100)    # .3 s: the driver keeps 4 bits
+    events["t"] -= events["t"][0]
+    bag.packet(libcaer_cmp_words(events, high_bits=high_bits), (180, 240), 0,
+               "libcaer_cmp", START_S * 10**9)
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        np.testing.assert_array_equal(recording.events(), absolute(events))
+
+
+def test_words_of_a_compressed_packet_without_their_base_are_no_events(bag):
+    words = [3 << 12 | 5, 2 << 12 | 4, 5 << 12 | 3, 4 << 12 | 9, 5 << 12 | 1,
+             6 << 12 | 7, 5 << 12 | 2]      # no x; no base; two vectors; unknown word
+    bag.packet(np.array(words, "<u2").tobytes(), (30, 30), 0, "libcaer_cmp",
+               START_S * 10**9)
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        assert recording.events().tolist() == [
+            (START_S * 10**6, 4, 9, 0), (START_S * 10**6, 4, 18, 0)]
+        assert {p.kind: p.count for p in recording.problems} == {"outside sensor": 3}
+
+
+def test_triggers_of_packets_are_read(bag):
+    t = START_S * 10**6 + 10_000
+    words = [0x8001, 0x6005, 3, 0x2004, 0xA001, 0x6009, 0xA000, 0x2005]
+    bag.packet(np.array(words, "<u2").tobytes(), (12, 16), 10_000, "evt3")
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        assert recording.info.trigger_count is None
+        events, _, _, triggers = joined(recording.packets())
+    assert events["t"].tolist() == [t, t + 4]
+    assert triggers.tolist() == [(t, 1), (t + 4, 2)]
+
+
+def test_triggers_may_have_a_topic_of_their_own(bag):
+    events, base = some_events(), START_S * 10**9
+    bag.packet(libcaer_words(events), (12, 16), 0, "libcaer", base)
+    edges = np.array([300_000 | 1 << 63, 500_000], np.uint64)
+    bag.packet(edges.astype("<u8").tobytes(), (12, 16), 500, "trigger", base,
+               topic="/event_camera/triggers")
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        found, _, _, triggers = joined(recording.packets())
+    np.testing.assert_array_equal(found, absolute(events))
+    assert triggers.tolist() == [(START_S * 10**6 + 300, 1), (START_S * 10**6 + 500, 2)]
+
+
+@pytest.mark.parametrize("store", ["SQLITE3", "MCAP"])
+def test_a_file_of_a_bag_is_a_recording_by_itself(tmp_path, store, capfd):
+    from rosbags.rosbag2 import StoragePlugin
+    bag = Bag(tmp_path / "bag", True, storage_plugin=StoragePlugin[store])
+    for k, part in enumerate(np.split(some_events(), 5)):
+        bag.packet(libcaer_words(part), (12, 16), 1000 * k, "libcaer", START_S * 10**9)
+    bag.bag.close()
+    [path] = [p for p in (tmp_path / "bag").iterdir() if p.suffix != ".yaml"]
+    with open_recording(path, layout="sony") as recording:
+        np.testing.assert_array_equal(recording.events(), absolute(some_events()))
+        next(recording.packets())       # and left unread: the query must be closed
+    assert capfd.readouterr().err == ""
+    video = pdavis_cv.VideoCapture(str(path), layout="sony")
+    assert video.isOpened()
+    assert video.read()[0]
+    video.release()
+    path.rename(tmp_path / "x.bin")
+    with pytest.raises(RecordingError, match=rf"must be named \*{path.suffix}"):
+        open_recording(tmp_path / "x.bin")
+
+
+def test_libcaer_of_the_public_case(data_dir):
+    with open_recording(data_dir / "public" / "ros2_libcaer") as recording:
+        assert recording.info.sensor_size == (480, 640)
+        events = recording.events()
+    assert len(events) == 334_331
+    assert int(events["p"].sum()) == 181_908
+    assert int(events["x"].sum(dtype=np.int64)) == 111_651_612
+    assert int(events["y"].sum(dtype=np.int64)) == 82_801_007
+    nanoseconds = events["t"].astype(np.uint64) * np.uint64(1000) + np.uint64(18)
+    assert int(nanoseconds.sum()) == 15_762_826_572_202_229_126
 
 
 def test_evt3_packets_go_on_from_one_to_the_next(bag):
@@ -173,21 +342,36 @@ def test_evt3_packets_go_on_from_one_to_the_next(bag):
 
 
 def test_what_cannot_be_read_is_said(bag, tmp_path):
-    bag.packet(b"12345678", (12, 16), 0, "libcaer_cmp")
+    bag.packet(b"12345678", (12, 16), 0, "evt4")
+    bag.packet(b"12345678", (12, 16), 0, "mono", topic="/other/events", big=True)
     bag.image(np.zeros((12, 16), np.uint8), 5, topic="/left/image_raw")
     bag.image(np.zeros((12, 16), np.uint8), 5, topic="/right/image_raw")
     bag.bag.close()
-    with pytest.raises(RecordingError, match=r"several topics of images, pass camera=: "
-                       "/left/image_raw, /right/image_raw"):
-        open_recording(bag.path)
+    for camera, message in (
+            ("image", "several topics of images, .*: /left/image_raw, /right"),
+            ("event_camera", "of /event_camera/events in the encoding 'evt4' are not "
+             "read, mono, libcaer, libcaer_cmp, evt3, trigger are"),
+            ("other", "'mono', big-endian, are not read"),
+            ("up", "of a camera named 'up'; it holds /")):
+        with pytest.raises(RecordingError, match=message):
+            open_recording(bag.path, camera=camera)
     with open_recording(bag.path, camera="left") as recording:
         assert recording.info.event_count == 0
         assert len(joined(recording.packets())[1]) == 1
-    with open_recording(bag.path, camera="event_camera") as recording, pytest.raises(
-            RecordingError, match="encoding 'libcaer_cmp' are not read, mono and evt3"):
-        recording.events()
-    with pytest.raises(RecordingError, match="of a camera named 'up'; it holds /"):
-        open_recording(bag.path, camera="up")
+    video = pdavis_cv.VideoCapture(str(bag.path), camera="event_camera")
+    assert not video.isOpened()
+    assert "evt4" in str(video.last_error)
+
+
+def test_a_packet_in_another_encoding_than_the_first_is_damage(bag):
+    events = some_events()
+    bag.packet(libcaer_words(events[:250]), (12, 16), 0, "libcaer", START_S * 10**9)
+    bag.packet(b"12345678", (12, 16), 5, "evt4")
+    bag.packet(libcaer_words(events[250:]), (12, 16), 9, "libcaer", START_S * 10**9)
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        with pytest.warns(UserWarning, match="events in the encoding 'evt4'"):
+            np.testing.assert_array_equal(recording.events(), absolute(events))
 
 
 def test_a_bag_that_was_cut_is_no_bag(bag):

@@ -73,9 +73,10 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         by_ranges=True, magic=(b"Event Stream",),
         reader=f"{_ROOM}.event_stream:EventStreamRecording"),
     Format(
-        name="rosbag", title="ROS 1 and ROS 2 bags", suffixes=(".bag",), extra="ros",
-        magic=(b"#ROSBAG V2.0",), folder="metadata.yaml",
-        holds=frozenset(("events", "frames")),
+        name="rosbag", title="ROS 1 and ROS 2 bags", extra="ros",
+        suffixes=(".bag", ".db3", ".mcap"), folder="metadata.yaml",
+        magic=(b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n"),
+        holds=frozenset(("events", "frames", "triggers")),
         reader=f"{_ROOM}.rosbag:RosRecording"),
     Format(
         name="text", title="events as lines of text", holds=_EVENTS,

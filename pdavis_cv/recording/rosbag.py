@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags: events of dvs_msgs and event_camera_msgs, and grey images.
+"""ROS 1 and ROS 2 bags: events of several packages, and grey images.
 
 The library rosbags reads the containers; messages are decoded here, because making an
 object for each event would take a hundred times as long.
@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, suppress
+from copy import deepcopy
 from itertools import count, islice
 from typing import Any
 
@@ -18,11 +19,12 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.event_packets import ENCODINGS, trigger
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, packetise
-from pdavis_cv.recording.prophesee import WordStream
+from pdavis_cv.recording.prophesee import WordStream, ordered_triggers
 from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import (
     LAST,
@@ -42,9 +44,15 @@ MAX_SIDE = 8192
 SIZES = 9
 """Number of messages whose most frequent size is taken as that of the sensor."""
 MAX_MESSAGE = 1 << 28
-EVENT_ARRAYS = "dvs_msgs/msg/EventArray"
-EVENT_PACKETS = "event_camera_msgs/msg/EventPacket"
+EVENT_ARRAYS = frozenset(f"{package}/msg/EventArray" for package in (
+    "dvs_msgs", "prophesee_event_msgs", "dv_ros_msgs"))
+EVENT_PACKETS = frozenset((
+    "event_camera_msgs/msg/EventPacket", "event_array_msgs/msg/EventArray"))
 IMAGES = "sensor_msgs/msg/Image"
+_READ = ("mono", "libcaer", "libcaer_cmp", "evt3", "trigger")
+"""Encodings of events in packets that are read."""
+_STORES = {b"SQLite format 3": ".db3", b"\x89MCAP0\r\n": ".mcap"}
+"""First bytes of a ROS 2 bag's files, and the suffix by which rosbags knows them."""
 # Bytes of an event, and offsets in it of x, y, seconds, nanoseconds, polarity.
 _ROS1 = 13, np.array([0, 2, 4, 8, 12])
 # CDR aligns numbers: padding precedes the seconds, except in the first event.
@@ -137,14 +145,15 @@ class _Message:
 class RosRecording(FileRecording):
     """A recording in a ROS bag; see `open_recording`.
 
-    Events of ``dvs_msgs/EventArray`` and of ``event_camera_msgs/EventPacket`` (in the
-    encodings ``mono`` and ``evt3``), grey ``sensor_msgs/Image``.  Times are those of
-    the messages; the exposure of images is not known.
+    Events of ``EventArray`` in dvs_msgs, prophesee_event_msgs and dv_ros_msgs, and of
+    ``event_camera_msgs/EventPacket`` (in the encodings ``libcaer``, ``libcaer_cmp``,
+    ``evt3``, ``mono``), with external triggers; grey ``sensor_msgs/Image``.  Times are
+    those of the messages; the exposure of images is not known.
 
     Parameters
     ----------
     path : path
-        A ``.bag`` file, or the folder of a ROS 2 bag.
+        A ``.bag`` file, the folder of a ROS 2 bag, or a ``.db3`` or ``.mcap`` file.
     options : SourceOptions
         Its ``camera`` is a part of the topics' names, if the bag holds several.
     """
@@ -155,12 +164,13 @@ class RosRecording(FileRecording):
         except ImportError:
             raise ImportError(
                 "ROS bags need a package: pip install rosbags") from None
-        self._cdr = self._path.is_dir()
+        self._cdr = self._is_ros2()
         self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
         self._closed = False
         self._closing.callback(setattr, self, "_closed", True)
         try:
             with self._kind(self._path) as bag:
+                self._encodings = self._found_encodings(bag, options.camera)
                 self._topics = self._choose(bag.connections, options.camera)
                 size = self._sensor_size(bag)
                 self._message_count = sum(
@@ -171,57 +181,127 @@ class RosRecording(FileRecording):
         except Exception as error:  # rosbags and its database may raise anything
             raise RecordingError(
                 f"{self._path}: not a bag that can be read: {error}") from error
-        images = sum(kind == IMAGES for _, kind in self._topics)
+        kinds = {self._role(topic, kind) for topic, kind in self._topics}
+        triggers = {"evt3", "trigger"} & {
+            self._encodings.get(topic) for topic, _ in self._topics}
         return RecordingInfo(
             format=f"ROS {2 if self._cdr else 1} bag",
             camera=", ".join(sorted(topic for topic, _ in self._topics)), **stated(
                 options, sensor_size=size,
-                frame_times="time stamps" if images else None),
-            frame_count=None if images else 0, imu_count=0, trigger_count=0,
-            event_count=None if images < len(self._topics) else 0, wall_clock_us=0)
+                frame_times="time stamps" if "images" in kinds else None),
+            frame_count=None if "images" in kinds else 0, imu_count=0,
+            trigger_count=None if triggers else 0,
+            event_count=None if "events" in kinds else 0, wall_clock_us=0,
+            header={"encodings": dict(self._encodings)})
+
+    def _is_ros2(self) -> bool:
+        """Return whether it is a bag of ROS 2.
+
+        Raises
+        ------
+        RecordingError
+            If its name does not end as rosbags needs it.
+        """
+        if self._path.is_dir():
+            return True
+        with self._path.open("rb") as file:
+            start = file.read(16)
+        suffix = next((its for magic, its in _STORES.items()
+                       if start.startswith(magic)), None)
+        if suffix is not None and self._path.suffix != suffix:
+            raise RecordingError(
+                f"{self._path}: a file of a ROS 2 bag must be named *{suffix}")
+        return suffix is not None
+
+    def _found_encodings(self, bag: Any, camera: str | None) -> dict[str, str]:
+        """Return the encodings of topics of packets, from the first of each.
+
+        Raises
+        ------
+        RecordingError
+            If one cannot be read.
+        """
+        found: dict[str, str] = {}
+        for one in bag.connections:
+            if one.msgtype not in EVENT_PACKETS or (
+                    camera is not None and camera not in one.topic):
+                continue
+            with closing(bag.messages([one])) as messages:
+                for _, _, data in messages:
+                    with suppress(ValueError, struct.error):
+                        packet = _Packet(_Message(data, self._cdr))
+                        if packet.big or packet.encoding not in _READ:
+                            raise RecordingError(
+                                f"{self._path}: events of {one.topic} in the encoding "
+                                f"{packet.encoding!r}"
+                                f"{', big-endian,' if packet.big else ''} are not "
+                                f"read, {', '.join(_READ)} are")
+                        found[one.topic] = packet.encoding
+                        break
+        return found
+
+    def _role(self, topic: str, kind: str) -> str | None:
+        """Return whether a topic has events, triggers or images, None for others."""
+        if kind == IMAGES:
+            return "images"
+        if kind not in EVENT_ARRAYS | EVENT_PACKETS:
+            return None
+        return "triggers" if self._encodings.get(topic) == "trigger" else "events"
 
     def _choose(self, connections: Sequence[Any], camera: str | None
                 ) -> set[tuple[str, str]]:
-        """Return (topic, type) of the events and of the images."""
-        known = [c for c in connections
-                 if c.msgtype in (EVENT_ARRAYS, EVENT_PACKETS, IMAGES)
-                 and (camera is None or camera in c.topic)]
-        for what, kinds in (("events", (EVENT_ARRAYS, EVENT_PACKETS)),
-                            ("images", (IMAGES,))):
-            topics = sorted({c.topic for c in known if c.msgtype in kinds})
+        """Return (topic, type) of the events, the triggers and the images."""
+        known = {(c.topic, c.msgtype): self._role(c.topic, c.msgtype)
+                 for c in connections if camera is None or camera in c.topic}
+        known = {key: role for key, role in known.items() if role is not None}
+        for what in ("events", "images", "triggers"):
+            topics = sorted({topic for (topic, _), role in known.items()
+                             if role == what})
             if len(topics) > 1:
                 raise RecordingError(
                     f"{self._path}: several topics of {what}, pass camera=: "
                     f"{', '.join(topics)}")
-        if not known:
+        if not set(known.values()) & {"events", "images"}:
             topics = sorted({f"{c.topic} ({c.msgtype})" for c in connections})
             raise RecordingError(
                 f"{self._path}: neither events nor images"
                 + (f" of a camera named {camera!r}" if camera else "")
                 + f"; it holds {', '.join(topics) or 'nothing'}")
-        return {(c.topic, c.msgtype) for c in known}
+        return set(known)
 
-    def _of(self, bag: Any) -> Iterator[tuple[str, str, bytes]]:
+    def _of(self, bag: Any) -> Generator[tuple[str, str, bytes], None, None]:
         """Yield (topic, type, data) of the chosen topics' messages in an open bag."""
         wanted = [c for c in bag.connections if (c.topic, c.msgtype) in self._topics]
-        for connection, _, data in bag.messages(wanted):
-            yield connection.topic, connection.msgtype, data
+        # An open query would keep the database from being closed.
+        with closing(bag.messages(wanted)) as messages:
+            for connection, _, data in messages:
+                yield connection.topic, connection.msgtype, data
 
     def _sensor_size(self, bag: Any) -> tuple[int, int]:
-        """Return the most frequent sensor size of the first messages."""
-        sizes: list[tuple[int, int]] = []
+        """Return the most frequent sensor size of the first messages.
+
+        That of events counts, as another camera may have taken the images.
+        """
+        sizes: dict[bool, list[tuple[int, int]]] = {False: [], True: []}
         seen = False
-        for _, _, data in islice(self._of(bag), SIZES):
-            seen = True
-            with suppress(ValueError, struct.error):
-                message = _Message(data, self._cdr)
-                message.header()
-                sizes.append(message.size())
-        if not sizes:
+        for images in (False, True):
+            wanted = [c for c in bag.connections if (c.topic, c.msgtype) in self._topics
+                      and (c.msgtype == IMAGES) == images]
+            if not wanted:
+                continue
+            with closing(bag.messages(wanted)) as messages:
+                for _, _, data in islice(messages, SIZES):
+                    seen = True
+                    with suppress(ValueError, struct.error):
+                        message = _Message(data, self._cdr)
+                        message.header()
+                        sizes[images].append(message.size())
+        best = sizes[False] or sizes[True]
+        if not best:
             raise RecordingError(
                 f"{self._path}: neither events nor images in its topics" if not seen
                 else f"{self._path}: the first messages give no size of the sensor")
-        return max(sizes, key=sizes.count)
+        return max(best, key=best.count)
 
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None
@@ -247,7 +327,7 @@ class RosRecording(FileRecording):
 
     def _batches(self, memory: Scratch) -> Iterator[Batch]:
         timeline = Timeline()
-        clocks = {name: Clock(timeline) for name in ("events", "frames")}
+        clocks = {name: Clock(timeline) for name in ("events", "frames", "triggers")}
         words = WordStream(3, self._info.sensor_size)
         promised = NEVER
         both = len(self._topics) > 1
@@ -264,14 +344,14 @@ class RosRecording(FileRecording):
                 if kind == IMAGES:
                     batch.frames = self._frame(
                         message, clocks["frames"], number, promised)
-                elif kind == EVENT_ARRAYS:
+                elif kind in EVENT_ARRAYS:
                     message.header()
                     message.size()
                     batch.events = self._array(
                         message, clocks["events"], memory, number, ahead)
                 else:
-                    batch.events = self._packet(
-                        message, clocks["events"], words, memory, number)
+                    batch = self._packet(
+                        _Packet(message), clocks, words, memory, number, promised)
             except (ValueError, struct.error) as error:
                 self._log.damage(number, f"message {number}, of {topic}, is damaged: "
                                  f"{error}", offset=0)
@@ -294,7 +374,8 @@ class RosRecording(FileRecording):
         """
         with ExitStack() as stack:
             try:
-                messages = self._of(stack.enter_context(self._kind(self._path)))
+                messages = stack.enter_context(closing(self._of(
+                    stack.enter_context(self._kind(self._path)))))
                 ahead = next(messages, None)
             except Exception as error:  # as in _open
                 self._lost(error)
@@ -362,37 +443,66 @@ class RosRecording(FileRecording):
                    clock: Clock) -> Iterator[NDArray[np.int64]]:
         """Yield the first times of each message of events among the next ones."""
         for _, kind, data in ahead:
-            if kind == EVENT_ARRAYS:
+            if kind in EVENT_ARRAYS:
                 with suppress(ValueError, struct.error):
                     times = _Message(data, self._cdr).times(most)
                     if len(times):
                         yield times + int(clock.state[OFFSET])
 
-    def _packet(self, message: _Message, clock: Clock, words: WordStream,
-                memory: Scratch, number: int) -> NDArray[Any]:
-        """Return the events of an event_camera_msgs/EventPacket."""
-        stamp = message.header() // 1000
+    def _packet(self, packet: _Packet, clocks: dict[str, Clock], words: WordStream,
+                memory: Scratch, number: int, promised: int) -> Batch:
+        """Return the events or triggers of an event_camera_msgs/EventPacket."""
+        clock, data, rising = clocks["events"], packet.data, None
+        batch = Batch()
+        if packet.big or packet.encoding not in _READ:
+            raise ValueError(f"events in the encoding {packet.encoding!r}"
+                             f"{', big-endian' if packet.big else ''}")
+        if packet.encoding in ENCODINGS:
+            batch.events = self._checked(
+                ENCODINGS[packet.encoding](data, packet.base_ns), clock, number, memory,
+                unit="message")
+        elif packet.encoding == "trigger":
+            t, rising = trigger(data, packet.base_ns)
+            clock = clocks["triggers"]
+            t += int(clock.state[OFFSET])
+        else:
+            read = np.frombuffer(data, "<u2", len(data) // 2)
+            if clock.last == NEVER:
+                # The sensor's time has another zero; the stamp is that of the first.
+                preview = deepcopy(words)
+                first = preview.events(read, Clock(Timeline()))["t"]
+                first = np.concatenate((first[:1], preview.triggers[:1, 0]))
+                clock.state[OFFSET] = packet.stamp_us - int(first.min()) if len(
+                    first) else 0
+            batch.events = words.events(read, clock, memory)
+            self._dropped(clock, number, words.jumps, unit="message")
+            t, rising = words.triggers.T
+        if rising is not None and len(t):
+            batch.triggers, late = ordered_triggers(t, rising, max(
+                promised, clocks["triggers"].last))
+            self._count(number, "late triggers", late, "triggers were dropped because "
+                        "time ran backward", unit="message")
+            if len(batch.triggers):
+                clocks["triggers"].state[LAST] = batch.triggers["t"][-1]
+        return batch
+
+
+class _Packet:
+    """The fields of an event_camera_msgs/EventPacket.
+
+    Parameters
+    ----------
+    message : _Message
+        At its beginning.
+    """
+
+    def __init__(self, message: _Message) -> None:
+        self.stamp_us = message.header() // 1000
         message.size()
         message.number("Q")  # seq
-        base = message.number("Q")
-        encoding = message.text()
-        big = message.number("B")
-        data = message.block()
-        if big or encoding not in ("mono", "evt3"):
-            raise RecordingError(
-                f"{self._path}: events in the encoding {encoding!r}"
-                f"{', big-endian,' if big else ''} are not read, mono and evt3 are")
-        if encoding == "mono":
-            word = np.frombuffer(data, "<u8", len(data) // 8)
-            t = ((word & 0xFFFFFFFF).astype(np.int64) + base) // 1000
-            columns = t, word >> 32 & 0xFFFF, word >> 48 & 0x7FFF, word >> 63
-            return self._checked(columns, clock, number, memory, unit="message")
-        if clock.last == NEVER:
-            # The sensor's time has another zero; the stamp is that of the first event.
-            first = WordStream(3, words.size).events(
-                np.frombuffer(data, "<u2", len(data) // 2), Clock(Timeline()))
-            clock.state[OFFSET] = stamp - int(first["t"][0]) if len(first) else 0
-        events = words.events(
-            np.frombuffer(data, "<u2", len(data) // 2), clock, memory)
-        self._dropped(clock, number, words.jumps, unit="message")
-        return events
+        self.base_ns = message.number("Q")
+        self.encoding = message.text()
+        self.big = bool(message.number("B"))
+        self.data = message.block()
+        if self.base_ns >= 1 << 62:
+            raise ValueError(f"a base of time of {self.base_ns} ns")
