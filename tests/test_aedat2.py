@@ -179,10 +179,88 @@ def test_chips_have_their_sizes(read):
     assert recording.info.camera == "Davis346Zynq"
     assert (recording.info.sensor_size, frames) == ((260, 346), [])
     assert events.tolist() == [(7, 10, 239, 1)]
-    with pytest.raises(RecordingError, match="chip DVS128 is not a DAVIS"):
-        read(HEADER.replace(b"Davis346red", b"DVS128"))
-    _, recording = read(START + dvs(0, 0, 1, 0))
-    assert [p.kind for p in recording.problems] == ["unknown chip"]
+    for chip in (b"SBret10", b"SBret20", b"eu.seebetter.ini.chips.sbret10.SBret21"):
+        name = HEADER.replace(b"eu.seebetter.ini.chips.davis.Davis346red", chip)
+        (events, *_), recording = read(name + word(166 << 22 | 155 << 12, 1011))
+        assert recording.info.sensor_size == (180, 240)
+        assert events.tolist() == [(1011, 84, 13, 0)]
+        assert not recording.problems
+    with pytest.raises(RecordingError, match="chip Cochlea is not known: if its"):
+        read(HEADER.replace(b"Davis346red", b"Cochlea"))
+
+
+def dvs128_word(row, column, on, t):
+    """Return a word of a DVS128 as jAER has them: x mirrored, y up, bit 0 is OFF."""
+    return word((127 - row) << 8 | (127 - column) << 1 | (not on), t)
+
+
+def test_addresses_of_a_dvs128_say_so(read, tmp_path):
+    rng = np.random.default_rng(0)
+    rows = [(k, *rng.integers(0, 128, 2).tolist(), k % 3 == 0) for k in range(3000)]
+    data = b"".join(dvs128_word(y, x, on, t) for t, x, y, on in rows)
+    data += word(0x8000, 3000)      # a falling edge at its input
+    for header in (START, HEADER.replace(b"Davis346red", b"DVS128"),
+                   HEADER.replace(b"Davis346red", b"Tmpdiff128")):
+        (events, frames, _, triggers), recording = read(header + data)
+        assert recording.info.sensor_size == (128, 128)
+        assert events.tolist() == rows
+        assert triggers.tolist() == [(3000, 2)]
+        assert not frames
+        assert ([p.kind for p in recording.problems] == ["unknown chip"]) == (
+            header == START)
+    (tmp_path / "y.aedat").write_bytes(START + data)
+    with open_recording(tmp_path / "y.aedat", sensor_size=(128, 128)) as recording:
+        assert recording.events().tolist() == rows
+        assert not recording.problems
+
+
+def v2e_file(size, n=5000, reach=1.0):
+    """Return a file of v2e: no chip's name, the image turned by 180 degrees."""
+    rng = np.random.default_rng(1)
+    height, width = size
+    x, y = (rng.integers(0, int(reach * side), n) for side in (width, height))
+    words = np.zeros((n, 2), ">u4")
+    words[:, 0] = y << 22 | x << 12 | rng.integers(0, 2, n) << 11
+    words[:, 1] = np.arange(n)
+    return START + words.tobytes(), width - 1 - x, height - 1 - y
+
+
+@pytest.mark.parametrize("size", [(180, 240), (260, 346), (480, 640)])
+def test_the_size_of_a_camera_without_a_name_is_assumed_and_said(read, size):
+    data, x, y = v2e_file(size)
+    (events, *_), recording = read(data)
+    assert recording.info.sensor_size == size
+    np.testing.assert_array_equal(events["x"], x)
+    np.testing.assert_array_equal(events["y"], y)
+    [problem] = recording.problems
+    assert f"size assumed: {size[1]}x{size[0]}; sensor_size=" in problem.message
+
+
+def test_a_size_that_addresses_do_not_say_is_asked_for(read, tmp_path):
+    data, x, y = v2e_file((260, 346), reach=.6)
+    with pytest.raises(RecordingError, match=r"names no chip and its addresses reach "
+                       r"x = 206, y = 155: the sensor is stated by sensor_size="):
+        read(data)
+    (tmp_path / "y.aedat").write_bytes(data)
+    with open_recording(tmp_path / "y.aedat", sensor_size=(260, 346)) as recording:
+        events = recording.events()
+    np.testing.assert_array_equal(events["x"], x)
+    np.testing.assert_array_equal(events["y"], y)
+    noise = np.random.default_rng(0).integers(0, 1 << 32, (1000, 2)).astype(">u4")
+    with pytest.raises(RecordingError, match="those of neither a DAVIS nor a DVS128"):
+        read(START + noise.tobytes())
+    (tmp_path / "y.aedat").write_bytes(HEADER)
+    with pytest.raises(ValueError, match="sensor_size says 2x1, the file 346x260"):
+        open_recording(tmp_path / "y.aedat", sensor_size=(1, 2))
+
+
+def test_v2e_of_the_public_case(data_dir):
+    with open_recording(data_dir / "public" / "v2e_240x180.aedat") as recording:
+        events = recording.events()
+        assert recording.info.sensor_size == (180, 240)
+        assert "size assumed" in recording.problems[0].message
+    assert (len(events), events["p"].sum()) == (5000, 2476)
+    assert events[[0, -1]].tolist() == [(1011, 84, 13, 0), (999_387, 67, 140, 1)]
 
 
 @pytest.mark.parametrize("header", [

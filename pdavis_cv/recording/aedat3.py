@@ -26,6 +26,7 @@ from pdavis_cv.recording.facts import ASSUMED, CALLER, Fact, stated
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.sequential import likely_size
 from pdavis_cv.recording.timeline import (
     LOOK_AHEAD,
     NEVER,
@@ -41,6 +42,9 @@ from pdavis_cv.sensor import Sensor
 __all__ = ["Aedat3Recording"]
 
 MAX_PACKET = 64 << 20
+MAX_SIDE = 8192
+HULL_BYTES = 16 << 20
+"""Bytes of events from which the size of an unknown sensor is assumed."""
 _BEGINNINGS = 4
 """Largest number of apparent packet headers that are tried inside another packet."""
 _AHEAD = 8
@@ -99,12 +103,15 @@ class Aedat3Recording(FileRecording):
         name = source.lower()
         size: Any = next((s for chip, s in CHIP_SIZES.items() if name.startswith(chip)),
                          None) or self._frame_size()
-        if size is None and options.size is None:
-            self._log.add("unknown chip", None, f"the header names {source or 'none'}: "
-                          "taken for a DAVIS346")
-            size = Fact(Sensor.DAVIS346.size, ASSUMED)
-        elif size is None:
+        if size is None and options.size is not None:
             size = Fact(options.size, CALLER)
+        elif size is None:
+            height, width = self._hull()
+            self._log.add(
+                "unknown chip", None, f"the header names {source or 'no chip'}: size "
+                f"assumed: {width}x{height} holds the first events; "
+                "sensor_size=(height, width) sets another")
+            size = Fact((height, width), ASSUMED)
         has_frames = self._has_frames()
         return RecordingInfo(
             format="AEDAT-3.1", writer="cAER", camera=source or None, **stated(
@@ -135,6 +142,19 @@ class Aedat3Recording(FileRecording):
                         size - 36 in (2 * width * height * k for k in (1, 3, 4))):
                     return height, width
         return None
+
+    def _hull(self) -> tuple[int, int]:
+        """Return the smallest usual size that holds the first events."""
+        x = y = 0
+        for at, kind, _, _, data in self._raw(self._start, quiet=True):
+            if at > self._start + HULL_BYTES:
+                break
+            if kind == POLARITY:
+                word = np.frombuffer(data, "<u4", len(data) // 8 * 2)[::2]
+                word = word[(word & 1).astype(bool)]
+                x = max(x, int((word >> 17).max(initial=0)))
+                y = max(y, int((word >> 2 & 0x7FFF).max(initial=0)))
+        return likely_size(min(x, MAX_SIDE - 1), min(y, MAX_SIDE - 1))
 
     def _raw(
         self, at: int, *, quiet: bool = False

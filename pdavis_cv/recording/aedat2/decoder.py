@@ -11,6 +11,7 @@ from pdavis_cv import _kernels
 from pdavis_cv.aps import cds
 from pdavis_cv.errors import DamagedFileWarning, RecordingError
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.aedat2.addresses import as_davis
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog
@@ -70,13 +71,16 @@ class Decoder:
         Findings before this time are not logged, as they depend on earlier data.
     strict : bool
         True to raise at the first bad word.
+    dvs128 : bool
+        Whether addresses are those of a DVS128.
     """
 
     def __init__(
         self, reader: FileReader, log: ProblemLog, data_start: int,
         size: tuple[int, int], *, global_shutter: bool | None, scale: ImuScale,
-        mark: Mark, quiet_us: int = NEVER, strict: bool = False,
+        mark: Mark, quiet_us: int = NEVER, strict: bool = False, dvs128: bool = False,
     ) -> None:
+        self._dvs128 = dvs128
         self._reader, self._log, self._start = reader, log, data_start
         self._shutter, self._scale, self._strict = global_shutter, scale, strict
         self._quiet_us = quiet_us
@@ -135,7 +139,10 @@ class Decoder:
     def _words(self) -> NDArray[np.uint8]:
         """Return the next chunk, shape (N, 8), and the word after it."""
         whole = self._reader.read_into(self._place, self._block.data) // 8
-        return self._block[:8 * whole].reshape(whole, 8)
+        words = self._block[:8 * whole].reshape(whole, 8)
+        if self._dvs128:
+            as_davis(words)
+        return words
 
     @property
     def _place(self) -> int:

@@ -7,13 +7,17 @@ from dataclasses import dataclass, field
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.file_reader import FileReader
 
-__all__ = ["CHIP_SIZES", "Header", "bias_currents", "read_header"]
+__all__ = ["CHIP_SIZES", "DVS128", "Header", "bias_currents", "read_header"]
 
 MAX_HEADER = 4 << 20
 USUAL_HEADER = 1 << 16
-CHIP_SIZES = {"davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
+CHIP_SIZES = {"sbret": (180, 240), "dvs128": (128, 128), "tmpdiff128": (128, 128),
+              "davis346": (260, 346), "davis240": (180, 240), "davis640": (480, 640),
               "davis208": (192, 208), "davis128": (128, 128)}
-"""(height, width) by the beginning of the chip class's name."""
+"""(height, width) by the beginning of the chip class's name; SBret10, 20 and 21 are
+jAER's first names of the DAVIS240.  Of names of one size the last is written."""
+DVS128 = ("dvs128", "tmpdiff128")
+"""Beginnings of the names of chips whose addresses are those of a DVS128."""
 
 _CHIP = re.compile(r"AEChip\s*[:=]\s*([\w.]+)", re.IGNORECASE)
 _MILLISECONDS = r"\s*:\s*System\.currentTimeMillis\(\)\s*(\d+)"

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.aedat2.addresses import camera_of
 from pdavis_cv.recording.aedat2.decoder import Decoder, ImuScale, Mark
-from pdavis_cv.recording.aedat2.header import bias_currents, read_header
+from pdavis_cv.recording.aedat2.header import DVS128, bias_currents, read_header
 from pdavis_cv.recording.base import Packet, RecordingInfo
-from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
+from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, MEASURED, Fact, stated
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
@@ -27,6 +28,8 @@ WARM_UP_US = 2_000_000
 """Time by which reading begins before the interval; longer than any frame takes."""
 PROBE_WORDS = 1 << 13
 MOST_PROBES = 1 << 10
+MAX_HEIGHT, MAX_WIDTH = 512, 1024
+"""What the bits of an address can hold."""
 _SERIAL = re.compile(r"[-_]([0-9A-F]{8}|\d{3,8})(?=[-_.]|$)")
 
 
@@ -40,7 +43,8 @@ class Aedat2Recording(FileRecording):
     ----------
     path : path
     options : SourceOptions
-        Its ``camera`` must be part of the chip's name if given.
+        Its ``camera`` must be part of the chip's name if given; its
+        ``sensor_size`` is needed if no chip is named and the addresses fit several.
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
@@ -49,25 +53,39 @@ class Aedat2Recording(FileRecording):
         self._complete = False
         self._header = read_header(self._reader)
         self._marks = [Mark(0, self._header.origin_us, NEVER)]
-        self._size_fact = self._sensor_size(options)
+        self._size_fact, self._dvs128 = self._sensor(options)
         self._size: tuple[int, int] = self._size_fact.value
         return self._make_info(options)
 
-    def _sensor_size(self, options: SourceOptions) -> Fact:
+    def _sensor(self, options: SourceOptions) -> tuple[Fact, bool]:
+        """Return (height, width), and whether addresses are those of a DVS128."""
         chip = self._header.chip
         self._check_camera(options.camera, chip)
         size = self._header.size
         if size is not None:
-            return Fact(size, FILE)
-        if options.size is not None:
-            return Fact(options.size, CALLER)
-        if chip is not None and not chip.lower().startswith("davis"):
+            return Fact(size, FILE), str(chip).lower().startswith(DVS128)
+        if options.size is None and chip is not None and (
+                not chip.lower().startswith("davis")):
             raise RecordingError(
-                f"{self.path}: chip {chip} is not a DAVIS, its addresses mean other "
-                "things")
-        self._log.add("unknown chip", None, f"the header names {chip or 'no chip'}: "
-                      "addresses are read as those of a DAVIS346")
-        return Fact(Sensor.DAVIS346.size, ASSUMED)
+                f"{self.path}: chip {chip} is not known: if its addresses are those of "
+                "a DAVIS, sensor_size=(height, width) states its size")
+        found, dvs128, seen = camera_of(self._probed())
+        if options.size is not None:
+            height, width = options.size
+            if height > MAX_HEIGHT or width > MAX_WIDTH:
+                raise RecordingError(
+                    f"{self.path}: a sensor of {width}x{height} pixels, but addresses "
+                    f"hold {MAX_WIDTH}x{MAX_HEIGHT}")
+            return Fact(options.size, CALLER), dvs128 and options.size == found
+        names = f"the header names {'no chip' if chip is None else chip}"
+        if found is None:
+            raise RecordingError(
+                f"{self.path}: {names} and {seen}: the sensor is stated by "
+                "sensor_size=(height, width)")
+        self._log.add(
+            "unknown chip", None, f"{names}: {seen}; size assumed: {found[1]}x"
+            f"{found[0]}; sensor_size=(height, width) sets another")
+        return Fact(found, MEASURED if dvs128 else ASSUMED), dvs128
 
     def _make_info(self, options: SourceOptions) -> RecordingInfo:
         header = self._header
@@ -100,16 +118,18 @@ class Aedat2Recording(FileRecording):
         spaced positions: if a camera sent frames, they are at least a fifth of its
         words.
         """
+        # Bit 31 set: not an event.  Bits 10 and 11 both set: IMU.
+        return any(np.any((address & 0x80000800) == 0x80000000)
+                   for address in self._probed())
+
+    def _probed(self) -> Iterator[NDArray[np.uint32]]:
+        """Yield the addresses of a file; of one over 64 MiB, at 1024 places."""
         left = self.word_count
         step = max(PROBE_WORDS, left // MOST_PROBES)
         for at in range(0, left, step):
             data = self._reader.read(
                 self._header.data_start + 8 * at, 8 * min(PROBE_WORDS, left - at))
-            address = np.frombuffer(data, ">u4", len(data) // 8 * 2)[::2]
-            # Bit 31 set: not an event.  Bits 10 and 11 both set: IMU.
-            if np.any((address & 0x80000800) == 0x80000000):
-                return True
-        return False
+            yield np.frombuffer(data, ">u4", len(data) // 8 * 2)[::2].astype(np.uint32)
 
     def _decoder(self, mark: Mark, quiet_us: int = NEVER) -> Decoder:
         accel = self._header.number("IMU.AccelFullScale")
@@ -121,7 +141,7 @@ class Aedat2Recording(FileRecording):
         return Decoder(
             self._reader, self._log, self._header.data_start, self._size,
             global_shutter=self._header.global_shutter, scale=scale, mark=mark,
-            quiet_us=quiet_us, strict=self._strict)
+            quiet_us=quiet_us, strict=self._strict, dvs128=self._dvs128)
 
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None
