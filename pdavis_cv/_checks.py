@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from pdavis_cv._types import Events, Image
+
 __all__ = ["MOST_ANGLE", "MOST_RPM", "MOST_SIDE", "checked_threshold", "output",
            "outputs", "place", "plain", "positive", "real_number", "sensor_shape",
            "whole_number"]
@@ -24,7 +26,7 @@ MOST_RPM = 3e7
 def output(
     out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLike,
     *inputs: NDArray[Any] | None, name: str = "out",
-) -> NDArray[Any]:
+) -> Image:
     """Return ``out`` after checking it, or a new array if it is None.
 
     Parameters
@@ -109,7 +111,7 @@ def outputs(
                 f"{type(out).__name__}")
         raise ValueError(
             f"out must have {len(specs)} entries ({names}), got {len(out)}")
-    checked: list[NDArray[Any]] = []
+    checked: list[Events] = []
     for array, (name, shape, dtype) in zip(out, specs, strict=True):
         # A new array cannot overlap the others, so only given ones are compared.
         others = () if array is None else (*inputs, *checked)

@@ -18,6 +18,8 @@ from typing import (
     overload,
 )
 
+from pdavis_cv._types import Parameters
+
 __all__ = ["OptionFacts", "Options", "documented", "names_options", "option", "takes"]
 
 
@@ -67,7 +69,7 @@ class Options:
         Parameters of the method, or of the format, that have no field.
     """
 
-    parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    parameters: Parameters = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._put("parameters", MappingProxyType(dict(self.parameters)))

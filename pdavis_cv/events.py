@@ -16,6 +16,7 @@ from pdavis_cv._checks import (
     sensor_shape,
     whole_number,
 )
+from pdavis_cv._types import Events
 
 __all__ = [
     "EVENT_DTYPE",
@@ -50,7 +51,7 @@ _ALIASES = {
 }
 
 
-def as_events(events: Any) -> NDArray[Any]:
+def as_events(events: Any) -> Events:
     """Return events as a C-contiguous EVENT_DTYPE array, a view where possible.
 
     Parameters
@@ -95,7 +96,7 @@ def as_events(events: Any) -> NDArray[Any]:
     return _copy({name: events[field] for name, field in found.items()}, found)
 
 
-def timed_events(events: Any) -> NDArray[Any]:
+def timed_events(events: Any) -> Events:
     """Return `as_events(events)` after checking that times can be computed with.
 
     Raises
@@ -104,7 +105,7 @@ def timed_events(events: Any) -> NDArray[Any]:
         As `as_events`, and if a time lies further than `FAR` from 0; the message names
         the first such event.
     """
-    checked: NDArray[Any] = as_events(events)
+    checked: Events = as_events(events)
     i = _kernels.check_times(checked)
     if i < len(checked):
         raise ValueError(
@@ -124,7 +125,7 @@ def checked_time(name: str, t_us: int) -> int:
     return t
 
 
-def check_order(events: NDArray[Any], name: str = "events") -> None:
+def check_order(events: Events, name: str = "events") -> None:
     """Raise ValueError naming the first event whose time is before its predecessor's.
 
     Parameters
@@ -161,7 +162,7 @@ class EventSlice(NamedTuple):
 
     start_us: int
     stop_us: int
-    events: NDArray[Any]
+    events: Events
 
 
 def accumulate(
@@ -291,14 +292,14 @@ def slices(
     return _by_duration(events, duration_us, start_us, stop_us)
 
 
-def _by_count(events: NDArray[Any], count: int) -> Iterator[EventSlice]:
+def _by_count(events: Events, count: int) -> Iterator[EventSlice]:
     for i in range(0, len(events), count):
         part = events[i:i + count]
         yield EventSlice(int(part["t"][0]), int(part["t"][-1]) + 1, part)
 
 
 def _by_duration(
-    events: NDArray[Any], duration: int, start: int, stop: int
+    events: Events, duration: int, start: int, stop: int
 ) -> Iterator[EventSlice]:
     t, at = events["t"], 0
     while start < stop:
@@ -417,13 +418,13 @@ def time_surface(
     return surface
 
 
-def _all_taken(events: NDArray[Any], taken: int, shape: tuple[int, int]) -> None:
+def _all_taken(events: Events, taken: int, shape: tuple[int, int]) -> None:
     if taken < len(events):
         raise bad_event(events, taken, shape)
 
 
 def bad_event(
-    events: NDArray[Any], i: int, shape: tuple[int, int], last_us: int | None = None
+    events: Events, i: int, shape: tuple[int, int], last_us: int | None = None
 ) -> ValueError:
     """Return the error for event i, at which a kernel stopped.
 
@@ -469,7 +470,7 @@ def _require_integers(field: str, dtype: np.dtype[Any]) -> None:
         raise TypeError(f"events field {field} must hold integers, got {dtype}")
 
 
-def _one_dimensional(events: NDArray[Any]) -> NDArray[Any]:
+def _one_dimensional(events: Events) -> NDArray[Any]:
     if events.ndim != 1:
         raise ValueError(f"events must be one-dimensional, got shape {events.shape}")
     return events
@@ -487,7 +488,7 @@ def _same_memory(dtype: np.dtype[Any], found: dict[str, str]) -> bool:
         for name, field in found.items())
 
 
-def _copy(columns: dict[str, NDArray[Any]], found: dict[str, str]) -> NDArray[Any]:
+def _copy(columns: dict[str, NDArray[Any]], found: dict[str, str]) -> Events:
     lengths = {found[name]: column.shape for name, column in columns.items()}
     if len(set(lengths.values())) != 1 or columns["t"].ndim != 1:
         raise ValueError(

@@ -2,13 +2,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output
+from pdavis_cv._types import Image
 from pdavis_cv.sensor import Layout
 
 __all__ = ["DEMOSAIC_METHODS", "HALF_SIZE", "demosaic", "demosaic_valid",
@@ -50,7 +50,7 @@ _GUIDED = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 3.5)], GUIDED_DTYPE)
 
 
 def demosaic(
-    mosaic: NDArray[Any],
+    mosaic: Image,
     layout: Layout | str,
     method: str = "bilinear",
     out: NDArray[np.float32] | None = None,
@@ -274,7 +274,7 @@ def _eroded(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def filled_samples(
-    mosaic: NDArray[Any], valid: NDArray[np.bool_]
+    mosaic: Image, valid: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """Replace each unusable sample by the mean of the usable ones two pixels away.
 
@@ -298,7 +298,7 @@ def filled_samples(
     return filled
 
 
-def checked_mosaic(mosaic: NDArray[Any]) -> NDArray[Any]:
+def checked_mosaic(mosaic: Image) -> Image:
     """Return mosaic, C-contiguous, after checking its dtype and dimensions."""
     if not isinstance(mosaic, np.ndarray):
         raise TypeError(f"mosaic must be an ndarray, got {type(mosaic).__name__}")

@@ -4,12 +4,12 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Image
 
 __all__ = ["PACKINGS", "unpack"]
 
@@ -65,7 +65,7 @@ def unpack(
         raise ValueError(
             f"packing must be one of {', '.join(PACKINGS)}, got {packing!r}")
     kernel, pixels, size = _KERNELS[packing]
-    raw: NDArray[Any] = (
+    raw: Image = (
         np.asarray(data) if isinstance(data, np.ndarray)
         else np.frombuffer(data, np.uint8))
     if raw.dtype != np.uint8:

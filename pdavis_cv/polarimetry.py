@@ -1,7 +1,6 @@
 """PolarFrame, an image of polarization, and `polarization`, which makes one."""
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv._checks import outputs
+from pdavis_cv._types import Facts, Image
 from pdavis_cv.analyser import Analyser, stokes_gain
 from pdavis_cv.mosaic import check_method, checked_mosaic, places_of, scratch_rows
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
@@ -90,7 +90,7 @@ class PolarFrame:
     _quad: NDArray[np.float32] | None
     _quality: NDArray[np.float32] | None
     _reconciled: bool
-    _mosaic: tuple[NDArray[Any], Layout] | None
+    _mosaic: tuple[Image, Layout] | None
     _origin: PolarFrame | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: tuple[
@@ -111,7 +111,7 @@ class PolarFrame:
         extinction_ratio: float | None = None,
         analyser: ArrayLike | Analyser | None = None,
         variance: ArrayLike | None = None,
-        provenance: Mapping[str, Any] | None = None,
+        provenance: Facts | None = None,
         quality: ArrayLike | None = None,
         reconciled: bool = False,
     ) -> None:
@@ -133,7 +133,7 @@ class PolarFrame:
         extinction_ratio: float | None = None,
         analyser: ArrayLike | Analyser | None = None,
         variance: NDArray[np.float32] | None = None,
-        provenance: Mapping[str, Any] | None = None,
+        provenance: Facts | None = None,
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
         aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
@@ -164,14 +164,14 @@ class PolarFrame:
     @classmethod
     def adopt_mosaic(
         cls,
-        mosaic: NDArray[Any],
+        mosaic: Image,
         layout: Layout,
         *,
         valid: NDArray[np.bool_] | None = None,
         t_us: int | None = None,
         frame_us: int | None = None,
         extinction_ratio: float | None = None,
-        provenance: Mapping[str, Any] | None = None,
+        provenance: Facts | None = None,
         quality: NDArray[np.float32] | None = None,
     ) -> Self:
         """Make a PolarFrame from a mosaic, by bilinear interpolation at first use.
@@ -203,7 +203,7 @@ class PolarFrame:
         return frame
 
     def retimed(
-        self, t_us: int, frame_us: int | None, provenance: Mapping[str, Any]
+        self, t_us: int, frame_us: int | None, provenance: Facts
     ) -> Self:
         """Return the same image for another time; both share cached quantities.
 
@@ -235,8 +235,8 @@ class PolarFrame:
         extinction_ratio: float | None,
         analyser: ArrayLike | Analyser | None,
         variance: NDArray[np.float32] | None,
-        provenance: Mapping[str, Any] | None,
-        mosaic: tuple[NDArray[Any], Layout] | None = None,
+        provenance: Facts | None,
+        mosaic: tuple[Image, Layout] | None = None,
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
     ) -> None:
@@ -291,7 +291,7 @@ class PolarFrame:
         return self._analyser
 
     @property
-    def provenance(self) -> Mapping[str, Any]:
+    def provenance(self) -> Facts:
         """Software, options and parameters that made the image; read-only."""
         return MappingProxyType(self._provenance)
 
@@ -466,7 +466,7 @@ def _restored_frame(*arguments: Any) -> PolarFrame:
 
 
 def polarization(
-    mosaic: NDArray[Any],
+    mosaic: Image,
     layout: Layout | str,
     demosaic: str = "bilinear",
     extinction_ratio: float | None = None,

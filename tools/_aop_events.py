@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import AOP_EVENT_DTYPE, AopEvents, Recording, export, render
+from pdavis_cv._types import Events
 from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.render.colours import Picture
 from pdavis_cv.sensor import resolve_layout
@@ -87,7 +88,7 @@ def _stream(
                     "theta_off": float(np.mean(off)), **parameters}
 
 
-def _csv(path: Path, pieces: Iterator[NDArray[Any]], facts: dict[str, Any]) -> int:
+def _csv(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
     count = 0
 
     def rows() -> Iterator[tuple[Any, ...]]:
@@ -102,7 +103,7 @@ def _csv(path: Path, pieces: Iterator[NDArray[Any]], facts: dict[str, Any]) -> i
     return count
 
 
-def _npy(path: Path, pieces: Iterator[NDArray[Any]], facts: dict[str, Any]) -> int:
+def _npy(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
     found = [np.empty(0, AOP_EVENT_DTYPE), *pieces]
     together = np.concatenate(found)
     with export.write_beside(path) as part, part.open("wb") as file:
@@ -135,7 +136,7 @@ def _aedat4(
 
 def _video(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any],
-    pieces: Iterator[NDArray[Any]], facts: dict[str, Any],
+    pieces: Iterator[Events], facts: dict[str, Any],
 ) -> tuple[int, int]:
     """Write a picture per interval: each pixel has the hue of its last angle in it."""
     fps, count = options["fps"] or _FPS, 0
@@ -151,7 +152,7 @@ def _video(
 
 
 def _intervals(
-    pieces: Iterator[NDArray[Any]], start_us: int | None, interval_us: int
+    pieces: Iterator[Events], start_us: int | None, interval_us: int
 ) -> Iterator[NDArray[Any]]:
     """Divide a stream into intervals, including empty ones."""
     waiting: list[NDArray[Any]] = []
@@ -168,7 +169,7 @@ def _intervals(
         yield np.concatenate(waiting)
 
 
-def _picture(events: NDArray[Any], shape: tuple[int, int]) -> Picture:
+def _picture(events: Events, shape: tuple[int, int]) -> Picture:
     last = np.full(shape, np.nan, np.float32)
     last[events["y"], events["x"]] = events["aop"]
     seen = np.isfinite(last)

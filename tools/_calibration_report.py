@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Image
 from pdavis_cv.export import write_beside
 
 from ._common import can_draw
@@ -37,7 +38,7 @@ class Page:
         """Add a line."""
         self.lines.append(f"{what}: {value}")
 
-    def image(self, title: str, plane: NDArray[Any]) -> None:
+    def image(self, title: str, plane: Image) -> None:
         """Add a map of the sensor."""
         self.figures.append(("image", title, plane))
 

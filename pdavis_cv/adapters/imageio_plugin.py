@@ -16,6 +16,7 @@ from imageio.core.request import InitializationError, IOMode, Request
 from imageio.core.v3_plugin_api import ImageProperties, PluginV3
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Image
 from pdavis_cv.capture import VideoCapture
 from pdavis_cv.capture.constants import CAP_PDAVIS_BGR, CAP_PROP_PDAVIS_POS_US
 from pdavis_cv.recording.open import open_recording
@@ -64,7 +65,7 @@ class PdavisPlugin(PluginV3):
         except (OSError, ImportError) as error:
             raise InitializationError(str(error)) from error
 
-    def read(self, *, index: Any = 0, **parameters: Any) -> NDArray[Any]:
+    def read(self, *, index: Any = 0, **parameters: Any) -> Image:
         """Return image number index, or all of them with ``index=...``.
 
         Raises
@@ -88,7 +89,7 @@ class PdavisPlugin(PluginV3):
             raise IndexError(f"the recording holds no image {wanted}")
         return image
 
-    def iter(self, **parameters: Any) -> Iterator[NDArray[Any]]:
+    def iter(self, **parameters: Any) -> Iterator[Image]:
         """Yield all images in order."""
         capture = self._opened(parameters)
         capture.set(_POS_FRAMES, 0)

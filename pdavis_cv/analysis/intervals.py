@@ -1,18 +1,17 @@
 """Timing of events: intervals between them, and their phase in a period."""
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._checks import positive, whole_number
+from pdavis_cv._types import Events
 from pdavis_cv.events import MOST_BINS, timed_events
 
 __all__ = ["events_by_phase", "pixel_intervals"]
 
 
-def pixel_intervals(events: NDArray[Any], width: int) -> NDArray[np.int64]:
+def pixel_intervals(events: Events, width: int) -> NDArray[np.int64]:
     """Return the times between consecutive events of each pixel.
 
     Parameters
@@ -35,7 +34,7 @@ def pixel_intervals(events: NDArray[Any], width: int) -> NDArray[np.int64]:
 
 
 def events_by_phase(
-    events: NDArray[Any], period_us: float, bins: int = 72
+    events: Events, period_us: float, bins: int = 72
 ) -> NDArray[np.int64]:
     """Count events by polarity and phase in a period.
 

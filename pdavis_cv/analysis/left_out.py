@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Events, Image
 from pdavis_cv.events import accumulate
 from pdavis_cv.reconstruct.base import Estimate, Factory, Reconstructor
 from pdavis_cv.reconstruct.methods import factory_of
@@ -419,7 +420,7 @@ class _Kept(Recording):
 
 
 def _place(
-    events: NDArray[Any], before: ApsFrame, frame: ApsFrame, after: ApsFrame,
+    events: Events, before: ApsFrame, frame: ApsFrame, after: ApsFrame,
 ) -> _Place:
     def counted(start: int, stop: int) -> NDArray[np.int32]:
         first, last = np.searchsorted(events["t"], (start, stop))
@@ -445,7 +446,7 @@ def _classes(place: _Place) -> dict[str, NDArray[np.bool_]]:
         _per_cell(usable, np.all) & _per_cell(moving, np.any)), strict=True))
 
 
-def _cells(image: NDArray[Any]) -> NDArray[Any]:
+def _cells(image: Image) -> NDArray[Any]:
     """Return a view of the whole 2x2 cells, shape (rows, 2, columns, 2)."""
     rows, columns = (side // 2 for side in image.shape)
     return image[:2 * rows, :2 * columns].reshape(rows, 2, columns, 2)

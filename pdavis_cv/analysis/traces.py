@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._types import Records
 from pdavis_cv.analysis.optics import subtract_background
 from pdavis_cv.analysis.roi import Roi
 from pdavis_cv.mosaic import HALF_SIZE
@@ -64,7 +65,7 @@ class Traces:
     """
 
     rois: tuple[Roi, ...]
-    table: NDArray[Any]
+    table: Records
     provenance: dict[str, Any]
 
     @property

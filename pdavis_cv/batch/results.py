@@ -8,12 +8,13 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._remote import RemotePath, is_remote
+from pdavis_cv._types import Facts
 from pdavis_cv.export.files import write_json
 
 try:
@@ -71,10 +72,10 @@ class Results:
 
     # ---- reading -------------------------------------------------------------
 
-    def marker(self, name: str) -> Mapping[str, Any] | None:
+    def marker(self, name: str) -> Facts | None:
         """Return the content of a job's marker, None if there is none."""
         try:
-            facts: Mapping[str, Any] = json.loads(self._read(f"{name}.json"))
+            facts: Facts = json.loads(self._read(f"{name}.json"))
         except FileNotFoundError:
             return None
         return facts
@@ -82,7 +83,7 @@ class Results:
     def _read(self, name: str) -> bytes:
         return (self.out / name).read_bytes()
 
-    def _write(self, name: str, facts: Mapping[str, Any]) -> None:
+    def _write(self, name: str, facts: Facts) -> None:
         write_json(self.out / name, facts)
 
     def is_done(self, name: str) -> bool:
@@ -154,7 +155,7 @@ class Results:
             return
         raise OSError(f"{self.out / name}: another process keeps writing it")
 
-    def mark(self, name: str, facts: Mapping[str, Any]) -> None:
+    def mark(self, name: str, facts: Facts) -> None:
         """Write the marker of a job."""
         part = self._unfinished(name)
         write_json(part, facts)
@@ -207,7 +208,7 @@ class Results:
 
     # ---- progress ------------------------------------------------------------
 
-    def write_progress(self, run: str, facts: Mapping[str, Any]) -> None:
+    def write_progress(self, run: str, facts: Facts) -> None:
         """Write the progress of a run."""
         self._write(f".batch/runs/{run}.json", facts)
 

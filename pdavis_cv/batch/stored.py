@@ -6,11 +6,12 @@ import errno
 import json
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
 from pdavis_cv._remote import RemotePath, is_remote
+from pdavis_cv._types import Facts
 from pdavis_cv.batch.results import Claim, Results
 from pdavis_cv.export.files import plain
 
@@ -38,7 +39,7 @@ class StoredResults(Results):
     def _read(self, name: str) -> bytes:
         return self._at(name).read_bytes()
 
-    def _write(self, name: str, facts: Mapping[str, Any]) -> None:
+    def _write(self, name: str, facts: Facts) -> None:
         text = json.dumps(facts, indent=2, default=plain, allow_nan=False) + "\n"
         self._at(name).write_bytes(text.encode())
 
@@ -79,7 +80,7 @@ class StoredResults(Results):
             if path.is_file():
                 self._at(f"{name}/{path.relative_to(folder).as_posix()}").put(path)
 
-    def mark(self, name: str, facts: Mapping[str, Any]) -> None:
+    def mark(self, name: str, facts: Facts) -> None:
         """Upload the marker of a job."""
         self._write(f"{name}.json", facts)
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import pdavis_cv
+from pdavis_cv._types import Facts
 from pdavis_cv.batch.jobs import Job, changed_options, describe
 from pdavis_cv.batch.results import DONE, FAILED
 from pdavis_cv.batch.stored import results_at
@@ -127,7 +128,7 @@ def _run_work(job: Job, folder: Path) -> Row:
                 "problems": sum(one.count for one in recording.problems)}
 
 
-def _plain(figures: Mapping[str, Any] | None) -> dict[str, Any]:
+def _plain(figures: Facts | None) -> dict[str, Any]:
     """Return figures as JSON can hold them; numbers that are not finite become None."""
     if figures is not None and not isinstance(figures, Mapping):
         raise TypeError(

@@ -5,7 +5,6 @@ import dataclasses
 import io
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._arrays import read_arrays
 from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Facts, Image
 from pdavis_cv.errors import CalibrationError
 from pdavis_cv.sensor import Layout
 
@@ -107,7 +107,7 @@ class Calibration:
     bandwidth_hz_per_dn: float | None = None
     bandwidth_sigma: float | None = None
     clock_offset_us: float | None = None
-    notes: Mapping[str, Any] = field(default_factory=dict)
+    notes: Facts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         height, width = map(int, self.sensor_size)
@@ -127,7 +127,7 @@ class Calibration:
                 raise ValueError(f"{' and '.join(pair)} must be given together")
         object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
 
-    def _checked_plane(self, name: str) -> NDArray[Any]:
+    def _checked_plane(self, name: str) -> Image:
         value = getattr(self, name)
         depth = (3,) if name == "analyser" else ()
         shape = (*self.sensor_size, *depth)
@@ -135,7 +135,7 @@ class Calibration:
             raise ValueError(f"{name} must have shape {shape}, got {np.shape(value)}")
         if name == "usable" and np.asarray(value).dtype != np.bool_:
             raise ValueError(f"usable must be bool, got {np.asarray(value).dtype}")
-        plane: NDArray[Any] = np.array(
+        plane: Image = np.array(
             value, np.bool_ if name == "usable" else np.float32)
         bad = ~np.isfinite(plane)
         if name in _POSITIVE:

@@ -2,13 +2,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Image, Parameters
 from pdavis_cv.capture import constants as c
 from pdavis_cv.capture import picture
 from pdavis_cv.capture.manners import type_code
@@ -88,7 +89,7 @@ class Session:
 
     def __init__(
         self, source: str | os.PathLike[str] | Source,
-        parameters: Mapping[str, Any], view: View,
+        parameters: Parameters, view: View,
     ) -> None:
         self.parameters, self.view = dict(parameters), view
         self._owned = not isinstance(source, Source)
@@ -123,7 +124,7 @@ class Session:
         if self._owned:
             self.recording.close()
 
-    def _fusion(self, parameters: Mapping[str, Any]) -> Fusion:
+    def _fusion(self, parameters: Parameters) -> Fusion:
         return Fusion(self.recording, **fusion_part(parameters))
 
     def _made_tone(self, view: View) -> ToneCurve:
@@ -157,7 +158,7 @@ class Session:
             self._tone = self._made_tone(self.view)
         return self.grabbed
 
-    def retrieve(self, output: int) -> NDArray[Any]:
+    def retrieve(self, output: int) -> Image:
         """Return an output of the image that was grabbed last.
 
         Raises

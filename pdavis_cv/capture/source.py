@@ -2,9 +2,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+from pdavis_cv._types import Parameters
 from pdavis_cv.capture import constants as c
 from pdavis_cv.capture.outputs import output_at
 from pdavis_cv.fusion.options import FusionOptions
@@ -29,7 +30,7 @@ _FUSE = tuple(FusionOptions.facts())
 _OPEN = tuple(SourceOptions.facts())
 
 
-def is_ours(source: Any, backend: int, parameters: Mapping[str, Any]) -> bool:
+def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
     """Return whether a source is opened here and not by cv2.
 
     That is so for recordings and live sources, their addresses, and files with the name
@@ -53,7 +54,7 @@ def is_ours(source: Any, backend: int, parameters: Mapping[str, Any]) -> bool:
     return mosaic or (isinstance(source, (str, os.PathLike)) and is_recording(source))
 
 
-def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
+def opened(source: Any, parameters: Parameters) -> Source:
     """Open a source with this package.
 
     Raises
@@ -73,7 +74,7 @@ def opened(source: Any, parameters: Mapping[str, Any]) -> Source:
     return open_source(source, **source_part(parameters))
 
 
-def checked_parameters(parameters: Mapping[str, Any]) -> None:
+def checked_parameters(parameters: Parameters) -> None:
     """Raise TypeError if no method of `fuse` has one of the parameters."""
     others = [name for name in parameters if name not in _FUSE and name not in _OPEN]
     # The method may be changed later, but to none of another package unnamed.

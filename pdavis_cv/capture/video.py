@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, Self, Unpack, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv._opencv import native_capture
 from pdavis_cv._options import names_options
+from pdavis_cv._types import Image
 from pdavis_cv.capture.constants import CAP_PDAVIS_BGR
 from pdavis_cv.capture.manners import (
     StsBadArg,
@@ -269,7 +269,7 @@ class VideoCapture:
     @overloads
     def retrieve(
         self, image: Any = None, flag: int | str = CAP_PDAVIS_BGR
-    ) -> tuple[bool, NDArray[Any] | None]:
+    ) -> tuple[bool, Image | None]:
         """Return an output of the image that was grabbed last.
 
         Parameters
@@ -301,7 +301,7 @@ class VideoCapture:
             return self._retrieve("retrieve", image, int(flag))
 
     @overloads
-    def read(self, image: Any = None) -> tuple[bool, NDArray[Any] | None]:
+    def read(self, image: Any = None) -> tuple[bool, Image | None]:
         """Grab the next image and return its output ``CAP_PROP_PDAVIS_OUTPUT``.
 
         Parameters
@@ -336,7 +336,7 @@ class VideoCapture:
 
     def _retrieve(
         self, function: str, image: Any, flag: int
-    ) -> tuple[bool, NDArray[Any] | None]:
+    ) -> tuple[bool, Image | None]:
         if self._session is None:
             self._error = "the capture is not open"
             return self._failed(function), None
@@ -359,7 +359,7 @@ class VideoCapture:
         """Iterate over the images that `read` returns, to the end."""
         return self
 
-    def __next__(self) -> NDArray[Any]:
+    def __next__(self) -> Image:
         with self._lock:
             if self._foreign is not None or self._grab():
                 ok, image = (self._foreign.read() if self._foreign is not None

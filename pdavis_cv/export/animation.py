@@ -4,14 +4,13 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.provenance import embed
 from pdavis_cv.export.video import VideoFile
@@ -53,7 +52,7 @@ class AnimationFile(SeriesFile):
 
     def __init__(
         self, path: str | os.PathLike[str], fps: float,
-        facts: Mapping[str, Any] | None = None,
+        facts: Facts | None = None,
     ) -> None:
         self.path, self.fps, self.facts = Path(path), float(fps), facts
         suffix = self.path.suffix.lower()
@@ -74,7 +73,7 @@ class AnimationFile(SeriesFile):
         """Pictures so far."""
         return len(self._pictures)
 
-    def add(self, picture: NDArray[Any], *, copy: bool = True) -> None:
+    def add(self, picture: Image, *, copy: bool = True) -> None:
         """Append a copy of a picture.
 
         Parameters
@@ -128,7 +127,7 @@ class AnimationFile(SeriesFile):
 
 
 def moving_file(
-    path: str | os.PathLike[str], fps: float, facts: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str], fps: float, facts: Facts | None = None
 ) -> AnimationFile | VideoFile:
     """Return an `AnimationFile` for ``.gif`` and ``.webp``, else a `VideoFile`.
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._checks import real_number
+from pdavis_cv._types import Events
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.aop_events import AOP_EVENT_DTYPE
@@ -80,7 +81,7 @@ class AopEventsFile(Aedat4Writer):
         self._begin_us: int | None = None
         self._last = np.full(self.sensor_size, ANGLE_STEPS, np.float32)
 
-    def add_angles(self, events: NDArray[Any], angles: NDArray[Any]) -> None:
+    def add_angles(self, events: Events, angles: NDArray[Any]) -> None:
         """Write events and what `AopEvents` made of them.
 
         Parameters
@@ -110,7 +111,7 @@ class AopEventsFile(Aedat4Writer):
                 self._put_events(ANGLES, beside)
                 self._show(events[some], steps)
 
-    def _show(self, events: NDArray[Any], steps: NDArray[np.int64]) -> None:
+    def _show(self, events: Events, steps: NDArray[np.int64]) -> None:
         """Keep each pixel's last angle; write those of intervals that have ended."""
         t = events["t"]
         if self._begin_us is None:
@@ -140,7 +141,7 @@ class AopEventsFile(Aedat4Writer):
         super()._finish()
 
 
-def read_aop_events(path: str | os.PathLike[str]) -> NDArray[Any]:
+def read_aop_events(path: str | os.PathLike[str]) -> Events:
     """Read the AoP events that `AopEventsFile` wrote.
 
     Parameters

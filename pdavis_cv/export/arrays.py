@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Image
 from pdavis_cv.export.files import SeriesFile
 
 __all__ = ["ArrayFile"]
@@ -43,7 +43,7 @@ class ArrayFile(SeriesFile):
         self.count = 0
         self._like: tuple[np.dtype[Any], tuple[int, ...]] | None = None
 
-    def add(self, image: NDArray[Any]) -> None:
+    def add(self, image: Image) -> None:
         """Append an image.
 
         Parameters

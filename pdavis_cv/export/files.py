@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Facts
 
 __all__ = ["SeriesFile", "plain", "write_json"]
 
@@ -54,7 +55,7 @@ class SeriesFile(ABC):
         self._stack.__exit__(kind, error, traceback)
 
 
-def write_json(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
+def write_json(path: str | os.PathLike[str], facts: Facts) -> None:
     """Write facts as JSON; NumPy numbers and arrays become plain ones.
 
     Parameters

@@ -14,6 +14,7 @@ import numpy as np
 
 import pdavis_cv
 from pdavis_cv._remote import as_path
+from pdavis_cv._types import Facts
 from pdavis_cv.export.files import plain
 
 __all__ = ["embed", "embed_png", "provenance", "read_embedded", "to_json"]
@@ -83,12 +84,12 @@ def _short(value: Any) -> Any:
     return _short(plain(value))
 
 
-def to_json(facts: Mapping[str, Any]) -> str:
+def to_json(facts: Facts) -> str:
     """Return facts as one line of JSON."""
     return json.dumps(_short(facts), allow_nan=False)
 
 
-def embed(path: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
+def embed(path: str | os.PathLike[str], facts: Facts) -> None:
     """Add facts to a finished video or animation.
 
     They become a box in MP4, a tag in Matroska, a chunk in AVI and WebP, a comment in
@@ -178,7 +179,7 @@ def _loaded(text: bytes) -> dict[str, Any]:
     return facts
 
 
-def embed_png(data: bytes, facts: Mapping[str, Any]) -> bytes:
+def embed_png(data: bytes, facts: Facts) -> bytes:
     """Return PNG data with facts as a text chunk after the header.
 
     Parameters

@@ -3,13 +3,14 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Facts
 from pdavis_cv.export.provenance import to_json
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ JAER_HEADER = ("lastTimestamp(s)", "ROINumPixels", "f0", "f45", "f90", "f135",
 
 def write_csv(
     path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[Any]],
-    facts: Mapping[str, Any] | None = None,
+    facts: Facts | None = None,
 ) -> None:
     """Write a table; facts go into a JSON file beside it.
 
@@ -76,8 +77,8 @@ _COLUMNS = (
 
 def write_traces(
     path: str | os.PathLike[str], traces: Traces, *, origin_us: int = 0,
-    facts: Mapping[str, Any] | None = None,
-    extra: Mapping[str, Any] | None = None,
+    facts: Facts | None = None,
+    extra: Facts | None = None,
 ) -> None:
     """Write traces as a long table, one row per region and time.
 
@@ -124,7 +125,7 @@ def write_traces(
 
 def write_jaer_csv(
     path: str | os.PathLike[str], traces: Traces, *, origin_us: int = 0,
-    facts: Mapping[str, Any] | None = None,
+    facts: Facts | None = None,
 ) -> list[Path]:
     """Write traces with the header of jAER's ROI files, one file per region.
 

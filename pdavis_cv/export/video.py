@@ -5,7 +5,7 @@ import contextlib
 import os
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Events, Facts, Image
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.provenance import embed, embed_png
 from pdavis_cv.render import even, opencv, png_of
@@ -60,7 +61,7 @@ class VideoFile(SeriesFile):
 
     def __init__(
         self, path: str | os.PathLike[str], fps: float,
-        facts: Mapping[str, Any] | None = None,
+        facts: Facts | None = None,
     ) -> None:
         self.facts = facts
         self.path = Path(path)
@@ -88,7 +89,7 @@ class VideoFile(SeriesFile):
         # OpenCV encodes without the GIL, while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: deque[Future[None]] = deque()
-        self._held: deque[NDArray[Any]] = deque()
+        self._held: deque[Events] = deque()
 
     @staticmethod
     def _codec(suffix: str) -> str:
@@ -97,7 +98,7 @@ class VideoFile(SeriesFile):
                 f"video file must end in {', '.join(_CODECS)}, got {suffix!r}")
         return _CODECS[suffix]
 
-    def add(self, picture: NDArray[Any], *, copy: bool = True) -> None:
+    def add(self, picture: Image, *, copy: bool = True) -> None:
         """Append a picture.
 
         Parameters
@@ -129,7 +130,7 @@ class VideoFile(SeriesFile):
         self._waiting.append(self._encoder.submit(self._writer.write, whole))
         self.count += 1
 
-    def _copied(self, picture: NDArray[Any]) -> NDArray[Any]:
+    def _copied(self, picture: Image) -> Events:
         # Memory is reused, as allocating it would take longer than the copy.
         if len(self._held) < self.ahead:
             self._held.append(picture.copy())
@@ -292,7 +293,7 @@ class PlaneVideo(VideoFile):
 
     def __init__(
         self, path: str | os.PathLike[str], fps: float, low: float, high: float,
-        facts: Mapping[str, Any] | None = None,
+        facts: Facts | None = None,
     ) -> None:
         if not high > low:
             raise ValueError(f"high must be above low {low}, got {high}")
@@ -313,7 +314,7 @@ class PlaneVideo(VideoFile):
         return {"offset": self.low - step, "step": step, "invalid_code": 0}
 
     def add_plane(
-        self, plane: NDArray[Any], valid: NDArray[np.bool_] | None = None
+        self, plane: Image, valid: NDArray[np.bool_] | None = None
     ) -> None:
         """Append one image of the quantity.
 
@@ -334,8 +335,8 @@ class PlaneVideo(VideoFile):
 
 
 def write_png(
-    path: str | os.PathLike[str], picture: NDArray[Any],
-    facts: Mapping[str, Any] | None = None,
+    path: str | os.PathLike[str], picture: Image,
+    facts: Facts | None = None,
 ) -> None:
     """Write a picture as PNG.
 

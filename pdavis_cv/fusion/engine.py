@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdavis_cv
+from pdavis_cv._types import Events, Facts, Parameters
 from pdavis_cv._workers import SpareTime, Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion.camera import (
@@ -116,7 +117,7 @@ class Fusion:
         self._grid_start = options.start_us
         self._packets: Iterator[Packet] | None = None
         self._tuning: Tuning | None = None
-        self.provenance: Mapping[str, Any] = MappingProxyType({
+        self.provenance: Facts = MappingProxyType({
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
             "parameters": {name: value for name, value in probe.parameters.items()
                            if np.ndim(value) < 2},
@@ -139,7 +140,7 @@ class Fusion:
         response = response_of(
             self.layout, self.options.calibration, slice(0, size[0]), slice(0, size[1]))
 
-        def made(parameters: Mapping[str, Any]) -> Reconstructor:
+        def made(parameters: Parameters) -> Reconstructor:
             return make_reconstructor(
                 self._factory, size, 0.2, 0.2, parameters, response, self._denoise)
 
@@ -465,7 +466,7 @@ class Fusion:
 
         return made
 
-    def _update_provenance(self, parameters: Mapping[str, Any]) -> None:
+    def _update_provenance(self, parameters: Parameters) -> None:
         """Write the current parameters to the provenance of the images to come."""
         self.provenance = MappingProxyType(
             {**self.provenance, "parameters": dict(parameters),
@@ -520,7 +521,7 @@ class Fusion:
                     return
                 self._apply_changes(look, online.look())
 
-    def _feed_item(self, item: ApsFrame | NDArray[Any]) -> None:
+    def _feed_item(self, item: ApsFrame | Events) -> None:
         assert self._state is not None
         if isinstance(item, ApsFrame):
             self._frames.append((item.mid_us, item.available_us))

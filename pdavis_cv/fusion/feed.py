@@ -9,6 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Events
 from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import ApsFrame, Packet, joined
@@ -77,7 +78,7 @@ class Feed:
         self._frames_after, self._by_arrival = frames_after_us, by_arrival
         self.has_frames = has_frames
         self._packets = packets
-        self._events: deque[NDArray[Any]] = deque()
+        self._events: deque[Events] = deque()
         self._frames: deque[ApsFrame] = deque()
         self._reached_us = _NEVER if reached_us is None else reached_us
         self._last_us = _NEVER          # all samples before it have been read
@@ -105,7 +106,7 @@ class Feed:
         self.has_frames = False
         return int(self._events[0]["t"][0]) if self._events else None
 
-    def until(self, t_us: int | None) -> Iterator[ApsFrame | NDArray[Any]]:
+    def until(self, t_us: int | None) -> Iterator[ApsFrame | Events]:
         """Yield everything up to t_us, inclusive, that has not been yielded yet.
 
         Parameters
@@ -218,7 +219,7 @@ class Feed:
         self._last_mid_us = max(self._last_mid_us, frame.mid_us)
         self._frames.append(frame)
 
-    def _release(self, t_us: int) -> Iterator[ApsFrame | NDArray[Any]]:
+    def _release(self, t_us: int) -> Iterator[ApsFrame | Events]:
         while self._frames and self._time(self._frames[0]) <= t_us:
             frame = self._frames.popleft()
             yield from self._release_events(self._time(frame) - (not self._by_arrival))
@@ -226,11 +227,11 @@ class Feed:
         yield from self._release_events(t_us)
         self._yielded_us = max(t_us, self._yielded_us)
 
-    def _release_events(self, t_us: int) -> Iterator[NDArray[Any]]:
+    def _release_events(self, t_us: int) -> Iterator[Events]:
         while parts := self._taken(t_us):
             yield from together(parts)
 
-    def _taken(self, t_us: int) -> list[NDArray[Any]]:
+    def _taken(self, t_us: int) -> list[Events]:
         """Remove the first events up to t_us, as many as are passed on together."""
         parts: list[NDArray[Any]] = []
         room = _TOGETHER
@@ -248,7 +249,7 @@ class Feed:
         return parts
 
 
-def together(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
+def together(parts: list[NDArray[Any]]) -> list[Events]:
     """Return arrays of events as one array, where that is cheap."""
     if len(parts) > 1 and all(
             each.dtype == EVENT_DTYPE and each.flags.c_contiguous for each in parts):

@@ -1,13 +1,14 @@
 """From an estimate of log intensity to an image of polarization."""
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Facts
 from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser, stokes_gain
 from pdavis_cv.calibration.model import Calibration
@@ -115,7 +116,7 @@ class ImageMaker:
 
     def _here(
         self, method: Reconstructor, t_us: int, frame_us: int | None,
-        provenance: Mapping[str, Any],
+        provenance: Facts,
     ) -> PolarFrame:
         """Return the image of `begin`, made in this thread."""
         shown = method.shows(t_us)
@@ -127,7 +128,7 @@ class ImageMaker:
 
     def begin(
         self, method: Reconstructor, t_us: int, frame_us: int | None,
-        provenance: Mapping[str, Any],
+        provenance: Facts,
     ) -> Callable[[], PolarFrame]:
         """Return a function that returns the image that a method's state gives at t_us.
 
@@ -174,7 +175,7 @@ class ImageMaker:
 
     def made(
         self, samples: Samples, t_us: int, frame_us: int | None,
-        provenance: Mapping[str, Any],
+        provenance: Facts,
     ) -> PolarFrame:
         """Return the image of samples of the window.
 
@@ -205,7 +206,7 @@ class ImageMaker:
 
     def _about(
         self, usable: NDArray[np.bool_], quality: NDArray[np.float32] | None,
-        t_us: int, frame_us: int | None, provenance: Mapping[str, Any],
+        t_us: int, frame_us: int | None, provenance: Facts,
     ) -> dict[str, Any]:
         """Return what an image is made with besides its channels."""
         if quality is not None:

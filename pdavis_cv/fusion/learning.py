@@ -8,12 +8,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import resolve_thresholds
@@ -75,7 +76,7 @@ class Learning:
     """
 
     def __init__(
-        self, source: Source, options: FusionOptions, parameters: Mapping[str, Any],
+        self, source: Source, options: FusionOptions, parameters: Parameters,
         needs: Needs,
     ) -> None:
         self._info, self._calibration = source.info, options.calibration

@@ -4,13 +4,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pdavis_cv._types import Events, State
 from pdavis_cv._workers import SpareTime, yield_to_others
 from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.reconstruct.lamp import Wave
@@ -66,7 +66,7 @@ class DeferredCamera:
         self._calls: deque[Callable[[], None]] = deque()
         self._frames = 0
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Keep events."""
         self._calls.append(functools.partial(self._camera.add_events, events))
 
@@ -197,7 +197,7 @@ class OnlineLearning:
         one.shutdown(wait=False)
         return future
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return the state; its arrays are never changed in place."""
         self.catch_up()
         return {"tuning": self.tuning, "next_us": self.next_us,
@@ -205,7 +205,7 @@ class OnlineLearning:
                 "pending": None if self._pending is None else self._pending.result(),
                 "camera": self.camera.state()}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Return to what `state` returned."""
         self.catch_up()
         self.tuning, self.next_us = state["tuning"], state["next_us"]

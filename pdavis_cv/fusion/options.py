@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import plain
 from pdavis_cv._options import Options, documented, option, takes
+from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import checked_choice
 from pdavis_cv.events import checked_time
@@ -144,7 +145,7 @@ class FusionOptions(Options):
         "standard errors and 1 ms.  None leaves the time stamps unchanged.  The times "
         "of images are on the clock of the events.", "offset",
         "microseconds to add to the frames' time stamps, learned, or none")
-    denoise: bool | Mapping[str, Any] = option(
+    denoise: bool | Parameters = option(
         False, "bool or mapping",
         "Leave out events that no neighbour behind the same polarizer supports, and "
         "those of hot pixels; parameters of `EventDenoiser`, or True for its defaults.",
@@ -220,7 +221,7 @@ class FusionKeywords(TypedDict, total=False):
     thresholds: str | tuple[ArrayLike, ArrayLike] | None
     nominal_thresholds: tuple[ArrayLike, ArrayLike]
     clock_offset_us: float | str | None
-    denoise: bool | Mapping[str, Any]
+    denoise: bool | Parameters
     threads: int
 
 
@@ -228,7 +229,7 @@ class AllKeywords(FusionKeywords, SourceKeywords, total=False):
     """The options of a class that opens a source and fuses it."""
 
 
-def fusion_part(parameters: Mapping[str, Any]) -> dict[str, Any]:
+def fusion_part(parameters: Parameters) -> dict[str, Any]:
     """Return those parameters that do not only tell how a source is opened."""
     only = SourceOptions.facts().keys() - FusionOptions.facts().keys()
     return {name: value for name, value in parameters.items() if name not in only}

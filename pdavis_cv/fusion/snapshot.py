@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.corrected import Clipping
 from pdavis_cv.reconstruct.base import Snapshot, nbytes
 
@@ -54,7 +55,7 @@ class FusionSnapshot:
     frames: tuple[tuple[int, int], ...] = ()
     reached_us: int = BEFORE
     lamp: Mapping[str, Any] | None = None
-    learning: Mapping[str, Any] | None = None
+    learning: Parameters | None = None
     clipping: Clipping | None = None
     state_us: int | None = None
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Events
 from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.fusion.feed import LONGEST_DELAY_US, together
 from pdavis_cv.fusion.online_learning import DeferredCamera
@@ -86,7 +87,7 @@ class InOrderState(_MethodState):
         Is fed the same events and frames, of the whole sensor.
     """
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Add events of the whole sensor."""
         if self.camera is not None:
             self.camera.add_events(events)
@@ -155,9 +156,9 @@ class ArrivalState(_MethodState):
         super().__init__(method, window, camera)
         self.clock_us = 0
         self.committed_us: int | None = None
-        self._pending: deque[NDArray[Any]] = deque()   # events after committed_us
+        self._pending: deque[Events] = deque()   # events after committed_us
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Add events of the whole sensor.
 
         After `restore`, events between `committed_us` and `fed_us` come again.  The
@@ -208,7 +209,7 @@ class ArrivalState(_MethodState):
         # All events of its exposure have arrived.
         self.method.settle(frame.available_us)
 
-    def _feed_in_order(self, events: NDArray[Any]) -> None:
+    def _feed_in_order(self, events: Events) -> None:
         """Feed events to what is fed in time order."""
         if self.camera is not None:
             self.camera.add_events(events)
@@ -219,7 +220,7 @@ class ArrivalState(_MethodState):
 
     def _commit(self, before_us: int) -> None:
         """Feed the pending events before before_us in time order and drop them."""
-        due: list[NDArray[Any]] = []
+        due: list[Events] = []
         room = _SMALL
         while self._pending and self._pending[0]["t"][0] < before_us:
             events = self._pending.popleft()
@@ -297,7 +298,7 @@ class ReplayState(ArrivalState):
         self._committed.add_frame(frame)
         self._replay()
 
-    def _feed_in_order(self, events: NDArray[Any]) -> None:
+    def _feed_in_order(self, events: Events) -> None:
         super()._feed_in_order(events)
         inside = self.window.events(events)
         if len(inside):

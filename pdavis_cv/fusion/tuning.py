@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.thresholds import Theta
 from pdavis_cv.selfcal import ClockOffset
 
@@ -32,7 +32,7 @@ class Tuning:
 
     theta_on: Theta
     theta_off: Theta
-    parameters: Mapping[str, Any]
+    parameters: Parameters
     clock: ClockOffset
 
     @property

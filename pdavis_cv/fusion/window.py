@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pdavis_cv._types import Events
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Layout
@@ -42,7 +42,7 @@ class Window:
         """Return the polarizer layout of the window."""
         return whole.crop(self.columns.start, self.rows.start)
 
-    def events(self, events: NDArray[Any]) -> NDArray[Any]:
+    def events(self, events: Events) -> Events:
         """Return the events inside the window, in its coordinates."""
         if self.shape == self.size:
             return events
@@ -51,7 +51,7 @@ class Window:
         if self.shape[1] < self.size[1]:
             x = events["x"]
             wanted &= (x >= self.columns.start) & (x < self.columns.stop)
-        inside: NDArray[Any] = events[wanted]
+        inside: Events = events[wanted]
         if self.columns.start:
             inside["x"] -= self.columns.start
         if self.rows.start:

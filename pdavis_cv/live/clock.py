@@ -3,10 +3,8 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator
-from typing import Any
 
-from numpy.typing import NDArray
-
+from pdavis_cv._types import Events, Records
 from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import Packet
 from pdavis_cv.recording.files import ProblemLog
@@ -165,7 +163,7 @@ def _after(packet: Packet, last_us: int) -> tuple[Packet, int]:
     """Return a packet's part from last_us on, and the number of samples dropped."""
     late = 0
 
-    def kept(samples: NDArray[Any]) -> NDArray[Any]:
+    def kept(samples: Records) -> Events:
         nonlocal late
         n = bisect_left(samples["t"], last_us)
         late += n

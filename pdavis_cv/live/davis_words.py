@@ -4,11 +4,11 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Events
 from pdavis_cv.recording.base import ApsFrame, Packet
 from pdavis_cv.recording.davis import WRAP_US
 
@@ -49,7 +49,7 @@ class DavisEncoder:
             self.time_us = time_us
         return np.array(words, np.uint16)
 
-    def events(self, events: NDArray[Any]) -> Iterator[NDArray[np.uint16]]:
+    def events(self, events: Events) -> Iterator[NDArray[np.uint16]]:
         """Yield the words of events, none of which is earlier than `time_us`.
 
         Parameters
@@ -67,7 +67,7 @@ class DavisEncoder:
                 yield self.until(int(part["t"][0]))
                 yield self._of_one_turn(part)
 
-    def _of_one_turn(self, events: NDArray[Any]) -> NDArray[np.uint16]:
+    def _of_one_turn(self, events: Events) -> NDArray[np.uint16]:
         times = events["t"]
         new_time = np.diff(times, prepend=self.time_us) > 0
         new_row = np.diff(events["y"].astype(np.int64), prepend=self._row) != 0

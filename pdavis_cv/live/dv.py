@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Events
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.live.base import HEARTBEAT_S, Address, LiveSource
@@ -298,7 +299,7 @@ class DvSource(LiveSource):
             return frame.replace(available_us=self._last_us)
         return frame
 
-    def _with_frames(self, events: NDArray[Any]) -> Iterator[Packet]:
+    def _with_frames(self, events: Events) -> Iterator[Packet]:
         """Yield events, and among them the frames that are available by then."""
         while self._held and self._held[0].available_us <= events["t"][-1]:
             n = bisect_left(events["t"], self._held[0].available_us)
@@ -322,7 +323,7 @@ class DvSource(LiveSource):
             one.link.close()
 
 
-def _sorted(found: NDArray[Any]) -> NDArray[Any]:
+def _sorted(found: NDArray[Any]) -> Events:
     """Return samples in order of time, without those at impossible times."""
     found = found[np.abs(found["t"]) < FAR]
     return found[np.argsort(found["t"], kind="stable")]

@@ -11,9 +11,9 @@ from types import TracebackType
 from typing import Any, Self, Unpack, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv._options import names_options
+from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.options import AllKeywords, FusionOptions, fusion_part
@@ -477,7 +477,7 @@ class Session:
             while newest - int(self._seen[0].events["t"][-1]) > KEPT_EVENTS_US:
                 self._seen.popleft()
 
-    def events(self, after_us: int, until_us: int) -> NDArray[Any]:
+    def events(self, after_us: int, until_us: int) -> Events:
         """Return the events in (after_us, until_us], if within the last 0.2 s fused.
 
         Parameters

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, positive, sensor_shape, whole_number
+from pdavis_cv._types import State
 from pdavis_cv.events import FAR, timed_events
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.sensor import CHANNELS, Layout
@@ -159,12 +160,12 @@ class AopEvents:
         ahead = np.arctan2(self._rate * energy, np.abs(swept))
         return np.where(energy > 0, np.copysign(ahead, swept), 0)
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return copies of everything that events change."""
         return {"last_us": self._clock.last_us, "epoch": self._epoch.copy(),
                 "turns": self._turns.copy()}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Take over copies of what `state` returned."""
         self._clock.last_us = state["last_us"]
         self._epoch[:], self._turns[:] = state["epoch"], state["turns"]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
@@ -102,8 +103,8 @@ class Snapshot:
 
     method: str
     shape: tuple[int, int]
-    parameters: Mapping[str, Any]
-    state: Mapping[str, Any]
+    parameters: Parameters
+    state: State
 
     @property
     def nbytes(self) -> int:
@@ -168,7 +169,7 @@ class Reconstructor(ABC):
     needs: Needs = Needs()
     """The inputs that the method needs."""
 
-    causal_parameters: Mapping[str, Any] = MappingProxyType({})
+    causal_parameters: Parameters = MappingProxyType({})
     """Parameters that make the method causal (`lookahead_us` of 0) if it is not so."""
 
     shows_at_readout: bool = False
@@ -178,7 +179,7 @@ class Reconstructor(ABC):
     """Method that needs less processor time, with which `Session` continues if this one
     cannot keep up with a live source."""
 
-    trials: Mapping[str, Mapping[str, Any]] | None = None
+    trials: Mapping[str, Parameters] | None = None
     """Parameters of the variants that ``pdavis score`` compares, by their names; None:
     the method with its default parameters, under its own name."""
 
@@ -194,11 +195,11 @@ class Reconstructor(ABC):
 
     @property
     @abstractmethod
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Constructor parameters that make an equal Reconstructor."""
 
     @abstractmethod
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Feed events (EVENT_DTYPE, time-ordered, not before anything fed earlier).
 
         Raises
@@ -326,11 +327,11 @@ class Reconstructor(ABC):
         self._restore(snapshot.state)
 
     @abstractmethod
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         """Return copies of everything that feeding changes."""
 
     @abstractmethod
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         """Return to what `_state` returned, which is copied."""
 
 

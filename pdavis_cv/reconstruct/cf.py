@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, positive, sensor_shape
+from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.reconstruct.frames import log_exposure, log_samples
@@ -120,13 +121,13 @@ class ComplementaryFilter(Reconstructor):
                              learned.get("theta_off", self._theta_off))
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters that make an equal ComplementaryFilter."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "cutoff_hz": self._cutoff_hz, "adaptive_gain": self._adaptive_gain,
                 "rule": self._rule}
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Integrate events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         clock = self._clock
@@ -177,12 +178,12 @@ class ComplementaryFilter(Reconstructor):
                 row_ns=_READ_NS * self.shape[1])
         return Estimate(log, None, self._valid.copy())
 
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         return {"last_us": self._clock.last_us, "started": self._started,
                 "cells": self._cells.copy(), "held": self._held.copy(),
                 "exposure": self._exposure.copy(), "valid": self._valid.copy()}
 
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self._clock.last_us = state["last_us"]
         self._started = state["started"]
         self._cells, self._held = state["cells"].copy(), state["held"].copy()

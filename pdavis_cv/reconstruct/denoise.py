@@ -1,7 +1,7 @@
 """Denoising of events by the support of neighbours behind the same polarizer."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import sensor_shape, whole_number
+from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv._workers import Workers
 from pdavis_cv.events import FAR, as_events, timed_events
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
@@ -89,7 +90,7 @@ class EventDenoiser:
         self._stop_us: int | None = None   # end of the present interval of rates
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters that make an equal EventDenoiser."""
         return {"window_us": self._window_us, "support": self._support}
 
@@ -136,10 +137,10 @@ class EventDenoiser:
         self._clock.took(events, at)
         return keep.view(np.bool_)
 
-    def filter(self, events: Any) -> NDArray[Any]:
+    def filter(self, events: Any) -> Events:
         """Process events and return those that are kept (see `keep`)."""
         events = as_events(events)
-        kept: NDArray[Any] = events[self.keep(events)]
+        kept: Events = events[self.keep(events)]
         return kept
 
     def _end_windows(self, t_us: int) -> None:
@@ -152,13 +153,13 @@ class EventDenoiser:
                 self._counts, self._rates, self._hot, RATE_SHARE,
                 1e6 / RATE_WINDOW_US, HOT_FLOOR_HZ, HOT_FACTOR)
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return copies of everything that events change."""
         return {"last_us": self._clock.last_us, "times": self._times.copy(),
                 "counts": self._counts.copy(), "rates": self._rates.copy(),
                 "hot": self._hot.copy(), "stop_us": self._stop_us}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Take over copies of what `state` returned."""
         self._clock.last_us, self._stop_us = state["last_us"], state["stop_us"]
         self._times[:], self._counts[:] = state["times"], state["counts"]
@@ -189,7 +190,7 @@ class Denoised(Reconstructor):
         self.takes_late_frames = method.takes_late_frames
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters of the method, and of the denoiser as ``denoise``."""
         return {**self._inner.parameters, "denoise": dict(self._denoiser.parameters)}
 
@@ -207,7 +208,7 @@ class Denoised(Reconstructor):
         """Quality of the method's estimate (see `Reconstructor`)."""
         return self._inner.quality
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Feed the events that are kept (see `Reconstructor.add_events`)."""
         self._inner.add_events(self._denoiser.filter(events))
 
@@ -239,9 +240,9 @@ class Denoised(Reconstructor):
         """Return the method's intensity."""
         return self._inner.intensity(log_intensity)
 
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         return {"denoiser": self._denoiser.state(), "method": self._inner._state()}
 
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self._denoiser.restore(state["denoiser"])
         self._inner._restore(state["method"])

@@ -2,9 +2,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +16,7 @@ from pdavis_cv._checks import (
     sensor_shape,
     whole_number,
 )
+from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.aop_events import MOST_RADIUS, AopEvents, axes_of, layout_of
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
@@ -126,14 +126,14 @@ class EventHighPass(Reconstructor):
         self._mean_cache: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters that make an equal EventHighPass."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "cutoff_hz": self._cutoff_hz, "radius": self._radius,
                 "hold": self._hold, "correct_phase": self._turns is not None,
                 "response": self._response}
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Integrate events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         clock = self._clock
@@ -194,11 +194,11 @@ class EventHighPass(Reconstructor):
         """Return 1 + dL, for a macropixel's relative intensities."""
         return log_intensity + np.float32(1)
 
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         return {"last_us": self._clock.last_us, "cells": self._cells.copy(),
                 "turns": None if self._turns is None else self._turns.state()}
 
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self._clock.last_us = state["last_us"]
         self._cells = state["cells"].copy()
         _kernels.leak_held(self._cells, self._held, self._seen.view(np.uint8))

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import warnings
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, output, sensor_shape
+from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.errors import WindowWarning
 from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.base import (
@@ -118,7 +119,7 @@ class _Recurrent(Reconstructor):
         self._ahead: tuple[int, _State] | None = None
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters that make an equal Reconstructor; weights by their hash."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "window_us": self._window_us, "weights": self._weights.digest,
@@ -127,7 +128,7 @@ class _Recurrent(Reconstructor):
 
     # ---- feeding -------------------------------------------------------------
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Bin events; run the network for each window that they end."""
         events = timed_events(events)
         clock, first = self._clock, 0
@@ -243,7 +244,7 @@ class _Recurrent(Reconstructor):
 
     # ---- the state -----------------------------------------------------------
 
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         now = {f.name: np.copy(getattr(self._state_now, f.name))
                for f in fields(_State) if f.name != "quiet"}
         return {"last_us": self._clock.last_us, "window": self._window,
@@ -251,7 +252,7 @@ class _Recurrent(Reconstructor):
                 "quiet": self._state_now.quiet, "grid": self._grid.copy(),
                 "seen": self._seen.copy(), "turns": self._turns.state(), **now}
 
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self._clock.last_us = state["last_us"]
         self._window, self._done = state["window"], state["done"]
         self._filled, self._ahead = state["filled"], None

@@ -1,14 +1,14 @@
 """The ``frames`` method, and how a frame becomes log intensity."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, sensor_shape
+from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
@@ -97,11 +97,11 @@ class FrameHold(Reconstructor):
             tuple[int, NDArray[np.float32], NDArray[np.bool_]], ...] = ()
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters that make an equal FrameHold."""
         return {"hold": self._hold}
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Check the events and record their time."""
         self._clock.check_events(events)
 
@@ -131,12 +131,12 @@ class FrameHold(Reconstructor):
         log[:] = held[-1][1]
         return Estimate(log, None, held[-1][2].copy())
 
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         return {"last_us": self._clock.last_us,
                 "frames": [(t, log.copy(), valid.copy())
                            for t, log, valid in self._frames]}
 
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self._clock.last_us = state["last_us"]
         self._frames = tuple((t, log.copy(), valid.copy())
                              for t, log, valid in state["frames"])

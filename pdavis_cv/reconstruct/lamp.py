@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import sensor_shape
+from pdavis_cv._types import Events, Records, State
 from pdavis_cv.reconstruct.model import WAVE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
 
@@ -101,7 +102,7 @@ class Lamplight:
         if n > 0:
             self._show(self._all[n:].copy())
 
-    def _show(self, waves: NDArray[Any]) -> None:
+    def _show(self, waves: Records) -> None:
         self._all = waves
         self.waves = waves if waves["turns_per_us"].any() else waves[:0]
 
@@ -158,7 +159,7 @@ class LampTracker:
         self._block: int | None = None
         self._seen_us = _LONG_AGO
 
-    def push(self, events: NDArray[Any]) -> Iterator[Wave]:
+    def push(self, events: Events) -> Iterator[Wave]:
         """Take events in order of time; yield the waves of the blocks that they begin.
 
         Events up to the time that `advance` was given are ignored.
@@ -222,13 +223,13 @@ class LampTracker:
         return (Wave(start_us, 1e6 * turns, cosine, sine, of_light) if lamp
                 else Wave(start_us))
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return copies of everything that feeding changes."""
         return {"stamps": self._stamps.copy(), "now": self._now.copy(),
                 "corners": self._corners.copy(),
                 "sums": self._sums, "block": self._block, "seen_us": self._seen_us}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Return to what `state` returned, which is copied."""
         self._stamps[:], self._now[:] = state["stamps"], state["now"]
         self._corners[:] = state["corners"]

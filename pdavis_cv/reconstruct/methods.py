@@ -6,12 +6,11 @@ another package's entry point.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Parameters
 from pdavis_cv.reconstruct.base import Factory, Reconstructor
 from pdavis_cv.reconstruct.denoise import Denoised
 from pdavis_cv.recording.base import RecordingInfo
@@ -69,9 +68,9 @@ def make_reconstructor(
     shape: tuple[int, int],
     theta_on: NDArray[np.float32] | float,
     theta_off: NDArray[np.float32] | float,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     response: NDArray[np.float64] | None = None,
-    denoise: Mapping[str, Any] | None = None,
+    denoise: Parameters | None = None,
 ) -> Reconstructor:
     """Make the Reconstructor of a method.
 

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, positive, sensor_shape, whole_number
+from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
@@ -209,7 +210,7 @@ class EventRedundancy(Reconstructor):
             self._states[f"prior_{part}"] = theta
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters that make an equal EventRedundancy."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "response": self._response, "cutoff_hz": self._cutoff_hz,
@@ -233,7 +234,7 @@ class EventRedundancy(Reconstructor):
             _kernels.redundancy_shown(self._moments, *self._solved)
         return self._solved
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Take events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         self._fed += 1
@@ -351,21 +352,21 @@ class EventRedundancy(Reconstructor):
         self._take(other._clock.last_us, other._states, other._balance, other._moments,
                    other._next, other._unsolved, other._lamp.state())
 
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         arrays = (as_bytes(one).copy()
                   for one in (self._states, self._balance, self._moments))
         return {"tracks": self._tracks.state(), "rest": (
             self._clock.last_us, *arrays, self._next, self._unsolved,
             self._lamp.state())}
 
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self._tracks.restore(state["tracks"])
         self._take(*state["rest"])
 
     def _take(
-        self, last_us: int, states: NDArray[Any], balance: NDArray[Any],
+        self, last_us: int, states: Records, balance: NDArray[Any],
         moments: NDArray[Any], following: int | None, unsolved: bool,
-        lamp: NDArray[Any],
+        lamp: Records,
     ) -> None:
         self._clock.last_us = last_us
         np.copyto(as_bytes(self._states), as_bytes(states))

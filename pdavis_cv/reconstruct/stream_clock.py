@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold
+from pdavis_cv._types import Events
 from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
 
@@ -42,7 +43,7 @@ class StreamClock:
         self.shape = shape
         self.last_us = NEVER
 
-    def took(self, events: NDArray[Any], taken: int) -> None:
+    def took(self, events: Events, taken: int) -> None:
         """Record that a kernel processed so many events; raise ValueError if not all.
 
         Raises
@@ -56,7 +57,7 @@ class StreamClock:
         if taken < len(events):
             raise bad_event(events, taken, self.shape, before)
 
-    def check_events(self, events: Any) -> NDArray[Any]:
+    def check_events(self, events: Any) -> Events:
         """Check events that the method ignores, and return them.
 
         Raises

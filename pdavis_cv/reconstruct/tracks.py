@@ -2,13 +2,13 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Events, Records, State
 from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.model import (
     GAP_DTYPE,
@@ -86,21 +86,21 @@ class Tracks:
         self.store = np.zeros(_LEAST, STORED_DTYPE)
         self.keep_us, self.refractory_us = int(keep_us), 0.0
         self.committed = self._passed = self._late = self._stop = 0
-        self._chained: tuple[NDArray[Any], int, int] | None = None
+        self._chained: tuple[Records, int, int] | None = None
 
     @property
     def _all(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         return self.tracks, self.old, self.late
 
     @property
-    def chain(self) -> tuple[NDArray[Any], NDArray[Any]]:
+    def chain(self) -> tuple[Records, Records]:
         """The store chained to `tracks`, and `tracks`, as a reader takes them."""
         self._chain(self.tracks, self.committed, self._stop)
         return self.store, self.tracks
 
     def late_chain(
         self, until_us: int, reader: Reader
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
+    ) -> tuple[Records, Records]:
         """Return the store chained to `late` up to until_us, and `late`.
 
         The pixels of these events are added to the reader's list.
@@ -112,7 +112,7 @@ class Tracks:
             self.store, start, stop, reader.pixels, reader.n, reader.flags)
         return self.store, self.late
 
-    def push(self, events: NDArray[Any], last_us: int, reader: Reader) -> int:
+    def push(self, events: Events, last_us: int, reader: Reader) -> int:
         """Append events and list their pixels with the reader; return how many.
 
         Events are taken up to the first one that is out of order or off the sensor.
@@ -160,7 +160,7 @@ class Tracks:
         stop = bisect_right(self.store["t"], until_us, self._late, self._stop)
         self._chain(self.late, self._late, stop)
 
-    def _chain(self, tracks: NDArray[Any], start: int, stop: int) -> None:
+    def _chain(self, tracks: Records, start: int, stop: int) -> None:
         old = self._chained
         if old is not None and old[0] is tracks and old[1:] == (start, stop):
             return
@@ -212,7 +212,7 @@ class Tracks:
         self._take(as_bytes(other.store[begin:other._stop]),
                    (other._passed, other.committed, other._late), begin)
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return copies of everything."""
         self.unchain()
         begin = self._begin
@@ -222,7 +222,7 @@ class Tracks:
                 "places": (self._passed - begin, self.committed - begin,
                            self._late - begin)}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Return to what `state` returned, which is copied."""
         self.unchain()
         for mine, kept in zip(self._all, state["tracks"], strict=True):
@@ -241,7 +241,7 @@ class Tracks:
         self._passed, self.committed, self._late = (at - begin for at in places)
 
 
-def _no_events(shape: tuple[int, int]) -> NDArray[Any]:
+def _no_events(shape: tuple[int, int]) -> Events:
     """Return tracks of pixels without events, each within one cache line."""
     record = TRACK_DTYPE.itemsize
     # A record viewed as void is copied at once, not field by field.
@@ -300,7 +300,7 @@ class Reader:
 
     def read(
         self, t_us: int, known_us: int, rest_us: int, epoch_us: int,
-        chain: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
+        chain: tuple[Records, Records], states: Records,
         model: tuple[NDArray[Any], NDArray[Any]],
         shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
         workers: Workers, gaps: NDArray[Any] = NO_GAPS,
@@ -359,7 +359,7 @@ class Reader:
             self._planes, (first, last), shown, team), row_ns=ns / len(states))
 
 
-def as_bytes(events: NDArray[Any]) -> NDArray[np.uint8]:
+def as_bytes(events: Events) -> NDArray[np.uint8]:
     """Return records viewed as bytes, which are copied ten times as fast."""
     # NumPy copies unaligned records field by field.
     return events.view(np.uint8)

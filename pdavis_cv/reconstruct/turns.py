@@ -1,11 +1,10 @@
 """Detection of windows that are too long, from the reversals of events' polarity."""
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
+
+from pdavis_cv._types import Events, State
 
 __all__ = ["Turns"]
 
@@ -29,7 +28,7 @@ class Turns:
         self._windows = 0
         self._warned = False
 
-    def add(self, events: NDArray[Any]) -> None:
+    def add(self, events: Events) -> None:
         """Add events of the current window."""
         if self._warned or self._kept > _MOST_EVENTS:
             return
@@ -59,12 +58,12 @@ class Turns:
         self._warned = bool(np.median(turns[busy]) > _PER_WINDOW * span)
         return self._warned
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return copies of everything."""
         return {"parts": [part.copy() for part in self._parts], "kept": self._kept,
                 "windows": self._windows, "warned": self._warned}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Take over copies of what `state` returned."""
         self._parts = [part.copy() for part in state["parts"]]
         self._kept, self._windows = state["kept"], state["windows"]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._arrays import read_arrays
+from pdavis_cv._types import Facts
 from pdavis_cv.errors import WeightsError
 
 __all__ = ["BINS", "MEMORY", "WIDTH", "Weights", "expected_shapes"]
@@ -78,7 +79,7 @@ class Weights:
     network: str
     arrays: Mapping[str, NDArray[np.float32]]
     unit: float | None = 0.2
-    about: Mapping[str, Any] = field(default_factory=dict)
+    about: Facts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.network not in _ENDS:

@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._opencv import opencv
+from pdavis_cv._types import Image
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import (
     FULL_COLOUR_DOLP,
@@ -80,7 +80,7 @@ def summary(image: PolarFrame) -> Picture:
         columns=3)
 
 
-def png_of(picture: NDArray[Any]) -> bytes:
+def png_of(picture: Image) -> bytes:
     """Return a picture as the bytes of a PNG file.
 
     Parameters

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._opencv import opencv
+from pdavis_cv._types import Image
 from pdavis_cv.render.colours import Picture, aop_bgr, dolp_bgr, fade, grey_bgr
 from pdavis_cv.render.cyclic import cyclic_bgr
 
@@ -219,7 +220,7 @@ def stack(
     return sheet
 
 
-def even(picture: NDArray[Any]) -> NDArray[Any]:
+def even(picture: Image) -> Image:
     """Repeat the last row or column of a picture of odd height or width.
 
     Video codecs silently drop such a row or column.

@@ -2,14 +2,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import sensor_shape
+from pdavis_cv._types import Events, State
 from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.lamp import Wave
@@ -206,7 +206,7 @@ class SelfCalibration:
         """Whether more events would be ignored as long as no frame has come."""
         return self._window.full_without_frames
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Take events of the whole sensor, later than all before."""
         events = timed_events(events)
         if len(events):
@@ -367,13 +367,13 @@ class SelfCalibration:
         return self._window.nbytes + self._cells.nbytes + (
             0 if self._whole is None else self._whole.nbytes)
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return the data kept; they are never changed in place."""
         return {"window": self._window.state(),
                 "cells": self._cells.state(),
                 "whole": None if self._whole is None else self._whole.state()}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Return to what `state` returned."""
         self._window.restore(state["window"])
         self._cells.restore(state["cells"])

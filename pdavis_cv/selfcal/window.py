@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Events, Records
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.lamp import Lamplight, Wave
 from pdavis_cv.reconstruct.tracks import as_bytes
@@ -69,7 +70,7 @@ class Interval:
         End of the frame's exposure in all columns.
     """
 
-    events: NDArray[Any]
+    events: Events
     counts: NDArray[np.int32]
     dn: NDArray[np.float32]
     usable: NDArray[np.bool_]
@@ -112,13 +113,13 @@ class PixelWindow:
         self.last_us, self.full = _EVER[0], False
         self._first_us: int | None = None
         self._intervals: deque[Interval] = deque()
-        self._pending: list[NDArray[Any]] = []
+        self._pending: list[Events] = []
         self._chosen = np.empty(0, EVENT_DTYPE)     # scratch
         self._counts = np.zeros((2, 1, len(self.pixels)), np.int32)
         self._events = self._pending_events = 0
         self._lamp = Lamplight()
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Take events of the whole sensor."""
         if not len(events):
             return
@@ -159,7 +160,7 @@ class PixelWindow:
         """Take the lamp's wave in a block of time."""
         self._lamp.add(wave)
 
-    def _take_pending(self) -> NDArray[Any]:
+    def _take_pending(self) -> Events:
         pending, self._pending = self._pending, []
         return joined(pending) if pending else np.empty(0, EVENT_DTYPE)
 
@@ -185,13 +186,13 @@ class PixelWindow:
         return list(self._intervals)
 
     @property
-    def events(self) -> NDArray[Any]:
+    def events(self) -> Events:
         """All events kept, including those after the last frame."""
         self._pending = [self._take_pending()]
         return joined([*(each.events for each in self._intervals), *self._pending])
 
     @property
-    def waves(self) -> NDArray[Any]:
+    def waves(self) -> Records:
         """The lamp's waves, a record per block (WAVE_DTYPE)."""
         return self._lamp.waves
 
@@ -253,7 +254,7 @@ class CellWindow:
         self._count = 0
         self._chosen = np.empty(0, EVENT_DTYPE)     # scratch
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Take events of the whole sensor."""
         if len(self._chosen) < len(events):
             self._chosen = np.empty(len(events), EVENT_DTYPE)
@@ -268,7 +269,7 @@ class CellWindow:
             self._count -= len(self._parts.popleft())
 
     @property
-    def events(self) -> NDArray[Any]:
+    def events(self) -> Events:
         """The last events; ``x`` is 4 i + j for pixel j of macropixel i, row by row.
 
         Which they are does not depend on how the stream is cut into packets.

@@ -2,12 +2,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv._kernels import read_out
+from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.simulation.checks import python_numbers, within
 
@@ -64,7 +63,7 @@ class BusState:
         self._pending = np.zeros(size, np.uint8)
         self._until = 0.0
 
-    def pass_on(self, events: NDArray[Any], until_us: float) -> NDArray[Any]:
+    def pass_on(self, events: Events, until_us: float) -> Events:
         """Return the events that leave the bus before ``until_us``, in time order.
 
         Parameters

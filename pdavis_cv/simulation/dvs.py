@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._kernels import pixel_events, sort_events, video_events
+from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import (
@@ -257,7 +258,7 @@ class PixelArray:
         self, start_us: float, step_us: float, light: FloatArray, slope: FloatArray,
         analyser: FloatArray | None = None, *, rows: slice = slice(None),
         edges: FloatArray | None = None, first_edge: int = 0,
-    ) -> list[NDArray[Any]]:
+    ) -> list[Events]:
         """Return the events of K intervals, pixel by pixel.
 
         Parameters
@@ -362,7 +363,7 @@ class PixelArray:
         weights: NDArray[np.float32], light: NDArray[np.float32] | None = None, *,
         rows: slice = slice(None), edges: FloatArray | None = None,
         first_edge: int = 0,
-    ) -> list[NDArray[Any]]:
+    ) -> list[Events]:
         """Return the events of K intervals over which log light is linear.
 
         Parameters
@@ -392,7 +393,7 @@ class PixelArray:
         settings = np.stack([self._at(a, b - a) for a, b in pairwise(times_us)])
         edges = np.empty(0) if edges is None else edges
         light = np.empty((0, len(self._keys)), np.float32) if light is None else light
-        events: list[NDArray[Any]] = []
+        events: list[Events] = []
         for k in range(0, len(quads), _INTERVALS):
             some = slice(k, k + _INTERVALS)
             frames = tuple(quads[some])
@@ -417,7 +418,7 @@ class PixelArray:
     def _collect(
         self, run: Callable[[int, NDArray[Any]], tuple[int, int]], done: int, stop: int,
         place: tuple[int, int] | None = None,
-    ) -> list[NDArray[Any]]:
+    ) -> list[Events]:
         """Run a kernel until it has finished, enlarging the buffer as needed.
 
         Without a place, the buffer is the thread's and events are copied out of it;
@@ -457,7 +458,7 @@ def lag_weights(phi: float) -> FloatArray:
 
 
 def in_time_order(parts: list[NDArray[Any]], start_us: int, stop_us: int,
-                  ) -> NDArray[Any]:
+                  ) -> Events:
     """Merge events with start_us <= t <= stop_us; ties stay in pixel order."""
     events = parts[0] if len(parts) == 1 else np.concatenate(
         [np.empty(0, EVENT_DTYPE), *parts])

@@ -2,11 +2,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pdavis_cv._types import Events
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import (
     fraction,
@@ -80,8 +79,8 @@ class EventFaults:
         self.faults, self._seed, self._count = faults, seed, 0
 
     def pass_on(
-        self, events: NDArray[Any], start_us: int, stop_us: int
-    ) -> NDArray[Any]:
+        self, events: Events, start_us: int, stop_us: int
+    ) -> Events:
         """Apply loss and jitter to the events with start_us <= t <= stop_us."""
         index = np.arange(self._count, self._count + len(events), dtype=np.uint64)
         self._count += len(events)

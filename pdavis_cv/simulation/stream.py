@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Events
 from pdavis_cv.recording.base import (
     MAX_PACKET_EVENTS,
     ApsFrame,
@@ -60,7 +61,7 @@ class Piece:
     """
 
     stop_us: int
-    events: NDArray[Any]
+    events: Events
     frames: list[ApsFrame] = field(default_factory=list)
     bus_load: float = 0.0
     bus_lost: int = 0
@@ -225,7 +226,7 @@ class SimulatedRecording(Recording):
                 start, start + PIECE_US, pixels.pixel.burst_us)
 
         def band(part: slice) -> list[NDArray[Any]]:
-            events: list[NDArray[Any]] = []
+            events: list[Events] = []
             for block in blocks:
                 at, step, _ = block
                 light, slope, analyser = self._light(block, part)

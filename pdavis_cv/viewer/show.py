@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
+from pdavis_cv._types import Events
 from pdavis_cv.capture.picture import first_frame, white_level
 from pdavis_cv.capture.seeking import Cursor
 from pdavis_cv.errors import PdavisError
@@ -56,7 +55,7 @@ class Show(ABC):
         """Whether no new image will come, so that `latest` does not wait."""
 
     @abstractmethod
-    def events(self, until_us: int) -> Iterable[NDArray[Any]]:
+    def events(self, until_us: int) -> Iterable[Events]:
         """Return the events of the interval of an image that ends at until_us."""
 
     @abstractmethod
@@ -167,7 +166,7 @@ class LiveShow(Show):
         """Whether no image will come."""
         return self._session.over
 
-    def events(self, until_us: int) -> Iterable[NDArray[Any]]:
+    def events(self, until_us: int) -> Iterable[Events]:
         """Return the events since the image before."""
         period = round(1e6 / float(self.fusion.options.rate or DEFAULT_FPS))
         return [self._session.events(until_us - min(period, KEPT_EVENTS_US), until_us)]
@@ -252,7 +251,7 @@ class FileShow(Show):
         """Whether no image will come."""
         return self._closed
 
-    def events(self, until_us: int) -> Iterable[NDArray[Any]]:
+    def events(self, until_us: int) -> Iterable[Events]:
         """Return the events since the image before."""
         period = round(1e6 / self._cursor.fps) if self._cursor.fps else 10_000
         return [self._recording.events(until_us - period + 1, until_us + 1)]

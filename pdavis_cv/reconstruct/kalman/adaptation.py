@@ -2,11 +2,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Records
 from pdavis_cv.reconstruct.kalman.event_noise import MOTION, event_noise
 from pdavis_cv.reconstruct.kalman.frame_noise import frame_noise
 from pdavis_cv.reconstruct.kalman.threshold_drift import (
@@ -37,7 +37,7 @@ _ENDS = 2, 7, 12, 17, 22
 
 
 def adapt(
-    innovations: NDArray[np.float64], tuning: NDArray[Any], per_event: float,
+    innovations: NDArray[np.float64], tuning: Records, per_event: float,
 ) -> None:
     """Re-estimate the noise of events, motion and frames from the innovations.
 

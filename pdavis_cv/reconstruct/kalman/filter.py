@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, positive, sensor_shape, whole_number
+from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.reconstruct.base import (
     WHOLE_SENSOR,
@@ -338,7 +339,7 @@ class KalmanFilter(Reconstructor):
         self._unsampled = None
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> Parameters:
         """Parameters that make an equal KalmanFilter."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "mode": self._mode, "lookahead_us": self.lookahead_us,
@@ -368,7 +369,7 @@ class KalmanFilter(Reconstructor):
         """
         return self._innovations[:MISFIT].copy()
 
-    def add_events(self, events: NDArray[Any]) -> None:
+    def add_events(self, events: Events) -> None:
         """Take events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         self._fed += 1
@@ -498,7 +499,7 @@ class KalmanFilter(Reconstructor):
                     frame.known_us - self.lookahead_us, self._states, self.workers)
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
-    def _use(self, frame: WaitingFrame, nodes: NDArray[Any]) -> None:
+    def _use(self, frame: WaitingFrame, nodes: Records) -> None:
         """Update the states with a frame whose events are chained."""
         recent = self._tracks
         # Each band has its own sums, so that results do not depend on the threads.
@@ -542,7 +543,7 @@ class KalmanFilter(Reconstructor):
         self._lasting.assign(other._lasting)
         self._changed()
 
-    def _state(self) -> Mapping[str, Any]:
+    def _state(self) -> State:
         smoother = self._smoother
         return {"last_us": self._clock.last_us, "epoch_us": self._epoch_us,
                 "interval_us": self._interval_us, "mid_us": self._mid_us,
@@ -554,7 +555,7 @@ class KalmanFilter(Reconstructor):
                 "smoother": None if smoother is None else smoother.state(),
                 "lasting": self._lasting.state()}
 
-    def _restore(self, state: Mapping[str, Any]) -> None:
+    def _restore(self, state: State) -> None:
         self._clock.last_us, self._epoch_us = state["last_us"], state["epoch_us"]
         self._interval_us, self._mid_us = state["interval_us"], state["mid_us"]
         self._frames = state["frames"]

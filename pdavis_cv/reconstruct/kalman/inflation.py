@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Records
 
 __all__ = ["inflate_for_lag", "inflate_for_resets", "inflate_for_stamps"]
 
@@ -18,7 +18,7 @@ of ln(1 + 0.9 cos), the mean square lag is that at 0.12 of the brightest light."
 
 
 def inflate_for_lag(
-    states: NDArray[Any], sigmas: NDArray[np.float64], before: Sequence[float],
+    states: Records, sigmas: NDArray[np.float64], before: Sequence[float],
     after: Sequence[float], moved_us: float, interval_us: float,
 ) -> None:
     """Inflate the thresholds' covariance by the error that a wrong lag caused.
@@ -49,7 +49,7 @@ def inflate_for_lag(
         interval_us))
 
 
-def inflate_for_stamps(states: NDArray[Any], error: float) -> None:
+def inflate_for_stamps(states: Records, error: float) -> None:
     """Inflate the variance of the bases for frames whose stamps were wrong.
 
     Their error is the time error times the slope of log intensity, which is taken from
@@ -65,7 +65,7 @@ def inflate_for_stamps(states: NDArray[Any], error: float) -> None:
     states["var_base"] += (error * _events(states) * _theta(states))**2
 
 
-def inflate_for_resets(states: NDArray[Any], lost: float) -> None:
+def inflate_for_resets(states: Records, lost: float) -> None:
     """Inflate the variance of the bases for a wrong refractory period.
 
     After each event the light changes unseen for that time.  The sum of these losses is
@@ -81,13 +81,13 @@ def inflate_for_resets(states: NDArray[Any], lost: float) -> None:
     states["var_base"] += (lost * _events(states)**2 * _theta(states))**2
 
 
-def _events(states: NDArray[Any]) -> NDArray[np.float64]:
+def _events(states: Records) -> NDArray[np.float64]:
     """Return the mean number of events between two frames so far."""
     counts: NDArray[np.float64] = (states["seen_on"] + states["seen_off"]) / np.maximum(
         states["samples"], 1)
     return counts
 
 
-def _theta(states: NDArray[Any]) -> NDArray[np.float64]:
+def _theta(states: Records) -> NDArray[np.float64]:
     theta: NDArray[np.float64] = 0.5 * (states["theta_on"] + states["theta_off"])
     return theta

@@ -1,13 +1,11 @@
 """The degree of polarization that lasts from frame to frame."""
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import State
 from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser
 
@@ -131,11 +129,11 @@ class LastingDegree:
         """Take over the state of an equal object."""
         self._planes, self._lasting = other._planes, other._lasting
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return the state, which nothing changes later."""
         return {"planes": self._planes, "lasting": self._lasting}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Return to what `state` returned."""
         self._planes, self._lasting = state["planes"], state["lasting"]
 

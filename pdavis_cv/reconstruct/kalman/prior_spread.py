@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Records
+
 __all__ = ["change_spread"]
 
 # Rows of the sensor that are changed together: their records fit into the cache.
@@ -13,7 +15,7 @@ _BAND = 32
 
 
 def change_spread(
-    states: NDArray[Any], before: NDArray[np.float64], after: NDArray[np.float64]
+    states: Records, before: NDArray[np.float64], after: NDArray[np.float64]
 ) -> None:
     """Replace the prior sigmas that the thresholds were learned with.
 
@@ -38,7 +40,7 @@ def change_spread(
 
 
 def _change_one(
-    states: NDArray[Any], names: tuple[str, str], before: NDArray[Any],
+    states: Records, names: tuple[str, str], before: NDArray[Any],
     after: NDArray[Any],
 ) -> None:
     """Replace the prior sigma of the first of two thresholds."""

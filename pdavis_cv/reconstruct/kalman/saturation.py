@@ -2,13 +2,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Events, State
 from pdavis_cv._workers import Workers
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.frames import log_exposure
@@ -183,7 +183,7 @@ class Saturated:
             for events in early:
                 self.add_events(events[events["t"] > since], workers)
 
-    def add_events(self, events: NDArray[Any], workers: Workers) -> None:
+    def add_events(self, events: Events, workers: Workers) -> None:
         """Take events that follow everything fed before; threads share the work."""
         if self._level is None and len(events):
             since = int(events["t"][-1]) - EARLY_US
@@ -267,13 +267,13 @@ class Saturated:
         assert self._method is not None
         self._method.assign(other._method)
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return copies of everything."""
         return {"bound": self._bound, "pixels": self._pixels, "level": self._level,
                 "dim": self._dim, "early": self._early,
                 "method": None if self._method is None else self._method.snapshot()}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Return to what `state` returned, which is copied."""
         self._bound, self._level = state["bound"], state["level"]
         self._early, self._method = state["early"], None

@@ -1,7 +1,7 @@
 """Fixed-lag smoother: frames after a time correct the estimate as earlier ones do."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._types import Records, State
 from pdavis_cv._workers import Workers
 from pdavis_cv.reconstruct.model import GAP_DTYPE, NODE_DTYPE, PAST_DTYPE
 from pdavis_cv.reconstruct.tracks import Reader, Tracks, as_bytes
@@ -51,7 +52,7 @@ class Smoother:
         self._epoch_us = 0      # reference time of the reader's variances
         self.unknown = np.empty(0, np.intp)
 
-    def slot(self, times: NDArray[np.int64]) -> NDArray[Any]:
+    def slot(self, times: NDArray[np.int64]) -> Records:
         """Return the array that receives the measurements of the next frame.
 
         Parameters
@@ -73,10 +74,10 @@ class Smoother:
         self._times[at] = times
         self._order = (*self._order, at)
         self._forget()
-        nodes: NDArray[Any] = self._nodes[at]
+        nodes: Records = self._nodes[at]
         return nodes
 
-    def pass_until(self, t_us: int, states: NDArray[Any], workers: Workers) -> None:
+    def pass_until(self, t_us: int, states: Records, workers: Workers) -> None:
         """Merge all frames with a middle at or before t_us into the past.
 
         The thresholds of ``states`` convert event counts to log intensity.
@@ -96,7 +97,7 @@ class Smoother:
 
     def read(
         self, t_us: int, known_us: int, rest_us: int, tracks: Tracks, reader: Reader,
-        model: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
+        model: tuple[NDArray[Any], NDArray[Any]], states: Records,
         shown: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]],
         workers: Workers,
     ) -> None:
@@ -138,19 +139,19 @@ class Smoother:
                    [other._nodes[at] for at in other._order],
                    [other._times[at] for at in other._order])
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return copies of everything."""
         order = list(self._order)
         return {"past": as_bytes(self._past).copy(), "past_us": self._past_us,
                 "times": [*self._times[order]],
                 "nodes": [as_bytes(self._nodes[at]).copy() for at in order]}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: State) -> None:
         """Return to what `state` returned, which is copied."""
         self._take(state["past"], state["past_us"], state["nodes"], state["times"])
 
     def _take(
-        self, past: NDArray[Any], past_us: int, nodes: Sequence[NDArray[Any]],
+        self, past: NDArray[Any], past_us: int, nodes: Sequence[Records],
         times: Sequence[NDArray[np.int64]],
     ) -> None:
         np.copyto(as_bytes(self._past), as_bytes(past))

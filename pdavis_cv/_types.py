@@ -1,0 +1,32 @@
+"""Names of the types that most functions take and return, by what they hold.
+
+Shapes, dtypes and units that a name leaves open are in the docstrings.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Events", "Facts", "Image", "Parameters", "Records", "State"]
+
+Events = NDArray[np.void]
+"""Events, shape (N,), of `EVENT_DTYPE`, or of a dtype that the docstring names."""
+
+Image = NDArray[Any]
+"""An image (H, W) or (H, W, C).  Any: of each dtype that the docstring allows."""
+
+Records = NDArray[np.void]
+"""Structured records: samples of the IMU, triggers, states of pixels."""
+
+Parameters = Mapping[str, Any]
+"""Parameters of a method by name.  Any: each method checks its own."""
+
+State = Mapping[str, Any]
+"""What an object needs to continue from here.  Any: only its own class reads it."""
+
+Facts = Mapping[str, Any]
+"""What is known of a recording, image or result, by name.  Any: it is written as
+JSON, or read by those who know the name."""
