@@ -12,8 +12,13 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import outputs
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.analyser import Analyser, stokes_gain
-from pdavis_cv.mosaic import check_method, checked_mosaic, places_of, scratch_rows
-from pdavis_cv.mosaic import demosaic as demosaic_mosaic
+from pdavis_cv.mosaic import (
+    check_method,
+    checked_mosaic,
+    demosaic as demosaic_mosaic,
+    places_of,
+    scratch_rows,
+)
 from pdavis_cv.sensor import Layout
 from pdavis_cv.stokes_vector import (
     aop,

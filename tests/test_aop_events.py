@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 import reference
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from streams import random_events
 
 from pdavis_cv import AOP_EVENT_DTYPE, AopEvents, Layout, fuse

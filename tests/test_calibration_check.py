@@ -5,8 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pdavis_cv import ApsFrame, Layout, PolarFrame, open_recording
-from pdavis_cv import recording_from_arrays as record
+from pdavis_cv import (
+    ApsFrame,
+    Layout,
+    PolarFrame,
+    open_recording,
+    recording_from_arrays as record,
+)
 from pdavis_cv.calibration.align import alignment
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.instrument import background

@@ -5,8 +5,14 @@ import pickle
 import numpy as np
 import pytest
 
-from pdavis_cv import ApsFrame, Calibration, CalibrationError, Layout, fuse
-from pdavis_cv import recording_from_arrays as record
+from pdavis_cv import (
+    ApsFrame,
+    Calibration,
+    CalibrationError,
+    Layout,
+    fuse,
+    recording_from_arrays as record,
+)
 
 SIZE = (4, 6)
 

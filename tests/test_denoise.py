@@ -3,8 +3,7 @@ import pickle
 import numpy as np
 import pytest
 import reference_denoise
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from streams import random_events
 
 from pdavis_cv import _kernels, fuse

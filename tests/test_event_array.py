@@ -4,8 +4,7 @@ import pytest
 from aedat2_bytes import HEADER, WIDTH, dvs, global_frame, reads
 from aedat31_bytes import aedat31_file
 from streams import random_events
-from test_aedat4_jaer import events as jaer_events
-from test_aedat4_jaer import jaer_file
+from test_aedat4_jaer import events as jaer_events, jaer_file
 
 from pdavis_cv import (
     ApsFrame,

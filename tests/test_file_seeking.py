@@ -4,8 +4,7 @@ import pytest
 from aedat31_bytes import aedat31_file
 from streams import random_events
 from test_aedat4 import assert_same, joined
-from test_aedat4_jaer import events as jaer_events
-from test_aedat4_jaer import imu_samples, jaer_file
+from test_aedat4_jaer import events as jaer_events, imu_samples, jaer_file
 
 from pdavis_cv import (
     IMU_DTYPE,

@@ -10,8 +10,9 @@ from test_aedat4 import joined
 from test_aedat4_writer import small
 
 import pdavis_cv
-from pdavis_cv import FORMATS, Format, Layout, VideoCapture, open_recording
+from pdavis_cv import FORMATS, Layout, VideoCapture, open_recording
 from pdavis_cv.recording import registry
+from pdavis_cv.recording.format import Format
 from pdavis_cv.recording.hdf5.writer import write_hdf5
 from pdavis_cv.tools.convert import main as convert
 
@@ -19,7 +20,8 @@ MODULE = '''
 """A format of ten bytes per event, from another package."""
 import numpy as np
 
-from pdavis_cv import EVENT_DTYPE, FileRecording, Format, RecordingInfo
+from pdavis_cv import EVENT_DTYPE, FileRecording, RecordingInfo
+from pdavis_cv.recording.format import Format
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.packetise import Batch, packetise
 

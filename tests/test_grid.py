@@ -1,8 +1,7 @@
 """Times of images on a regular grid, against the rule in exact fractions."""
 from fractions import Fraction
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pdavis_cv.fusion.grid import grid_count, grid_us
 

@@ -3,8 +3,7 @@ import pickle
 import numpy as np
 import pytest
 import reference
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from streams import feed, random_events, random_frame
 
 from pdavis_cv import _kernels

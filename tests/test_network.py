@@ -16,10 +16,10 @@ from pdavis_cv import (
     LayoutError,
     WeightsError,
     WindowWarning,
+    _kernels as kernels,
     fuse,
     recording_from_arrays,
 )
-from pdavis_cv import _kernels as kernels
 from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table
 from pdavis_cv.reconstruct.onnx import network_onnx
 from pdavis_cv.reconstruct.runner import BACKENDS, chosen_backend, make_runner

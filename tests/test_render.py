@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import reference
 import reference_image
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pdavis_cv import Analyser, PolarFrame, _kernels, render
 

@@ -1,8 +1,7 @@
 """Regions of interest."""
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pdavis_cv.analysis import Roi, parse_roi, read_rois
 

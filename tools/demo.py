@@ -24,8 +24,7 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.render import ToneCurve
 from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
 
-from . import export as export_tool
-from . import fan as fan_tool
+from . import export as export_tool, fan as fan_tool
 from ._common import Parser, add_json_option, command, for_people, stage, tell
 from ._options import opened
 

@@ -15,8 +15,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from common import Found
-from common import main as run
+from common import Found, main as run
 
 from pdavis_cv.selfcal import SelfCalibration, bandwidth
 from pdavis_cv.selfcal.pixel_sample import select_busy_pixels

@@ -4,8 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from lab.paper import command
-from lab.paper import specification as spec
+from lab.paper import command, specification as spec
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.methods import make_reconstructor
 from pdavis_cv.recording.base import ApsFrame

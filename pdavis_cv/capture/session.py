@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._types import Image, Parameters
-from pdavis_cv.capture import constants as c
-from pdavis_cv.capture import picture
+from pdavis_cv.capture import constants as c, picture
 from pdavis_cv.capture.manners import type_code
 from pdavis_cv.capture.outputs import output_at
 from pdavis_cv.capture.seeking import Bookmark, Cursor

@@ -16,12 +16,12 @@ from pdavis_cv.fusion.camera import analyser_of, gain_of, mismatch_of
 from pdavis_cv.fusion.window import Roi, Window
 from pdavis_cv.mosaic import (
     HALF_SIZE,
+    demosaic as demosaic_mosaic,
     demosaic_valid,
     demosaic_variance,
     places_of,
     scratch_rows,
 )
-from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.sensor import Layout, Sensor
