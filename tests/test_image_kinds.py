@@ -20,6 +20,7 @@ from pdavis_cv import (
     fuse,
     open_recording,
 )
+from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, MEASURED, Fact
 from pdavis_cv.recording.images.checks import colour_spread, measured_full_scale
 from pdavis_cv.recording.images.names import by_angle, natural_order
 
@@ -137,6 +138,9 @@ def test_times_that_a_tiff_states_are_read(tmp_path, kind):
     assert [frame.exposure_start_us for frame in frames] == [
         12500 * k for k in range(9)]
     assert info.frame_count == 9
+    assert info.facts["frame_times"].origin == FILE
+    assert info.facts["full_scale_dn"].origin == (
+        ASSUMED if kind.startswith("imagej") else FILE)
     assert info.exposure_us == (4000 if kind == "micro-manager" else None)
     assert {frame.full_scale_dn for frame in frames} == {4095}
     # An interval is a part of the whole.
@@ -153,7 +157,9 @@ def test_every_kind_of_tiff_is_read(tmp_path, kind):
     frames, info = read(tmp_path / "stack.tif")
     np.testing.assert_array_equal([frame.dn for frame in frames], expected)
     assert info.stop_us == 8 * 40_000 + 1
-    frames, _ = read(tmp_path / "stack.tif", source_fps=100)
+    assert info.facts["frame_times"] == Fact(25.0, ASSUMED)
+    frames, info = read(tmp_path / "stack.tif", source_fps=100)
+    assert info.facts["frame_times"] == Fact(100, CALLER)
     assert [frame.mid_us for frame in frames] == [10_000 * k for k in range(9)]
 
 
@@ -308,6 +314,21 @@ def test_times_of_a_variable_rate_are_the_container_s(tmp_path, name):
         assert [f.mid_us for f in frames_of(recording, 80_001, 520_000)] == [500_000]
     frames, _ = read(path, source_fps=50)
     assert frames[-1].mid_us == 100_000
+
+
+@pytest.mark.parametrize(("name", "codec"), [
+    ("a.mjpeg", "mjpeg"), ("a.h264", "libx264")])
+def test_a_bare_stream_states_no_rate(tmp_path, name, codec):
+    path = write(tmp_path / name, np.full((5, *SIZE), 90, np.uint8), codec,
+                 "yuvj420p" if codec == "mjpeg" else "yuv420p")
+    with pytest.warns(PdavisWarning, match="loses detail"):
+        frames, info = read(path)
+    assert info.facts["frame_times"] == Fact(25.0, ASSUMED)
+    assert [frame.mid_us for frame in frames] == [40_000 * k for k in range(5)]
+    with pytest.warns(PdavisWarning, match="loses detail"):
+        frames, info = read(path, source_fps=100)
+    assert info.facts["frame_times"] == Fact(100, CALLER)
+    assert frames[-1].mid_us == 40_000
 
 
 def test_a_colour_video_is_refused(tmp_path):
@@ -531,6 +552,7 @@ def test_public_stills(public, tmp_path):
     with open_recording(public / "mono10_saturated.png", layout=SONY) as recording:
         image, = fuse(recording, extinction_ratio=None)
         assert frames_of(recording)[0].full_scale_dn == 1023
+        assert recording.info.facts["full_scale_dn"] == Fact(1023, MEASURED)
     assert (~image.valid).mean() == pytest.approx(0.485, abs=0.005)
     y, x = np.mgrid[:128, :160]
     inner = image.valid & (np.minimum(y, 127 - y) > 1) & (np.minimum(x, 159 - x) > 1)

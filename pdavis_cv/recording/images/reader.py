@@ -156,7 +156,8 @@ class ImageRecording(FileRecording):
                               "increase and are not used")
         self._fps = Fraction(ASSUMED_FPS) if interval is None else (
             1_000_000 / Fraction(interval).limit_denominator(1_000_000))
-        if self._elapsed is not None or facts.count is None:
+        if self._elapsed is not None or (
+                facts.count is None and interval is not None):
             return Fact("time stamps", FILE)
         return Fact(float(self._fps), ASSUMED if interval is None else FILE)
 

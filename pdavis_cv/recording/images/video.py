@@ -22,6 +22,8 @@ __all__ = ["VideoPictures"]
 
 _COUNTED = ("matroska", "mov")
 """Containers that give each image a block with its time."""
+_NO_TIMES = 0x80
+"""FFmpeg's AVFMT_NOTIMESTAMPS."""
 _FULL_RANGE = 2
 """FFmpeg's AVCOL_RANGE_JPEG."""
 _GREY_CHROMA = 4
@@ -60,6 +62,8 @@ class VideoPictures(Pictures):
             rate = stream.average_rate or stream.guessed_rate
             self._period_us = float(1_000_000 / rate) if rate else None
             counted = self._in_order or container.format.name.split(",")[0] in _COUNTED
+            # A bare stream has no times: FFmpeg counts 25 per second.
+            timed = not container.format.flags & _NO_TIMES
             self._alone = False
             times = self._times(container, stream) if counted else []
             lossless = (codec.codec.lossless and not codec.codec.lossy
@@ -68,13 +72,12 @@ class VideoPictures(Pictures):
             frame = next(self._frames(container, stream), None)
             if frame is None:
                 raise RecordingError(f"{path}: holds no image that can be decoded")
-            self._first_us = _time_of(frame)
-            bits = max(part.bits for part in frame.format.components)
-        stated = len(times) > 0 or self._first_us is not None
+            self._first_us = _time_of(frame) if timed else None
+            bits = _planar(frame).format.components[0].bits
         self.facts = PictureFacts(
             kind=f"video {name}, {frame.format.name}", count=len(times) or None,
-            elapsed_us=np.array(times) if times else None,
-            interval_us=self._period_us if stated else None,
+            elapsed_us=np.array(times) if times and timed else None,
+            interval_us=None if self._first_us is None else self._period_us,
             full_scale_dn=None if bits in (16, 32) else 2**bits - 1,
             lossy=None if lossless else codec.codec.long_name)
 
