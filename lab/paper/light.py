@@ -98,8 +98,6 @@ LEVELS = 13
 # DN per ms that 1 microwatt per cm2 gives; see `IrradianceSweep`.
 EVENT_DN, SONY_DN = 27.0, 0.68
 _RANGE_RPM = 60.0
-# 18 degrees pass between two frames at 20 per second.
-_NEARLY_FULL_DEG, _USABLE_DEG = 160.0, 12.0
 
 
 def dynamic_range_cases(settings: Settings) -> list[Case]:
@@ -131,7 +129,7 @@ def dynamic_range_page(rows: Sequence[Row], settings: Settings) -> list[str]:
              f"PDAVIS: {EVENT_DN:g} DN/ms per uW/cm2, frames saturate from 1.4 uW/cm2 "
              f"on; Sony: {SONY_DN:g} DN/ms per uW/cm2. Columns: irradiance in uW/cm2. "
              "Range is largest less smallest AoP of the region's mean: it is blind to "
-             "noise.", ""]
+             "noise; see `python -m lab.paper range`.", ""]
     for camera in _event_cameras(rows):
         for scene in ("polarizer", "rotating plate"):
             mine = [row for row in rows if row.scene == scene
@@ -148,35 +146,7 @@ def dynamic_range_page(rows: Sequence[Row], settings: Settings) -> list[str]:
                       "DoLP.", "",
                       *pivot(mine, columns=("aop_coverage", "dolp_coverage"),
                              average=False, **across)]  # type: ignore[arg-type]
-    lines += ["## Beside the paper", "", *table(("quantity", "paper", "here", ""), [
-        (f"irradiances with a range over {_NEARLY_FULL_DEG:g} degrees, `{camera}`",
-         "PDAVIS 120 dB (40 nW/cm2 to 42 mW/cm2), Sony 77.5 dB (to 300 uW/cm2)",
-         "; ".join(f"{name} {_decibels(rows, camera, name, 'range')}"
-                   for name in METHODS),
-         "says little: noise fills a range too; see `python -m lab.paper range`")
-        for camera in _event_cameras(rows)] + [
-        (f"irradiances with an AoP error of the region below {_USABLE_DEG:g} degrees, "
-         f"`{camera}`", "-",
-         "; ".join(f"{name} {_decibels(rows, camera, name, 'error')}"
-                   for name in METHODS), "not in the paper")
-        for camera in _event_cameras(rows)])]
     return lines
-
-
-def _decibels(rows: Sequence[Row], camera: str, method: str, by: str) -> str:
-    """Return 20 log10 of the longest unbroken stretch of usable levels."""
-    mine = [row for row in rows if row.method == method and row.scene == "polarizer"
-            and (row.camera == camera or "Sony" in method)]
-    levels = sorted({row.irradiance_uw_cm2 for row in mine})
-    best, start = -math.inf, None
-    for level in levels:
-        here = [row for row in mine if row.irradiance_uw_cm2 == level]
-        good = (mean(here, "aop_range_deg") > _NEARLY_FULL_DEG if by == "range"
-                else mean(here, "aop_error_roi_deg") < _USABLE_DEG)
-        start = (level if start is None else start) if good else None
-        if start is not None:
-            best = max(best, 20 * math.log10(level / start))
-    return "none" if best == -math.inf else f"{best:.0f} dB"
 
 
 # ---- a lamp on the mains, a background -------------------------------------------
