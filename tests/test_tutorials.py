@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+import pdavis_cv
 from pdavis_cv.data import example_recording
 from pdavis_cv.tools.main import main
 
@@ -40,6 +41,13 @@ def test_there_is_a_tutorial_for_each_kind_of_user():
     assert {page.stem for page in PAGES} == {
         "opencv", "notebook", "microscopy", "robotics", "sony", "jaer-dv",
         "calibration"}
+
+
+@pytest.mark.parametrize("name", ["fan", "tendon"])
+def test_simulated_examples_state_their_sensor(name):
+    """Else S1 and S2 are not corrected for its extinction ratio."""
+    with pdavis_cv.open_recording(example_recording(name)) as recording:
+        assert recording.info.sensor is pdavis_cv.Sensor.PDAVIS
 
 
 @pytest.mark.gate
