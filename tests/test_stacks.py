@@ -1,4 +1,5 @@
 """Stacks that other programs open: OME-TIFF, HDF5, NPZ; interrupted and continued."""
+import hashlib
 import json
 import os
 import signal
@@ -9,7 +10,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from pdavis_cv import PolarFrame
+from pdavis_cv import PolarFrame, open_recording
 from pdavis_cv.export import (
     Hdf5File,
     NpzFile,
@@ -291,13 +292,13 @@ def test_unfit_images_and_names_are_refused(tmp_path):
 
 
 def test_provenance_names_the_input_and_shortens_maps(tmp_path):
-    source = tmp_path / "run.aedat4"
-    source.write_bytes(b"abc")
+    source = tmp_path / "run.csv"
+    source.write_bytes(b"1 2 3 1\n")
     facts = provenance({"method": "cf", "parameters": {"theta": np.ones((4, 90))}},
-                       source, wrong=float("nan"))
+                       open_recording(source), wrong=float("nan"))
     assert facts["input"] == {
-        "name": "run.aedat4", "bytes": 3, "sha256":
-        "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"}
+        "name": "run.csv", "bytes": 8,
+        "sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
     assert facts["parameters"]["theta"]["shape"] == [4, 90]
     assert json.loads(json.dumps(facts, allow_nan=False))["wrong"] == "nan"
 

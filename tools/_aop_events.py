@@ -129,7 +129,7 @@ def _aedat4(
                 count += len(packet.events)
         if not count:
             raise UsageError(
-                f"{args.file}: no event in the interval asked for: "
+                f"{recording.name}: no event in the interval asked for: "
                 f"{covered(recording)}")
     return count, file.frames
 
@@ -146,7 +146,7 @@ def _video(
             count += len(events)
         if not video.count:
             raise UsageError(
-                f"{args.file}: no event in the interval asked for: "
+                f"{recording.name}: no event in the interval asked for: "
                 f"{covered(recording)}")
     return count, video.count
 

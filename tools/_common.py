@@ -205,8 +205,7 @@ def _show_warning(
 
 
 def checked_out(
-    path: Path, source: str | os.PathLike[str] | None = None, *,
-    recording: bool = False, force: bool = False,
+    path: Path, source: Any = None, *, recording: bool = False, force: bool = False,
 ) -> None:
     """Raise UsageError if a command cannot write a file, or must not.
 
@@ -218,7 +217,7 @@ def checked_out(
     ----------
     path : Path
         The output.
-    source : path, optional
+    source : path, pattern, sequence of paths or address, optional
         The input.
     recording : bool
         Whether the output is a recording.
@@ -239,10 +238,22 @@ def checked_out(
             return
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from None
-    if source is not None and os.path.exists(source) and path.samefile(source):
+    if source is not None and _reads(source, path):
         raise UsageError(f"{path} is the recording that is read; write another file")
     if recording and not force:
         raise UsageError(f"{path} exists; --force replaces it")
+
+
+def _reads(source: Any, path: Path) -> bool:
+    """Return whether a file is one of those that a source is made of."""
+    from pdavis_cv.live.address import is_address
+    from pdavis_cv.recording.members import members_of
+    if is_address(source):
+        source = source.partition(":")[2].partition("?")[0]
+    try:
+        return any(path.samefile(member.path) for member in members_of(source))
+    except (OSError, ValueError):   # there is no such file; opening it will say so
+        return False
 
 
 def require_samples(recording: Recording, start_us: int | None) -> None:

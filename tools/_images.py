@@ -186,7 +186,7 @@ def facts_of(
 ) -> dict[str, Any]:
     """Return the provenance of images that are made with these options."""
     first = next(fuse(recording, **{**options, "times_us": options["times_us"][:1]}))
-    return export.provenance(first.provenance, recording.path, **facts)
+    return export.provenance(first.provenance, recording, **facts)
 
 
 def held_at(frames: Iterator[PolarFrame], times: Iterator[int]) -> Iterator[PolarFrame]:

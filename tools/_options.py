@@ -14,8 +14,10 @@ from ._values import setting
 
 if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
     from pdavis_cv import Calibration, Recording, Source
+    from pdavis_cv.recording.open import AnySource
 
 __all__ = [
+    "add_file",
     "add_fuse_options",
     "add_source_options",
     "calibration_of",
@@ -25,11 +27,12 @@ __all__ = [
     "option_value",
     "source_given",
     "source_of",
+    "together",
 ]
 
 
 def opened(
-    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
+    args: argparse.Namespace, file: AnySource | None = None
 ) -> Recording:
     """Open a recording of any format according to the options of a command.
 
@@ -40,7 +43,7 @@ def opened(
     ----------
     args : Namespace
         With those of `addsource_options`.
-    file : path, optional
+    file : path or sequence of paths, optional
         Default: ``args.file``.
 
     Raises
@@ -57,7 +60,7 @@ def opened(
 
 
 def source_of(
-    args: argparse.Namespace, file: str | os.PathLike[str] | None = None
+    args: argparse.Namespace, file: AnySource | None = None
 ) -> Source:
     """Open a recording or a live source according to the options of a command.
 
@@ -74,7 +77,8 @@ def source_of(
     from pdavis_cv import open_source
     from pdavis_cv.recording.hdf5.probe import proved
     where = args.file if file is None else file
-    proved(where)
+    if isinstance(where, str | os.PathLike):
+        proved(where)
     return open_source(where, **source_given(args))
 
 
@@ -82,6 +86,30 @@ def source_given(args: argparse.Namespace) -> dict[str, Any]:
     """Return what the options of a command state about its source."""
     return {name: value for name, _ in offered(source_options())
             if (value := getattr(args, name, None)) is not None}
+
+
+class _Source(argparse.Action):
+    """Stores one path, or several in the order of the numbers in their names."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
+        values: Any, option_string: str | None = None,
+    ) -> None:
+        setattr(namespace, self.dest, together(values))
+
+
+def together(files: Sequence[str]) -> str | list[str]:
+    """Return one path as it is, several in the order of the numbers in their names."""
+    from pdavis_cv.recording.images.names import natural_order
+    return files[0] if len(files) == 1 else natural_order(files)
+
+
+def add_file(
+    parser: argparse.ArgumentParser, help: str, name: str = "file"
+) -> None:
+    """Add the recording that a command reads, which may be several images."""
+    parser.add_argument(name, nargs="+", action=_Source, metavar=name,
+                        help=f"{help}; several images are one recording")
 
 
 def add_source_options(

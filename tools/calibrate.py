@@ -35,7 +35,7 @@ from ._common import (
     start_of,
     tell,
 )
-from ._options import add_source_options, opened
+from ._options import add_source_options, opened, together
 from ._values import layout_option, number, numbers, positive, roi_option, within
 
 __all__ = ["main"]
@@ -77,7 +77,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _measure(
     part: str, files: list[str], args: argparse.Namespace, known: Calibration | None
 ) -> Calibration:
-    recordings = [opened(args, file) for file in files]
+    # A sweep may be one file for each angle; otherwise several are images of one.
+    recordings = [opened(args, one) for one in (
+        files if part == "sweep" and len(files) > 1 else [together(files)])]
     try:
         info = recordings[0].info
         if known is None:
@@ -336,7 +338,7 @@ _ALL = tuple(_PARTS)
 
 
 def _check(args: argparse.Namespace) -> int:
-    with opened(args, args.files[0]) as recording:
+    with opened(args, together(args.files)) as recording:
         findings = check_recording(recording)
     words = {True: "ok", False: "WRONG", None: "unknown"}
     tell(args, [f"  {finding.what:<12} {words[finding.ok]:<8} {finding.message}"
@@ -346,7 +348,7 @@ def _check(args: argparse.Namespace) -> int:
 
 def _align(args: argparse.Namespace) -> int:
     rows = []
-    with opened(args, args.files[0]) as recording, for_people(args):
+    with opened(args, together(args.files)) as recording, for_people(args):
         layout = resolve_layout(args.layout, None, recording.info.layout)
         known: NDArray[np.float32] | None = None
         if args.calibration:

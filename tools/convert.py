@@ -17,7 +17,7 @@ from ._common import (
     progress_in_time,
     tell,
 )
-from ._options import add_source_options, opened
+from ._options import add_file, add_source_options, opened
 
 __all__ = ["main"]
 
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("convert", __doc__ or "",
                     "pdavis convert jaer-recording.aedat upright.aedat4")
-    parser.add_argument("input", help="a recording of any format")
+    add_file(parser, "a recording of any format", "input")
     parser.add_argument(
         "output", help="the file to write; its suffix determines the format")
     parser.add_argument(

@@ -39,7 +39,7 @@ from ._common import (
     tell,
 )
 from ._images import full_scale, told_if_nothing
-from ._options import add_fuse_options, fuse_options, opened
+from ._options import add_file, add_fuse_options, fuse_options, opened
 from ._values import numbers, positive, seconds, within
 
 __all__ = ["Sheet", "main"]
@@ -92,14 +92,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         first = list(itertools.islice(images, 2))
         if not first:
             raise UsageError(
-                f"{args.file}: no image in the interval asked for: "
+                f"{recording.name}: no image in the interval asked for: "
                 f"{covered(recording)}")
         rate = _playing_rate(first, options["fps"], args.slow)
         total = _expected(recording, options, first)
         frames = iter(progress(itertools.chain(first, images), total, "images"))
         facts: dict[str, Any]
         if suffix == ".npy":
-            lines, facts = _write_arrays(args, frames)
+            lines, facts = _write_arrays(args, frames, recording)
         elif suffix in _STACKS:
             lines, facts = _write_stack(args, frames, recording, first[0])
         elif suffix == ".png":
@@ -136,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "export", __doc__ or "",
         "pdavis export recording.aedat4 -o fused.webm --fps 200 --slow 8")
-    parser.add_argument("file", help="a recording")
+    add_file(parser, "a recording")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
     parser.add_argument(
@@ -260,8 +260,8 @@ class Sheet:
     ) -> None:
         self.args = args
         self.origin_us = start_of(recording)
-        self.source = recording.path.name if recording.path else recording.info.format
-        self.provenance, self.path = first.provenance, recording.path
+        self.source = recording.name
+        self.facts = export.provenance(first.provenance, recording)
         top = full_scale(recording)
         self.white = float(args.white or _white(first, top))
         self.saturated = math.inf if top is None else top / 2
@@ -381,8 +381,8 @@ def _expected(
 class _Log:
     """Record times and provenance of images during an iteration, for the JSON file."""
 
-    def __init__(self, frames: Iterator[PolarFrame]) -> None:
-        self._frames = frames
+    def __init__(self, frames: Iterator[PolarFrame], recording: Recording) -> None:
+        self._frames, self._recording = frames, recording
         self.times: list[int | None] = []
         self.frame_times: list[int | None] = []
         self.facts: dict[str, Any] = {}
@@ -392,7 +392,8 @@ class _Log:
             self.times.append(frame.t_us)
             self.frame_times.append(frame.frame_us)
             if not self.facts:
-                self.facts = {"provenance": dict(frame.provenance)}
+                self.facts = {"provenance": export.provenance(
+                    frame.provenance, self._recording)}
             yield frame
 
     def write(self, path: Path, **facts: Any) -> Path:
@@ -405,8 +406,7 @@ class _Log:
 def _write_video(
     args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float, sheet: Sheet
 ) -> tuple[list[str], dict[str, Any]]:
-    facts = export.provenance(sheet.provenance, sheet.path)
-    with export.moving_file(args.out, rate, facts) as video:
+    with export.moving_file(args.out, rate, sheet.facts) as video:
         for frame in frames:
             picture = sheet.picture(frame)
             video.add(picture, copy=False)  # encodes while the next one is made
@@ -421,12 +421,11 @@ def _write_pictures(
     args: argparse.Namespace, frames: Iterator[PolarFrame], sheet: Sheet
 ) -> tuple[list[str], dict[str, Any]]:
     written = []
-    facts = export.provenance(sheet.provenance, sheet.path)
     for i, frame in enumerate(frames):
         path = args.out
         if args.at is None:
             path = path.with_stem(f"{path.stem}-{i:05d}")
-        export.write_png(path, sheet.picture(frame), facts)
+        export.write_png(path, sheet.picture(frame), sheet.facts)
         written.append(path)
     last = f" .. {written[-1].name}" if len(written) > 1 else ""
     return [f"wrote {written[0]}{last}; white is {sheet.white:g} DN/ms"], {
@@ -440,9 +439,9 @@ def _write_plane(
     name = args.quantities[0]
     one = QUANTITIES[name]
     low, high = _ranges(args).get(name) or _natural_range(one, recording)
-    log = _Log(frames)
+    log = _Log(frames, recording)
     facts = export.provenance(
-        first.provenance, recording.path, quantity=name, unit=one.unit)
+        first.provenance, recording, quantity=name, unit=one.unit)
     with export.PlaneVideo(args.out, rate, low, high, facts) as video:
         for frame in log:
             video.add_plane(one.of(frame), frame.valid)
@@ -472,7 +471,7 @@ def _write_stack(
     args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording,
     first: PolarFrame,
 ) -> tuple[list[str], dict[str, Any]]:
-    facts = export.provenance(first.provenance, recording.path)
+    facts = export.provenance(first.provenance, recording)
     kind = _STACKS[args.out.suffix.lower()]
     with kind(args.out, args.quantities, facts, pixel_um=args.pixel_um,
               resume=args.resume) as file:
@@ -489,9 +488,9 @@ def _write_stack(
 
 
 def _write_arrays(
-    args: argparse.Namespace, frames: Iterator[PolarFrame]
+    args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording
 ) -> tuple[list[str], dict[str, Any]]:
-    log, names = _Log(frames), args.quantities
+    log, names = _Log(frames, recording), args.quantities
     with export.ArrayFile(args.out) as file:
         for frame in log:
             planes = np.stack([

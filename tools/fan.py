@@ -37,7 +37,7 @@ from ._images import (
     told_if_nothing,
     tone_of,
 )
-from ._options import add_fuse_options, fuse_options, opened
+from ._options import add_file, add_fuse_options, fuse_options, opened
 from ._values import layout_option, number, numbers, seconds, within
 
 __all__ = ["main", "make_fan"]
@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         "fan", __doc__ or "",
         "pdavis fan wheel.aedat4 -o fan.webm --fps 1000 --slow 40 "
         "--centre 172,129 --radius 120 --hub 25 --rpm 200")
-    parser.add_argument("file", help="a recording with frames and events")
+    add_file(parser, "a recording with frames and events")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT",
         help="video to write: .webm, .mp4, .mkv or .avi; .gif or .webp for slides")
@@ -182,8 +182,7 @@ def make_fan(
 
 
 def _title(args: argparse.Namespace, recording: Recording, t_us: int) -> str:
-    name = recording.path.name if recording.path else recording.info.format
-    return (f"{name}   t = {t_us / 1e6:.4f} s   {args.slow:g} x slower   "
+    return (f"{recording.name}   t = {t_us / 1e6:.4f} s   {args.slow:g} x slower   "
             f"{args.fps:g} images/s")
 
 

@@ -17,7 +17,7 @@ from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
 
 from ._common import Parser, command
-from ._options import add_source_options, opened
+from ._options import add_file, add_source_options, opened
 
 __all__ = ["main"]
 
@@ -30,8 +30,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         report = recording.scan() if args.scan else None
         advice = [*advise(recording), *_clock(recording)] if args.scan else []
         problems = recording.problems
+        name = args.file if isinstance(args.file, str) else recording.name
         if args.json:
-            facts = {"file": args.file, "info": _plain(recording.info),
+            facts = {"file": name, "info": _plain(recording.info),
                      "problems": _plain(list(problems))}
             if report is not None:
                 facts["scan"] = _plain(report)
@@ -39,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             json.dump(facts, sys.stdout, indent=2)
             print()
             return 0
-        print(args.file)
+        print(name)
         for name, text in _rows(recording.info, report):
             print(f"  {name:<10} {text}")
         for problem in problems:
@@ -64,7 +65,7 @@ def _clock(recording: Recording) -> list[Advice]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("info", __doc__ or "", "pdavis info recording.aedat4 --scan")
-    parser.add_argument("file", help="a recording")
+    add_file(parser, "a recording")
     add_source_options(parser)
     parser.add_argument("--json", action="store_true", help="for programs")
     parser.add_argument(

@@ -42,7 +42,7 @@ from ._common import (
     progress,
     start_of,
 )
-from ._options import add_source_options, calibration_of, opened
+from ._options import add_file, add_source_options, calibration_of, opened
 from ._values import numbers, positive
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def _pooled(rows: Sequence[Row]) -> Row:
 def _parser(known: Mapping[str, Trial]) -> argparse.ArgumentParser:
     parser = Parser("score", __doc__ or "", "pdavis score run.aedat4 -o score")
     slow = [name for name, one in known.items() if not one.usual]
-    parser.add_argument("file", help="a recording with frames and events")
+    add_file(parser, "a recording with frames and events")
     parser.add_argument(
         "-o", "--out", type=Path, metavar="STEM",
         help="write STEM.csv, STEM.json and, with matplotlib, STEM.png")

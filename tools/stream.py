@@ -19,7 +19,7 @@ from ._common import (
     tell_now,
 )
 from ._interrupts import ended_by_signals
-from ._options import add_source_options, source_of
+from ._options import add_file, add_source_options, source_of
 from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]
@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("stream", __doc__ or "",
                     'pdavis stream "replay:recording.aedat4?speed=1" --port 7777')
-    parser.add_argument("file", help="a recording, or the address of a live source")
+    add_file(parser, "a recording, or the address of a live source")
     parser.add_argument("--host", default="127.0.0.1",
                         help="address to answer on, default this machine alone")
     parser.add_argument("--port", type=int, default=7777,

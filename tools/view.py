@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ._common import Parser, UsageError, add_json_option, command, start_of, tell_now
 from ._interrupts import ended_by_signals
-from ._options import add_fuse_options, fusion_given, source_of
+from ._options import add_file, add_fuse_options, fusion_given, source_of
 from ._tls import add_tls_options, tls_of
 
 __all__ = ["main"]
@@ -58,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("view", __doc__ or "", 'pdavis view "simulate:fan?rpm=60"')
-    parser.add_argument("file", help="a recording, or the address of a live source")
+    add_file(parser, "a recording, or the address of a live source")
     parser.add_argument(
         "--host", default="127.0.0.1",
         help="address to answer on, default this machine alone; others need the token "

@@ -16,6 +16,7 @@ from pdavis_cv._beside import write_beside
 from pdavis_cv._remote import RemotePath, is_remote
 from pdavis_cv._types import Facts
 from pdavis_cv.export.files import write_json
+from pdavis_cv.recording.members import members_of
 
 try:
     import fcntl
@@ -174,7 +175,7 @@ class Results:
             yield part
 
     def identity(self, source: str) -> str:
-        """Return the SHA-256 of the content of a file, or of all files of a folder.
+        """Return the SHA-256 of the content of all files of a source.
 
         It is stored with the files' sizes and times, so that they are read only once.
         If a file cannot be read, its path is used instead; the job will report why.
@@ -185,9 +186,7 @@ class Results:
             except (OSError, ImportError):
                 return f"unread {source}"
         try:
-            path = Path(source)
-            files = sorted(p for p in path.rglob("*") if p.is_file()) if (
-                path.is_dir()) else [path]
+            files = [member.path for member in members_of(source)]
             state = [[str(one), one.stat().st_size, one.stat().st_mtime_ns]
                      for one in files]
         except OSError:

@@ -107,7 +107,7 @@ class Export(_Part):
         """Write ``images`` with the suffix, and with OpenCV ``preview.png``."""
         images = pdavis_cv.fuse(recording, self._of(recording, options))
         first = _first(images)
-        facts = export.provenance(first.provenance, recording.path)
+        facts = export.provenance(first.provenance, recording)
         path = folder / f"images{self.suffix}"
         with _STACKS[self.suffix](path, self.quantities, facts) as file:
             file.add(first)

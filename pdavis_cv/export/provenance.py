@@ -13,9 +13,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 import pdavis_cv
-from pdavis_cv._remote import as_path
 from pdavis_cv._types import Facts
 from pdavis_cv.export.files import plain
+from pdavis_cv.recording.base import Source
 
 __all__ = ["embed", "embed_png", "provenance", "read_embedded", "to_json"]
 
@@ -32,8 +32,7 @@ _LONGEST = 64  # largest number of elements of an array that is written out
 
 
 def provenance(
-    images: Mapping[str, Any], source: str | os.PathLike[str] | None = None,
-    **facts: Any,
+    images: Mapping[str, Any], source: Source | None = None, **facts: Any,
 ) -> dict[str, Any]:
     """Return the provenance to be written into a file.
 
@@ -41,8 +40,9 @@ def provenance(
     ----------
     images : mapping of str to object
         Provenance of a PolarFrame.
-    source : path, optional
-        The recording's file, whose name, size and SHA-256 are added.
+    source : Source, optional
+        The recording, of whose files names, sizes and SHA-256 are added as ``input``:
+        of one file, or of several as ``files``.
     **facts
         Further facts, e.g. channels and units.
 
@@ -58,13 +58,9 @@ def provenance(
     """
     found: dict[str, Any] = {"pdavis_cv": pdavis_cv.__version__, **images, **facts}
     if source is not None:
-        path = as_path(source)
-        digest = hashlib.sha256()
-        with path.open("rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
-        found["input"] = {"name": path.name, "bytes": path.stat().st_size,
-                          "sha256": digest.hexdigest()}
+        files = [member.facts for member in source.members]
+        found["input"] = files[0] if len(files) == 1 else {
+            "name": source.name, "files": files}
     return {str(name): _short(value) for name, value in found.items()}
 
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._checks import whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
 from pdavis_cv.recording.facts import FILE, Fact, stated
+from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import MOST_DN, SourceOptions
 from pdavis_cv.sensor import Layout, Sensor
 
@@ -494,10 +495,20 @@ class Source(ABC):
         """The file that is read, None if there is none."""
         return None
 
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """The files that it is made of, empty if there are none."""
+        return () if self.path is None else members_of(self.path)
+
+    @property
+    def name(self) -> str:
+        """Short name for people: that of the file, else the format."""
+        return self.info.format if self.path is None else self.path.name
+
     def __repr__(self) -> str:
         info = self.info
         height, width = info.sensor_size
-        name = "" if self.path is None else f" {self.path.name}"
+        name = "" if self.path is None else f" {self.name}"
         counts = "".join(
             f", {count} {what}" for what, count in (
                 ("frames", info.frame_count), ("events", info.event_count))

@@ -67,9 +67,9 @@ def open_recording(
         return source
     options = (options or SourceOptions()).replace(**changes)
     if not isinstance(source, str | os.PathLike):
-        [source, *more] = source
-        if more:
-            return read_with(FORMATS["images"], (source, *more), options)
+        if len(source) > 1:
+            return read_with(FORMATS["images"], _images(source), options)
+        [source] = source
     path = as_path(source)
     # A path that does not exist may be a pattern of image names.
     start = first_bytes(path) if is_remote(path) or path.exists() else b""
@@ -83,6 +83,19 @@ def open_recording(
         raise RecordingError(
             f"{path}: {found.title} cannot be read by ranges: copy it to a disk")
     return read_with(found, source, options)
+
+
+def _images(
+    paths: Sequence[str | os.PathLike[str]]
+) -> Sequence[str | os.PathLike[str]]:
+    """Return paths after checking that none is a recording of another kind."""
+    for one in paths:
+        path = as_path(one)
+        found = format_of(path, first_bytes(path))
+        if found is not None and not found.needs_layout:
+            raise RecordingError(
+                f"{path}: {found.title}: only images are one recording together")
+    return paths
 
 
 def _not_a_recording(path: Path, start: bytes) -> RecordingError:

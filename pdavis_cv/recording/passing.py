@@ -4,6 +4,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
+from pdavis_cv.recording.members import Member
 
 __all__ = ["passing"]
 
@@ -25,6 +26,10 @@ class _Passing(Recording):
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         yield from self._through(self._recording.packets(start_us, stop_us))
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        return self._recording.members
 
     def close(self) -> None:
         self._recording.close()

@@ -42,7 +42,7 @@ from .._common import (
     tell,
 )
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
-from .._options import add_fuse_options, fuse_options, opened
+from .._options import add_file, add_fuse_options, fuse_options, opened
 from .._values import number, seconds, within
 from . import report
 from .findings import Findings, MeanStokes
@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         "tendon", __doc__ or "",
         "pdavis tendon tendon.aedat4 -o tendon --region fibre=120,80,40,24 "
         "--fps 100")
-    parser.add_argument("file", help="a recording with frames and events")
+    add_file(parser, "a recording with frames and events")
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="OUT",
                         help="folder to write to")
     parser.add_argument(

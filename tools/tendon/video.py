@@ -46,7 +46,7 @@ class TendonSheet:
         self.top = float(np.ceil(min(1.0, 1.6 * high) * 20) / 20)
         self._packets = recording.packets()
         self._events: deque[Any] = deque()
-        self._source = recording.path.name if recording.path else "recording"
+        self._source = recording.name
         times = options["times_us"]
         self._window = int(np.median(np.diff(times))) if len(times) > 1 else 10_000
         self._fps = 1e6 / self._window

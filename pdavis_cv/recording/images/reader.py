@@ -25,6 +25,7 @@ from pdavis_cv.recording.images.pictures import FourPictures, Pictures, Several
 from pdavis_cv.recording.images.stills import ArrayPictures, StillPicture
 from pdavis_cv.recording.images.tiff import TiffPictures
 from pdavis_cv.recording.images.video import VideoPictures
+from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import Layout
 
@@ -73,7 +74,9 @@ class ImageRecording(FileRecording):
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
         source = os.fspath(self._path)
-        self._pictures = pictures = self._opened(self._names or names_of(source))
+        names = self._names or names_of(source)
+        self._members = members_of(names)
+        self._pictures = pictures = self._opened(names)
         first = self._sample(0)
         if first is None:
             raise RecordingError(f"{source}: holds no image")
@@ -236,6 +239,18 @@ class ImageRecording(FileRecording):
             return 0    # their times are known only from reading
         k = int(t_us * self._fps / 1_000_000)
         return k if self._time(k, None) >= t_us else k + 1
+
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """The files that it is made of."""
+        return self._members
+
+    @property
+    def name(self) -> str:
+        """Short name for people."""
+        more = len(self._names or ()) - 1
+        return self._path.name + (f" and {more} more" if more > 0 else "")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._names or os.fspath(self._path), self._options)
