@@ -59,6 +59,10 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         magic=(b"\x89HDF\r\n\x1a\n",), holds=frozenset(("events", "frames")),
         extra="hdf5", reader=f"{_ROOM}.hdf5.reader:Hdf5Recording"),
     Format(
+        name="metavision", title="HDF5 of Metavision", suffixes=(".h5", ".hdf5"),
+        magic=(b"\x89HDF\r\n\x1a\n",), holds=frozenset(("events", "triggers")),
+        extra="hdf5", reader=f"{_ROOM}.hdf5.reader:Hdf5Recording"),
+    Format(
         name="davis-usb", title="words of a DAVIS346 over USB", holds=_ALL,
         suffixes=(".usb",), magic=(b"#!PDAVIS-USB1\n",),
         reader=f"{_ROOM}.davis_trace:TraceRecording"),

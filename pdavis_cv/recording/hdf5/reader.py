@@ -1,16 +1,18 @@
-"""HDF5 in the layouts of E2P (events and frames), DSEC (events) and rpg (both).
+"""HDF5 in the layouts of E2P and rpg (events and frames), DSEC and Metavision (events).
 
 E2P: ``/events`` (N, 4) of t, x, y, p, ``/frame`` (K, H, W), ``/frame_ts``,
 ``/frame_idx``.  DSEC: ``/events/{t,x,y,p}``, ``/ms_to_idx``, ``/t_offset``.  The
 layout of rpg and Monash: ``/events/{ts,xs,ys,ps}``, ``/images/image000000000`` with an
-attribute ``timestamp``, ``sensor_resolution``.  Data that these layouts do not have
+attribute ``timestamp``, ``sensor_resolution``.  Metavision: ``/CD/events`` with fields
+x, y, p, t, and ``/EXT_TRIGGER/events``.  Data that these layouts do not have
 (exposure, IMU, triggers) are stored under ``/pdavis``.
 """
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Hashable, Iterator
+import re
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +32,7 @@ from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.prophesee import ordered_triggers
 from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
@@ -43,6 +46,8 @@ MAX_CHUNK = 256 << 20
 MOST_RATIO = 1100
 """Deflate compresses at most 1032 to 1; a file that claims more is damaged."""
 MAX_EXPOSURE_US = 60_000_000
+ECF = 0x8ECF
+"""Prophesee's number of its codec among the filters of HDF5."""
 
 
 def h5py_module() -> Any:
@@ -94,9 +99,9 @@ class Hdf5Recording(FileRecording):
             with _reading():
                 self._columns = self._find_events()
                 self._frames = self._dataset(self._file, "frame", 3)
-                images = self._file.get("images")
+                images = self._member(self._file, "images")
                 if self._frames is None and isinstance(images, h5py.Group):
-                    self._frames = _Images(images, self._dataset)
+                    self._frames = _Images(images, self._dataset, self._member)
                 return self._make_info(options)
         except _LostError as error:
             raise RecordingError(f"{path}: the file is damaged: {error}") from error
@@ -104,9 +109,35 @@ class Hdf5Recording(FileRecording):
 
     # Opening -------------------------------------------------------------------
 
+    def _member(self, group: Any, name: str) -> Any:
+        """Return a group or a dataset that lies in this file, None if there is none.
+
+        Raises
+        ------
+        RecordingError
+            If HDF5 would read another file instead, which nobody named.
+        """
+        h5py = h5py_module()
+        link = group.get(name, getlink=True)
+        where = f"{group.name.rstrip('/')}/{name}"
+        kind = {h5py.ExternalLink: "an external link",
+                h5py.SoftLink: "a soft link"}.get(type(link))
+        if kind is not None:
+            raise RecordingError(
+                f"{self._path}: {where} is {kind} to "
+                f"{getattr(link, 'filename', '') or 'the file'}:{link.path}, which is "
+                "not followed: copy the data into one file")
+        found = None if link is None else group[name]
+        if isinstance(found, h5py.Dataset) and (found.is_virtual or found.external):
+            kind = "a virtual data set" if found.is_virtual else "external storage"
+            raise RecordingError(
+                f"{self._path}: {where} is {kind}: its data lie in other files, which "
+                "are not read: copy the data into one file")
+        return found
+
     def _dataset(self, group: Any, name: str, dimensions: int) -> Any:
         """Return a checked dataset of numbers, None if there is none."""
-        found = group.get(name)
+        found = self._member(group, name)
         if found is None:
             return None
         if not isinstance(found, h5py_module().Dataset) or found.ndim != dimensions or (
@@ -114,22 +145,70 @@ class Hdf5Recording(FileRecording):
             raise RecordingError(
                 f"{self._path}: {found.name if found.name else name} must be numbers "
                 f"in {dimensions} dimensions")
+        self._bounded(found, name)
+        return found
+
+    def _bounded(self, found: Any, name: str) -> None:
+        """Raise RecordingError if a dataset claims more than its file can hold."""
         row = found.dtype.itemsize * math.prod(found.shape[1:])
         chunk = found.dtype.itemsize * math.prod(found.chunks or ())
         if row * len(found) > self._most_bytes or max(row, chunk) > MAX_CHUNK:
             raise RecordingError(
                 f"{self._path}: {name} of shape {found.shape} does not fit into the "
                 f"file's {self._path.stat().st_size} bytes")
+
+    def _records(self, name: str, fields: str) -> Any:
+        """Return ``/NAME/events`` of Metavision, None if there is none.
+
+        Raises
+        ------
+        RecordingError
+            If it has other fields, or is compressed by a codec that is not installed.
+        """
+        h5py = h5py_module()
+        group = self._member(self._file, name)
+        if not isinstance(group, h5py.Group):
+            return None
+        found = self._member(group, "events")
+        if found is None:
+            return None
+        if not isinstance(found, h5py.Dataset) or found.ndim != 1 or (
+                not set(fields) <= set(found.dtype.names or ())):
+            raise RecordingError(
+                f"{self._path}: /{name}/events must be records of {', '.join(fields)}")
+        self._bounded(found, f"/{name}/events")
+        filters = found.id.get_create_plist()
+        for k in range(filters.get_nfilters()):
+            number = filters.get_filter(k)[0]
+            if not h5py.h5z.filter_avail(number):
+                codec = "ECF" if number == ECF else f"filter {number}"
+                raise RecordingError(
+                    f"{self._path}: HDF5 of Metavision, compressed by {codec}, for "
+                    "which HDF5 lacks the plugin: set HDF5_PLUGIN_PATH to that of "
+                    "Prophesee's hdf5_ecf, or convert the file by "
+                    "metavision_file_to_dat")
         return found
 
     def _find_events(self) -> Callable[[slice], tuple[NDArray[Any], ...]]:
         """Return a function from rows to (t, x, y, p); set the number of rows."""
-        events = self._file.get("events")
+        records = self._records("CD", "txyp")
+        if records is not None:
+            self._format, self._length = "HDF5 (Metavision)", len(records)
+            self._piece = (records.chunks or (CHUNK,))[0]
+
+            def read_records(rows: slice) -> tuple[NDArray[Any], ...]:
+                part = records[rows]
+                return (part["t"].astype(np.int64), *(
+                    np.ascontiguousarray(part[name]) for name in "xyp"))
+
+            return read_records
+        events = self._member(self._file, "events")
         if isinstance(events, h5py_module().Group) and all(k in events for k in "txyp"):
             columns = [self._dataset(events, k, 1) for k in "txyp"]
-            offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
+            stated = self._member(self._file, "t_offset")
+            offset = 0 if stated is None else int(stated[()])
             offset = min(max(offset, -FAR // 2), FAR // 2)
-            self._format, self._length = "HDF5 (DSEC)", min(map(len, columns))
+            self._format, self._length = "HDF5 (DSEC)", self._common_length(columns)
             self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
 
             def read(rows: slice) -> tuple[NDArray[Any], ...]:
@@ -140,7 +219,7 @@ class Hdf5Recording(FileRecording):
         if isinstance(events, h5py_module().Group) and all(
                 k in events for k in ("ts", "xs", "ys", "ps")):
             columns = [self._dataset(events, k, 1) for k in ("ts", "xs", "ys", "ps")]
-            self._format, self._length = "HDF5 (rpg)", min(map(len, columns))
+            self._format, self._length = "HDF5 (rpg)", self._common_length(columns)
             self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
             unit = _unit(self._first(lambda rows: columns[0][rows]))
 
@@ -149,12 +228,12 @@ class Hdf5Recording(FileRecording):
                 return _microseconds(t, unit), x, y, p
 
             return read_rpg
-        table = self._dataset(self._file, "events", 2) if "events" in self._file else (
-            None)
+        table = self._dataset(self._file, "events", 2) if isinstance(
+            events, h5py_module().Dataset) else None
         if table is None or table.shape[1] != 4:
             raise RecordingError(
                 f"{self._path}: no /events of E2P (N, 4), DSEC (t, x, y, p) or "
-                "rpg (ts, xs, ys, ps); it "
+                "rpg (ts, xs, ys, ps), no /CD/events of Metavision; it "
                 f"holds {', '.join(self._file) or 'nothing'}")
         self._format, self._length = "HDF5 (E2P)", len(table)
         self._piece = (table.chunks or (CHUNK,))[0]
@@ -166,6 +245,16 @@ class Hdf5Recording(FileRecording):
 
         return read_table
 
+    def _common_length(self, columns: Sequence[Any]) -> int:
+        """Return the length of the columns t, x, y, p; raise if they differ."""
+        lengths = [len(column) for column in columns]
+        if len(set(lengths)) > 1:
+            names = ", ".join(f"{column.name} {length}" for column, length in zip(
+                columns, lengths, strict=True))
+            raise RecordingError(
+                f"{self._path}: columns of events must have one length, got {names}")
+        return lengths[0]
+
     def _first(self, read: Callable[[slice], NDArray[Any]]) -> NDArray[Any]:
         """Return the readable ones of the first events."""
         step = max(self._piece, LEAST_PIECE)
@@ -175,18 +264,53 @@ class Hdf5Recording(FileRecording):
                 return read(rows)
         raise _LostError("none of its events can be read")
 
+    def _stated_size(self, options: SourceOptions) -> Fact | None:
+        """Return the sensor (height, width) that the file states, None if it does not.
+
+        Raises
+        ------
+        RecordingError
+            If the attribute is something else than two numbers, and the caller does
+            not state the size.
+        """
+        for name in ("sensor_size", "sensor_resolution", "geometry"):
+            found = self._file.attrs.get(name)
+            if found is None:
+                continue
+            if isinstance(found, bytes | str):
+                text = found.decode("latin-1") if isinstance(found, bytes) else found
+                sides = [int(side) for side in re.findall(r"\d{1,9}", text)]
+                if len(sides) == 2 and name == "geometry":  # of Metavision
+                    return Fact((sides[1], sides[0]), FILE)
+                if len(sides) == 2:
+                    height, width = sorted(sides)
+                    self._log.add("sensor size", None, f"the attribute {name} is the "
+                                  f"text {text!r}: taken as {width}x{height}")
+                    return Fact((height, width), ASSUMED)
+            else:
+                sides = [int(side) for side in np.ravel(found)]
+                if len(sides) == 2:
+                    return Fact((sides[0], sides[1]), FILE)
+            if options.size is None:
+                raise RecordingError(
+                    f"{self._path}: the attribute {name} must be two numbers, height "
+                    f"and width, it is {found!r}; sensor_size= states it")
+        return None
+
     def _make_info(self, options: SourceOptions) -> RecordingInfo:
-        attributes = self._file.attrs
-        size = attributes.get("sensor_size", attributes.get("sensor_resolution"))
-        origin = FILE
+        attributes, origin = self._file.attrs, FILE
+        size = self._stated_size(options)
         if size is not None:
-            height, width = (int(side) for side in size[:2])
+            (height, width), origin = size.value, size.origin
         elif self._frames is not None and len(self._frames):
             height, width = self._frames.shape[1:]
         elif options.size is not None:
             (height, width), origin = options.size, CALLER
         else:
             # DSEC has no size: use that of the first events, at least a DAVIS346.
+            self._log.add("unknown size", None, "the file does not give the sensor's "
+                          "size: one that holds the first events is assumed; "
+                          "sensor_size=(height, width) sets another")
             height = max(260, 1 + int(
                 self._first(lambda rows: self._columns(rows)[2]).max(initial=0)))
             width = max(346, 1 + int(
@@ -214,7 +338,7 @@ class Hdf5Recording(FileRecording):
             start_us=self._start(), event_count=self._length,
             frame_count=0 if self._frames is None else len(self._frames),
             imu_count=len(self._table("imu", IMU_DTYPE)),
-            trigger_count=len(self._table("triggers", TRIGGER_DTYPE)))
+            trigger_count=len(self._triggers()))
 
     def _start(self) -> int | None:
         try:
@@ -251,7 +375,7 @@ class Hdf5Recording(FileRecording):
     def _batches(self, start_us: int | None, memory: Scratch) -> Iterator[Batch]:
         frames, taken = self._all_frames(), 0
         yield Batch(imu=self._table("imu", IMU_DTYPE),
-                    triggers=self._table("triggers", TRIGGER_DTYPE),
+                    triggers=self._triggers(),
                     complete_us=NEVER)
         clock, before = Clock(Timeline()), NEVER
         for row in range(self._row_before(start_us), self._length, CHUNK):
@@ -302,10 +426,10 @@ class Hdf5Recording(FileRecording):
         """Return the IMU samples or triggers that this library's writer stored."""
         try:
             with _reading():
-                group = self._file.get("pdavis")
-                if group is None or name not in group:
+                group = self._member(self._file, "pdavis")
+                found = None if group is None else self._member(group, name)
+                if found is None:
                     return np.empty(0, dtype)
-                found = group[name]
                 # HDF5 itself crashes on a record whose fields overlap.
                 if found.dtype != dtype or found.ndim != 1 or (
                         len(found) * dtype.itemsize > self._most_bytes):
@@ -321,6 +445,22 @@ class Hdf5Recording(FileRecording):
             self._log.add("backward time", name, f"{name} samples were dropped because "
                           "time ran backward", count=int(np.count_nonzero(~keep)))
         return table[keep]
+
+    def _triggers(self) -> NDArray[Any]:
+        """Return the external triggers of Metavision, or those of this library."""
+        try:
+            with _reading():
+                records = self._records("EXT_TRIGGER", "tp")
+                if records is not None:
+                    found = records[()]
+                    triggers, late = ordered_triggers(
+                        found["t"].astype(np.int64), found["p"], NEVER)
+                    self._count(0, "late triggers", late, "triggers were "
+                                "dropped because time ran backward", unit="row")
+                    return triggers
+        except _LostError as error:
+            self._damage("EXT_TRIGGER", "the triggers", error)
+        return self._table("triggers", TRIGGER_DTYPE)
 
     def _all_frames(self) -> list[_Place]:
         """Return the numbers and times of all frames, in time order."""
@@ -358,7 +498,7 @@ class Hdf5Recording(FileRecording):
         return found
 
     def _extra(self, name: str, default: NDArray[Any]) -> NDArray[Any]:
-        group = self._file.get("pdavis")
+        group = self._member(self._file, "pdavis")
         column = None if group is None else self._dataset(group, name, 1)
         if column is None or len(column) != len(default):
             return default
@@ -374,7 +514,7 @@ class Hdf5Recording(FileRecording):
                 with np.errstate(over="ignore"):    # what is not finite is not valid
                     dn = image.astype(np.float32) * np.float32(4 if eight else 1)
                 valid = dn < full
-                group = self._file.get("pdavis")
+                group = self._member(self._file, "pdavis")
                 known = None if group is None else self._dataset(group, "valid", 3)
                 if known is not None and known.shape == self._frames.shape:
                     valid = known[place.k].astype(np.bool_)
@@ -406,12 +546,15 @@ class _Images:
         ``/images``; those without a numeric ``timestamp`` are left out.
     dataset : callable
         From (group, name, dimensions) to a checked dataset of numbers.
+    member : callable
+        From (group, name) to what lies in this file.
     """
 
-    def __init__(self, group: Any, dataset: Callable[[Any, str, int], Any]) -> None:
-        found = [(float(group[name].attrs["timestamp"]), name) for name in group
-                 if "timestamp" in group[name].attrs]
-        found.sort()
+    def __init__(self, group: Any, dataset: Callable[[Any, str, int], Any],
+                 member: Callable[[Any, str], Any]) -> None:
+        images = {name: member(group, name) for name in group}
+        found = sorted((float(image.attrs["timestamp"]), name) for name, image in
+                       images.items() if "timestamp" in image.attrs)
         self._group, self._dataset = group, dataset
         self._names = [name for _, name in found]
         self.times = np.array([t for t, _ in found], np.float64)
