@@ -8,6 +8,7 @@ import reference_files as reference
 from event_bytes import text_file
 from test_event_files import SIZE, read, some_events
 
+import pdavis_cv
 from pdavis_cv import EVENT_DTYPE, RecordingError, _kernels, open_recording
 from pdavis_cv.tools.main import main
 
@@ -167,6 +168,19 @@ def test_text_of_something_else_is_refused_by_its_columns(tmp_path, text, messag
     (tmp_path / "x.csv").write_text(text)
     with pytest.raises(RecordingError, match=message):
         open_recording(tmp_path / "x.csv")
+
+
+def test_text_is_never_taken_for_images(tmp_path):
+    (tmp_path / "x.csv").write_text("not, events\nat, all\n")
+    for layout in (None, "sony"):
+        with pytest.raises(RecordingError, match="text, but no lines of events: "):
+            open_recording(tmp_path / "x.csv", layout=layout)
+    video = pdavis_cv.VideoCapture(str(tmp_path / "x.csv"), layout="sony")
+    assert not video.isOpened()
+    events = some_events(300)
+    (tmp_path / "x.csv").write_bytes(b"640 480\n" + text_file(events))
+    with open_recording(tmp_path / "x.csv", layout="sony") as recording:
+        np.testing.assert_array_equal(recording.events(), events)
 
 
 def test_columns_are_stated_where_names_do_not_say_them(tmp_path):

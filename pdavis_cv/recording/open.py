@@ -74,6 +74,10 @@ def open_recording(
     # A path that does not exist may be a pattern of image names.
     start = first_bytes(path) if is_remote(path) or path.exists() else b""
     found = format_of(path, start)
+    if found is None and _is_text(start):
+        if options.columns is None:     # never an image, whatever the layout
+            raise _not_a_recording(path, start)
+        found = FORMATS["text"]
     if found is None and (
             options.known_layout is not None or is_four_planes(str(path))):
         found = FORMATS["images"]
@@ -100,14 +104,28 @@ def _images(
 
 def _not_a_recording(path: Path, start: bytes) -> RecordingError:
     if path.is_dir():
-        return RecordingError(f"{path}: a folder that is not a recording")
+        bags = sorted(one.name for one in path.iterdir()
+                      if one.suffix in (".db3", ".mcap"))
+        return RecordingError(f"{path}: a folder that is not a recording" + (
+            f" (a bag without metadata.yaml: open {bags[0]} in it)" if bags else ""))
     if start.startswith(b"#"):
         return RecordingError(f"{path}: byte 0: {_other_aedat(start)}")
     if not start:
         return RecordingError(f"{path}: byte 0: the file is empty")
+    what = ("text, but no lines of events: time, x, y, polarity" if _is_text(start) else
+            "a video or image of a polarization camera needs its layout, e.g. "
+            'layout="sony"')
     return RecordingError(
-        f"{path}: byte 0: not a recording, first bytes {start[:8]!r} (a video or "
-        "image of a polarization camera needs its layout, e.g. layout=\"sony\")")
+        f"{path}: byte 0: not a recording, first bytes {start[:8]!r} ({what})")
+
+
+def _is_text(start: bytes) -> bool:
+    """Return whether a file begins with text that is no image (PNM is one)."""
+    return bool(start) and not _NOT_TEXT.search(start) and not _PNM.match(start)
+
+
+_NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+_PNM = re.compile(rb"P[1-7]\s")
 
 
 def _other_aedat(start: bytes) -> str:
