@@ -90,3 +90,13 @@ def pytest_runtest_makereport(item, call):
             report.outcome = "failed"
             report.longrepr = f"a data test skipped though {DATA} exists: {reason}"
     return report
+
+
+@pytest.fixture
+def silence_tells_no_time(monkeypatch):
+    """Let a dv stream's time not go on with the host's while nothing arrives.
+
+    A test sends seconds of stream at once.  Events that a busy machine delivers later
+    than their stream's time has been said to be would be dropped, as late.
+    """
+    monkeypatch.setattr("pdavis_cv.live.dv.MARGIN_US", 1 << 60)

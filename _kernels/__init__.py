@@ -33,7 +33,6 @@ from ._event_words import (
 )
 from ._events import count, surface, voxel
 from ._guided import guided
-from ._image_queue import ImageQueue
 from ._kalman import kalman_frame, kalman_inflate
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
@@ -77,7 +76,6 @@ from ._store import store_commit, store_link, store_mark, store_push, store_unli
 
 __all__ = [
     "DEBUG",
-    "ImageQueue",
     "aedat2_words",
     "aedat4_events",
     "aedat4_table_bytes",

@@ -1,9 +1,8 @@
 """The degree of polarization that lasts: docs/theory/kalman.md derives it."""
 from libc.stdint cimport uint8_t
-from libc.string cimport memchr
+from libc.string cimport memchr, memcpy
 
 from _kernels._model cimport check_given
-from _kernels._team cimport team_share, team_t
 
 cdef extern from "_degree.h" nogil:
     enum:
@@ -26,7 +25,6 @@ cdef extern from "_degree.h" nogil:
     void weigh_degree(cells_t*, Py_ssize_t)
 
 cdef enum:
-    CHUNK = 8       # rows of macropixels that a thread takes at a time: 12 us
     BRIDGED = 4     # most unused macropixels within a run: a run costs more than these
     # Planes of `degree_frame`: mean degree; frames in it; error of its last prediction;
     # sums over neighbours, with a long memory, of products of errors of consecutive
@@ -48,7 +46,7 @@ cdef struct analyser_t:
     bint one
 
 cdef struct showing_t:
-    # What `lasting_degree` shares among threads.
+    # What `lasting_degree` is given.
     Py_ssize_t rows, columns, w
     const float* lasting
     analyser_t analyser
@@ -60,10 +58,10 @@ cdef struct showing_t:
 cdef int set_analyser(analyser_t* of, const float[:, :, ::1] numbers, Py_ssize_t h,
                       Py_ssize_t w) except -1:
     of.one = numbers.shape[1] == 1 and numbers.shape[2] == 1
+    of.size = 1 if of.one else h * w
     if numbers.shape[0] != ANALYSER or not of.one and (
             numbers.shape[1] != h or numbers.shape[2] != w):
         raise ValueError("analyser must be (24, h, w) or (24, 1, 1)")
-    of.size = 1 if of.one else h * w
     of.numbers = &numbers[0, 0, 0] if h * w > 0 else NULL
     return 0
 
@@ -173,9 +171,9 @@ cdef inline Py_ssize_t position(const uint8_t* marks, int mark, Py_ssize_t first
     return n if found == NULL else found - marks
 
 
-cdef void weigh_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+cdef void weigh_rows(const showing_t* of, Py_ssize_t first,
+                     Py_ssize_t last) noexcept nogil:
     """Weigh the macropixels of rows whose degree lasts and that are valid."""
-    cdef const showing_t* of = <const showing_t*>args
     cdef const float* share = of.lasting + 2 * of.rows * of.columns
     cdef const uint8_t* valid
     cdef group_t group
@@ -210,7 +208,7 @@ cdef void weigh_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nog
 
 
 cdef struct frame_t:
-    # What `degree_frame` shares among threads; h and w count macropixels.
+    # What `degree_frame` is given; h and w count macropixels.
     Py_ssize_t h, w, stride     # stride: of log
     const float* log
     analyser_t analyser
@@ -221,16 +219,15 @@ cdef struct frame_t:
     float* lasting
 
 
-cdef void compare_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
-    """Find the degrees of rows, and by how much they differ from the means before."""
-    cdef const frame_t* of = <const frame_t*>args
+cdef void compare(const frame_t* of) noexcept nogil:
+    """Find the degrees, and by how much they differ from the means before."""
     cdef Py_ssize_t size = of.h * of.w, padded = (of.h + 2) * of.w
     cdef Py_ssize_t y, part, x, n, i, at
     cdef group_t group
     cdef float* row
     cdef float degree, error, seen
     group.filled = False
-    for y in range(first, last):
+    for y in range(of.h):
         for part in range((of.w + CELLS - 1) // CELLS):
             x = part * CELLS
             n = min(<Py_ssize_t>CELLS, of.w - x)
@@ -281,13 +278,12 @@ cdef void add_row(const frame_t* of, Py_ssize_t plane, Py_ssize_t row, Py_ssize_
         here = after
 
 
-cdef void sum_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
-    """Sum the errors around each macropixel of rows, and write what lasts."""
-    cdef const frame_t* of = <const frame_t*>args
+cdef void sum_around(const frame_t* of) noexcept nogil:
+    """Sum the errors around each macropixel, and write what lasts."""
     cdef Py_ssize_t size = of.h * of.w, y, x, k
     cdef const float* p
     cdef float error, mean, own, latest, compared, share
-    for y in range(first, last):
+    for y in range(of.h):
         for k in range(PRODUCT, PLANES):
             add_row(of, k, 2 if k == PRODUCT else (k - LONG) % 2, y, <float>1.0
                     - <float>1.0 / (of.most if k < LATE else of.late))
@@ -312,7 +308,7 @@ def degree_frame(const float[:, ::1] log not None,
                  const float[:, :, ::1] analyser not None, constants not None,
                  const float[:, :, ::1] before not None,
                  float[:, :, ::1] planes not None, float[:, :, ::1] scratch not None,
-                 float[:, :, ::1] lasting not None, team not None):
+                 float[:, :, ::1] lasting not None):
     """Update the degree of polarization that lasts with a frame.
 
     log (>= 2 h, >= 2 w) holds log intensities at mid-exposure, NaN where unknown.
@@ -321,15 +317,10 @@ def degree_frame(const float[:, ::1] log not None,
     times its sigma the degree has to be, squared.  before (8, h, w) is the state, 0 at
     first, and planes receives the next one; scratch is (3, h + 2, w), 0 in its first
     and last rows; lasting (3, h, w) receives the degree, its variance and its share.
-    team is as in `kalman_show`.
     """
     cdef Py_ssize_t h = planes.shape[1], w = planes.shape[2]
     cdef frame_t of
-    cdef team_t* shared
-    cdef size_t address
-    cdef bint wake
     of.most, of.late, of.first, of.sure = constants
-    address, wake = team
     if (log.shape[0] < 2 * h or log.shape[1] < 2 * w or planes.shape[0] != PLANES
             or before.shape[0] != PLANES or before.shape[1] != h or before.shape[2] != w
             or scratch.shape[0] != 3 or scratch.shape[1] != h + 2
@@ -342,55 +333,48 @@ def degree_frame(const float[:, ::1] log not None,
     of.h, of.w, of.stride, of.log = h, w, log.shape[1], &log[0, 0]
     of.before, of.planes = &before[0, 0, 0], &planes[0, 0, 0]
     of.scratch, of.lasting = &scratch[0, 0, 0], &lasting[0, 0, 0]
-    shared = <team_t*>address
     with nogil:
-        if address:
-            team_share(shared, wake, compare_rows, &of, h, CHUNK)
-            team_share(shared, wake, sum_rows, &of, h, CHUNK)
-        else:
-            compare_rows(&of, 0, h)
-            sum_rows(&of, 0, h)
+        compare(&of)
+        sum_around(&of)
 
 
 def lasting_degree(const float[:, :, ::1] lasting not None,
                    const float[:, :, ::1] analyser not None, shown not None,
-                   rows not None, team not None):
+                   rows not None, float[:, ::1] out not None):
     """Weigh the degree of polarization of an image against the one that lasts.
 
     lasting (3, h, w) is, by macropixel, that degree, its variance, and a factor on its
     weight (0: not used).  analyser, (24, h, w) or (24, 1, 1), has by place in the
     macropixel the solution for S0, S1 and S2, the responses to S1 and S2, and the null
-    vector.  shown is (log intensity, its variance, valid), of at least (2 h, 2 w); the
-    log intensities of macropixels in the rows (first, last) that are valid at all four
-    places change.  team is as in `kalman_show`.
+    vector.  shown is (log intensity, its variance, valid), of at least (2 h, 2 w).  out
+    receives the log intensities of the rows (first, last) of macropixels, of which
+    those that are valid at all four places change, and all rows below with the last of
+    them; it may be the same image.
     """
-    cdef Py_ssize_t first, last
-    cdef float[:, ::1] log
-    cdef const float[:, ::1] variance
+    cdef Py_ssize_t first, last, top, bottom
+    cdef const float[:, ::1] log, variance
     cdef const uint8_t[:, ::1] valid
     cdef showing_t of
-    cdef size_t address
-    cdef bint wake
     check_given(shown)
     log, variance, valid = shown
     first, last = rows
-    address, wake = team
     of.rows, of.columns, of.w = lasting.shape[1], lasting.shape[2], log.shape[1]
     set_analyser(&of.analyser, analyser, of.rows, of.columns)
     if lasting.shape[0] != 3:
         raise ValueError("lasting_degree: lasting must be (3, h, w)")
     if (log.shape[0] < 2 * of.rows or log.shape[1] < 2 * of.columns
             or variance.shape[0] != log.shape[0] or variance.shape[1] != log.shape[1]
-            or valid.shape[0] != log.shape[0] or valid.shape[1] != log.shape[1]):
+            or valid.shape[0] != log.shape[0] or valid.shape[1] != log.shape[1]
+            or out.shape[0] != log.shape[0] or out.shape[1] != log.shape[1]):
         raise ValueError("lasting_degree: shown must be images that hold (2 h, 2 w)")
     if first < 0 or last > of.rows:
         raise ValueError("lasting_degree: rows must lie in the image")
     if of.rows * of.columns == 0 or first >= last:
         return
     of.lasting = &lasting[0, 0, 0]
-    of.log, of.variance, of.valid = &log[0, 0], &variance[0, 0], &valid[0, 0]
+    of.log, of.variance, of.valid = &out[0, 0], &variance[0, 0], &valid[0, 0]
+    top, bottom = 2 * first, log.shape[0] if last == of.rows else 2 * last
     with nogil:
-        if address and first == 0:
-            team_share(<team_t*>address, wake, weigh_rows, &of, last, CHUNK)
-        else:
-            weigh_rows(&of, first, last)
+        if <const float*>&out[0, 0] != &log[0, 0]:
+            memcpy(&out[top, 0], &log[top, 0], (bottom - top) * of.w * sizeof(float))
+        weigh_rows(&of, first, last)

@@ -2,7 +2,8 @@
 from libc.stdint cimport uint8_t
 
 from _kernels._rows cimport (
-    bilinear_row, check_places, plane_of_place, row_stride, scratch_row)
+    bilinear_row, check_places, plane_of_place, polarization_row, row_stride,
+    scratch_row)
 from _kernels._types cimport pixel_t
 from _kernels._weighted cimport (
     BORDER_SLOPE, check_weighted, variance_row, weighted_row, weighted_t)
@@ -136,15 +137,18 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
                       const float[::1] spread not None,
                       const float[:, :, ::1] null not None, rows not None,
                       float[::1] scratch not None, float[:, :, ::1] quad not None,
-                      float[:, :, ::1] out not None):
+                      float[:, :, ::1] out not None, float gain,
+                      float[:, ::1] aop not None, float[:, ::1] dolp not None):
     """Interpolate mosaic into quad, its variance (of ln I) into out; reconcile them.
 
     The same bits as `bilinear` of uncertain samples, `bilinear_variance`, `mismatch`
     with the three numbers of spread (empty: without it) and `reconcile` with null, but
     row by row, so that intermediate results stay in the cache.  Only rows (first, last)
-    are written; scratch is 2 * (w + 32) + 32 floats.
+    are written; scratch is 2 * (w + 32) + 32 floats.  Unless aop and dolp have shape
+    (0, 0), they receive what `aop_dolp` gives with gain.
     """
     cdef weighted_t image
+    cdef bint polarizes = aop.shape[0] > 0
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], first, last, y, c
     cdef float* q[4]
     cdef float* v[4]
@@ -152,6 +156,9 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
     if (quad.shape[0] != 4 or quad.shape[1] != h or quad.shape[2] != w
             or out.shape[0] != 4 or out.shape[1] != h or out.shape[2] != w):
         raise ValueError("bilinear_weighted: quad and out must be (4, h, w)")
+    if dolp.shape[0] != aop.shape[0] or dolp.shape[1] != aop.shape[1] or polarizes and (
+            aop.shape[0] != h or aop.shape[1] != w):
+        raise ValueError("bilinear_weighted: aop and dolp must be (h, w) or (0, 0)")
     first, last = rows
     if first < 0 or last > h:
         raise ValueError("bilinear_weighted: rows must lie in the mosaic")
@@ -160,6 +167,9 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
             for c in range(4):
                 q[c], v[c] = &quad[c, y, 0], &out[c, y, 0]
             weighted_row(&image, y, q, v)
+            if polarizes:
+                polarization_row(
+                    q[0], q[1], q[2], q[3], gain, w, &aop[y, 0], &dolp[y, 0])
 
 
 cdef inline void keep_row(uint8_t* to, const uint8_t* of, Py_ssize_t n) noexcept nogil:

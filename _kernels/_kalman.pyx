@@ -23,7 +23,6 @@ from _kernels._model cimport (
 from _kernels._segments cimport (
     add_segment, add_segments, begin_segments, begin_sums, de_blur, middle_row,
     segments_t, sums_t)
-from _kernels._team cimport team_share, team_t
 from _kernels._tracks cimport REST_US, at_rest, drift, start, step, walk_t
 from _kernels._update cimport FIRST_VARIANCE, LEARN_EVENTS, propagate
 
@@ -58,7 +57,7 @@ cdef extern from "_prefetch.h" nogil:
     void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
 
 cdef struct using_t:
-    # What `kalman_frame` shares among threads.
+    # What `kalman_frame` is given.
     Py_ssize_t h, w, rows       # of the image, and of a band
     const sample_t* samples
     const exposure_t* exposures
@@ -108,9 +107,8 @@ cdef inline void fetch_chains(chains_t* chains, Py_ssize_t at, Py_ssize_t stop,
         ahead -= HOP
 
 
-cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+cdef void use_bands(using_t* of, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
     """Update the states of bands, each of which has its own sums of innovations."""
-    cdef using_t* of = <using_t*>args
     cdef Py_ssize_t y, x, n, i, at
     cdef group_t group
     cdef slot_t[TOGETHER] slots
@@ -150,7 +148,7 @@ cdef void use_bands(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
 def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not None,
                  track_t[:, ::1] tracks not None, state_t[:, ::1] states not None,
                  double[:, ::1] innovations not None, node_t[:, ::1] nodes not None,
-                 float[:, ::1] middles not None, bands not None, team not None):
+                 float[:, ::1] middles not None, bands not None):
     """De-blur a frame by the stored events and update the states with it.
 
     frame is (samples, exposures by column, time up to which events are known), chain
@@ -159,8 +157,7 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     last, rows): only bands of so many rows with first <= band < last are used.  A row
     of innovations collects the sums of a band, of the terms listed in _measure.h.
     nodes receives the measurements for a smoother; it may be empty.  middles receives
-    log intensity at each exposure's middle, NaN without a sample.  team is as in
-    `kalman_show`.
+    log intensity at each exposure's middle, NaN without a sample.
     """
     cdef const sample_t[:, ::1] samples
     cdef const exposure_t[::1] exposures
@@ -170,14 +167,11 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     cdef const wave_t[::1] waves
     cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], first, last
     cdef using_t using
-    cdef size_t address
-    cdef bint wake
     check_given((*frame, *chain, *model))
     samples, exposures, using.known = frame
     store, old = chain
     tuning, waves = model
     first, last, using.rows = bands
-    address, wake = team
     if (samples.shape[0] != h or samples.shape[1] != w or states.shape[0] != h
             or states.shape[1] != w or old.shape[0] != h or old.shape[1] != w
             or exposures.shape[0] != w or middles.shape[0] != h
@@ -203,10 +197,7 @@ def kalman_frame(frame not None, chain not None, Py_ssize_t committed, model not
     if nodes.shape[0] > 0:
         using.nodes = &nodes[0, 0]
     with nogil:
-        if address and first == 0:
-            team_share(<team_t*>address, wake, use_bands, &using, last, 1)
-        else:
-            use_bands(&using, first, last)
+        use_bands(&using, first, last)
 
 
 cdef inline double third_difference(state_t* s, double log,

@@ -18,7 +18,6 @@ from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport (
     enter_smoothed, gap_t, read_smoothed, resting_of, resting_t, show_resting)
-from _kernels._team cimport pd_rows, team_share, team_t
 from _kernels._tracks cimport REST_US, at_rest, walk_t
 
 cdef extern from "_prefetch.h" nogil:
@@ -33,10 +32,7 @@ cdef extern from "_rest.h" nogil:
                     float*, unsigned char*)
 
 cdef enum:
-    # Rows, and groups of lanes, that a thread takes at a time: about 10 us.
-    CHUNK = 16
-    # How many changed pixels ahead a next event is asked for.
-    SOON = 8
+    SOON = 8        # how many changed pixels ahead a next event is asked for
 
 cdef enum:
     # Flag of a pixel at rest whose state has changed; an event would have listed it.
@@ -191,7 +187,7 @@ cdef inline void write_group(const shown_t* group, const int32_t* pixels,
 
 
 cdef struct showing_t:
-    # What `kalman_show` shares among threads.
+    # What `kalman_show` is given.
     const known_t* known
     const reader_t* reader
     Py_ssize_t w, size
@@ -205,7 +201,6 @@ cdef struct showing_t:
     Py_ssize_t first, last      # pixels to show
     lanes_t* lanes
     images_t out
-    Py_ssize_t offset       # added to the rows, or groups, that are shared
 
 
 cdef void look_for_changed(const showing_t* of, group_t* group,
@@ -312,14 +307,14 @@ cdef void show_group(const showing_t* of, const group_t* group,
             out.valid[at] = shown.valid[lane]
 
 
-cdef void show_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
+cdef void show_rows(const showing_t* of, Py_ssize_t first,
+                    Py_ssize_t last) noexcept nogil:
     """Show rows from the planes, after those of changed pixels have been renewed."""
-    cdef showing_t* of = <showing_t*>args
     cdef Py_ssize_t w = of.w, n = of.size, y, at, i
     cdef const uint8_t* changed
     cdef const float* p
     cdef uint8_t least
-    for y in range(of.offset + first, of.offset + last):
+    for y in range(first, last):
         at = y * w
         least = LISTED
         for i in range(at, at + w):     # without an early exit: vectorized
@@ -347,13 +342,12 @@ cdef void show_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogi
                 <unsigned char*>(of.out.valid + at))
 
 
-cdef void show_groups(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
-    """Show the listed pixels of groups of lanes, as far as they lie in the part."""
-    cdef showing_t* of = <showing_t*>args
+cdef void show_groups(const showing_t* of) noexcept nogil:
+    """Show the listed pixels of a part of the list."""
     cdef group_t[3] groups
-    cdef Py_ssize_t i
-    first += of.offset
-    last += of.offset
+    cdef Py_ssize_t i, first = of.begin // LANES, last = (of.end + LANES - 1) // LANES
+    if of.begin == of.end:
+        return
     # Three groups at a time: memory that is asked for has come when the next group's
     # turn is over, and single values written then can be read in long words.
     for i in range(first, last + 2):
@@ -366,29 +360,17 @@ cdef void show_groups(void* args, Py_ssize_t first, Py_ssize_t last) noexcept no
             show_group(of, &groups[(i - 2) % 3], i - 2)
 
 
-cdef inline void share(team_t* team, bint wake, pd_rows work, showing_t* showing,
-                       Py_ssize_t first, Py_ssize_t last) noexcept nogil:
-    if team != NULL and first < last:
-        showing.offset = first
-        team_share(team, wake, work, showing, last - first, CHUNK)
-    elif first < last:
-        showing.offset = 0
-        work(showing, first, last)
-
-
 def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
                 const tuning_t[::1] tuning not None,
                 const state_t[:, ::1] states not None,
                 const gap_t[:, ::1] gaps not None, listing not None,
-                float[:, :, ::1] planes not None, rows not None, shown not None,
-                team not None):
+                float[:, :, ::1] planes not None, rows not None, shown not None):
     """Do as `kalman_read` without a lamp, from the cache of `kalman_rest`.
 
     listing is (listed pixels, how many of them are sorted, flags by pixel, lanes
     (n, 20, 64) of the listed pixels, aligned as float64 is); the cache is updated for
     pixels that are flagged as changed.  With gaps it does as `smooth_read` with
-    t < known.  team is (that of an `ImageQueue`, whose thread takes part if it is
-    awake, or 0; whether to wake it).
+    t < known.
     """
     cdef const stored_t[::1] store
     cdef const track_t[:, ::1] tracks
@@ -403,10 +385,7 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
     cdef known_t k
     cdef reader_t reader
     cdef showing_t showing
-    cdef size_t address
-    cdef bint wake
     first, last = rows
-    address, wake = team
     check_given((*chain, *listing, *shown))
     store, tracks = chain
     pixels, ordered, flags, lanes = listing
@@ -456,12 +435,10 @@ def kalman_show(int64_t t, int64_t known, int64_t epoch, chain not None,
     if not bare:
         showing.out.variance, showing.out.valid = &variance[0, 0], &valid[0, 0]
     with nogil:
-        share(<team_t*>address, wake, show_rows, &showing, first, last)
+        show_rows(&showing, first, last)
         showing.mixed = False
         showing.begin = found(pixels, ordered, showing.first)
         showing.end = found(pixels, ordered, showing.last)
-        share(<team_t*>address, wake, show_groups, &showing, showing.begin // LANES,
-              (showing.end + LANES - 1) // LANES)
+        show_groups(&showing)
         showing.mixed, showing.begin, showing.end = True, ordered, n
-        share(<team_t*>address, wake, show_groups, &showing, ordered // LANES,
-              (n + LANES - 1) // LANES)
+        show_groups(&showing)

@@ -1,7 +1,5 @@
 """Which pixels may be moving, and the planes of those at rest: see _reading.pyx."""
 from libc.stdint cimport int32_t, int64_t, uint8_t
-from libc.stdlib cimport calloc, free
-from libc.string cimport memmove
 
 from _kernels._estimate cimport left_out
 from _kernels._hot cimport is_hot
@@ -9,22 +7,17 @@ from _kernels._known cimport PLANES, SMOOTH_PLANES, known_t, show_planes
 from _kernels._listing cimport CHANGED, LEFT_OUT, LISTED, NEW_STATE
 from _kernels._model cimport check_given, state_t, track_t, tuning_t
 from _kernels._smoothed cimport gap_t
-from _kernels._team cimport team_share, team_t
 from _kernels._tracks cimport at_rest
 
-cdef enum:
-    CHUNK = 8       # rows that a thread takes at a time: about 20 us
-
 cdef struct listing_t:
-    # What `kalman_rest` shares among threads.
+    # What `kalman_rest` is given.
     known_t known
     int64_t now
     bint smooth
-    Py_ssize_t w, size
+    Py_ssize_t size
     int32_t* pixels
     uint8_t* flags
     float* planes
-    int32_t* counts     # of pixels listed, by chunk of rows
 
 
 cdef inline bint may_move(const listing_t* of, Py_ssize_t i) noexcept nogil:
@@ -51,18 +44,15 @@ cdef inline bint may_move(const listing_t* of, Py_ssize_t i) noexcept nogil:
     return False
 
 
-cdef void list_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
-    """List the moving pixels of rows, beginning where the rows themselves begin."""
-    cdef const listing_t* of = <const listing_t*>args
-    cdef Py_ssize_t i
-    cdef int32_t n = 0
-    cdef int32_t* pixels = of.pixels + first * of.w
-    for i in range(first * of.w, last * of.w):
+cdef Py_ssize_t list_all(const listing_t* of) noexcept nogil:
+    """List the pixels that may be moving; return how many."""
+    cdef Py_ssize_t i, n = 0
+    for i in range(of.size):
         if may_move(of, i):
             of.flags[i] = LISTED | CHANGED | NEW_STATE
-            pixels[n] = <int32_t>i
+            of.pixels[n] = <int32_t>i
             n += 1
-    of.counts[first // CHUNK] = n
+    return n
 
 
 cdef Py_ssize_t list_again(const listing_t* of) noexcept nogil:
@@ -82,7 +72,7 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
                 const track_t[:, ::1] tracks not None,
                 const state_t[:, ::1] states not None,
                 const gap_t[:, ::1] gaps not None, listing not None,
-                float[:, :, ::1] planes not None, team not None):
+                float[:, :, ::1] planes not None):
     """List the pixels that are not at rest from `now` on; return how many.
 
     listing is (pixels, flags by pixel).  The listed pixels are examined, or all of them
@@ -94,20 +84,16 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
     without a sample count as at rest, whatever their events, until `every` is set
     again.  tracks must chain the events that are not counted in it yet.  gaps is the
     result of `smooth_gap`, which knows all pixels, and planes then has shape
-    (6, h, w); it is (0, 0) if later samples are not used.  team is as in `kalman_show`;
-    it takes part if `every` is set.
+    (6, h, w); it is (0, 0) if later samples are not used.
     """
     cdef int32_t[::1] pixels
     cdef uint8_t[:, ::1] flags
-    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], i, n = 0
+    cdef Py_ssize_t h = tracks.shape[0], w = tracks.shape[1], n
     cdef bint smooth = gaps.shape[0] > 0
     cdef listing_t of
     cdef known_t* k = &of.known
-    cdef size_t address
-    cdef bint wake
     check_given(listing)
     pixels, flags = listing
-    address, wake = team
     if (states.shape[0] != h or states.shape[1] != w or flags.shape[0] != h
             or flags.shape[1] != w or planes.shape[1] != h or planes.shape[2] != w
             or planes.shape[0] != (SMOOTH_PLANES if smooth else PLANES)
@@ -122,23 +108,8 @@ def kalman_rest(int64_t now, int64_t epoch, bint every,
     k.gaps, k.epoch = NULL, epoch
     if smooth:
         k.gaps = &gaps[0, 0]
-    of.now, of.smooth, of.w, of.size = now, smooth, w, h * w
+    of.now, of.smooth, of.size = now, smooth, h * w
     of.pixels, of.flags, of.planes = &pixels[0], &flags[0, 0], &planes[0, 0, 0]
-    if not every:
-        with nogil:
-            n = list_again(&of)
-        return n
-    of.counts = <int32_t*>calloc((h + CHUNK - 1) // CHUNK, sizeof(int32_t))
-    if of.counts == NULL:
-        raise MemoryError
     with nogil:
-        if address:
-            team_share(<team_t*>address, wake, list_rows, &of, h, CHUNK)
-        else:
-            list_rows(&of, 0, h)
-        for i in range((h + CHUNK - 1) // CHUNK):
-            memmove(of.pixels + n, of.pixels + i * CHUNK * w,
-                    of.counts[i] * sizeof(int32_t))
-            n += of.counts[i]
-    free(of.counts)
+        n = list_all(&of) if every else list_again(&of)
     return n

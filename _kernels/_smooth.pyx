@@ -10,7 +10,6 @@ from _kernels._lamp cimport lamp_of, lamp_t
 from _kernels._model cimport (
     check_given, node_t, state_t, stored_t, track_t, tuning_t, wave_t)
 from _kernels._smoothed cimport gap_t, past_t, read_smoothed
-from _kernels._team cimport team_share, team_t
 
 cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
@@ -40,19 +39,8 @@ cdef extern from "_smooth.h" nogil:
     void advance_side(side_t*, const nodes_t*, const pair_t*, Py_ssize_t)
     void retreat_side(side_t*, const nodes_t*, const pair_t*, Py_ssize_t)
 
-cdef enum:
-    CHUNK = 4       # rows that a thread takes at a time: 20 us, or more for gaps
-
-cdef struct merging_t:
-    # What `smooth_past` shares among threads.
-    Py_ssize_t w
-    const node_t* nodes
-    const int64_t* times
-    const state_t* states
-    past_t* past
-
 cdef struct meeting_t:
-    # What `smooth_gap` shares among threads; n is the number of frames.
+    # What `smooth_gap` is given; n is the number of frames.
     Py_ssize_t w, size, n
     const node_t* nodes
     const int64_t* times
@@ -85,41 +73,21 @@ cdef inline void advance(past_t* past, const node_t* node, int64_t t, double on,
     past.n_off = node.n_off
 
 
-cdef void merge_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
-    cdef const merging_t* of = <const merging_t*>args
-    cdef Py_ssize_t y, x, at
-    for y in range(first, last):
-        for x in range(of.w):
-            at = y * of.w + x
-            if of.nodes[at].noise > 0:
-                advance(&of.past[at], &of.nodes[at], of.times[x],
-                        of.states[at].theta_on, of.states[at].theta_off)
-
-
 def smooth_past(const node_t[:, ::1] nodes not None, const int64_t[::1] times not None,
-                const state_t[:, ::1] states not None, past_t[:, ::1] past not None,
-                team not None):
+                const state_t[:, ::1] states not None,
+                past_t[:, ::1] past not None):
     """Merge a frame into the past: nodes as kalman_frame wrote them, times by column.
-
-    team is as in `kalman_show`.
     """
-    cdef Py_ssize_t h = past.shape[0], w = past.shape[1]
-    cdef merging_t of
-    cdef size_t address
-    cdef bint wake
-    address, wake = team
+    cdef Py_ssize_t h = past.shape[0], w = past.shape[1], y, x
     if (nodes.shape[0] != h or nodes.shape[1] != w or times.shape[0] != w
             or states.shape[0] != h or states.shape[1] != w):
         raise ValueError("smooth_past: all images must have one shape")
-    if h * w == 0:
-        return
-    of.w, of.nodes, of.times = w, &nodes[0, 0], &times[0]
-    of.states, of.past = &states[0, 0], &past[0, 0]
     with nogil:
-        if address:
-            team_share(<team_t*>address, wake, merge_rows, &of, h, CHUNK)
-        else:
-            merge_rows(&of, 0, h)
+        for y in range(h):
+            for x in range(w):
+                if nodes[y, x].noise > 0:
+                    advance(&past[y, x], &nodes[y, x], times[x], states[y, x].theta_on,
+                            states[y, x].theta_off)
 
 
 def smooth_gap(const node_t[:, :, ::1] nodes not None,
@@ -128,22 +96,18 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
                const int32_t[::1] passed not None,
                const state_t[:, ::1] states not None,
                const past_t[:, ::1] past not None, rows not None,
-               gap_t[:, ::1] out not None, gap_t[:, ::1] following not None,
-               team not None):
+               gap_t[:, ::1] out not None, gap_t[:, ::1] following not None):
     """Estimate each pixel's base from the frames before, and from those after, a time.
 
     nodes and times are indexed by slot; order lists the slots in order of time, and
     passed says by column how many of them lie before the time.  following receives the
     same for the next interval, with one more frame passed, if there is one.  Rows
-    (first, last) are written.  team is as in `kalman_show`.
+    (first, last) are written.
     """
     cdef Py_ssize_t h = past.shape[0], w = past.shape[1], n = order.shape[0]
     cdef Py_ssize_t slots = nodes.shape[0], i, first, last
     cdef meeting_t of
-    cdef size_t address
-    cdef bint wake
     first, last = rows
-    address, wake = team
     if (nodes.shape[1] != h or nodes.shape[2] != w or times.shape[0] != slots
             or times.shape[1] != w or passed.shape[0] != w or states.shape[0] != h
             or states.shape[1] != w or out.shape[0] != h or out.shape[1] != w
@@ -167,14 +131,11 @@ def smooth_gap(const node_t[:, :, ::1] nodes not None,
     of.states, of.past = &states[0, 0], &past[0, 0]
     of.out, of.following = &out[0, 0], &following[0, 0]
     with nogil:
-        if address and first == 0:
-            team_share(<team_t*>address, wake, meet_rows, &of, last, CHUNK)
-        else:
-            meet_rows(&of, first, last)
+        meet_rows(&of, first, last)
 
 
-cdef void meet_rows(void* args, Py_ssize_t first, Py_ssize_t last) noexcept nogil:
-    cdef const meeting_t* of = <const meeting_t*>args
+cdef void meet_rows(const meeting_t* of, Py_ssize_t first,
+                    Py_ssize_t last) noexcept nogil:
     cdef Py_ssize_t y, x, width
     for y in range(first, last):
         x = 0

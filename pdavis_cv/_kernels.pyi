@@ -14,7 +14,6 @@ _Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
 
 __all__ = [
     "DEBUG",
-    "ImageQueue",
     "aedat2_words",
     "aedat4_events",
     "aedat4_table_bytes",
@@ -105,21 +104,6 @@ __all__ = [
 ]
 
 DEBUG: bool
-class ImageQueue:
-    @property
-    def team(self) -> int: ...
-    @property
-    def late(self) -> bool: ...
-    def post(
-        self, log: _F32 | None, mosaic: _F32, variance: _F32, places: NDArray[np.intp],
-        spread: _F32, null: _F32, scratch: _F32, quad: _F32, out: _F32, gain: float,
-        aop: _F32, dolp: _F32,
-    ) -> int: ...
-    def wait(self, number: int) -> None: ...
-    def serve(self) -> None: ...
-    def end(self) -> None: ...
-    def finish_here(self) -> None: ...
-
 def aedat2_words(
     words: _U8, begin: int, n: int, state: _I64, frame: _I64,
     reset: NDArray[np.uint16], signal: NDArray[np.uint16], seen: _U8, times: _I64,
@@ -177,7 +161,8 @@ def bilinear_variance(
 ) -> None: ...
 def bilinear_weighted(
     mosaic: _F32, variance: _F32, places: NDArray[np.intp], spread: _F32, null: _F32,
-    rows: tuple[int, int], scratch: _F32, quad: _F32, out: _F32,
+    rows: tuple[int, int], scratch: _F32, quad: _F32, out: _F32, gain: float,
+    aop: _F32, dolp: _F32,
 ) -> None: ...
 def binned(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
@@ -207,7 +192,7 @@ def correct(
 ) -> None: ...
 def degree_frame(
     log: _F32, analyser: _F32, constants: tuple[float, float, float, float],
-    before: _F32, planes: _F32, scratch: _F32, lasting: _F32, team: tuple[int, bool],
+    before: _F32, planes: _F32, scratch: _F32, lasting: _F32,
 ) -> None: ...
 def denoise_events(
     events: NDArray[Any], start: int, last: int, stop: int, window: int, needed: int,
@@ -233,7 +218,6 @@ def kalman_frame(
     frame: tuple[NDArray[Any], NDArray[Any], int], chain: _Pair, committed: int,
     model: _Pair, tracks: NDArray[Any], states: NDArray[Any], innovations: _F64,
     nodes: NDArray[Any], middles: _F32, bands: tuple[int, int, int],
-    team: tuple[int, bool],
 ) -> None: ...
 def kalman_inflate(
     states: NDArray[Any], sigmas: NDArray[np.float64], lags: tuple[
@@ -250,13 +234,13 @@ def kalman_samples(
 def kalman_rest(
     now: int, epoch: int, every: bool, tuning: NDArray[Any], tracks: NDArray[Any],
     states: NDArray[Any], gaps: NDArray[Any],
-    listing: tuple[NDArray[np.int32], _U8], planes: _F32, team: tuple[int, bool],
+    listing: tuple[NDArray[np.int32], _U8], planes: _F32,
 ) -> int: ...
 def kalman_show(
     t: int, known: int, epoch: int, chain: _Pair, tuning: NDArray[Any],
     states: NDArray[Any], gaps: NDArray[Any],
     listing: tuple[NDArray[np.int32], int, _U8, _F32], planes: _F32,
-    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8], team: tuple[int, bool],
+    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def lamp_push(
     events: NDArray[Any], until: int, sensor: tuple[int, int, int],
@@ -265,7 +249,7 @@ def lamp_push(
 def lamp_wave(sums: _F64, t: int, out: _F64) -> None: ...
 def lasting_degree(
     lasting: _F32, analyser: _F32, shown: tuple[_F32, _F32, _U8], rows: tuple[int, int],
-    team: tuple[int, bool],
+    out: _F32,
 ) -> None: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
@@ -313,11 +297,10 @@ def smooth_gap(
     nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],
     passed: NDArray[np.int32], states: NDArray[Any], past: NDArray[Any],
     rows: tuple[int, int], out: NDArray[Any], following: NDArray[Any],
-    team: tuple[int, bool],
 ) -> None: ...
 def smooth_past(
     nodes: NDArray[Any], times: NDArray[np.int64], states: NDArray[Any],
-    past: NDArray[Any], team: tuple[int, bool],
+    past: NDArray[Any],
 ) -> None: ...
 def smooth_read(
     t: int, known: int, chain: _Pair, model: _Pair, gaps: NDArray[Any],

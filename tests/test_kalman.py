@@ -436,12 +436,10 @@ def test_kernels_of_the_smoother_check_sizes(kernel, changes, message):
     tracks["first"] = -1
     arguments = {
         _kernels.smooth_past: dict(
-            nodes=nodes[0], times=times[0], states=states, past=past,
-            team=(0, False)),
+            nodes=nodes[0], times=times[0], states=states, past=past),
         _kernels.smooth_gap: dict(
             nodes=nodes, times=times, order=order, passed=passed, states=states,
-            past=past, rows=(0, 2), out=gaps, following=gaps.copy(),
-            team=(0, False)),
+            past=past, rows=(0, 2), out=gaps, following=gaps.copy()),
         _kernels.smooth_read: dict(
             t=0, known=1, chain=(np.zeros(1, STORED_DTYPE), tracks),
             model=(np.zeros(1, TUNING_DTYPE), STEADY), gaps=gaps, states=states,

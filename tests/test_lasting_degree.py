@@ -13,7 +13,6 @@ from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 ANGLES = np.deg2rad([[0.0, 45.0], [135.0, 90.0]])
 
-ALONE = Workers()
 
 
 def response_of(shape, seed=None):
@@ -39,13 +38,13 @@ def stokes_of(log, response):
     return np.einsum("yxjk,yxk->yxj", solution, np.exp(cells(log)))
 
 
-def fed(method, response, frames=12, error=0.02, seed=1, workers=ALONE, **light):
+def fed(method, response, frames=12, error=0.02, seed=1, **light):
     """Feed frames of light whose angle turns."""
     rng = np.random.default_rng(seed)
     for i in range(frames):
         log = light_of(response, angle=0.3 * i, **light)
         method.add_frame(
-            (log + rng.normal(0, error, log.shape)).astype(np.float32), workers)
+            (log + rng.normal(0, error, log.shape)).astype(np.float32))
     return method
 
 
@@ -69,7 +68,7 @@ def test_it_equals_its_twin(given, shape):
     for i in range(9):
         log = light_of(response, angle=0.3 * i) + rng.normal(0, 0.03, shape)
         log[rng.random(shape) < 0.02] = np.nan
-        method.add_frame(log.astype(np.float32), ALONE)
+        method.add_frame(log.astype(np.float32))
         twin.add_frame(log.astype(np.float32).astype(float))
     for found, expected in zip(method.state()["lasting"], twin.lasting(), strict=True):
         np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-5)
@@ -115,7 +114,7 @@ def test_images_stay_as_they_are(case):
     if case == "changing":
         for i in range(12):
             method.add_frame(light_of(
-                response, degree=0.3 + 0.4 * (i % 2)).astype(np.float32), ALONE)
+                response, degree=0.3 + 0.4 * (i % 2)).astype(np.float32))
     else:
         fed(method, response, frames=1 if case == "few frames" else 12,
             degree=0.01 if case == "unpolarized" else 0.6)
@@ -133,7 +132,7 @@ def test_a_change_of_the_degree_counts_at_once_and_is_then_followed():
     method = fed(LastingDegree(shape, None), response, degree=0.6)
     assert method.state()["lasting"][2].min() > 0.5
     log = light_of(response, degree=0.3).astype(np.float32)
-    method.add_frame(log, ALONE)
+    method.add_frame(log)
     assert method.state()["lasting"][2].max() == 0      # not used any more
     fed(method, response, frames=60, degree=0.3, error=0.01)
     degree, _, share = method.state()["lasting"]
@@ -179,7 +178,7 @@ def test_a_degree_that_drifts_is_as_uncertain_as_its_mean_lags_behind():
     method, rng = LastingDegree(shape, None), np.random.default_rng(8)
     for degree in np.linspace(0.3, 0.8, 40):
         log = light_of(response, degree=degree)
-        method.add_frame((log + rng.normal(0, 0.01, shape)).astype(np.float32), ALONE)
+        method.add_frame((log + rng.normal(0, 0.01, shape)).astype(np.float32))
     mean, variance, _ = method.state()["lasting"]
     lag = np.mean(0.8 - mean)
     assert 0.08 < lag < 0.15
@@ -196,11 +195,9 @@ def test_threads_change_nothing(pixels, monkeypatch):
         log = light_of(response, degree=0.5).astype(np.float32)
         variance, valid = shown(shape)
         workers = Workers(threads)
-        method = fed(LastingDegree(shape, response if pixels else None), response,
-                     workers=workers)
+        method = fed(LastingDegree(shape, response if pixels else None), response)
         method.weigh(log, variance, valid, workers)
-        assert (workers._queue is not None) == (threads == 2)
-        assert (workers._pool is not None) == (threads > 2)
+        assert (workers._pool is not None) == (threads > 1)
         images.append(log)
     np.testing.assert_array_equal(images[0], images[1])
     np.testing.assert_array_equal(images[0], images[2])
@@ -223,12 +220,13 @@ def test_its_state_is_kept_and_restored():
     ({"lasting": np.zeros((3, 4, 4), np.float32)}, r"hold \(2 h, 2 w\)"),
     ({"analyser": np.zeros((23, 1, 1), np.float32)}, "analyser must be"),
     ({"analyser": np.zeros((24, 3, 5), np.float32)}, "analyser must be"),
+    ({"out": np.zeros((6, 7), np.float32)}, r"hold \(2 h, 2 w\)"),
     ({"rows": (0, 4)}, "rows must lie"), ({"rows": (-1, 3)}, "rows must lie")])
 def test_the_kernel_refuses_what_does_not_fit(change, message):
     given = {"lasting": np.zeros((3, 3, 4), np.float32),
              "analyser": np.zeros((24, 1, 1), np.float32),
              "shown": (np.zeros((6, 8), np.float32), *shown((6, 8))),
-             "rows": (0, 3), "team": (0, False)}
+             "rows": (0, 3), "out": np.zeros((6, 8), np.float32)}
     _kernels.lasting_degree(**given)
     with pytest.raises(ValueError, match=message):
         _kernels.lasting_degree(**given | change)
@@ -247,7 +245,7 @@ def test_the_kernel_of_frames_refuses_what_does_not_fit(change):
              "before": np.zeros((8, 3, 4), np.float32),
              "planes": np.zeros((8, 3, 4), np.float32),
              "scratch": np.zeros((3, 5, 4), np.float32),
-             "lasting": np.zeros((3, 3, 4), np.float32), "team": (0, False)}
+             "lasting": np.zeros((3, 3, 4), np.float32)}
     _kernels.degree_frame(**given)
     with pytest.raises(ValueError, match="must"):
         _kernels.degree_frame(**given | change)

@@ -13,7 +13,6 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays,
 )
-from pdavis_cv._workers import SpareTime
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion, learning
 from pdavis_cv.fusion.learning import Learning
@@ -314,7 +313,7 @@ def test_a_late_estimate_is_waited_for_or_asked_for_again(realistic, monkeypatch
         return estimate(camera)
 
     monkeypatch.setattr(learning, "estimate", late)
-    live = OnlineLearning(learning, SpareTime())
+    live = OnlineLearning(learning, waits=False)
     live.begin(1_000_000, 1_010_000)
     assert live.look() == {}
     for number in range(30):

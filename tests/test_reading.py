@@ -37,12 +37,12 @@ def arguments(kernel):
             shown=shown()),
         _kernels.kalman_rest: dict(
             now=5, epoch=0, every=True, tuning=tuning, tracks=tracks, states=states,
-            gaps=gaps, listing=(pixels, flags), planes=planes, team=(0, False)),
+            gaps=gaps, listing=(pixels, flags), planes=planes),
         _kernels.kalman_show: dict(
             t=5, known=5, epoch=0, chain=(store, tracks), tuning=tuning, states=states,
             gaps=gaps, listing=(
                 pixels[:3], 2, flags, np.zeros((1, LANE_VALUES, LANES), np.float32)),
-            planes=planes, rows=(0, 4), shown=shown(), team=(0, False)),
+            planes=planes, rows=(0, 4), shown=shown()),
         _kernels.store_mark: dict(
             store=store, start=0, stop=1, pixels=pixels, listed_before=0,
             listed=flags),

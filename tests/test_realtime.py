@@ -1,15 +1,11 @@
-"""Fusion in real time: what is done while data are waited for, and what is put off."""
+"""Fusion in real time: what is done while data are waited for."""
 import pytest
 from streams import METHODS, assert_same, turning_polarizer
 
 from pdavis_cv import Layout, fuse
-from pdavis_cv._workers import SpareTime
-from pdavis_cv.fusion import FusionOptions
-from pdavis_cv.fusion.learning import Learning
-from pdavis_cv.fusion.online_learning import DeferredCamera, OnlineLearning
+from pdavis_cv.fusion.online_learning import OnlineLearning
 from pdavis_cv.live.replay import PIECE_US, ReplaySource
 from pdavis_cv.reconstruct.frames import FrameHold
-from pdavis_cv.reconstruct.kalman import KalmanFilter
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "fps": 60,
            "causal": True}
@@ -67,40 +63,3 @@ def longest_delay_us(recording, realtime):
 def test_in_real_time_a_frame_is_used_while_an_image_is_waited_for(recording):
     assert longest_delay_us(recording, realtime=True) <= 2 * PIECE_US
     assert longest_delay_us(recording, realtime=False) > 100_000
-
-
-def test_in_real_time_the_estimator_is_fed_when_there_is_time(recording):
-    packet = next(packet for packet in recording.packets() if packet.frames)
-    online, at_once = (OnlineLearning(Learning(
-        recording, FusionOptions(causal=True), {}, KalmanFilter.needs), spare)
-        for spare in (SpareTime(), None))
-    empty = online.camera.nbytes
-    for one in (online, at_once):
-        one.fed.add_events(packet.events)
-        one.fed.add_frame(packet.frames[0])
-    assert online.camera.nbytes == empty < at_once.camera.nbytes
-    online.catch_up()
-    assert online.camera.nbytes == at_once.camera.nbytes
-
-
-def test_what_is_put_off_keeps_its_order_and_is_bounded():
-    calls = []
-
-    class Camera:
-        def add_events(self, events):
-            calls.append(events)
-
-        add_frame = add_wave = add_events
-
-    deferred = DeferredCamera(Camera())
-    deferred.add_events("events")
-    deferred.add_frame("frame 1")
-    deferred.add_wave("wave")
-    deferred.add_frame("frame 2")
-    assert not calls
-    deferred.add_frame("frame 3")
-    assert calls == ["events", "frame 1", "wave", "frame 2"]
-    deferred.catch_up()
-    assert calls[4:] == ["frame 3"]
-    deferred.catch_up()
-    assert len(calls) == 5

@@ -127,14 +127,22 @@ def test_one_pass_by_rows_equals_one_step_after_another(shape, spread, own_null)
     if spread:
         _kernels.mismatch(quad, *spread, variance)
     _kernels.reconcile(quad, variance, null)
+    aop, dolp, got_aop, got_dolp = np.full((4, *shape), np.nan, np.float32)
+    _kernels.aop_dolp(quad.reshape(4, -1), 1.02, aop.ravel(), dolp.ravel())
     got, got_variance = np.full((2, 4, *shape), np.nan, np.float32)
     middle = shape[0] // 2
     for rows in ((middle, shape[0]), (0, middle)):
         _kernels.bilinear_weighted(
             mosaic, samples, places_of(Layout.PDAVIS), np.array(spread, np.float32),
-            null, rows, scratch_rows(2, shape[1]), got, got_variance)
+            null, rows, scratch_rows(2, shape[1]), got, got_variance, 1.02, got_aop,
+            got_dolp)
     np.testing.assert_array_equal(got, quad)
     np.testing.assert_array_equal(got_variance, variance)
+    np.testing.assert_array_equal(got_aop, aop)
+    np.testing.assert_array_equal(got_dolp, dolp)
+
+
+SMALL = np.ones((3, 4), np.float32)
 
 
 @pytest.mark.parametrize(("changes", "message"), [
@@ -142,11 +150,14 @@ def test_one_pass_by_rows_equals_one_step_after_another(shape, spread, own_null)
     ({1: np.ones((4, 5), np.float32)}, "sides >= 2"),
     ({3: np.ones(2, np.float32)}, "spread"), ({4: IDEAL.repeat(2, 1)}, "null must"),
     ({5: (0, 5)}, "rows"), ({6: np.ones(9, np.float32)}, "scratch"),
-    ({2: np.zeros(4, np.intp)}, "permutation")])
+    ({2: np.zeros(4, np.intp)}, "permutation"), ({10: SMALL}, "aop and dolp"),
+    ({10: np.ones((0, 0), np.float32)}, "aop and dolp"),
+    ({10: SMALL, 11: SMALL}, "aop and dolp")])
 def test_the_one_pass_checks_what_it_is_handed(changes, message):
     image, planes = np.ones((4, 4), np.float32), np.ones((2, 4, 4, 4), np.float32)
     given = [image, image, places_of(Layout.PDAVIS), np.zeros(0, np.float32), IDEAL,
-             (0, 4), scratch_rows(2, 4), *planes]
+             (0, 4), scratch_rows(2, 4), *planes, 1.0, image.copy(), image.copy()]
+    _kernels.bilinear_weighted(*given)
     for at, value in changes.items():
         given[at] = value
     with pytest.raises(ValueError, match=message):

@@ -19,6 +19,8 @@ from pdavis_cv.live.dv_server import MOST_CLIENTS
 from pdavis_cv.live.tls import client_context
 from pdavis_cv.tools.main import main
 
+pytestmark = pytest.mark.usefixtures("silence_tells_no_time")
+
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory):

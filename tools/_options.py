@@ -218,7 +218,8 @@ def option_value(name: str, text: str) -> tuple[str, Any]:
 def _threads_for(size: tuple[int, int]) -> int:
     """Return the number of threads for images of a size, 1 for small ones."""
     from pdavis_cv._workers import usable_cores
-    return usable_cores() if size[0] * size[1] > 65_536 else 1
+    from pdavis_cv.fusion.iteration import LEAST_PIXELS
+    return usable_cores() if size[0] * size[1] >= LEAST_PIXELS else 1
 
 
 def calibration_of(path: Path) -> Calibration:

@@ -4,7 +4,7 @@ This is the one place that orders time.  `options` holds what the caller asks fo
 `camera` what is known of the polarizers.  `feed` puts the events and frames of a source
 in order, `learning` estimates the parameters that the method needs, `states` feeds the
 method, `window` is the part of the sensor that is computed, and `images` makes
-PolarFrames of the result.  `engine` connects them, and `iteration` reads one image
+PolarFrames of the result.  `engine` connects them, and `iteration` reads images
 ahead.
 
 The names that `__init__.pyi` lists are imported at first use, so that code that only

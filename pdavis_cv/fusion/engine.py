@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import pdavis_cv
 from pdavis_cv._types import Events, Facts, Parameters
-from pdavis_cv._workers import SpareTime, Workers
+from pdavis_cv._workers import Begun, Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
@@ -102,7 +102,6 @@ class Fusion:
         self._lookahead_us = probe.lookahead_us
         self._learning = Learning(recording, options, parameters, self.needs)
         self._workers = Workers(options.threads)
-        self._spare = SpareTime() if recording.realtime else None
         self._clock_us = self._learning.prior.clock_us
         self.roi = roi
         self.window = window_of(
@@ -116,6 +115,7 @@ class Fusion:
             self._fps = Fraction(100)
         self._grid_start = options.start_us
         self._packets: Iterator[Packet] | None = None
+        self._closed = False
         self._tuning: Tuning | None = None
         self.provenance: Facts = MappingProxyType({
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
@@ -189,9 +189,7 @@ class Fusion:
 
     def advance(self) -> bool:
         """Process data up to the next image's time; return False at the end."""
-        if self._online is not None:
-            self._online.catch_up()
-        t = self._next_time()
+        t = None if self._closed else self._next_time()
         if t is None:
             return False
         self._advance_to(t)
@@ -207,10 +205,24 @@ class Fusion:
         ValueError
             If `advance` has not been called yet.
         """
-        return self.begin_image()()
+        image = self._begun_image()
+        return image if isinstance(image, PolarFrame) else image()
 
-    def begin_image(self) -> Callable[[], PolarFrame]:
-        """Return a function that returns `image`; a second thread may work on it."""
+    def begin_image(self) -> Begun[PolarFrame] | PolarFrame:
+        """Let another of at least two threads make `image`, with angle and degree."""
+        image = self._begun_image()
+        if isinstance(image, PolarFrame):
+            return image
+        make = image
+
+        def made() -> PolarFrame:
+            image = make()
+            image.aop  # noqa: B018
+            return image
+
+        return self._workers.begin(made)
+
+    def _begun_image(self) -> PolarFrame | Callable[[], PolarFrame]:
         if self._t is None or self._state is None:
             raise ValueError("image must follow a successful advance")
         method = self._state.method
@@ -220,9 +232,8 @@ class Fusion:
     # ---- repositioning -------------------------------------------------------
 
     def close(self) -> None:
-        """End the second thread, and soon an estimate's; nothing more is read."""
-        if self._spare is not None:
-            self._spare.end()
+        """End the threads that share the work of images; there is no further image."""
+        self._closed = True
         self._workers.end()
 
     def rewind(self) -> None:
@@ -354,7 +365,7 @@ class Fusion:
         the image at t by that.
         """
         assert self._feed is not None
-        if self._spare is None or not self.options.causal:
+        if not (self.recording.realtime and self.options.causal):
             return self._feed.reaches(t)
         for due in self._feed.reaching(t):
             if due is None:
@@ -406,8 +417,6 @@ class Fusion:
                 None if after_us is None else after_us + 1 - max(clock_us, 0))
         elif self._packets is None:
             self._packets = source.packets()
-            if self._spare is not None:
-                self._packets = self._spare.of(self._packets)
         self._feed = Feed(
             self._packets, by_arrival=self.options.causal,
             has_frames=source.info.frame_count != 0, stop_us=source.info.stop_us,
@@ -436,10 +445,11 @@ class Fusion:
         """Make the state with the parameters for the first image."""
         tuning = self._initial_tuning()
         if self._learning.wanted and self.options.causal:
-            self._online = OnlineLearning(self._learning, self._spare)
+            self._online = OnlineLearning(
+                self._learning, waits=not self.recording.realtime)
         self._state = make_state(
             self._method_factory(), self.window,
-            None if self._online is None else self._online.fed,
+            None if self._online is None else self._online.camera,
             causal=self.options.causal)
         self._set_clock(tuning.clock_us)
         if self.needs.lamp:

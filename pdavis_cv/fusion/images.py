@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,44 +26,10 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["ImageMaker", "Samples", "samples_of"]
+__all__ = ["ImageMaker"]
 
 _BILINEAR_NS = 1.4
 """Time that weighted bilinear demosaicing of a pixel takes, ns (measured)."""
-
-
-class Samples(NamedTuple):
-    """Estimate of a method for the pixels of a window, or of a part of it.
-
-    Parameters
-    ----------
-    intensity : ndarray of float32, shape (H, W)
-        Linear.
-    variance : ndarray of float32, shape (H, W), or None
-        Variance of its natural log.
-    valid : ndarray of bool, shape (H, W)
-    quality : ndarray of float32, shape (H, W), or None
-    """
-
-    intensity: NDArray[np.float32]
-    variance: NDArray[np.float32] | None
-    valid: NDArray[np.bool_]
-    quality: NDArray[np.float32] | None
-
-    def part(self, rows: slice, columns: slice) -> Samples:
-        """Return views of a part."""
-        return Samples._make(
-            None if plane is None else plane[rows, columns] for plane in self)
-
-
-def samples_of(method: Reconstructor, t_us: int) -> Samples:
-    """Return the estimate of a method that has been fed as far as t_us needs."""
-    return _samples(method, method.read(t_us))
-
-
-def _samples(method: Reconstructor, estimate: Estimate) -> Samples:
-    return Samples(method.intensity(estimate.log_intensity), estimate.variance,
-                   estimate.valid, method.quality)
 
 
 class ImageMaker:
@@ -114,25 +80,11 @@ class ImageMaker:
         self.shape = ((height // 2, width // 2) if demosaic in HALF_SIZE
                       else (height, width))
 
-    def _here(
-        self, method: Reconstructor, t_us: int, frame_us: int | None,
-        provenance: Facts,
-    ) -> PolarFrame:
-        """Return the image of `begin`, made in this thread."""
-        shown = method.shows(t_us)
-        if shown is not None and self._last is not None and self._last[0] is shown:
-            return self._last[1].retimed(t_us, frame_us, provenance)
-        image = self.made(samples_of(method, t_us), t_us, frame_us, provenance)
-        self._last = None if shown is None else (shown, image)
-        return image
-
     def begin(
         self, method: Reconstructor, t_us: int, frame_us: int | None,
         provenance: Facts,
-    ) -> Callable[[], PolarFrame]:
-        """Return a function that returns the image that a method's state gives at t_us.
-
-        Of two threads, the second one may finish it, if that takes long.
+    ) -> PolarFrame | Callable[[], PolarFrame]:
+        """Return the image that a method's state gives at t_us, or what makes it.
 
         Parameters
         ----------
@@ -142,88 +94,83 @@ class ImageMaker:
         frame_us : int or None
             Mid-exposure of the last frame used.
         provenance : mapping of str to object
+
+        Returns
+        -------
+        PolarFrame or callable
+            An image that is held, or a function that makes one: it may be called in
+            another thread while the state goes on, and more than once.
         """
-        queue = self._workers.queue
-        if (queue is None or queue.late or not self._whole or self._analyser is not None
-                or method.shows(t_us) is not None):
-            image = self._here(method, t_us, frame_us, provenance)
-            return lambda: image
-        estimate = method.read(t_us)
-        if estimate.variance is None:
-            made = self.made(_samples(method, estimate), t_us, frame_us, provenance)
-            return lambda: made
-        log: NDArray[np.float32] | None = estimate.log_intensity
-        if type(method).intensity is Reconstructor.intensity and self._gain is None:
-            intensity = np.empty_like(estimate.log_intensity)
-        else:
-            log, intensity = None, self._intensity(_samples(method, estimate))
-        quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
-        aop, dolp = np.empty((2, *intensity.shape), np.float32)
-        number = queue.post(
-            log, intensity, estimate.variance, places_of(self._layout), self._spread,
-            self._null, scratch_rows(6, intensity.shape[1]), quad, variance,
-            stokes_gain(self._ratio), aop, dolp)
-        about = self._about(
-            estimate.valid, method.quality, t_us, frame_us, provenance)
+        shown = method.shows(t_us)
+        if shown is not None and self._last is not None and self._last[0] is shown:
+            return self._last[1].retimed(t_us, frame_us, provenance)
+        read, quality = method.begin_read(t_us), method.quality
 
-        def finished() -> PolarFrame:
-            self._workers.wait(queue, number)
-            return PolarFrame.adopt(
-                quad, variance=variance, reconciled=True, aop_dolp=(aop, dolp), **about)
+        def made() -> PolarFrame:
+            return self._made(method, read(), quality, t_us=t_us, frame_us=frame_us,
+                              provenance=provenance)
 
-        return finished
+        if shown is None:
+            return made
+        self._last = shown, made()
+        return self._last[1]
 
-    def made(
-        self, samples: Samples, t_us: int, frame_us: int | None,
-        provenance: Facts,
+    def _made(
+        self, method: Reconstructor, estimate: Estimate,
+        quality: NDArray[np.float32] | None, **about: Any,
     ) -> PolarFrame:
-        """Return the image of samples of the window.
-
-        Parameters
-        ----------
-        samples : Samples
-            Taken over: their arrays belong to the image from here on.
-        t_us, frame_us, provenance
-            As for `begin`.
-        """
-        intensity = self._intensity(samples)
-        _, variance, usable, quality = samples
+        intensity = method.intensity(estimate.log_intensity)
+        if self._gain is not None:
+            intensity /= self._gain
         # The arrays are new and nobody else's: the image takes them over.
-        about = self._about(usable, quality, t_us, frame_us, provenance)
-        if variance is None and self._whole and self._analyser is None:
+        about |= {"valid": self._valid(estimate.valid),
+                  "extinction_ratio": self._ratio, "quality": self._quality(quality)}
+        if estimate.variance is None and self._whole and self._analyser is None:
             return PolarFrame.adopt_mosaic(intensity, self._layout, **about)
-        quad, variance = self._channels(intensity, variance, usable)
+        if estimate.variance is not None and self._whole:
+            return self._in_one_pass(intensity, estimate.variance, about)
+        quad, variance = self._channels(intensity, estimate.variance, estimate.valid)
         return PolarFrame.adopt(
             quad, analyser=self._analyser, variance=variance,
             reconciled=variance is not None, **about)
 
-    def _intensity(self, samples: Samples) -> NDArray[np.float32]:
-        """Return the intensity of samples, corrected by the pixels' gains in place."""
-        intensity = samples.intensity
-        if self._gain is not None:
-            intensity /= self._gain
-        return intensity
+    def _in_one_pass(
+        self, intensity: NDArray[np.float32], samples: NDArray[np.float32],
+        about: dict[str, Any],
+    ) -> PolarFrame:
+        """Return the image of uncertain samples; of several threads, with its angle."""
+        quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
+        polarizes = self._analyser is None and self._workers.threads > 1
+        aop, dolp = np.empty((2, *(intensity.shape if polarizes else (0, 0))),
+                             np.float32)
 
-    def _about(
-        self, usable: NDArray[np.bool_], quality: NDArray[np.float32] | None,
-        t_us: int, frame_us: int | None, provenance: Facts,
-    ) -> dict[str, Any]:
-        """Return what an image is made with besides its channels."""
-        if quality is not None:
-            if self._demosaic in HALF_SIZE:
-                quality = quality[::2, ::2].copy()
-            quality = self._cropped(quality)
-        return {"valid": self._valid(usable), "t_us": t_us, "frame_us": frame_us,
-                "extinction_ratio": self._ratio, "provenance": provenance,
-                "quality": quality}
+        def work(first: int, last: int) -> None:
+            _kernels.bilinear_weighted(
+                intensity, samples, places_of(self._layout), self._spread, self._null,
+                (first, last), scratch_rows(2, intensity.shape[1]), quad, variance,
+                stokes_gain(self._ratio), aop, dolp)
+
+        self._workers.rows(len(intensity), work,
+                           row_ns=_BILINEAR_NS * intensity.shape[1])
+        return PolarFrame.adopt(
+            quad, analyser=self._analyser, variance=variance, reconciled=True,
+            aop_dolp=(aop, dolp) if polarizes else None, **about)
+
+    def _quality(
+        self, samples: NDArray[np.float32] | None
+    ) -> NDArray[np.float32] | None:
+        if samples is not None and self._demosaic in HALF_SIZE:
+            samples = samples[::2, ::2].copy()
+        return None if samples is None else self._cropped(samples)
 
     def _valid(self, samples: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image is made of usable samples; cached, as rarely new."""
         same = samples.tobytes()    # compared in half of the time that arrays take
-        if self._usable is None or self._usable[0] != same:
-            self._usable = same, self._cropped(
+        known = self._usable    # another thread may replace it
+        if known is None or known[0] != same:
+            self._usable = known = same, self._cropped(
                 demosaic_valid(samples, self._layout, self._demosaic))
-        return self._usable[1]
+        return known[1]
 
     def _channels(
         self, intensity: NDArray[np.float32], samples: NDArray[np.float32] | None,
@@ -233,18 +180,6 @@ class ImageMaker:
         if samples is None:
             return self._cropped(demosaic_mosaic(
                 intensity, self._layout, self._demosaic, valid=usable)), None
-        if self._whole:
-            quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
-
-            def work(first: int, last: int) -> None:
-                _kernels.bilinear_weighted(
-                    intensity, samples, places_of(self._layout), self._spread,
-                    self._null, (first, last), scratch_rows(2, intensity.shape[1]),
-                    quad, variance)
-
-            self._workers.rows(len(intensity), work,
-                               row_ns=_BILINEAR_NS * intensity.shape[1])
-            return quad, variance
         quad = self._cropped(demosaic_mosaic(
             intensity, self._layout, self._demosaic, valid=usable,
             variance=samples))

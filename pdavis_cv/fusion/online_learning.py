@@ -2,24 +2,19 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from pdavis_cv._types import Events, State
-from pdavis_cv._workers import SpareTime, yield_to_others
+from pdavis_cv._types import State
 from pdavis_cv.fusion.learning import Learning
-from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
-from pdavis_cv.recording.base import ApsFrame
-from pdavis_cv.selfcal import Bandwidth, CameraEstimate, SelfCalibration
+from pdavis_cv.selfcal import Bandwidth, CameraEstimate
 from pdavis_cv.selfcal.refractory import Refractory
 
-__all__ = ["FIRST_LOOK_S", "DeferredCamera", "OnlineLearning"]
+__all__ = ["FIRST_LOOK_S", "OnlineLearning"]
 
 FIRST_LOOK_S = 0.5
 """Time of the first estimate from a passing stream, in s of stream time after the first
@@ -45,49 +40,6 @@ dim light, and a bright pixel's."""
 _SIGMAS = 3.0
 """Least change of the refractory period that is applied, in standard errors."""
 
-_LATE_FRAMES = 2
-"""Most frames that a `DeferredCamera` keeps, with the events before them, where images
-are rarer than frames."""
-
-
-class DeferredCamera:
-    """Keeps what a self-calibration is fed until there is time for it.
-
-    An image does not depend on it.  In real time, an image that waits until a frame has
-    been used would wait for the self-calibration to take that frame as well.
-
-    Parameters
-    ----------
-    camera : SelfCalibration
-    """
-
-    def __init__(self, camera: SelfCalibration) -> None:
-        self._camera = camera
-        self._calls: deque[Callable[[], None]] = deque()
-        self._frames = 0
-
-    def add_events(self, events: Events) -> None:
-        """Keep events."""
-        self._calls.append(functools.partial(self._camera.add_events, events))
-
-    def add_frame(self, frame: ApsFrame) -> None:
-        """Keep a frame."""
-        if self._frames == _LATE_FRAMES:
-            self.catch_up()
-        self._calls.append(functools.partial(self._camera.add_frame, frame))
-        self._frames += 1
-
-    def add_wave(self, wave: Wave) -> None:
-        """Keep the lamp's flicker."""
-        self._calls.append(functools.partial(self._camera.add_wave, wave))
-
-    def catch_up(self) -> None:
-        """Feed the self-calibration what was kept, in the same order."""
-        self._frames = 0
-        while self._calls:
-            self._calls.popleft()()
-
-
 class OnlineLearning:
     """Re-estimates the parameters while a stream passes.
 
@@ -100,31 +52,29 @@ class OnlineLearning:
     ----------
     learning : Learning
         Which parameters are estimated.
-    spare : SpareTime, optional
-        Of the thread that makes images, which go on without an estimate that is not
-        there in time; it is applied when it is there.  None: such an estimate is waited
-        for, so that all images depend on the stream alone.
+    waits : bool
+        Whether an estimate that is not there in time is waited for, so that all images
+        depend on the stream alone.  Otherwise they go on without it, and it is applied
+        when it is there.
+
+    Attributes
+    ----------
+    tuning : Tuning
+        Parameters that apply now.
+    camera : SelfCalibration
+        What events, frames and the lamp's flicker are added to.
+    next_us : int or None
+        Time at which `look` is due.
     """
 
-    def __init__(self, learning: Learning, spare: SpareTime | None = None) -> None:
-        self._learning, self._spare = learning, spare
+    def __init__(self, learning: Learning, *, waits: bool = True) -> None:
+        self._learning, self._waits = learning, waits
         self.tuning = learning.prior
         self.camera = learning.estimator()
-        self._deferred = None if spare is None else DeferredCamera(self.camera)
         self.next_us: int | None = None
         self._start_us: int | None = None
         self._looks = 0
         self._pending: Future[CameraEstimate] | None = None
-
-    @property
-    def fed(self) -> SelfCalibration | DeferredCamera:
-        """What events, frames and the lamp's flicker are added to."""
-        return self._deferred or self.camera
-
-    def catch_up(self) -> None:
-        """Feed the estimator what was put off; call it when an image has been made."""
-        if self._deferred is not None:
-            self._deferred.catch_up()
 
     def begin(self, start_us: int, now_us: int) -> None:
         """Count the time of the looks from start_us, if this is the first call.
@@ -153,13 +103,12 @@ class OnlineLearning:
         """
         assert self.next_us is not None
         assert self._start_us is not None
-        self.catch_up()
         before = self.tuning
         if self._pending is None:
             self._pending = self._started()
             self.next_us += round(_DELAY * (self.next_us - self._start_us))
             return {}
-        if self._spare is not None and not self._pending.done():
+        if not (self._waits or self._pending.done()):
             self.next_us += _AGAIN_US
             return {}
         estimate, self._pending = self._pending.result(), None
@@ -187,7 +136,6 @@ class OnlineLearning:
 
         def estimated() -> CameraEstimate:
             """Estimate from a copy, as the original is fed meanwhile."""
-            yield_to_others(self._spare)
             camera = self._learning.estimator()
             camera.restore(passed)
             return self._learning.estimate(camera)
@@ -199,7 +147,6 @@ class OnlineLearning:
 
     def state(self) -> State:
         """Return the state; its arrays are never changed in place."""
-        self.catch_up()
         return {"tuning": self.tuning, "next_us": self.next_us,
                 "start_us": self._start_us, "looks": self._looks,
                 "pending": None if self._pending is None else self._pending.result(),
@@ -207,7 +154,6 @@ class OnlineLearning:
 
     def restore(self, state: State) -> None:
         """Return to what `state` returned."""
-        self.catch_up()
         self.tuning, self.next_us = state["tuning"], state["next_us"]
         self._start_us, self._looks = state["start_us"], state["looks"]
         self._pending = None

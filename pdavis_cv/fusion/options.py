@@ -154,11 +154,11 @@ class FusionOptions(Options):
     threads: int = option(
         1, "int",
         "Number of threads that share the work of each image; it does not change the "
-        "images.  With more than one, a recording is read one image ahead.  They "
-        "are faster from about 64,000 pixels on; 1 leaves the other cores to the "
-        "program's own threads.", "count",
-        "threads that share the work of an image; default: one per core above 65536 "
-        "pixels, else 1")
+        "images.  With more than one, a recording is read ahead if its images "
+        "have 65536 pixels or more; smaller ones gain little.  1 leaves the other "
+        "cores to the program's own threads.", "count",
+        "threads that share the work of an image; default: one per core from 65536 "
+        "pixels on, else 1")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from pdavis_cv._types import Events
 from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.fusion.feed import LONGEST_DELAY_US, together
-from pdavis_cv.fusion.online_learning import DeferredCamera
 from pdavis_cv.fusion.window import Window
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.lamp import Wave
@@ -25,9 +24,6 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.selfcal import SelfCalibration
 
 __all__ = ["ArrivalState", "InOrderState", "ReplayState", "make_state"]
-
-Camera = SelfCalibration | DeferredCamera
-"""What is fed the same data as the method; deferred in real time."""
 
 _SMALL = 4096
 """Most events that are joined before they are fed in time order.  To feed a packet
@@ -42,12 +38,12 @@ class _MethodState:
     method : Reconstructor
         A method for the size of the window.
     window : Window
-    camera : SelfCalibration or DeferredCamera, optional
+    camera : SelfCalibration, optional
         Is fed the same events and frames, of the whole sensor.
     """
 
     def __init__(
-        self, method: Reconstructor, window: Window, camera: Camera | None
+        self, method: Reconstructor, window: Window, camera: SelfCalibration | None
     ) -> None:
         self.method, self.window, self.camera = method, window, camera
         self.fed_us: int | None = None
@@ -83,7 +79,7 @@ class InOrderState(_MethodState):
     method : Reconstructor
         A method for the size of the window.
     window : Window
-    camera : SelfCalibration or DeferredCamera, optional
+    camera : SelfCalibration, optional
         Is fed the same events and frames, of the whole sensor.
     """
 
@@ -136,7 +132,7 @@ class ArrivalState(_MethodState):
     method : Reconstructor
         A method for the size of the window that `takes_late_frames`.
     window : Window
-    camera : SelfCalibration or DeferredCamera, optional
+    camera : SelfCalibration, optional
         Is fed the same events and frames, of the whole sensor, in time order.
 
     Attributes
@@ -151,7 +147,7 @@ class ArrivalState(_MethodState):
     """
 
     def __init__(
-        self, method: Reconstructor, window: Window, camera: Camera | None
+        self, method: Reconstructor, window: Window, camera: SelfCalibration | None
     ) -> None:
         super().__init__(method, window, camera)
         self.clock_us = 0
@@ -258,7 +254,7 @@ class ReplayState(ArrivalState):
 
     def __init__(
         self, method: Reconstructor, committed: Reconstructor, window: Window,
-        camera: Camera | None,
+        camera: SelfCalibration | None,
     ) -> None:
         super().__init__(method, window, camera)
         self._committed = committed
@@ -315,7 +311,7 @@ class ReplayState(ArrivalState):
 
 def make_state(
     make_method: Callable[[], Reconstructor], window: Window,
-    camera: Camera | None, *, causal: bool,
+    camera: SelfCalibration | None, *, causal: bool,
 ) -> InOrderState | ArrivalState:
     """Return a state that feeds the method in the order it needs.
 

@@ -267,6 +267,15 @@ class Reconstructor(ABC):
             Receives ``log_intensity``.
         """
 
+    def begin_read(self, t_us: int) -> Callable[[], Estimate]:
+        """Begin a `read`; return a function that returns the estimate.
+
+        The function does what needs the state no more.  It may be called in another
+        thread while the state goes on, and more than once.
+        """
+        estimate = self.read(t_us)
+        return lambda: estimate
+
     def shows(self, t_us: int) -> object | None:
         """Return an object that identifies the estimate at t_us, if it is held.
 

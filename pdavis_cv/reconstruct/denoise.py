@@ -1,7 +1,7 @@
 """Denoising of events by the support of neighbours behind the same polarizer."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -235,6 +235,10 @@ class Denoised(Reconstructor):
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the method's estimate (see `Reconstructor.read`)."""
         return self._inner.read(t_us, out)
+
+    def begin_read(self, t_us: int) -> Callable[[], Estimate]:
+        """Begin a read of the method (see `Reconstructor.begin_read`)."""
+        return self._inner.begin_read(t_us)
 
     def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the method's intensity."""

@@ -35,9 +35,6 @@ _LISTED_NS, _REST_NS = 18.0, 1.2
 """Time that showing a pixel that may be moving, and one at rest, takes, ns (measured
 on davis346.aedat4, where 2,300 of 89,960 pixels may be moving)."""
 
-_SWEEP_NS = 10.0
-"""Time per pixel, ns, of a sweep of all pixels."""
-
 NO_GAPS = np.zeros((0, 0), GAP_DTYPE)
 _LINE = 64
 """Bytes of a cache line, or a multiple of them."""
@@ -346,17 +343,15 @@ class Reader:
             workers.rows(len(states), each)
             return
         if self._swept_us is None or rest_us - self._swept_us >= SWEEP_US:
-            self.n = self._ordered = workers.together(
-                lambda team: _kernels.kalman_rest(
-                    rest_us, epoch_us, self._swept_us is None, tuning, chain[1], states,
-                    gaps, (self.pixels, self.flags), self._planes, team),
-                _SWEEP_NS * states.size)
+            self.n = self._ordered = _kernels.kalman_rest(
+                rest_us, epoch_us, self._swept_us is None, tuning, chain[1], states,
+                gaps, (self.pixels, self.flags), self._planes)
             self._swept_us = rest_us
         listing = (self.pixels[:self.n], self._ordered, self.flags, self._lanes)
         ns = _LISTED_NS * self.n + _REST_NS * states.size
-        workers.shared(len(states), lambda first, last, team: _kernels.kalman_show(
+        workers.rows(len(states), lambda first, last: _kernels.kalman_show(
             t_us, known_us, epoch_us, chain, tuning, states, gaps, listing,
-            self._planes, (first, last), shown, team), row_ns=ns / len(states))
+            self._planes, (first, last), shown), row_ns=ns / len(states))
 
 
 def as_bytes(events: Events) -> NDArray[np.uint8]:

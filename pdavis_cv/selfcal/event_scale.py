@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._workers import take_turn
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.reconstruct.redundancy import (
     STEP_US,
@@ -177,7 +176,6 @@ class _Misfit:
             self._on.shape, theta_on=factor * self._on, theta_off=factor * self._off)
         total = np.zeros(self._on.shape[1] // 2)
         for number, part in enumerate(self._parts):
-            take_turn()
             method.add_events(part)
             if number:      # the gains have been solved for
                 total += np.log(np.maximum(method.quality[0, ::2], _QUALITY_LEAST))

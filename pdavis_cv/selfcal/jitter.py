@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._workers import take_turn
 from pdavis_cv.selfcal.window import PixelWindow
 
 __all__ = ["Jitter", "fit_jitter"]
@@ -86,7 +85,6 @@ def fit_jitter(window: PixelWindow) -> Jitter | None:
     events = window.events[-_MOST_EVENTS:]
     if len(events) < _FOUR:
         return None
-    take_turn()
     order = np.argsort(events["x"], kind="stable")
     pixel, p = events["x"][order], events["p"][order]
     t = events["t"][order].astype(np.int64)
@@ -96,7 +94,6 @@ def fit_jitter(window: PixelWindow) -> Jitter | None:
     same = usable.copy()
     for i in range(1, _FOUR):
         same &= p[i:len(p) - (_FOUR - 1) + i] == p[:1 - _FOUR]
-    take_turn()
     octave = np.zeros(len(gap), np.intp)
     np.log2(gap, out=gap, where=usable)
     octave[usable] = gap[usable]

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._workers import take_turn
 from pdavis_cv.reconstruct.kalman import LOOKAHEAD_US
 from pdavis_cv.reconstruct.kalman.frame_noise import DN_PER_SHOT, READ_NOISE_DN
 from pdavis_cv.selfcal.priors import THRESHOLD_SIGMA
@@ -345,7 +344,6 @@ class PixelSample:
         -------
         ndarray of INNOVATIONS_DTYPE, shape (C,)
         """
-        take_turn()
         out = np.zeros(len(candidates), INNOVATIONS_DTYPE)
         traits, frames = self._readings(every)
         _kernels.sample_innovations(

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._workers import take_turn
 from pdavis_cv.reconstruct.redundancy import PART_LEAST, RATIO_SIGMA
 from pdavis_cv.selfcal.window import MAX_US, PixelWindow
 
@@ -116,7 +115,6 @@ def _line_ratios(
     It is the ratio that ``rebalance`` (_kernels/_redundancy.pyx) has after all events;
     NaN where a pixel has too few, or the light changed in one sense only.
     """
-    take_turn()
     pixel = events["x"].astype(np.intp)
     order = np.argsort(pixel, kind="stable")
     pixel, polarity = pixel[order], events["p"][order].astype(np.float64)

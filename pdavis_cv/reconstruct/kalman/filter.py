@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -82,8 +82,8 @@ KEEP_US, _FIRST_KEEP_US = 100_000, 500_000
 _LOOKAHEADS = {"buffered": LOOKAHEAD_US, "causal": 0, "offline": SMOOTHING_US}
 # Rows of the sensor that are processed together by updates of the whole state.
 _BAND = 32
-# The same by frames, whose bands threads share: two get 17 and 16 of 260 rows.
-_FRAME_BAND = 8
+# The same by frames, whose bands threads share; ns per pixel (measured).
+_FRAME_BAND, _FRAME_NS = 8, 55.0
 _NO_NODES = np.zeros((0, 0), NODE_DTYPE)
 
 
@@ -407,6 +407,27 @@ class KalmanFilter(Reconstructor):
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
+        estimate, weigh = self._unweighed(t_us, out)
+        weigh(estimate.log_intensity)
+        return estimate
+
+    def begin_read(self, t_us: int) -> Callable[[], Estimate]:
+        """Leave the weighing of the degree (see `Reconstructor.begin_read`)."""
+        if type(self).read is not KalmanFilter.read:
+            return super().begin_read(t_us)
+        estimate, weigh = self._unweighed(t_us)
+
+        def weighed() -> Estimate:
+            log = np.empty(self.shape, np.float32)
+            weigh(log)
+            return estimate._replace(log_intensity=log)
+
+        return weighed
+
+    def _unweighed(
+        self, t_us: int, out: NDArray[np.float32] | None = None
+    ) -> tuple[Estimate, Callable[[NDArray[np.float32]], None]]:
+        """Return each pixel's estimate, and what weighs it by the degree that lasts."""
         t = checked_time("t_us", t_us)
         seen = t + self.lookahead_us
         self._clock.check_read(seen)
@@ -417,8 +438,9 @@ class KalmanFilter(Reconstructor):
         one = self._ahead(due, seen) if due else self
         one._show(t, log, variance, valid.view(np.uint8))
         self._saturated.fill(t, one._unknown, log, variance, valid, self.workers)
-        one._lasting.weigh(log, variance, valid.view(np.uint8), self.workers)
-        return Estimate(log, variance, valid)
+        lasting = copy.copy(one._lasting)
+        return Estimate(log, variance, valid), lambda out: lasting.weigh(
+            log, variance, valid.view(np.uint8), self.workers, out)
 
     def settle(self, t_us: int) -> None:
         """Use the frames that are due (see `Reconstructor.settle`)."""
@@ -495,8 +517,7 @@ class KalmanFilter(Reconstructor):
                 samples = self._states["samples"].reshape(-1)[self._unsampled]
                 self._unsampled = self._unsampled[samples == 0]
             if smoother is not None:
-                smoother.pass_until(
-                    frame.known_us - self.lookahead_us, self._states, self.workers)
+                smoother.pass_until(frame.known_us - self.lookahead_us, self._states)
         self._lamp.forget(seen_us - self.lookahead_us - MEMORY_US)
 
     def _use(self, frame: WaitingFrame, nodes: Records) -> None:
@@ -506,14 +527,14 @@ class KalmanFilter(Reconstructor):
         count = -(-self.shape[0] // _FRAME_BAND)
         innovations = np.zeros((count, SUMS))
         middles = np.empty(self.shape, np.float32)
-        self.workers.shared(count, lambda first, last, team: _kernels.kalman_frame(
+        self.workers.rows(count, lambda first, last: _kernels.kalman_frame(
             (frame.samples, frame.exposures, frame.known_us),
             (recent.store, recent.old), recent.committed, self._model, recent.tracks,
-            self._states, innovations, nodes, middles, (first, last, _FRAME_BAND),
-            team), least=1)
+            self._states, innovations, nodes, middles, (first, last, _FRAME_BAND)),
+            least=1, row_ns=_FRAME_NS * _FRAME_BAND * self.shape[1])
         for sums in innovations:
             self._innovations[:SUMS] += sums
-        self._lasting.add_frame(middles, self.workers)
+        self._lasting.add_frame(middles)
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal filter (see `Reconstructor.assign`)."""

@@ -32,9 +32,6 @@ polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.
 _CELL_NS = 9
 """Time that a macropixel takes in an image, ns."""
 
-_FRAME_NS = 15
-"""The same in a frame."""
-
 _PLANES = 8
 """Of `_kernels.degree_frame`: mean, frames in it, last error, sums and numbers."""
 
@@ -82,27 +79,25 @@ class LastingDegree:
             analyser.response[:, 1:].astype(np.float32).reshape(-1, *one),
             analyser.null().reshape(-1, *one)])
 
-    def add_frame(self, log: NDArray[np.float32], workers: Workers) -> None:
+    def add_frame(self, log: NDArray[np.float32]) -> None:
         """Take log intensities at the middle of a frame's exposure, after its update.
 
         Parameters
         ----------
         log : ndarray of float32, shape (H, W)
             NaN where a pixel has no usable sample.
-        workers : Workers
-            Threads that share the work.
         """
         # Others may hold the arrays: they are replaced, never changed.
         before, self._planes = self._planes, np.empty_like(self._planes)
         self._lasting = np.empty_like(self._lasting)
-        workers.together(lambda team: _kernels.degree_frame(
+        _kernels.degree_frame(
             log, self._analyser, (FRAMES, LATE_FRAMES, FIRST_ERROR**2, SURE**2), before,
-            self._planes, self._scratch, self._lasting, team),
-            _FRAME_NS * self._lasting[0].size)
+            self._planes, self._scratch, self._lasting)
 
     def weigh(
         self, log: NDArray[np.float32], variance: NDArray[np.float32],
         valid: NDArray[np.uint8], workers: Workers,
+        out: NDArray[np.float32] | None = None,
     ) -> None:
         """Weigh the degree of an image against the one that lasts.
 
@@ -112,18 +107,23 @@ class LastingDegree:
         Parameters
         ----------
         log, variance : ndarray of float32, shape (H, W)
-            Log intensity, which changes, and its variance.
+            Log intensity, which changes if it is also ``out``, and its variance.
         valid : ndarray of uint8, shape (H, W)
             1: usable.
         workers : Workers
             Threads that share the work.
+        out : ndarray of float32, shape (H, W), optional
+            Receives the result; default ``log``.
         """
+        out = log if out is None else out
         if not self._lasting.size:      # a single row or column
+            np.copyto(out, log)
             return
-        workers.shared(
-            self._lasting.shape[1], lambda first, last, team: _kernels.lasting_degree(
+        workers.rows(
+            self._lasting.shape[1], lambda first, last: _kernels.lasting_degree(
                 self._lasting, self._analyser, (log, variance, valid), (first, last),
-                team), row_ns=_CELL_NS * self._lasting.shape[2])
+                out),
+            row_ns=_CELL_NS * self._lasting.shape[2])
 
     def assign(self, other: LastingDegree) -> None:
         """Take over the state of an equal object."""

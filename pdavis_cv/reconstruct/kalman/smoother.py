@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -77,16 +76,15 @@ class Smoother:
         nodes: Records = self._nodes[at]
         return nodes
 
-    def pass_until(self, t_us: int, states: Records, workers: Workers) -> None:
+    def pass_until(self, t_us: int, states: Records) -> None:
         """Merge all frames with a middle at or before t_us into the past.
 
         The thresholds of ``states`` convert event counts to log intensity.
         """
         while self._order and int(self._times[self._order[0]].max()) <= t_us:
             at, *rest = self._order
-            workers.together(partial(
-                _kernels.smooth_past, self._nodes[at], self._times[at], states,
-                self._past))
+            _kernels.smooth_past(
+                self._nodes[at], self._times[at], states, self._past)
             self._past_us = int(self._times[at].max())
             self._order = tuple(rest)
             self._forget()
@@ -115,10 +113,9 @@ class Smoother:
                 self._gap, self._following = self._following, self._gap
                 self._followed = False
             else:
-                workers.shared(
-                    len(states), lambda first, last, team: _kernels.smooth_gap(
-                        self._nodes, self._times, order, passed, states, self._past,
-                        (first, last), self._gap, self._following, team))
+                workers.rows(len(states), lambda first, last: _kernels.smooth_gap(
+                    self._nodes, self._times, order, passed, states, self._past,
+                    (first, last), self._gap, self._following))
                 self._followed = bool(np.all(passed < len(order)))
             self._passed = passed
             self.unknown = np.flatnonzero(
