@@ -362,7 +362,7 @@ def test_patterns_are_numbers_of_files_in_any_folder(tmp_path, folder, first):
 
 
 @pytest.mark.parametrize("name", ["no_%04d.png", "no%.png", "%", "%s", "no_[*.png",
-                                  "none/%d.png"])
+                                  "none/%d.png", "no**.png", "**", "no[1", "no%99d.x"])
 def test_a_name_without_files_is_false_and_not_an_exception(tmp_path, name):
     capture = VideoCapture(str(tmp_path / name), layout=SONY)
     assert not capture.isOpened()

@@ -14,7 +14,7 @@ __all__ = ["by_angle", "names_of", "natural_order"]
 
 FIRST_NUMBERS = range(5)
 """Possible first numbers of a pattern, as in cv2.VideoCapture."""
-_NUMBER = re.compile(r"%(0?\d*)d")
+_NUMBER = re.compile(r"%(0?\d{0,2})d")
 _ANGLE = re.compile(r"(?<!\d)0{0,2}(0|45|90|135)(?!\d)")
 
 
@@ -54,7 +54,9 @@ def names_of(source: str) -> list[str]:
             names.append(os.fspath(numbered(k)))
             k += 1
     elif path.parent.is_dir():
-        names = natural_order(map(os.fspath, path.parent.glob(path.name)))
+        names = natural_order(
+            os.fspath(path.parent / name)
+            for name in glob.glob(path.name, root_dir=path.parent))
     else:
         names = natural_order(glob.glob(source))
     if not names:
