@@ -154,6 +154,7 @@ def test_the_unit_of_time_is_that_of_the_column_not_of_one_line(tmp_path):
     np.testing.assert_array_equal(
         found["t"], [1_000_000, *range(1_000_010, 1_005_000, 10)])
     assert recording.info.header["time_unit"] == "s"
+    assert recording.info.format == "text, times in s"
     # Its first 64 kB are whole seconds.
     many = "1 3 4 1\n" * 20_000 + "".join(lines)
     (tmp_path / "x.csv").write_text(many)

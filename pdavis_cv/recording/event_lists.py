@@ -106,7 +106,7 @@ class TextRecording(_EventList):
         self._order = np.array(["txyp".find(name) for name in order], np.int64)
         unit = form.unit or unit_of_times(blocks, order)
         self._unit_of_time = UNITS.index(unit)
-        return self._facts("text", options, {
+        return self._facts(f"text, times in {unit}", options, {
             "time_unit": unit, "first_row": "bottom" if form.bottom else "top"},
             form.size)
 
@@ -218,7 +218,8 @@ class NumpyRecording(_EventList):
         self._arrays_of = _events_of(found, str(self._path))
         self._end = len(self._arrays_of[0])
         self._scale = self._time_unit()
-        return self._facts("NumPy", options, {"time_unit": self._scale})
+        return self._facts(
+            f"NumPy, times in {self._scale}", options, {"time_unit": self._scale})
 
     def _time_unit(self) -> str:
         t = self._arrays_of[0].rows(0, ROWS)
