@@ -433,7 +433,8 @@ def test_a_marker_says_where_the_numbers_come_from(three, tmp_path):
     name = run(three[:1], tmp_path / "out")[0]["name"]
     facts = json.loads((tmp_path / "out" / f"{name}.json").read_text())["provenance"]
     assert len(facts["content"]) == 64
-    assert facts["options"] == {"method": "cf", "layout": str(Layout.PDAVIS)}
+    assert facts["options"] == {
+        "method": "cf", "layout": f"{Layout.PDAVIS} of pdavis"}
     assert facts["work"]["function"] == "batch_works:count"
     assert facts["pdavis_cv"] == pdavis_cv.__version__
 

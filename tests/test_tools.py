@@ -152,8 +152,10 @@ def test_a_capture_without_opencv_says_so(more, tmp_path, monkeypatch):
 def test_info_counts_the_sample(capsys):
     assert run("info", SAMPLE, "--scan") == 0
     text = capsys.readouterr().out
-    for word in ("AEDAT-4", "346x260", "6,676", "frames     4 "):
+    for word in ("AEDAT-4", "346x260 (file)", "sensor      DAVIS346 (file)",
+                 "polarizers  unknown", "6,676", "frames      4 "):
         assert word in text
+    assert "PDAVIS" not in text.replace(SAMPLE, "")
 
 
 def test_info_json_is_json_and_equals_the_scan(capsys):

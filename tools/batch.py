@@ -17,9 +17,10 @@ from typing import Any
 
 from pdavis_cv import FusionOptions, batch
 from pdavis_cv.batch.pools import EXECUTORS
+from pdavis_cv.recording.options import SourceOptions
 
 from ._common import Parser, UsageError, add_json_option, command, for_people, tell
-from ._options import option_value
+from ._options import add_source_options, option_value, source_given
 from ._progress import asked_for
 from ._values import positive, within
 
@@ -44,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         table = batch.run(
             args.files, options, args.out, work=work, executor=args.executor,
             workers=args.jobs, retries=args.retries, timeout_s=args.timeout,
-            progress=asked_for() or None)
+            progress=asked_for() or None, stated=_stated(args))
         if args.parquet:
             table.write_parquet()
     failed = table.failed
@@ -103,7 +104,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--resume", action="store_true", help="has no effect: runs always continue")
     add_json_option(parser)
+    add_source_options(parser)
     return parser
+
+
+def _stated(args: argparse.Namespace) -> SourceOptions:
+    return SourceOptions(**source_given(args))
 
 
 def _setting(text: str) -> tuple[str, list[str]]:
@@ -165,7 +171,8 @@ def _dry_run(
 ) -> int:
     jobs: list[dict[str, Any]] = []
     with for_people(args):
-        for job, is_done in batch.plan(args.files, options, args.out, work=work):
+        for job, is_done in batch.plan(
+                args.files, options, args.out, work=work, stated=_stated(args)):
             print(f"{'done ' if is_done else 'to do'}  {job.name}  {job.source}")
             jobs.append({"name": job.name, "recording": job.source, "done": is_done})
     tell(args, [f"{len(jobs)} jobs, {sum(job['done'] for job in jobs)} of them done"],

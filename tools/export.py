@@ -38,7 +38,7 @@ from ._common import (
     start_of,
     tell,
 )
-from ._images import full_scale, told_if_nothing
+from ._images import full_scale, light_unit, told_if_nothing
 from ._options import add_file, add_fuse_options, fuse_options, opened
 from ._values import numbers, positive, seconds, within
 
@@ -110,11 +110,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             lines, facts = _write_video(
                 args, frames, rate, Sheet(args, recording, first[0]))
+        lines += first[0].provenance["assumed"]
         if options["fps"] is None and args.at is None and (
                 recording.info.event_count != 0 and recording.info.frame_count != 0):
             lines.append(
                 "one image for each frame; --fps 200 makes 200 per second, by events")
     tell(args, lines, method=first[0].provenance["method"],
+         assumed=first[0].provenance["assumed"],
          quantities=args.quantities,
          units=[QUANTITIES[name].unit for name in args.quantities], **facts)
     return 0
@@ -263,6 +265,7 @@ class Sheet:
         self.source = recording.name
         self.facts = export.provenance(first.provenance, recording)
         top = full_scale(recording)
+        self.unit = light_unit(recording)
         self.white = float(args.white or _white(first, top))
         self.saturated = math.inf if top is None else top / 2
         self.ranges = {name: QUANTITIES[name].shown(self.white) for name in
@@ -412,7 +415,7 @@ def _write_video(
             video.add(picture, copy=False)  # encodes while the next one is made
     height, width = picture.shape[:2]
     line = (f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
-            f"{rate:g} per second; white is {sheet.white:g} DN/ms")
+            f"{rate:g} per second; white is {sheet.white:g} {sheet.unit}")
     return [line], {"wrote": [args.out], "images": video.count, "playing_fps": rate,
                     "white": sheet.white}
 
@@ -428,7 +431,7 @@ def _write_pictures(
         export.write_png(path, sheet.picture(frame), sheet.facts)
         written.append(path)
     last = f" .. {written[-1].name}" if len(written) > 1 else ""
-    return [f"wrote {written[0]}{last}; white is {sheet.white:g} DN/ms"], {
+    return [f"wrote {written[0]}{last}; white is {sheet.white:g} {sheet.unit}"], {
         "wrote": written, "images": len(written), "white": sheet.white}
 
 

@@ -169,7 +169,9 @@ def make_fan(
     height, width = picture.shape[:2]
     lines = [f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
              f"{video.fps:g} per second, {args.slow:g} times slower"]
-    told: dict[str, Any] = {"wrote": [args.out], "images": video.count}
+    lines += facts["assumed"]
+    told: dict[str, Any] = {"wrote": [args.out], "images": video.count,
+                            "assumed": facts["assumed"]}
     if args.still is not None and still is not None:
         export.write_png(args.still, still, facts)
         lines.append(f"wrote {args.still}")

@@ -6,7 +6,7 @@ import dataclasses
 import datetime
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from pdavis_cv import Layout, Sensor
 from pdavis_cv.fusion.learning import clock_offset_in_situ
 from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
+from pdavis_cv.recording.facts import ASSUMED, Fact, assumptions
 
-from ._common import Parser, command
+from ._common import Parser, command, in_flags
 from ._options import add_file, add_source_options, opened
 
 __all__ = ["main"]
@@ -33,6 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         name = args.file if isinstance(args.file, str) else recording.name
         if args.json:
             facts = {"file": name, "info": _plain(recording.info),
+                     "facts": _plain(dict(recording.info.facts)),
+                     "assumed": assumptions(recording.info.facts),
                      "problems": _plain(list(problems))}
             if report is not None:
                 facts["scan"] = _plain(report)
@@ -42,9 +45,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         print(name)
         for name, text in _rows(recording.info, report):
-            print(f"  {name:<10} {text}")
+            print(f"  {name:<11} {text}")
         for problem in problems:
-            print(f"  problem    {problem.message}")
+            print(f"  problem     {in_flags(problem.message)}")
         for one in advice:
             print(f"  {one.topic}: {one.finding}; {one.action}")
     return 0
@@ -74,15 +77,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _rows(info: RecordingInfo, report: Report | None) -> list[tuple[str, str]]:
-    height, width = info.sensor_size
     writer = f", written by {info.writer}" if info.writer else ""
     rows = [("format", info.format + writer)]
     if info.camera:
         rows.append(("camera", info.camera))
-    rows.append(("sensor", f"{width}x{height}"
-                 + (f", {info.sensor.name}" if info.sensor else "")))
-    rows.append(("polarizers", f"{info.layout}" if info.layout
-                 else "layout not known from the file"))
+    rows += _facts(info)
     known = info if report is None else report
     seconds = None
     if known.start_us is not None and known.stop_us is not None:
@@ -92,12 +91,15 @@ def _rows(info: RecordingInfo, report: Report | None) -> list[tuple[str, str]]:
     for name in ("event", "frame", "imu", "trigger"):
         count = getattr(known, f"{name}_count")
         label = "imu" if name == "imu" else f"{name}s"
-        rows.append((label, _count(count, seconds)))
+        if name == "frame" and isinstance(info.frame_times, float):
+            rate: float | None = info.frame_times
+        else:   # frames alone begin and end the time
+            gaps = (count or 0) - (name == "frame" and info.event_count == 0)
+            rate = gaps / seconds if gaps and seconds else None
+        rows.append((label, _count(count, rate)))
     if report is not None and report.event_count:
         share = report.on_count / report.event_count
         rows.append(("ON events", f"{report.on_count:,} ({share:.1%})"))
-    if info.exposure_us is not None:
-        rows.append(("exposure", f"{info.exposure_us / 1000:g} ms"))
     if info.wall_clock_us is not None and known.start_us is not None:
         moment = datetime.datetime.fromtimestamp(
             (info.wall_clock_us + known.start_us) / 1e6, datetime.UTC)
@@ -107,12 +109,40 @@ def _rows(info: RecordingInfo, report: Report | None) -> list[tuple[str, str]]:
     return rows
 
 
-def _count(count: int | None, seconds: float | None) -> str:
+def _facts(info: RecordingInfo) -> Iterator[tuple[str, str]]:
+    """Yield what is known of the camera, with the origin of each fact."""
+    facts, nobody = info.facts, Fact(None, "unknown")
+    size, sensor, layout, ratio, times, exposure, scale = (
+        facts.get(name, nobody) for name in (
+            "sensor_size", "sensor", "layout", "extinction_ratio", "frame_times",
+            "exposure_us", "full_scale_dn"))
+
+    def said(text: str, fact: Fact) -> str:
+        return "unknown" if fact is nobody else f"{text} ({fact.origin})"
+
+    height, width = size.value
+    yield "size", said(f"{width}x{height}", size)
+    yield "sensor", said(sensor.value and sensor.value.name, sensor)
+    yield "polarizers", said(str(layout.value), layout) + (
+        "" if ratio is nobody else
+        f", extinction ratio {said(f'{ratio.value:g}', ratio)}")
+    if info.frame_count == 0:
+        return
+    if times.origin == ASSUMED:
+        yield "frame times", f"rate assumed ({times.value:g} per second)"
+    else:
+        yield "frame times", said(
+            times.value if isinstance(times.value, str) else
+            f"{times.value or 0:g} per second", times)
+    if exposure is not nobody or not isinstance(times.value, str):
+        yield "exposure", said(f"{(exposure.value or 0) / 1000:g} ms", exposure)
+    yield "full scale", said(f"{scale.value} DN", scale)
+
+
+def _count(count: int | None, rate: float | None) -> str:
     if count is None:
         return "not known without --scan"
-    if not count or not seconds:
-        return f"{count:,}"
-    return f"{count:,} ({count / seconds:,.5g} per second)"
+    return f"{count:,}" + ("" if rate is None else f" ({rate:,.5g} per second)")
 
 
 def _plain(value: Any) -> Any:

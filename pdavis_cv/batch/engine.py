@@ -27,6 +27,7 @@ from pdavis_cv.batch.worker import Row, failed_row, perform
 from pdavis_cv.batch.works import work_of
 from pdavis_cv.errors import PdavisWarning
 from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.recording.options import SourceOptions
 
 __all__ = ["plan", "run"]
 
@@ -47,6 +48,7 @@ def run(
     retries: int = 1,
     timeout_s: float | None = None,
     progress: bool | None = None,
+    stated: SourceOptions | None = None,
 ) -> Table:
     """Do a work for every recording with every set of options.
 
@@ -84,6 +86,8 @@ def run(
         Time limit of each job, seconds.
     progress : bool, optional
         Show progress on standard error; default: only on a terminal.
+    stated : SourceOptions, optional
+        What is stated about every recording.
 
     Returns
     -------
@@ -122,7 +126,7 @@ def run(
              if hasattr(recordings, "__len__") else None)
     batch = _Batch(results, pool_factory(executor, workers), retries, timeout_s)
     with _shown(total, progress) as show:
-        batch.run(_planned(recordings, every, results, work_of(work)),
+        batch.run(_planned(recordings, every, results, work_of(work), stated),
                   _Progress(results, total, show))
     table = Table(results, batch.names, batch.unwritten)
     try:
@@ -139,12 +143,13 @@ def plan(
     out: str | os.PathLike[str],
     *,
     work: str | Work = "export",
+    stated: SourceOptions | None = None,
 ) -> Iterator[tuple[Job, bool]]:
     """Yield each job that `run` would do, and whether it is already done.
 
     Parameters
     ----------
-    recordings, jobs, out, work
+    recordings, jobs, out, work, stated
         As for `run`; nothing is written.
 
     Yields
@@ -153,20 +158,20 @@ def plan(
     """
     results = results_at(out)
     every = [jobs] if isinstance(jobs, FusionOptions) else list(jobs)
-    for job in _planned(recordings, every, results, work_of(work)):
+    for job in _planned(recordings, every, results, work_of(work), stated):
         yield job, results.is_done(job.name)
 
 
 def _planned(
     recordings: Iterable[str | os.PathLike[str]], jobs: list[FusionOptions],
-    results: Results, work: Work,
+    results: Results, work: Work, stated: SourceOptions | None,
 ) -> Iterator[Job]:
     opens = getattr(work, "opens", True)
     for recording in recordings:
         path = os.fspath(recording)
         identity = results.identity(path) if opens else path
         for options in jobs:
-            yield Job(path, identity, options, work)
+            yield Job(path, identity, options, work, stated or SourceOptions())
 
 
 @dataclass(eq=False)

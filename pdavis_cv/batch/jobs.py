@@ -15,7 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 
 import pdavis_cv
+from pdavis_cv._options import Options
 from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import Layout
 
 __all__ = ["Job", "Work", "changed_options", "describe"]
@@ -23,6 +25,7 @@ __all__ = ["Job", "Work", "changed_options", "describe"]
 _DIGITS = 12
 """Hexadecimal digits of the hash in a name: 48 bits.  The probability of a collision
 among 10^5 jobs is 2e-5."""
+_NOTHING_STATED = SourceOptions()
 _WITHOUT_EFFECT = frozenset({"threads"})
 """Options that do not change any result."""
 
@@ -68,32 +71,35 @@ class Job:
         SHA-256 of its content, or another text that changes with the content.
     options : FusionOptions
     work : Work
+    stated : SourceOptions
+        What is stated about every recording.
     """
 
     source: str
     identity: str
     options: FusionOptions
     work: Work
+    stated: SourceOptions = _NOTHING_STATED
 
     @functools.cached_property
     def name(self) -> str:
         """The recording's stem and a hash of everything that the result depends on."""
         facts = [self.identity, changed_options(self.options), describe(self.work),
-                 pdavis_cv.__version__]
+                 pdavis_cv.__version__, changed_options(self.stated)]
         text = json.dumps(facts, sort_keys=True)
         stem = self.source.rstrip("/").rpartition("/")[2].partition(".")[0]
         plain = re.sub(r"[^A-Za-z0-9_-]+", "_", stem)[:80] or "recording"
         return f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
 
 
-def changed_options(options: FusionOptions) -> dict[str, Any]:
+def changed_options(options: Options) -> dict[str, Any]:
     """Return the options that differ from their defaults, for JSON.
 
     Options that do not change any result are left out; the method's parameters are
     merged with the options.
     """
     found = {}
-    for one in dataclasses.fields(FusionOptions):
+    for one in dataclasses.fields(options):
         if one.name in _WITHOUT_EFFECT or one.name == "parameters":
             continue
         value = describe(getattr(options, one.name))
@@ -134,7 +140,7 @@ def _(value: np.ndarray) -> Any:
 
 @describe.register
 def _(value: Layout) -> Any:
-    return str(value)
+    return str(value) if value.owner is None else f"{value} of {value.owner}"
 
 
 @describe.register(Mapping)

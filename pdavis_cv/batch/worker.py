@@ -121,7 +121,10 @@ def _run_work(job: Job, folder: Path) -> Row:
     """Call the work; return its figures and the number of problems of the recording."""
     if not getattr(job.work, "opens", True):
         return {"figures": _plain(job.work(job.source, job.options, folder))}
-    source: Recording = open_recording(job.source, layout=job.options.layout)
+    stated = job.stated
+    if stated.known_layout is None:
+        stated = stated.replace(layout=job.options.layout)
+    source: Recording = open_recording(job.source, stated)
     with source as recording:
         figures = job.work(recording, job.options, folder)
         return {"figures": _plain(figures),

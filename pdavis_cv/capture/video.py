@@ -224,7 +224,11 @@ class VideoCapture:
             return self._fail(
                 function, f"{source!r} is not a recording, so that "
                 f"{', '.join(self._parameters)} cannot be used; a mosaic video or "
-                "image needs layout=")
+                "image needs layout=, e.g. layout=\"sony\"")
+        if self._view.output != CAP_PDAVIS_BGR:
+            return self._fail(
+                function, f"{source!r} is not a recording: if it is of a polarization "
+                'camera, its layout is needed, e.g. layout="sony"')
         if isinstance(source, bytes):
             return self._fail(function, "a path must be str, got bytes")
         try:

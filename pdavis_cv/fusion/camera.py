@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.errors import LayoutError
+from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.reconstruct.base import Reconstructor
 from pdavis_cv.recording.base import Source
-from pdavis_cv.recording.facts import sensor_of
+from pdavis_cv.recording.facts import ASSUMED, CALIBRATION, CALLER, Fact, sensor_of
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
 __all__ = ["analyser_of", "check_calibration_fits", "check_layout_fits",
-           "chosen_layout", "chosen_sensor", "gain_of", "mismatch_of",
+           "chosen_layout", "chosen_sensor", "facts_used", "gain_of", "mismatch_of",
            "resolved_extinction_ratio", "response_of"]
 
 # Sources whose unknown layout has already been warned about.
@@ -57,6 +58,23 @@ def chosen_sensor(layout: Layout | str | None, source: Source) -> Sensor | None:
     """Return the sensor that the caller's layout or the source names, or None."""
     named = None if layout is None else Layout.of(layout).sensor
     return sensor_of(named, source.info.sensor)
+
+
+def facts_used(
+    source: Source, options: FusionOptions, layout: Layout, sensor: Sensor | None
+) -> dict[str, Fact]:
+    """Return the facts on which fused images rest, each with its origin."""
+    known, calibration = source.info.facts, options.calibration
+    facts = {name: fact for name, fact in known.items()
+             if name not in ("layout", "sensor", "extinction_ratio")}
+    of_calibration = calibration is not None and calibration.layout is not None
+    origin = (CALLER if options.layout is not None else CALIBRATION if of_calibration
+              else known["layout"].origin if "layout" in known else ASSUMED)
+    facts["layout"] = Fact(layout, origin)
+    if sensor is not None:
+        same = source.info.sensor == sensor
+        facts["sensor"] = Fact(sensor, known["sensor"].origin if same else CALLER)
+    return facts
 
 
 def resolved_extinction_ratio(

@@ -20,6 +20,7 @@ from pdavis_cv.fusion.camera import (
     check_layout_fits,
     chosen_layout,
     chosen_sensor,
+    facts_used,
     resolved_extinction_ratio,
     response_of,
 )
@@ -39,6 +40,7 @@ from pdavis_cv.reconstruct.base import Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import LampTracker
 from pdavis_cv.reconstruct.methods import default_method, factory_of, make_reconstructor
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
+from pdavis_cv.recording.facts import assumptions
 from pdavis_cv.sensor import Layout
 
 __all__ = ["Fusion"]
@@ -125,7 +127,9 @@ class Fusion:
             "causal": options.causal, "layout": str(self.layout),
             "extinction_ratio": ratio, "demosaic": options.demosaic, "roi": roi,
             "calibration": options.calibration and options.calibration.identity,
-            "source": str(recording.path) if recording.path else info.format})
+            "source": str(recording.path) if recording.path else info.format,
+            "assumed": assumptions(
+                facts_used(recording, options, self.layout, sensor))})
         self._reset()
 
     def _probe_method(self) -> tuple[Reconstructor, dict[str, Any]]:

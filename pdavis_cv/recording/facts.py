@@ -1,14 +1,15 @@
 """Facts about a recording: each a value, and where it comes from."""
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
-__all__ = ["ASSUMED", "CALIBRATION", "CALLER", "FILE", "MEASURED", "Fact", "sensor_of",
-           "stated"]
+__all__ = ["ASSUMED", "CALIBRATION", "CALLER", "FILE", "MEASURED", "Fact",
+           "assumptions", "sensor_of", "stated"]
 
 FILE, CALLER, CALIBRATION = "file", "caller", "calibration"
 MEASURED, ASSUMED = "measured", "assumed"
@@ -29,6 +30,19 @@ class Fact:
 
     value: Any
     origin: str
+
+
+_SAID = {"sensor_size": "sensor size assumed ({0[1]}x{0[0]})",
+         "frame_times": "rate assumed ({:g} per second)",
+         "full_scale_dn": "full scale assumed ({} DN)",
+         "layout": "polarizer layout assumed ({})",
+         "thresholds": "thresholds assumed (ON {0[0]:g}, OFF {0[1]:g})"}
+
+
+def assumptions(facts: Mapping[str, Fact]) -> list[str]:
+    """Return a text for each fact that is only assumed, to be said beside results."""
+    return [text.format(facts[name].value) for name, text in _SAID.items()
+            if name in facts and facts[name].origin == ASSUMED]
 
 
 def stated(options: SourceOptions, **found: Any) -> dict[str, Any]:

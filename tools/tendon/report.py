@@ -62,6 +62,7 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
         f"<title>Tendon report</title><style>{_STYLE}</style>",
         f"<h1>Loaded sample: {html.escape(_name(found))}</h1>",
         *(f"<p class=warn>{html.escape(message)}</p>" for message in found.messages),
+        *(f"<p class=warn>{html.escape(text)}</p>" for text in found.facts["assumed"]),
         "<h2>Load</h2>", _load_table(found),
     ]
     if found.still is not None:
@@ -103,8 +104,10 @@ def summary(found: Findings) -> tuple[list[str], dict[str, Any]]:
             f"DoLP {tone.offset:.4f}, amplitude {tone.amplitude[0]:.4f} "
             f"+- {tone.amplitude_se[0]:.4f}, "
             f"distortion {100 * tone.distortion:.1f} %")
+    assumed = found.facts["assumed"]
     facts: dict[str, Any] = {"load_hz": found.load_hz, "regions": regions,
-                             "messages": found.messages}
+                             "messages": found.messages, "assumed": assumed}
+    lines += assumed
     if found.clock is not None:
         clock = found.clock
         facts["clock"] = {
