@@ -55,15 +55,15 @@ def main(argv: Sequence[str] | None = None) -> int:
                 render.tile([
                     render.panel(_angle(held), "angle of polarization, by frames"),
                     render.panel(_angle(now), "angle of polarization, fused",
-                                 legend="even")], columns=2)]))
+                                 legend="faded")], columns=2)]))
     print(f"wrote {out}")
     return 0
 
 
 def _angle(image: PolarFrame) -> Picture:
-    """Return the angle in even colours, where the light is polarized."""
+    """Return the angle, where the light is polarized."""
     good = render.reliable(image, least_dolp=_LEAST_DOLP)
-    picture = render.cyclic_bgr(image.aop, good)
+    picture = render.aop_bgr(image.aop, good)
     render.fade(picture, image.dolp, good)
     return picture
 

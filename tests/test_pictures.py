@@ -19,19 +19,76 @@ def light(aop, dolp=0.5, s0=40.0, shape=(20, 30), **facts):
     return PolarFrame(np.broadcast_to(quad, (4, *shape)), **facts)
 
 
-def test_the_cyclic_map_has_equal_lightness_and_equal_steps_and_hsv_has_not():
-    angles = np.linspace(0, np.pi, 180, endpoint=False)
-    uniform, hsv = (lab(colours(angles[None])[0])
-                    for colours in (render.cyclic_bgr, render.aop_bgr))
-    assert np.ptp(uniform[:, 0]) < 8
-    assert np.ptp(hsv[:, 0]) > 50
+ANGLES = np.linspace(0, np.pi, 180, endpoint=False)
+
+
+def oklab(bgr):
+    """Oklab of linear light, by Ottosson's published matrices."""
+    value = bgr[..., ::-1] / 255
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    cones = linear @ np.array([[0.4122214708, 0.5363325363, 0.0514459929],
+                               [0.2119034982, 0.6806995451, 0.1073969566],
+                               [0.0883024619, 0.2817188376, 0.6299787005]]).T
+    return np.cbrt(cones) @ np.array([[0.2104542553, 0.7936177850, -0.0040720468],
+                                      [1.9779984951, -2.4285922050, 0.4505937099],
+                                      [0.0259040371, 0.7827717662, -0.8086757660]]).T
+
+
+def without_green(bgr):
+    """Deuteranopia by Machado, Oliveira and Fernandes (2009), in linear light."""
+    value = bgr[..., ::-1] / 255
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.array([[0.367322, 0.860646, -0.227968],
+                                      [0.280085, 0.672501, 0.047413],
+                                      [-0.011820, 0.042940, 0.968881]]).T, 0, 1)
+    return 255 * np.where(seen <= 0.0031308, 12.92 * seen,
+                          1.055 * seen ** (1 / 2.4) - 0.055)[..., ::-1]
+
+
+def test_steps_of_the_even_map_look_equal_and_those_of_hsv_do_not():
+    even, hsv = (render.aop_bgr(ANGLES[None], colours=colours)[0]
+                 for colours in ("even", "hsv"))
     step, hsv_step = (np.linalg.norm(np.roll(v, -6, 0) - v, axis=1)
-                      for v in (uniform, hsv))
-    assert step.max() / step.min() < 2
-    assert hsv_step.max() / hsv_step.min() > 4
+                      for v in (oklab(even), oklab(hsv)))
+    assert step.max() / step.min() < 1.2
+    assert hsv_step.max() / hsv_step.min() > 3
+    assert lab(even)[:, 0].min() == pytest.approx(51, abs=1)
+    assert lab(even)[:, 0].max() == pytest.approx(79, abs=1)
+    assert np.ptp(lab(hsv)[:, 0]) > 60
 
 
-@pytest.mark.parametrize("colours", [render.aop_bgr, render.cyclic_bgr])
+@pytest.mark.parametrize("eyes", [lambda bgr: bgr, without_green])
+def test_angles_30_degrees_apart_differ_to_all_eyes(eyes):
+    seen = lab(eyes(render.aop_bgr(ANGLES[None])[0].astype(float)))
+    apart = np.abs((np.subtract.outer(np.arange(180), np.arange(180)) + 90) % 180 - 90)
+    distance = np.linalg.norm(seen[:, None] - seen, axis=-1)
+    assert distance[apart >= 30].min() > 10
+
+
+def test_the_angle_can_be_read_back_from_its_colour():
+    angles = np.random.default_rng(0).uniform(0, np.pi, 500)
+    table = oklab(render.aop_bgr(np.linspace(0, np.pi, 720, endpoint=False)[None])[0])
+    seen = oklab(render.aop_bgr(angles[None])[0])
+    nearest = np.linalg.norm(seen[:, None] - table, axis=-1).argmin(1) * np.pi / 720
+    error = np.abs((nearest - angles + np.pi / 2) % np.pi - np.pi / 2)
+    assert np.rad2deg(error).max() < 1
+
+
+def test_an_angle_that_its_method_does_not_know_is_hidden():
+    quad = light(0.3, 0.5).quad
+    variance = np.full((4, 20, 30), 1e-4)
+    variance[:, :5] = 400
+    frame = PolarFrame(quad, variance=variance)
+    hidden = frame.sigma_aop > np.deg2rad(render.HIDDEN_SIGMA_DEG)
+    assert hidden[:5].all()
+    assert not hidden[5:].any()
+    picture = render.aop_bgr(frame.aop, frame.valid)
+    want = np.where(hidden[..., None], 7, picture)
+    render.fade_aop(picture, frame, ground=7)
+    np.testing.assert_array_equal(picture, want)
+
+
+@pytest.mark.parametrize("colours", ["even", "hsv"])
 def test_the_wheel_shows_each_angle_in_the_colour_that_the_data_have(colours):
     radius = 200
     wheel = render.aop_legend(radius, colours=colours)
@@ -39,14 +96,16 @@ def test_the_wheel_shows_each_angle_in_the_colour_that_the_data_have(colours):
     x = np.rint(radius - 0.5 + 150 * np.cos(angles)).astype(int)
     y = np.rint(radius - 0.5 - 150 * np.sin(angles)).astype(int)
     there = np.arctan2(radius - 0.5 - y, x - radius + 0.5)
-    np.testing.assert_array_equal(wheel[y, x], colours(there[None])[0])
+    np.testing.assert_array_equal(
+        wheel[y, x], render.aop_bgr(there[None], colours=colours)[0])
     # Within the 0.2 degrees that a pixel of the wheel spans, the angle's own colour.
-    difference = wheel[y, x].astype(int) - colours(angles[None])[0]
+    difference = wheel[y, x].astype(int) - render.aop_bgr(
+        angles[None], colours=colours)[0]
     assert np.max(np.abs(difference)) <= 6
 
 
 def test_zero_and_a_half_turn_have_one_colour():
-    both = render.cyclic_bgr(np.array([[0, np.pi, -np.pi]]))[0]
+    both = render.aop_bgr(np.array([[0, np.pi, -np.pi]]))[0]
     assert (both == both[0]).all()
 
 

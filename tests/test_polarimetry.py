@@ -336,12 +336,12 @@ def test_an_array_of_a_frame_is_its_four_channels():
 def test_a_notebook_shows_s0_aop_and_dolp():
     cv2 = pytest.importorskip("cv2")
     quad = np.full((4, 6, 8), 2.0)
-    quad[0], quad[2] = 4, 0                    # AoP 0 is red, fully polarized
+    quad[0], quad[2] = 4, 0                    # AoP 0, fully polarized
     quad[:, :, 4:] = [[[2.2]], [[1.8]], [[1.8]], [[2.2]]]   # AoP 157.5, DoLP .141
     frame = PolarFrame(quad, valid=np.arange(48).reshape(6, 8) > 0)
     picture = cv2.imdecode(np.frombuffer(frame._repr_png_(), np.uint8), 1)
     seen = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
-    assert (0, 0, 255) in seen
+    assert tuple(render.aop_bgr([[0.0]])[0, 0].tolist()) in seen
     assert render.INVALID in seen
     # Colours fade below a DoLP of .25.
     weak = np.sqrt(0.02) / 0.25 * render.aop_bgr([[np.deg2rad(157.5)]])[0, 0]

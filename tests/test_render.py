@@ -13,8 +13,9 @@ from pdavis_cv import Analyser, PolarFrame, _kernels, render
 
 
 @given(st.floats(0, np.pi, exclude_max=True))
-def test_hue_is_aop_over_180_degrees(aop):
-    blue, green, red = render.aop_bgr(np.array([[aop]]))[0, 0] / 255.0
+def test_hue_of_hsv_is_aop_over_180_degrees(aop):
+    blue, green, red = render.aop_bgr(
+        np.array([[aop]]), colours="hsv")[0, 0] / 255.0
     hue, saturation, value = colorsys.rgb_to_hsv(red, green, blue)
     assert (saturation, value) == (1, 1)
     turn = (hue - aop / np.pi + 0.5) % 1 - 0.5
@@ -28,7 +29,8 @@ def test_aop_colour_is_axial():
 
 
 def test_the_hue_table_holds_every_saturated_colour_once():
-    colours = np.unique(render.aop_bgr(np.arange(1530) * np.pi / 1530), axis=0)
+    colours = np.unique(
+        render.aop_bgr(np.arange(1530) * np.pi / 1530, colours="hsv"), axis=0)
     assert len(colours) == 1530
     assert np.all(colours.max(axis=1) == 255)
     assert np.all(colours.min(axis=1) == 0)
@@ -63,6 +65,11 @@ def test_grey_does_not_depend_on_the_rest_of_the_image():
     large = render.grey_bgr([[1.0, 400.0]], 4.0)
     assert small[0, 0].tolist() == large[0, 0].tolist() == [64, 64, 64]
     assert large[0, 1].tolist() == [255, 255, 255]
+
+
+def test_an_unknown_map_is_named():
+    with pytest.raises(ValueError, match="colours must be one of even, hsv, got 'jet'"):
+        render.aop_bgr([[1.0]], colours="jet")
 
 
 def test_grey_refuses_a_scale_without_extent():
@@ -264,7 +271,8 @@ def test_drawing_polarization_at_once_draws_what_the_planes_look_like(facts, sat
 
 
 @pytest.mark.parametrize("colour", [
-    render.aop_bgr, render.dolp_bgr, render.cyclic_bgr,
+    render.aop_bgr, render.dolp_bgr,
+    lambda value, **more: render.aop_bgr(value, colours="hsv", **more),
     lambda value, **more: render.grey_bgr(value, 2.0, **more)])
 def test_colours_can_be_drawn_into_a_part_of_a_picture(colour):
     rng = np.random.default_rng(1)

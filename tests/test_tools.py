@@ -275,11 +275,11 @@ def test_angles_fade_by_dolp_unless_asked_otherwise(tmp_path):
     shown, image = exported(tmp_path / "x.png", "--range", "dolp=0.1,0.5")
     want = render.aop_bgr(image.aop, image.valid)
     assert (shown != want).any()
-    render.fade(want, image.dolp - np.float32(0.1), image.valid, top=0.4)
+    render.fade_aop(want, image, low=0.1, top=0.5)
     np.testing.assert_array_equal(shown, want)
-    shown, _ = exported(tmp_path / "x.png", "--aop", "even", "--background", "light")
-    want = render.cyclic_bgr(image.aop, image.valid)
-    render.fade(want, image.dolp, image.valid, ground=255)
+    shown, _ = exported(tmp_path / "x.png", "--aop", "hsv", "--background", "light")
+    want = render.aop_bgr(image.aop, image.valid, colours="hsv")
+    render.fade_aop(want, image, ground=255)
     np.testing.assert_array_equal(shown, want)
 
 

@@ -178,9 +178,11 @@ def _parser() -> argparse.ArgumentParser:
         "--white", type=positive, metavar="DN/MS",
         help="intensity shown as white; default: from the first image, then fixed")
     look.add_argument(
-        "--aop", choices=("faded", "even", "full"), default="faded",
-        help="colours of the angle: hues that fade where DoLP is low (default), the "
-             "same with uniform lightness, or full hues for any DoLP")
+        "--aop", choices=("faded", "hsv", "full"), default="faded",
+        help="colours of the angle: faded (default): equal steps look equal, fading "
+             "where DoLP is low or the angle's standard deviation is above "
+             f"{render.HIDDEN_SIGMA_DEG:g} degrees; hsv: the same in hues of HSV; "
+             "full: even colours for any DoLP")
     look.add_argument(
         "--mask-dolp", type=positive, metavar="DOLP",
         help="grey out AoP of weaker polarization")
@@ -311,15 +313,15 @@ class Sheet:
     def _usual(self, name: str) -> bool:
         """Return whether `draw_polarization` draws the picture of a quantity."""
         if name == "aop":
-            return self.args.aop != "even" and not self._masked
+            return self.args.aop != "hsv" and not self._masked
         if name == "dolp":
             return self.ranges[name] == (0, 1)
         return name == "s0" and self.ranges[name][0] == 0
 
     def _fade(self, picture: Picture, frame: PolarFrame) -> None:
         low, high = self.fading
-        render.fade(picture, frame.dolp - np.float32(low), frame.valid, top=high - low,
-                    ground=self.style.ground)
+        render.fade_aop(
+            picture, frame, low=low, top=high, ground=self.style.ground)
 
     def _colour(
         self, frame: PolarFrame, name: str, out: Picture | None
@@ -327,8 +329,9 @@ class Sheet:
         if name == "aop":
             good = render.reliable(frame, least_dolp=self.args.mask_dolp,
                                    most_sigma_deg=self.args.mask_sigma)
-            colours = render.cyclic_bgr if self.args.aop == "even" else render.aop_bgr
-            picture = colours(frame.aop, good, out)
+            picture = render.aop_bgr(
+                frame.aop, good, out,
+                colours="hsv" if self.args.aop == "hsv" else "even")
             if self.args.aop != "full":
                 self._fade(picture, frame)
             picture[~good] = render.INVALID

@@ -18,6 +18,7 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import INTENSITY, QUANTITIES
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.open import open_recording
+from pdavis_cv.render import aop_bgr
 
 if TYPE_CHECKING:
     import napari.types
@@ -27,7 +28,6 @@ __all__ = ["fuse_recording", "get_reader", "read_recording", "read_stack"]
 Layer = tuple[NDArray[np.float32], dict[str, Any], str]
 
 _QUANTITIES = ("s0", "aop", "dolp")
-_COLOURS = {"hue": "hsv", "viridis": "viridis"}
 _BRIGHT = 99.5  # percentile of an intensity that is shown as white
 _METHODS = ("what fits the file", *METHODS)
 _LAYOUTS = ("as the file says", "pdavis", "sony")
@@ -165,7 +165,14 @@ def _layer(
         top = (float(np.percentile(usable, _BRIGHT)) if usable.size else 0.0) or 1.0
     return data, {
         "name": name, "scale": scale, "contrast_limits": one.shown(top),
-        "colormap": _COLOURS.get(one.colours, "gray"), "metadata": facts}, "image"
+        "colormap": _colormap(one.colours), "metadata": facts}, "image"
+
+
+def _colormap(colours: str) -> str | dict[str, Any]:
+    if colours != "hue":
+        return "viridis" if colours == "viridis" else "gray"
+    turn = np.linspace(0, np.pi, 257, dtype=np.float32)[None]
+    return {"name": "AoP", "colors": aop_bgr(turn)[0, :, ::-1] / 255}
 
 
 def _description(path: str) -> str:

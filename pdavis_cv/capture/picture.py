@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pdavis_cv.capture.outputs import Output
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.base import ApsFrame, Recording
-from pdavis_cv.render import ToneCurve, fade, quantity_bgr
+from pdavis_cv.render import ToneCurve, fade_aop, quantity_bgr
 
 __all__ = ["colour", "event_counts", "events_bgr", "first_frame", "plane", "tone",
            "white_level"]
@@ -134,7 +134,7 @@ def colour(frame: PolarFrame, output: Output, curve: ToneCurve) -> NDArray[np.ui
         return curve.bgr(plane(frame, output), invalid=(0, 0, 0))
     made = quantity_bgr(one, frame, *one.ends(curve.white))
     if output.faded:
-        fade(made, frame.dolp, frame.valid)
+        fade_aop(made, frame)
     return made
 
 

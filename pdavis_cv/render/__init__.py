@@ -10,7 +10,6 @@ from pdavis_cv.render.colours import (
     fade,
     grey_bgr,
 )
-from pdavis_cv.render.cyclic import cyclic_bgr
 from pdavis_cv.render.layouts import (
     fan_sheet,
     png_of,
@@ -31,8 +30,11 @@ from pdavis_cv.render.legends import (
     tile,
 )
 from pdavis_cv.render.overlay import (
+    HIDDEN_SIGMA_DEG,
     draw_scale_bar,
     events_on,
+    fade_aop,
+    known_aop,
     reliable,
     scale_bar,
 )
@@ -44,6 +46,7 @@ from pdavis_cv.render.tone import ToneCurve
 __all__ = [
     "DARK",
     "FULL_COLOUR_DOLP",
+    "HIDDEN_SIGMA_DEG",
     "INVALID",
     "LIGHT",
     "Line",
@@ -57,15 +60,16 @@ __all__ = [
     "bar_legend",
     "caption",
     "chart",
-    "cyclic_bgr",
     "dolp_bgr",
     "draw_polarization",
     "draw_scale_bar",
     "even",
     "events_on",
     "fade",
+    "fade_aop",
     "fan_sheet",
     "grey_bgr",
+    "known_aop",
     "opencv",
     "panel",
     "png_of",

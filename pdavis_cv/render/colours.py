@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv.render.cyclic import even_hues, hsv_hues
 
 __all__ = [
     "FULL_COLOUR_DOLP",
@@ -32,24 +33,12 @@ INVALID = (96, 96, 96)
 FULL_COLOUR_DOLP = 0.25
 """DoLP from which on a faded AoP has its full colour; chosen for tissue and sky."""
 
-# Number of different uint8 colours of full saturation and value.
-_HUES = 6 * 255
-AOP_SCALE = _HUES / np.pi
-
 # matplotlib's viridis (CC0) at 16 intervals, RGB; interpolated, within 6 of 255.
 _VIRIDIS = np.array([
     (68, 1, 84), (72, 24, 106), (71, 45, 123), (66, 64, 134), (59, 82, 139),
     (51, 99, 141), (44, 114, 142), (38, 130, 142), (33, 145, 140), (31, 160, 136),
     (40, 174, 128), (63, 188, 115), (94, 201, 98), (132, 212, 75), (173, 220, 48),
     (216, 226, 25), (253, 231, 37)], np.float64)
-
-
-def _hue_table() -> Picture:
-    step = np.arange(_HUES)[:, None]
-    phase = (step - np.array([4, 2, 0]) * 255) % _HUES  # distance past B, G, R
-    off = np.minimum(phase, _HUES - phase)  # 0 at the pure colour, 3 * 255 opposite
-    table: Picture = np.clip(2 * 255 - off, 0, 255).astype(np.uint8)
-    return table
 
 
 def table_of(
@@ -76,7 +65,9 @@ def table_of(
 
 
 _GREYS = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
-HUE_TABLE = table_of(_hue_table())
+_HUES = {"even": table_of(even_hues()), "hsv": table_of(hsv_hues())}
+HUE_TABLE = _HUES["even"]
+AOP_SCALE = (len(HUE_TABLE) - 2) / np.pi
 GREY_TABLE = table_of(_GREYS)
 SEEN_TABLE = table_of(_GREYS, invalid=(255, 255, 255))
 DOLP_TABLE = table_of(np.stack([
@@ -86,27 +77,37 @@ DOLP_TABLE = table_of(np.stack([
 
 def aop_bgr(
     aop: ArrayLike, valid: NDArray[np.bool_] | None = None,
-    out: Picture | None = None,
+    out: Picture | None = None, *, colours: str = "even",
 ) -> Picture:
-    """Colour an angle of polarization: hue = AoP / 180 degrees of a full turn.
+    """Colour an angle of polarization; 180 degrees are a full turn of hue.
 
     Parameters
     ----------
     aop : array_like of float, shape (H, W)
-        Radians; red at 0 and at pi, yellow-green at 45 degrees, cyan at 90, violet
-        at 135.
+        Radians; reddish brown at 0 and at pi, yellow-green at 45 degrees, light blue
+        at 90, violet at 135.
     valid : ndarray of bool, shape (H, W), optional
         Pixels that are False become `INVALID`.
     out : ndarray of uint8, shape (H, W, 3), optional
         Overwritten and returned; may be a part of a larger picture.
+    colours : {"even", "hsv"}
+        Equal steps of angle look equal, or hues of full saturation and value.
 
     Returns
     -------
     ndarray of uint8, shape (H, W, 3)
-        BGR at full saturation and value.
+        BGR.
+
+    Raises
+    ------
+    ValueError
+        If there is no such map.
     """
+    if colours not in _HUES:
+        raise ValueError(f"colours must be one of {', '.join(_HUES)}, got {colours!r}")
+    table = _HUES[colours]
     return through_table(
-        _kernels.hue_bgr, aop, valid, AOP_SCALE, HUE_TABLE, out=out)
+        _kernels.hue_bgr, aop, valid, (len(table) - 2) / np.pi, table, out=out)
 
 
 def dolp_bgr(

@@ -14,11 +14,10 @@ from pdavis_cv.render.colours import (
     Picture,
     aop_bgr,
     dolp_bgr,
-    fade,
     grey_bgr,
 )
 from pdavis_cv.render.legends import even, panel, tile
-from pdavis_cv.render.overlay import reliable
+from pdavis_cv.render.overlay import fade_aop, reliable
 from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
@@ -69,7 +68,7 @@ def summary(image: PolarFrame) -> Picture:
     grey = (ToneCurve.of([image.s0], [image.valid]) if image.valid.any()
             else ToneCurve(1.0))
     colour = aop_bgr(image.aop, image.valid)
-    fade(colour, image.dolp, image.valid)
+    fade_aop(colour, image)
     scale = max(1, -(-_LEAST_WIDTH // image.shape[1]))
     return tile([
         panel(grey.bgr(image.s0, image.valid), "S0", legend="grey",

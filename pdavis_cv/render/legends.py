@@ -5,16 +5,15 @@ Only text needs OpenCV.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
 from pdavis_cv.render.colours import Picture, aop_bgr, dolp_bgr, fade, grey_bgr
-from pdavis_cv.render.cyclic import cyclic_bgr
 
 __all__ = [
     "DARK",
@@ -50,9 +49,9 @@ LINE = 20
 
 def aop_legend(
     radius: int, background: int = 0, *,
-    colours: Callable[[ArrayLike], Picture] = aop_bgr, faded: bool = False,
+    colours: str = "even", faded: bool = False,
 ) -> Picture:
-    """Draw the half-turn wheel that explains `aop_bgr` or `cyclic_bgr`.
+    """Draw the half-turn wheel that explains `aop_bgr`.
 
     Parameters
     ----------
@@ -60,8 +59,8 @@ def aop_legend(
         Outer radius in pixels; the ring is half as wide.
     background : int
         Grey value around the ring, 0..255.
-    colours : callable
-        Maps angles to colours.
+    colours : {"even", "hsv"}
+        As for `aop_bgr`.
     faded : bool
         Show DoLP too, as a disc that fades to the background in the middle.
 
@@ -74,7 +73,7 @@ def aop_legend(
     across, up, distance = _wheel_places(radius)
     picture = np.full((radius, 2 * radius, 3), background, np.uint8)
     ring = (distance <= radius) & (faded | (distance >= radius / 2))
-    wheel = colours(np.arctan2(up, across))
+    wheel = aop_bgr(np.arctan2(up, across), colours=colours)
     if faded:
         fade(wheel, distance, top=radius, ground=background)
     picture[ring] = wheel[ring]
@@ -124,9 +123,9 @@ def panel(
         BGR.
     title : str
         One line.
-    legend : {"aop", "faded", "even", "dolp", "grey"}, optional
-        Quantity of the colours; ``"faded"`` and ``"even"`` are AoP by `aop_bgr` and
-        `cyclic_bgr`, faded by DoLP.
+    legend : {"aop", "faded", "hsv", "dolp", "grey"}, optional
+        Quantity of the colours; ``"faded"`` and ``"hsv"`` are AoP in the even colours
+        and in those of HSV, faded by DoLP.
     start, end : str
         Values at the ends of the bar, e.g. ``"36 DN/ms"``; for a wheel, `end` is the
         DoLP at the rim.
@@ -143,7 +142,7 @@ def panel(
     if scale != 1:
         picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
     parts = [_line(title, style), picture]
-    if legend in ("aop", "faded", "even"):
+    if legend in ("aop", "faded", "hsv"):
         parts.append(_aop_strip(legend, end, style))
     elif legend is not None:
         parts.append(_bar_strip(legend, start, end, style))
@@ -292,7 +291,7 @@ def _aop_strip(kind: str, end: str, style: Style, radius: int = 30) -> Picture:
     strip = np.full(
         (radius + 20 + (LINE if words else 0), width, 3), style.ground, np.uint8)
     strip[16:middle, margin:margin + 2 * radius] = aop_legend(
-        radius, style.ground, colours=cyclic_bgr if kind == "even" else aop_bgr,
+        radius, style.ground, colours="hsv" if kind == "hsv" else "even",
         faded=kind != "aop")
     for text, x, y in (("180", margin - 28, middle), ("135", 24, 24),
                        ("90", margin + radius - 7, 12), ("45", 100, 24),

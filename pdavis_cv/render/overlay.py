@@ -10,12 +10,17 @@ from numpy.typing import NDArray
 from pdavis_cv._checks import MOST_SIDE, sensor_shape, whole_number
 from pdavis_cv.events import as_events
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.render.colours import Picture
+from pdavis_cv.render.colours import FULL_COLOUR_DOLP, Picture, fade
 from pdavis_cv.render.legends import caption, text_width
 
-__all__ = ["draw_scale_bar", "events_on", "reliable", "scale_bar"]
+__all__ = ["HIDDEN_SIGMA_DEG", "draw_scale_bar", "events_on", "fade_aop", "known_aop",
+           "reliable", "scale_bar"]
 
 ON, OFF = (255, 255, 255), (0, 0, 0)
+
+HIDDEN_SIGMA_DEG = 20.0
+"""Standard deviation of AoP above which a faded picture hides it; of a random angle it
+is 52 degrees."""
 
 
 def events_on(
@@ -105,6 +110,39 @@ def reliable(
                 "most_sigma_deg needs a method that knows its variance, such as kalman")
         good &= frame.sigma_aop <= np.deg2rad(most_sigma_deg)
     return good
+
+
+def known_aop(frame: PolarFrame) -> NDArray[np.bool_]:
+    """Return where an image's AoP is not stated to be noise, shape (H, W).
+
+    It is if its method states a standard deviation above `HIDDEN_SIGMA_DEG`.
+    """
+    if frame.sigma_aop is None:
+        return np.ones(frame.shape, np.bool_)
+    return np.asarray(frame.sigma_aop <= np.deg2rad(HIDDEN_SIGMA_DEG))
+
+
+def fade_aop(
+    picture: Picture, frame: PolarFrame, *, low: float = 0.0,
+    top: float = FULL_COLOUR_DOLP, ground: int = 0,
+) -> None:
+    """Fade the picture of an image's AoP in place where the angle means little.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        As `aop_bgr` draws it; pixels that are not valid stay as they are.
+    frame : PolarFrame
+        Its DoLP sets the colour's share, which is 0 where AoP is not `known_aop`.
+    low, top : float
+        DoLP of no colour and of full colour.
+    ground : int
+        Grey value to fade to, 0..255.
+    """
+    weight = frame.dolp - np.float32(low)
+    if frame.sigma_aop is not None:
+        weight = np.where(known_aop(frame), weight, np.float32(0))
+    fade(picture, weight, frame.valid, top=top - low, ground=ground)
 
 
 def scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> Picture:

@@ -16,7 +16,7 @@ from pdavis_cv.capture.picture import colour, event_counts, events_bgr
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import INTENSITY, QUANTITIES, Quantity, quantity
-from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, grey_bgr
+from pdavis_cv.render import ToneCurve, aop_bgr, dolp_bgr, grey_bgr, known_aop
 from pdavis_cv.render.colours import (
     AOP_SCALE,
     FULL_COLOUR_DOLP,
@@ -36,16 +36,18 @@ JPEG_QUALITY = 95
 NONE = 255
 """Value of a pixel without an estimate in a plane."""
 _PARTS = 255    # values 0 .. 254 of a plane
+_HIDDEN = 254   # of an angle whose standard deviation is too large; others are below
 _GREY = 64      # of a picture that the method does not give
 
 
-def _numbers(count: int) -> NDArray[np.uint8]:
-    """Return a colour table whose entries are plane values, for `count` colours."""
-    number = (np.arange(count) * _PARTS // count).astype(np.uint8)
+def _numbers(count: int, parts: int) -> NDArray[np.uint8]:
+    """Return a colour table whose `count` entries are plane values below `parts`."""
+    number = (np.arange(count) * parts // count).astype(np.uint8)
     return table_of(np.repeat(number[:, None], 3, axis=1), (NONE,) * 3, (NONE,) * 3)
 
 
-_HUES, _RAMP = _numbers(len(HUE_TABLE) - 2), _numbers(_PARTS)
+_HUES = _numbers(len(HUE_TABLE) - 2, _HIDDEN)
+_RAMP = _numbers(_PARTS, _PARTS)
 
 
 def _plane(one: Quantity, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
@@ -65,6 +67,7 @@ def _plane(one: Quantity, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
     if one.colours == "hue":
         picture = through_table(
             _kernels.hue_bgr, values, image.valid, AOP_SCALE, _HUES)
+        picture[image.valid & ~known_aop(image)] = _HIDDEN
     else:
         low, high = one.ends(show.white if one.unit == INTENSITY else 1.0)
         picture = through_table(
@@ -117,7 +120,8 @@ def palettes() -> dict[str, Any]:
         each; ``colours``: 256 colours of a plane's numbers, by the name of the colours;
         ``full_dolp``: DoLP from which AoP has its full colour.
     """
-    middle = (np.arange(_PARTS, dtype=np.float32) + 0.5) * np.float32(math.pi / _PARTS)
+    middle = (np.arange(_HIDDEN, dtype=np.float32) + 0.5) * np.float32(
+        math.pi / _HIDDEN)
     steps = np.arange(_PARTS, dtype=np.float32) / np.float32(_PARTS - 1)
     tones = [[grey] * 3 for grey in range(256)]
 
@@ -130,7 +134,8 @@ def palettes() -> dict[str, Any]:
             {"name": one.name, "title": one.title, "ends": _ends(one),
              "colours": "tone" if one.light or one.colours == "events" else one.colours}
             for one in QUANTITIES.usable().values() if one.pane],
-        "colours": {"tone": tones, "hue": rgb(aop_bgr(middle[None])),
+        "colours": {"tone": tones, "hue": rgb(np.append(
+                        aop_bgr(middle[None]), np.zeros((1, 1, 3), np.uint8), 1)),
                     "viridis": rgb(dolp_bgr(steps[None])),
                     "grey": rgb(grey_bgr(steps[None], 1.0))},
         "full_dolp": FULL_COLOUR_DOLP}
