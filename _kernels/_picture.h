@@ -32,7 +32,7 @@ static int32_t far_hue(double value, int32_t size)
     double root = sqrt(value > 0 ? value : 0);                                       \
     int32_t line = (int32_t)(value == value ? (root > top ? top : root) + 0.5 : size);
 
-/* valid may be NULL; a value below least keeps its colour even if it is not valid. */
+/* valid may be NULL; what is not valid has the last colour if it is at least `least`. */
 #define PDAVIS_PAINT(NAME, T, INDEX)                                                 \
     PDAVIS_CLONES PDAVIS_UNUSED static void NAME(                                    \
         const T *restrict row, const uint8_t *restrict valid, ptrdiff_t n,           \
@@ -58,8 +58,8 @@ static int32_t far_hue(double value, int32_t size)
                         lines[i] = far_hue((double)row[i] * scale + 0.5, size);      \
             if (valid) {                                                             \
                 for (i = 0; i < m; i++)                                              \
-                    lines[i] = (valid[i] == 0) & (row[i] >= bound)                   \
-                        ? size + 1 : lines[i];                                       \
+                    lines[i] = valid[i] ? lines[i]                                   \
+                        : size + (row[i] >= bound);                                  \
                 valid += PDAVIS_PIXELS;                                              \
             }                                                                        \
             for (i = 0; i < m - 1; i++)                                              \

@@ -74,7 +74,7 @@ def hue_bgr(const plane_t[:, ::1] plane not None,
 
     table is (n + 2, 4): B, G, R and an unused byte.  A value that is not finite gets
     table[n]; where valid (if not empty) is 0, a value of at least `least` gets
-    table[n + 1].
+    table[n + 1], any other table[n].
     """
     draw(plane, valid, scale, least, table, out, hue_row_f32, hue_row_f64)
 

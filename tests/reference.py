@@ -115,7 +115,7 @@ def fade_bgr(weight, valid, scale, ground, picture):
 
 def coloured(plane, valid, least, table, index, has_colour):
     index = np.where(has_colour, index, len(table) - 2)
-    index = np.where(~valid & (plane >= least), len(table) - 1, index)
+    index = np.where(valid, index, len(table) - 2 + (plane >= least))
     return table[index, :3]
 
 

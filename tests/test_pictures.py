@@ -146,14 +146,29 @@ def test_a_tone_curve_cannot_flicker():
         render.ToneCurve.of([np.zeros((2, 2))])
 
 
-def test_a_tone_curve_whitens_what_is_too_bright_and_leaves_what_is_too_dark():
+@pytest.mark.parametrize("eyes", [lambda bgr: bgr, without_green])
+def test_no_map_holds_the_colour_of_pixels_that_are_not_valid(eyes):
+    steps = np.linspace(0, 1, 256)[None]
+    maps = [render.grey_bgr(steps, 1.0), render.dolp_bgr(steps)]
+    for ground in (render.DARK.ground, render.LIGHT.ground):
+        for weight in np.linspace(0, 1, 20):
+            hues = render.aop_bgr(ANGLES[None])
+            render.fade(hues, np.full(hues.shape[:2], weight), top=1, ground=ground)
+            maps.append(hues)
+    data = oklab(eyes(np.hstack(maps)[0].astype(float)))
+    away = np.linalg.norm(data - oklab(eyes(np.array(render.INVALID, float))), axis=-1)
+    assert away.min() > 0.1     # black is 1 from white
+
+
+def test_a_tone_curve_whitens_what_is_too_bright_and_marks_what_is_too_dark():
     value = np.array([[0.01, 0.01, 20.0, 20.0, 60.0]])
     valid = np.array([[True, False, True, False, True]])
     curve = render.ToneCurve(60.0, saturated=18.0)
-    dark, same, measured, white, top = curve.seen(value, valid)[0, :, 0].tolist()
-    assert (dark, same, white, top) == (0, 0, 255, 255)
-    assert measured == 85
-    assert render.ToneCurve(60.0).seen(value, valid)[0, 3, 0] == 85
+    seen = curve.seen(value, valid)[0]
+    assert seen[[0, 2, 3, 4], 0].tolist() == [0, 85, 255, 255]
+    assert seen[1].tolist() == list(render.INVALID)
+    assert (render.ToneCurve(60.0).seen(value, valid)[0, [1, 3]] == render.INVALID
+            ).all()
     with pytest.raises(ValueError, match="saturated must be positive"):
         render.ToneCurve(60.0, saturated=0.0)
 

@@ -122,7 +122,8 @@ def colour(frame: PolarFrame, output: Output, curve: ToneCurve) -> NDArray[np.ui
     Returns
     -------
     ndarray of uint8, shape (H, W, 3)
-        BGR.  Where AoP and DoLP are not valid they are grey, and intensities are black.
+        BGR.  Pixels that are not valid are `render.INVALID`, and of intensities, which
+        stay grey for detectors, black.
 
     Raises
     ------

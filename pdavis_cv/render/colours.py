@@ -26,8 +26,9 @@ __all__ = [
 
 Picture = NDArray[np.uint8]
 
-INVALID = (96, 96, 96)
-"""Colour of pixels that are not valid, BGR."""
+INVALID = (200, 40, 20)
+"""Colour of pixels that are not valid, BGR: a blue that is far from all colours of
+data, also of faded ones, and for eyes that do not tell red from green."""
 
 
 FULL_COLOUR_DOLP = 0.25
@@ -149,11 +150,11 @@ def grey_bgr(
     white : float
         Intensity that becomes 255, in the same unit; above it stays 255.
     valid : ndarray of bool, shape (H, W), optional
-        Pixels that are False become `INVALID`, unless `saturated` is given.
+        Pixels that are False become `INVALID`, or white; see `saturated`.
     saturated : float, optional
         Intensity above which pixels that are not valid are taken as saturated and shown
         white: their value is a lower bound and might look darker than its neighbours.
-        Below it, they are too dark and shown in grey.
+        Below it, they become `INVALID`.
     out : ndarray of uint8, shape (H, W, 3), optional
         As for `aop_bgr`.
 
@@ -225,8 +226,8 @@ def through_table(
     table : ndarray of uint8, shape (N + 2, 4)
         See `table_of`.
     least : float, optional
-        Pixels that are not valid and below it have the colour of their value; default:
-        none.
+        Pixels that are not valid have the table's last colour from here on, and the
+        last but one below; default: the last.
     out : ndarray of uint8, shape (H, W, 3), optional
         Overwritten and returned; pixels of a row must be contiguous.
 

@@ -41,7 +41,6 @@ def quantity_bgr(
     if quantity.colours == "viridis":
         return dolp_bgr(values, frame.valid, top=width, out=out)
     if quantity.light:
-        # Intensities that are not valid are too dark or too bright to measure, but
-        # may be shown.
         return grey_bgr(values, width, frame.valid, saturated=saturated - low, out=out)
-    return grey_bgr(values, width, out=out)
+    known = None if quantity.dtype is np.uint8 else frame.valid     # `valid` itself
+    return grey_bgr(values, width, known, out=out)

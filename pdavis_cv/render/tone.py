@@ -160,7 +160,7 @@ class ToneCurve:
     def seen(
         self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None
     ) -> Picture:
-        """Return a grey picture that also shows pixels that are not valid.
+        """Return a grey picture in which what is too bright to measure is white.
 
         Parameters
         ----------
@@ -172,11 +172,11 @@ class ToneCurve:
         Returns
         -------
         ndarray of uint8, shape (H, W, 3)
-            BGR; pixels that are not valid are white from ``saturated`` on, and have
-            the grey of their value below.
+            BGR; pixels that are not valid are white from ``saturated`` on, and
+            `INVALID` below.
         """
         if self.saturated is None:
-            return self.bgr(intensity)
+            return self.bgr(intensity, valid)
         return self._through(
             intensity, valid, INVALID, (255, 255, 255), self.saturated)
 
