@@ -48,6 +48,39 @@ def test_video_holds_every_picture_whole(tmp_path, suffix, shape):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
+@pytest.mark.parametrize("shape", [(64, 96), (65, 97)])
+def test_mp4_is_what_slide_programs_play(tmp_path, shape):
+    av = pytest.importorskip("av")
+    path, wanted = tmp_path / "clip.mp4", pictures(7, shape)
+    with export.VideoFile(path, 29.97, {"method": "none"}) as video:
+        for picture in wanted:
+            video.add(picture)
+    assert video.codec in ("H.264 (libx264)", "H.264 (libopenh264)", "vp09")
+    with av.open(str(path)) as file:
+        stream, = file.streams.video
+        assert stream.codec_context.name == (
+            "vp9" if video.codec == "vp09" else "h264")
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert (stream.width, stream.height) == (96 + shape[1] % 2 * 2,
+                                                 64 + shape[0] % 2 * 2)
+        assert float(stream.average_rate) == pytest.approx(29.97, rel=1e-4)
+        got = [frame.to_ndarray(format="bgr24") for frame in file.decode(stream)]
+    assert len(got) == 7
+    for a, b in zip(got, wanted, strict=True):
+        assert np.abs(a[:shape[0], :shape[1]].astype(int) - b).mean() < 6
+    assert export.read_embedded(path) == {"method": "none"}
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".m4v"])
+def test_without_an_encoder_of_h264_opencv_writes(tmp_path, monkeypatch, suffix):
+    monkeypatch.setattr("pdavis_cv.export.video.h264_encoder", lambda: None)
+    with export.VideoFile(tmp_path / f"clip{suffix}", 25) as video:
+        for picture in pictures(3, (64, 96)):
+            video.add(picture)
+    assert video.codec == {".mp4": "vp09", ".m4v": "mp4v"}[suffix]
+    assert len(read_video(tmp_path / f"clip{suffix}")) == 3
+
+
 @pytest.mark.parametrize("lend", [True, False, "now and then"])
 def test_pictures_that_are_lent_are_those_that_are_written(tmp_path, lend):
     path, wanted = tmp_path / "clip.mp4", pictures(11, (64, 96))
@@ -234,15 +267,15 @@ def test_videos_written_at_once_give_opencv_its_log_level_back(tmp_path):
 def test_a_full_disk_is_noticed(tmp_path, suffix, limit):
     resource = pytest.importorskip("resource")
     import signal
-    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    rng = np.random.default_rng(0)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:
         with pytest.raises(OSError, match=r"could not all be|cannot write"):  # noqa: PT012
             with export.VideoFile(tmp_path / f"x{suffix}", 25) as video:
-                for i in range(100):
-                    video.add(np.roll(noise, i, axis=0))
+                for _ in range(100):
+                    video.add(rng.integers(0, 255, (64, 64, 3), np.uint8))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, previous)

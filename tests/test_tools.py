@@ -245,6 +245,16 @@ def test_export_png_at_a_time_is_one_picture(tmp_path):
         picture, pdavis_cv.render.aop_bgr(image.aop, image.valid))
 
 
+def test_one_image_is_one_picture_and_several_are_numbered(tmp_path):
+    common = ("--layout", "pdavis", "--quantities", "s0", "--bare", "--method",
+              "frames")
+    assert run("export", SAMPLE, "-o", tmp_path / "x.png", "--stop", 0.02, *common) == 0
+    assert only_files(tmp_path) == ["x.png"]
+    assert run("export", SAMPLE, "-o", tmp_path / "y.png", "--stop", 0.06,
+               *common) == 0
+    assert only_files(tmp_path)[:3] == ["x.png", "y-00000.png", "y-00001.png"]
+
+
 def test_the_top_of_dolp_colours_the_same_numbers_otherwise(tmp_path):
     path = tmp_path / "dolp.png"
     assert run("export", SAMPLE, "-o", path, "--layout", "pdavis", "--at", "0.1",

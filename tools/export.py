@@ -1,7 +1,8 @@
 """Fuse a recording into a video, pictures or arrays.
 
-The suffix of OUT determines the output: .webm (fastest; browsers play it, and .mp4),
-.mkv and .avi a colour video; .webp and .gif the same for slides; .png pictures; .npy
+The suffix of OUT determines the output: .webm (browsers play it), .mp4 (H.264, which
+slide programs play, where PyAV has an encoder, else VP9), .mkv and .avi a colour video;
+.webp and .gif the same for slides; .png pictures, numbered if there are several; .npy
 float arrays (AoP in radians); .ome.tif, .h5 and .npz stacks with names, units, times
 and provenance, which --resume can continue.  With --lossless, .mkv or .avi hold one
 quantity in 16 bits (FFV1).  Times, units and scales of these and of .npy are written to
@@ -104,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines, facts = _write_stack(args, frames, recording, first[0])
         elif suffix == ".png":
             lines, facts = _write_pictures(
-                args, frames, Sheet(args, recording, first[0]))
+                args, frames, Sheet(args, recording, first[0]), single=len(first) == 1)
         elif args.lossless:
             lines, facts = _write_plane(args, frames, rate, recording, first[0])
         else:
@@ -418,18 +419,20 @@ def _write_video(
             video.add(picture, copy=False)  # encodes while the next one is made
     height, width = picture.shape[:2]
     line = (f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
-            f"{rate:g} per second; white is {sheet.white:g} {sheet.unit}")
+            f"{rate:g} per second, {video.codec}; white is {sheet.white:g} "
+            f"{sheet.unit}")
     return [line], {"wrote": [args.out], "images": video.count, "playing_fps": rate,
-                    "white": sheet.white}
+                    "codec": video.codec, "white": sheet.white}
 
 
 def _write_pictures(
-    args: argparse.Namespace, frames: Iterator[PolarFrame], sheet: Sheet
+    args: argparse.Namespace, frames: Iterator[PolarFrame], sheet: Sheet, *,
+    single: bool,
 ) -> tuple[list[str], dict[str, Any]]:
     written = []
     for i, frame in enumerate(frames):
         path = args.out
-        if args.at is None:
+        if not single:
             path = path.with_stem(f"{path.stem}-{i:05d}")
         export.write_png(path, sheet.picture(frame), sheet.facts)
         written.append(path)

@@ -69,6 +69,11 @@ class AnimationFile(SeriesFile):
         self._part = self._stack.enter_context(write_beside(self.path))
 
     @property
+    def codec(self) -> str:
+        """What the pictures are encoded in."""
+        return self.path.suffix[1:].upper()
+
+    @property
     def count(self) -> int:
         """Pictures so far."""
         return len(self._pictures)

@@ -1,4 +1,4 @@
-"""Write videos and PNG through OpenCV; odd sides are padded for the codec."""
+"""Write videos and PNG; odd sides are padded for the codec."""
 from __future__ import annotations
 
 import contextlib
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Events, Facts, Image
 from pdavis_cv.export.files import SeriesFile
+from pdavis_cv.export.h264 import H264Writer, h264_encoder
 from pdavis_cv.export.provenance import embed, embed_png
 from pdavis_cv.render import even, opencv, png_of
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
 # Browsers play VP8 in WebM and VP9 in MP4, and every OpenCV wheel can write both; none
-# can write H.264.  At equal size and quality VP9 takes 8 times as long, as OpenCV
-# leaves its encoder in a slow mode that the writer cannot change.
+# can write H.264, which slide programs need: that is PyAV's, where it is installed.  At
+# equal size and quality VP9 takes 8 times as long as VP8, as OpenCV leaves its encoder
+# in a slow mode that the writer cannot change.
 _CODECS = {".webm": "VP80", ".mp4": "vp09", ".m4v": "mp4v", ".mkv": "mp4v",
            ".avi": "MJPG"}
 LEAST_FPS = 0.01
@@ -40,7 +42,8 @@ class VideoFile(SeriesFile):
     ----------
     path : path
         ``.webm``, ``.mp4``, ``.m4v``, ``.mkv`` or ``.avi``; appears when it is
-        complete.  Browsers play the first two; ``.webm`` is written 8 times faster.
+        complete.  Browsers play the first two.  ``.mp4`` and ``.m4v`` are H.264, which
+        slide programs play, if PyAV is installed with an encoder, else VP9 and MPEG-4.
     fps : float
         Pictures per second of playback.
     facts : mapping of str to object, optional
@@ -66,6 +69,8 @@ class VideoFile(SeriesFile):
         self.facts = facts
         self.path = Path(path)
         self._fourcc = self._codec(self.path.suffix.lower())
+        self._h264 = (h264_encoder() if self.path.suffix.lower() in (".mp4", ".m4v")
+                      else None)
         most = _MOST_FPS[self.path.suffix.lower()]
         if not LEAST_FPS <= fps <= most:
             raise ValueError(
@@ -90,6 +95,11 @@ class VideoFile(SeriesFile):
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: deque[Future[None]] = deque()
         self._held: deque[Events] = deque()
+
+    @property
+    def codec(self) -> str:
+        """What the pictures are encoded in."""
+        return f"H.264 ({self._h264})" if self._h264 else self._fourcc
 
     @staticmethod
     def _codec(suffix: str) -> str:
@@ -123,7 +133,7 @@ class VideoFile(SeriesFile):
                 f"picture must have the first one's shape {self._shape}, got "
                 f"{picture.shape}")
         if len(self._waiting) == self.ahead:
-            self._waiting.popleft().result()
+            self._encoded()
         whole = np.ascontiguousarray(even(picture))
         if copy:
             whole = self._copied(whole)
@@ -139,11 +149,24 @@ class VideoFile(SeriesFile):
             np.copyto(self._held[-1], picture, casting="no")
         return self._held[-1]
 
+    def _encoded(self) -> None:
+        try:
+            self._waiting.popleft().result()
+        except OSError as error:
+            raise self._unwritten() from error
+
+    def _unwritten(self) -> OSError:
+        return OSError(f"{self.path}: the {self.count} pictures could not all be "
+                       "written: is the disk full?")
+
     def _wait(self) -> None:
         while self._waiting:
-            self._waiting.popleft().result()
+            self._encoded()
 
     def _open(self, shape: tuple[int, ...]) -> None:
+        if self._h264:
+            self._writer = H264Writer(self._part, self.fps, (shape[1], shape[0]))
+            return
         cv2 = self._cv2
         parameters = [cv2.VIDEOWRITER_PROP_IS_COLOR, int(not self._grey)]
         if self._grey:
@@ -179,13 +202,12 @@ class VideoFile(SeriesFile):
         if self._writer is None:
             raise ValueError(f"{self.path}: no picture to write")
         self._wait()
-        self._writer.release()
+        with contextlib.suppress(OSError):  # the file says whether it is whole
+            self._writer.release()
         if self.path.suffix.lower() == ".webm":
             _call_webm(self._part)
         if not self._readable():  # VideoWriter reports no error of its own
-            raise OSError(
-                f"{self.path}: the {self.count} pictures could not all be written: is "
-                "the disk full?")
+            raise self._unwritten()
         if self.facts is not None:
             embed(self._part, self.facts)
 
@@ -193,7 +215,8 @@ class VideoFile(SeriesFile):
         if self._writer is not None:
             with contextlib.suppress(Exception):  # the error in the block is reported
                 self._wait()
-            self._writer.release()
+            with contextlib.suppress(OSError):
+                self._writer.release()
 
 
 class _Silence:
