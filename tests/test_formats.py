@@ -158,9 +158,9 @@ def test_a_wrong_format_says_what_is_wrong(wrong, message):
 
 def test_an_option_that_the_format_does_not_have_is_a_type_error(tmp_path):
     pdavis_cv.write_aedat4(tmp_path / "x", small())
-    with pytest.raises(TypeError, match="side is no option of AEDAT-4, which has"):
+    with pytest.raises(TypeError, match="side= is no option of AEDAT-4, which has"):
         open_recording(tmp_path / "x", side=3)
-    with pytest.raises(TypeError, match="source_fps is no option of AEDAT-4"):
+    with pytest.raises(TypeError, match="source_fps= is no option of AEDAT-4"):
         open_recording(tmp_path / "x", source_fps=30)
 
 

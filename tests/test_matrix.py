@@ -52,18 +52,6 @@ def several(folder):
     return [folder / f"shot_{k}.png" for k in range(FRAMES)]
 
 
-def ros2(folder):
-    bag = folder / "bag"
-    pytest.importorskip("rosbags")
-    from rosbags import rosbag2
-    with rosbag2.Writer(bag, version=8) as writer:
-        connection = writer.add_connection(
-            "/dvs/events", "dvs_msgs/msg/EventArray", msgdef="", rihs01="")
-        events = light().events()
-        writer.write(connection, 1, bytes(event_bytes.ros2_message(events, SIZE)))
-    return bag
-
-
 def usb(folder):
     from pdavis_cv.live.usb import SimulatedDavis346
     from pdavis_cv.recording.davis_trace import TraceWriter
@@ -96,6 +84,19 @@ def rpg(folder):
     return folder / "rpg.h5"
 
 
+def metavision(folder):
+    h5py = pytest.importorskip("h5py")
+    events = light().events()
+    records = np.zeros(len(events), [
+        ("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+    for name in "txyp":
+        records[name] = events[name]
+    with h5py.File(folder / "metavision.h5", "w") as file:
+        file.attrs["geometry"] = f"{SIZE[1]}x{SIZE[0]}"
+        file["CD/events"] = records
+    return folder / "metavision.h5"
+
+
 def ros1(folder):
     pytest.importorskip("rosbags")
     event_bytes.ros1_file(folder / "x.bag", light().events(), SIZE)
@@ -110,7 +111,7 @@ def tiff(folder):
 
 MADE = {
     "aedat3": [of_bytes("x.aedat", lambda: aedat31_file(light()))],
-    "rpg": [rpg], "davis-usb": [usb], "rosbag": [ros1],
+    "metavision": [metavision], "rpg": [rpg], "davis-usb": [usb], "rosbag": [ros1],
     "prophesee": [sized("x.raw", event_bytes.evt3_file),
                   sized("x.dat", event_bytes.dat_file)],
     "es": [sized("x.es", event_bytes.es_file)],
@@ -222,6 +223,17 @@ def test_polarization_of_a_picture_without_its_layout_is_refused(tmp_path, capsy
     assert VideoCapture(path).isOpened()        # as a picture, by cv2
     assert main(["export", path, "-o", str(tmp_path / "x.npy")]) == 2
     assert "--layout sony" in capsys.readouterr().err
+    assert main(["info", path, "--layout", "sony", "--columns", "txyp"]) == 2
+    assert "--columns is no option of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("stated", "unit"), [([], "DN"), (["--exposure-us", "2000"],
+                                                           "DN/ms")])
+def test_light_of_an_unknown_exposure_is_in_dn(tmp_path, capsys, stated, unit):
+    stills(tmp_path)
+    assert main(["export", str(tmp_path / "shot_%d.png"), "--layout", "sony", *stated,
+                 "-o", str(tmp_path / "x.npy"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["units"] == [unit, "rad", "1"]
 
 
 def test_an_assumed_rate_is_said_beside_what_it_changes(tmp_path, capsys):

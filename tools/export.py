@@ -112,6 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines, facts = _write_video(
                 args, frames, rate, Sheet(args, recording, first[0]))
         lines += first[0].provenance["assumed"]
+        units = _units(args.quantities, recording)
         if options["fps"] is None and args.at is None and (
                 recording.info.event_count != 0 and recording.info.frame_count != 0):
             lines.append(
@@ -119,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     tell(args, lines, method=first[0].provenance["method"],
          assumed=first[0].provenance["assumed"],
          quantities=args.quantities,
-         units=[QUANTITIES[name].unit for name in args.quantities], **facts)
+         units=units, **facts)
     return 0
 
 
@@ -446,25 +447,32 @@ def _write_plane(
     recording: Recording, first: PolarFrame,
 ) -> tuple[list[str], dict[str, Any]]:
     name = args.quantities[0]
-    one = QUANTITIES[name]
+    one, (unit,) = QUANTITIES[name], _units([name], recording)
     low, high = _ranges(args).get(name) or _natural_range(one, recording)
     log = _Log(frames, recording)
     facts = export.provenance(
-        first.provenance, recording, quantity=name, unit=one.unit)
+        first.provenance, recording, quantity=name, unit=unit)
     with export.PlaneVideo(args.out, rate, low, high, facts) as video:
         for frame in log:
             video.add_plane(one.of(frame), frame.valid)
     beside = log.write(
-        args.out, quantity=name, unit=one.unit, **video.scale,
+        args.out, quantity=name, unit=unit, **video.scale,
         clipped=video.clipped, height=first.shape[0], width=first.shape[1],
         playing_fps=rate)
     lines = [f"wrote {args.out}: {video.count} images of {name}, 16 bits for "
-             f"{low:g} .. {high:g} {one.unit}",
+             f"{low:g} .. {high:g} {unit}",
              f"wrote {beside}: times and scale"]
     if video.clipped:
         lines.append(f"{video.clipped} samples were beyond that range and clipped")
     return lines, {"wrote": [args.out, beside], "images": video.count,
                    "playing_fps": rate, "clipped": video.clipped, **video.scale}
+
+
+def _units(names: Sequence[str], recording: Recording) -> list[str]:
+    """Return the units of quantities; that of intensities depends on the recording."""
+    light = light_unit(recording)
+    return [light if QUANTITIES[name].unit == INTENSITY else QUANTITIES[name].unit
+            for name in names]
 
 
 def _natural_range(one: Quantity, recording: Recording) -> tuple[float, float]:
@@ -509,7 +517,7 @@ def _write_arrays(
             shape = planes.shape
     beside = log.write(
         args.out, axes="T, quantity, row, column", quantities=names,
-        units=[QUANTITIES[name].unit for name in names], invalid="NaN")
+        units=_units(names, recording), invalid="NaN")
     size = " x ".join(map(str, (file.count, *shape)))
     lines = [f"wrote {args.out}: float32, {size} ({', '.join(names)})",
              f"wrote {beside}: times and scale"]

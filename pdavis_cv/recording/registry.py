@@ -174,9 +174,9 @@ def read_with(one: Format, source: Any, options: SourceOptions) -> Recording:
     given = {name for name in options.facts() if getattr(options, name) is not None}
     for name in sorted(given.union(options.parameters) - _ALWAYS - set(
             one.read_options)):
-        raise TypeError(
-            f"{name} is no option of {one.title}, which has "
-            f"{', '.join(sorted(_ALWAYS.union(one.read_options)))}")
+        known = sorted(_ALWAYS.union(one.read_options))
+        raise TypeError(f"{name}= is no option of {one.title}, which has "
+                        f"{', '.join(f'{each}=' for each in known)}")
     recording: Recording = loaded(one.reader)(source, options)
     return recording
 
