@@ -104,6 +104,7 @@ FORMS = {
             {"further columns": 1}),
     "further column": ("", "{t} {x} {y} {p} 0.25\n", {"further columns": 1}),
     "named first": ("id,ts,x,y,p,label\n", "7,{t},{x},{y},{p},noise\n", {}),
+    "pandas": (",t,x,y,p\n", "7,{t},{x},{y},{p}\n", {}),
     "unit in brackets": ("timestamp [us],x,y,polarity\n", "{t},{x},{y},{p}\n", {}),
     "unit in the name": ("x;y;p;t_ns\n", "{x};{y};{p};{t}000\n", {}),
     "milliseconds": ("time_ms x y p\n", "{ms} {x} {y} {p}\n", {}),

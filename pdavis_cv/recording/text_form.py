@@ -104,9 +104,10 @@ def text_form(start: bytes) -> TextForm | None:
             _comment(form, text)
         elif form.size is None and not named and (found := _SIZE.fullmatch(text)):
             form.size = _side(found[2]), _side(found[1])
-        elif values and not named and re.match(r"[\"'(]?[A-Za-z_]", text):
+        elif values and not named and re.match(r"[,;]?[\"'(]?[A-Za-z_]", text):
             named = True
-            _header(form, _names(text))
+            # A table's first column may be a number without a name, as by pandas.
+            _header(form, ["_"] * text.startswith((",", ";")) + _names(text))
         elif values:
             return None
         form.begin += len(line) + 1
