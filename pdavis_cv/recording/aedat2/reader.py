@@ -82,10 +82,11 @@ class Aedat2Recording(FileRecording):
             raise RecordingError(
                 f"{self.path}: {names} and {seen}: the sensor is stated by "
                 "sensor_size=(height, width)")
+        fact = Fact(found, MEASURED if dvs128 else ASSUMED)
         self._log.add(
-            "unknown chip", None, f"{names}: {seen}; size assumed: {found[1]}x"
+            "unknown chip", None, f"{names}: {seen}; size {fact.origin}: {found[1]}x"
             f"{found[0]}; sensor_size=(height, width) sets another")
-        return Fact(found, MEASURED if dvs128 else ASSUMED), dvs128
+        return fact, dvs128
 
     def _make_info(self, options: SourceOptions) -> RecordingInfo:
         header = self._header
