@@ -1,6 +1,7 @@
 """Images of other writers: what they state, and four planes of each time."""
 import contextlib
 import json
+import re
 import shutil
 import warnings
 from fractions import Fraction
@@ -362,11 +363,14 @@ def test_patterns_are_numbers_of_files_in_any_folder(tmp_path, folder, first):
 
 
 @pytest.mark.parametrize("name", ["no_%04d.png", "no%.png", "%", "%s", "no_[*.png",
-                                  "none/%d.png", "no**.png", "**", "no[1", "no%99d.x"])
+                                  "none/%d.png", "no**.png", "**", "no[1", "no%99d.x",
+                                  300 * "x"])
 def test_a_name_without_files_is_false_and_not_an_exception(tmp_path, name):
     capture = VideoCapture(str(tmp_path / name), layout=SONY)
     assert not capture.isOpened()
-    assert "no such file" in capture.last_error.lower()
+    assert re.search("no such file|name too long", capture.last_error.lower())
+    with pytest.raises(RecordingError, match=r"cannot be opened"):
+        open_recording(tmp_path / name)
 
 
 def test_natural_order_is_that_of_numbers():
@@ -486,6 +490,18 @@ def test_one_time_of_four_planes(tmp_path, kind):
         source = four_files(tmp_path, quads(1), ".tif", "I{angle}")
     frames, info = read(source, None)
     assert len(frames) == info.frame_count == 1
+
+
+def test_four_files_in_a_list_are_four_planes_and_others_need_a_layout(tmp_path):
+    four_files(tmp_path, quads(1))
+    source = [str(path) for path in sorted(tmp_path.iterdir())]
+    with VideoCapture(source, output="i135") as capture:
+        np.testing.assert_allclose(capture.read()[1], quads(1)[0, 3], rtol=1e-5)
+    capture = VideoCapture(source[:3])
+    assert not capture.isOpened()
+    assert 'layout="sony"' in capture.last_error
+    with pytest.raises(cv2.error, match="opened by no backend of cv2"):
+        VideoCapture(source, cv2.CAP_FFMPEG)
 
 
 def test_arrays_of_mosaics_need_a_layout(tmp_path):

@@ -34,8 +34,8 @@ def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
     """Return whether a source is opened here and not by cv2.
 
     That is so for recordings and live sources, their addresses, and files with the name
-    of a recording; and, if a layout or a sensor is given, for every path, which is then
-    a mosaic video or image sequence, and for several.
+    of a recording, and for several files; and, if a layout or a sensor is given, for
+    every path, which is then a mosaic video or image sequence.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
         return True
     if backend != 0 or not isinstance(source, (str, os.PathLike, list, tuple)):
         return False
-    return mosaic or (isinstance(source, (str, os.PathLike)) and is_recording(source))
+    return mosaic or isinstance(source, (list, tuple)) or is_recording(source)
 
 
 def opened(source: Any, parameters: Parameters) -> Source:

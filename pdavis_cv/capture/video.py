@@ -184,7 +184,7 @@ class VideoCapture:
             source = filename if index is None else index
             if filename is not None and index is not None:
                 self._refuse(function, "filename and index exclude each other")
-            several = isinstance(source, (list, tuple))
+            several = isinstance(source, (list, tuple)) and len(source) > 0
             if not _is_source(source) and not several:
                 self._refuse(function, f"can't open by {type(source).__name__}")
             if not _is_integer(backend):
@@ -196,7 +196,7 @@ class VideoCapture:
             except (TypeError, ValueError):
                 self._refuse(function, "params must be a sequence of integers")
             if not ours and several:
-                self._refuse(function, "several images need layout=")
+                self._refuse(function, "several files are opened by no backend of cv2")
             if not ours:
                 return self._open_foreign(function, source, backend, values)
             return self._open_here(function, source, values)

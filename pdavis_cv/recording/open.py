@@ -72,7 +72,10 @@ def open_recording(
         [source] = source
     path = as_path(source)
     # A path that does not exist may be a pattern of image names.
-    start = first_bytes(path) if is_remote(path) or path.exists() else b""
+    try:
+        start = first_bytes(path) if is_remote(path) or path.exists() else b""
+    except (OSError, ValueError) as error:  # a name too long, or with a null character
+        raise RecordingError(f"{path}: cannot be opened: {error}") from None
     found = format_of(path, start)
     if found is None and _is_text(start):
         if options.columns is None:     # never an image, whatever the layout
