@@ -37,6 +37,8 @@ class Quantity:
         files.  With ``_bgr`` it is the name of its picture.
     title : str
         What it is, for people.
+    symbol : str
+        Short form of the title; default: the name.
     plane : callable
         From a `PolarFrame` to an array of shape (H, W); None = not known of this image.
     unit : str
@@ -67,6 +69,7 @@ class Quantity:
     dtype: DTypeLike = np.float32
     needs: str = "another method"
     pane: bool = True
+    symbol: str = ""
 
     @property
     def light(self) -> bool:
@@ -127,18 +130,21 @@ def _stokes(name: str, title: str, low: float, high: float, **more: Any) -> Quan
 _OURS = (
     *(Quantity(name=name, title=name.upper(), plane=_of_channel(i), unit=INTENSITY,
                pane=False) for i, name in enumerate(("i0", "i45", "i90", "i135"))),
-    _stokes("s0", "intensity S0", 0, 2, aliases=("intensity",)),
+    _stokes("s0", "intensity S0", 0, 2, aliases=("intensity",),
+            symbol="S0"),
     _stokes("s1", "S1", -1, 1, pane=False),
     _stokes("s2", "S2", -1, 1, pane=False),
     Quantity(name="aop", title="angle of polarization", plane=_of_attribute("aop"),
-             unit="rad", range=(0, math.pi), colours="hue", aliases=("aolp",)),
+             unit="rad", range=(0, math.pi), colours="hue", aliases=("aolp",),
+             symbol="AoP"),
     Quantity(name="dolp", title="degree of linear polarization", colours="viridis",
-             plane=_of_attribute("dolp"), aliases=("dop",)),
+             plane=_of_attribute("dolp"), aliases=("dop",), symbol="DoLP"),
     Quantity(name="events", title="ON less OFF events", unit="events", range=(-3, 3),
              colours="events", plane=lambda frame: None,
              needs="the events since the image before: VideoCapture or the viewer"),
     Quantity(name="sigma_aop", title="standard deviation of AoP", unit="rad",
-             plane=_of_attribute("sigma_aop"), range=(0, _UNIFORM), needs=_VARIANCE),
+             plane=_of_attribute("sigma_aop"), range=(0, _UNIFORM), needs=_VARIANCE,
+             symbol="\N{GREEK SMALL LETTER SIGMA} AoP"),
     Quantity(name="sigma_dolp", title="standard deviation of DoLP", needs=_VARIANCE,
              plane=_of_attribute("sigma_dolp"), pane=False),
     Quantity(name="dolp_debiased", title="DoLP corrected for noise", needs=_VARIANCE,

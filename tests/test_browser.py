@@ -1,4 +1,7 @@
 """The page in a real browser: headless Chromium, through Playwright."""
+import csv
+import json
+import shlex
 import shutil
 
 import numpy as np
@@ -6,6 +9,7 @@ import pytest
 from certificates import Certificates
 
 from pdavis_cv import Layout, serve
+from pdavis_cv.analysis import parse_roi
 from pdavis_cv.data import example_recording
 from pdavis_cv.export import AnimationFile, VideoFile
 from pdavis_cv.live import Session, server_context
@@ -97,7 +101,7 @@ def test_colours_on_the_page_are_those_of_the_pictures(page, served):
     page.keyboard.press("4")
     until(page, "document.querySelector('#pane-events')?.width === 24")
     _, image = served.site.show.latest(0, 1)
-    for name, output in (("s0", "bgr"), ("aop", "aop_faded_bgr"), ("dolp", "dolp_bgr"),
+    for name, output in (("aop", "aop_faded_bgr"), ("dolp", "dolp_bgr"),
                          ("events", "events_bgr")):
         found = page.evaluate("""name => {
             const canvas = document.getElementById('pane-' + name);
@@ -111,25 +115,153 @@ def test_colours_on_the_page_are_those_of_the_pictures(page, served):
         assert np.abs(shown[..., :3] - picture).max() <= most
 
 
-def test_pointing_tells_values_and_dragging_makes_a_trace(page):
-    box = page.locator("#pane-aop").bounding_box()
-    x, y = box["x"] + box["width"] / 3, box["y"] + box["height"] / 3
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + box["width"] / 3, y + box["height"] / 3)
+def region(page, left, top, right, bottom):
+    """Drag a region over parts of the AoP picture; return its row of the list."""
+    box = page.locator("#grid .window:has(#pane-aop)").bounding_box()
+    before = page.locator("#regions .angle small").count()
+    for k, (x, y) in enumerate(((left, top), (right, bottom))):
+        page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        (page.mouse.up if k else page.mouse.down)()
+    page.mouse.move(0, 0)
+    until(page, "regions.at(-1)?.values?.aop_deg !== undefined")
+    assert page.evaluate("regions.length") > before
+    return page.evaluate("({...regions.at(-1).values, box: regions.at(-1).box})")
+
+
+def test_a_marked_region_keeps_its_pixels_when_the_view_changes(page, served):
+    first = region(page, 0.3, 0.3, 0.7, 0.6)
+    assert first["box"] == [7, 4, 10, 6]
+    for key in ("z", "ArrowRight"):             # zoom, and the next image
+        before = drawn(page, 1)
+        page.keyboard.press(key)
+    drawn(page, before + 1)
+    assert float(page.evaluate("document.body.dataset.zoom")) == pytest.approx(1.92)
+    until(page, "regions[0].trace.length === 2")
+    again = page.evaluate("regions[0].trace")
+    assert [point["t_us"] for point in again] == [
+        first["t_us"], first["t_us"] + round(1e6 / 60)]
+    assert again[0]["aop_deg"] == first["aop_deg"]
+    # In the zoomed view the same part of the window is another part of the sensor.
+    second = region(page, 0.05, 0.05, 0.95, 0.95)
+    assert second["box"] == [6, 3, 12, 8]
+    assert page.evaluate("regions[0].trace.length") == 2
+    page.keyboard.down("Shift")
+    box = page.locator("#grid .window:has(#pane-aop)").bounding_box()
+    page.mouse.move(box["x"] + 10, box["y"] + 10)
+    page.mouse.down()           # and two pixels to the right
+    page.mouse.move(box["x"] + 10 + 1.92 * box["width"] / 12, box["y"] + 10)
     page.mouse.up()
-    until(page, "document.querySelector('#angle').textContent.includes('°')")
-    assert "pixels" in page.text_content("#numbers")
-    page.click("#play")
-    until(page, "Number(document.body.dataset.points || 0) >= 3")
+    page.keyboard.up("Shift")
+    assert region(page, 0.05, 0.05, 0.95, 0.95)["box"] == [4, 3, 12, 8]
+    page.keyboard.press("w")
+    assert region(page, 0.3, 0.3, 0.7, 0.6)["box"] == first["box"]
+    assert page.evaluate("regions.map(one => one.name).join('')") == "ABCD"
+
+
+@pytest.mark.parametrize("roi", [(4, 2, 18, 12)])
+def test_coordinates_of_a_part_are_the_sensor_s(browser, recording, roi):
+    with serve(recording, port=0, roi=roi, **OPTIONS) as running, (
+            browser.new_page()) as page:
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(running.url)
+        drawn(page, 1)
+        found = region(page, 0.01, 0.01, 0.49, 0.49)
+        assert found["box"] == [4, 2, 9, 6]
+        _, image = running.site.show.latest(0, 1)
+        s1, s2 = (plane[:6, :9][image.valid[:6, :9]].mean() for plane in (
+            image.s1, image.s2))
+        assert found["aop_deg"] == pytest.approx(
+            np.degrees(np.arctan2(s2, s1) / 2) % 180, abs=1e-3)
+
+
+def test_regions_are_exported(page):
+    region(page, 0.3, 0.3, 0.7, 0.6)
+    page.fill("#regions input", "left, wing")
+    page.keyboard.press("Tab")
+    page.keyboard.press("ArrowRight")
+    until(page, "regions[0].trace.length === 2")
     with page.expect_download() as waiting:
         page.click("#csv")
-    lines = waiting.value.path().read_text().splitlines()
-    assert lines[0].startswith("t_us,x,y,pixels,aop_deg")
-    assert len(lines) > 3
+    with waiting.value.path().open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2
+    assert rows[0]["region"] == "left, wing"
+    assert [rows[0][name] for name in ("x", "y", "width", "height")] == [
+        "7", "4", "10", "6"]
+    assert 0 <= float(rows[0]["aop_deg"]) < 180
+    assert rows[0]["method"] == "cf"
+    with page.expect_download() as waiting:
+        page.click("#geojson")
+    feature, = json.loads(waiting.value.path().read_text())["features"]
+    assert feature["properties"] == {"name": "left, wing"}
+    assert feature["geometry"]["coordinates"] == [
+        [[7, 4], [17, 4], [17, 10], [7, 10], [7, 4]]]
+    tendon, fan = page.text_content("#commands").splitlines()
+    words = shlex.split(tendon)
+    assert words[:2] == ["pdavis", "tendon"]
+    roi, = parse_roi(words[words.index("--region") + 1])
+    assert (roi.name, roi.rectangle) == ("left, wing", (7, 4, 10, 6))
+    assert "--centre 12,7 --radius 3" in fan
 
 
-def test_method_pictures_and_region_are_changed(page):
+def test_contrast_is_fixed_until_it_is_changed(page):
+    opened = page.evaluate("levels")
+    assert opened[0] < opened[1]
+    before = drawn(page, 1)
+    page.evaluate("command('seek', 9)")
+    drawn(page, before + 1)
+    assert page.evaluate("levels") == opened
+    white = round(2 * opened[1], 1)
+    page.fill("#white", str(white))
+    page.keyboard.press("Enter")
+    until(page, f"levels[1] === {white} && newest.told.levels[1] === {white}")
+    page.keyboard.press("a")
+    until(page, f"levels !== null && levels[1] !== {white}")
+    assert page.evaluate("levels") != opened        # those of the tenth image
+
+
+def test_a_snapshot_shows_legend_and_time(page):
+    with page.expect_download() as data, page.expect_download() as picture:
+        page.keyboard.press("s")
+    names = {data.value.suggested_filename, picture.value.suggested_filename}
+    assert {name.rpartition(".")[2] for name in names} <= {"npz", "png"}
+    texts = page.evaluate("""() => {
+        const texts = [], drawn = CanvasRenderingContext2D.prototype.fillText;
+        CanvasRenderingContext2D.prototype.fillText = text => texts.push(text);
+        snapshotPicture('at 0.010 s');
+        CanvasRenderingContext2D.prototype.fillText = drawn;
+        return texts;
+    }""")
+    assert {"S0", "AoP", "DoLP", "0\u00b0", "180\u00b0", "at 0.010 s"} <= set(texts)
+    assert any(text.endswith("DN/ms") for text in texts)
+
+
+def test_keys_are_listed(page):
+    page.keyboard.press("?")
+    assert "fit contrast" in page.inner_text("#keys")
+    page.keyboard.press("Escape")
+    assert page.is_hidden("#keys")
+
+
+@pytest.mark.parametrize(("width", "height", "least"), [
+    (390, 844, 0.9), (1400, 900, 0.9), (2560, 1300, 0.9)])
+def test_pictures_use_the_window_and_play_is_at_hand(
+        browser, served, width, height, least):
+    with browser.new_page(viewport={"width": width, "height": height}) as page:
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(served.url)
+        drawn(page, 1)
+        boxes = [page.locator(f"#grid .window:has(#pane-{name})").bounding_box()
+                 for name in ("s0", "aop", "dolp")]
+        right = max(box["x"] + box["width"] for box in boxes)
+        assert right - min(box["x"] for box in boxes) > least * width
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        for control in ("#play", "#seek"):
+            box = page.locator(control).bounding_box()
+            assert 0 <= box["y"] < box["y"] + box["height"] <= height
+
+
+def test_method_and_pictures_are_changed(page):
     page.select_option("#method", "frames")
     until(page, "document.querySelector('#stats').textContent.includes('frames')")
     page.keyboard.press("5")

@@ -160,7 +160,8 @@ def test_a_quantity_goes_through_every_door(mine, tmp_path, capsys):
     try:
         _, shown = show.latest(0, 1)
         assert palettes()["quantities"][-1] == {
-            "name": "contrast", "title": "contrast of 0 and 90 degrees",
+            "name": "contrast", "symbol": "contrast",
+            "title": "contrast of 0 and 90 degrees", "unit": "1",
             "ends": ["-1", "1"], "colours": "viridis"}
         part = planes(["contrast"], show, shown)["contrast"][shown.valid]
         i0, _, i90, _ = shown.quad[:, shown.valid]

@@ -23,7 +23,8 @@ from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
 from pdavis_cv.viewer import handler, server, site
-from pdavis_cv.viewer.panes import NONE, palettes, pane, planes, values
+from pdavis_cv.viewer.panes import NONE, pane, planes
+from pdavis_cv.viewer.regions import values
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "method": "cf"}
 PATIENCE_S = 60
@@ -90,60 +91,56 @@ def image_at(recording, t_us):
 
 def test_the_page_and_its_files_are_there_and_name_no_other_address(served):
     for path, kind in [("/", b"<!doctype html>"), ("/page.js", b"use strict"),
-                       ("/page.css", b":root")]:
+                       ("/pictures.js", b"use strict"), ("/page.css", b":root"),
+                       ("/regions.js", b"use strict")]:
         status, body = ask(served, path)
         assert (status, kind in body) == (200, True)
         assert b"//" not in body.replace(b"// ", b"").replace(b"://localhost", b"")
 
 
 def test_a_frame_holds_the_planes_and_values_of_its_image(served, recording):
-    told, found = frame(served, panes="sigma_aop,aop,s0", region="2,1,4,3")
+    told, found = frame(served, panes="sigma_aop,aop,s0", regions="2,1,4,3;0,0,1,1")
     image = image_at(recording, told["t_us"])
     assert list(found) == ["sigma_aop", "aop", "s0", "dolp"]
-    np.testing.assert_array_equal(
-        found["s0"], pane("bgr", served.site.show, image)[..., 0])
-    np.testing.assert_array_equal(found["dolp"] == NONE, ~image.valid)
+    low, high = told["levels"]
+    np.testing.assert_allclose(
+        found["s0"][image.valid],
+        254 * ((image.s0 - low) / (high - low)).clip(0, 1)[image.valid], atol=1)
+    for name in ("s0", "dolp"):
+        np.testing.assert_array_equal(found[name] == NONE, ~image.valid)
     np.testing.assert_array_equal(found["sigma_aop"], NONE)     # cf gives none
-    assert told["values"] == json.loads(json.dumps(values(image, (2, 1, 4, 3))))
-    assert told["values"]["pixels"] == np.count_nonzero(image.valid[1:4, 2:6])
+    assert told["values"] == json.loads(json.dumps(
+        values(image, [(2, 1, 4, 3), (0, 0, 1, 1)])))
+    assert told["values"][0]["pixels"] == np.count_nonzero(image.valid[1:4, 2:6])
 
 
-def test_colours_of_planes_are_those_of_the_pictures():
-    quad = np.random.default_rng(3).uniform(1, 100, (4, 20, 30)).astype(np.float32)
-    valid = np.random.default_rng(4).random((20, 30)) > 0.1
-    image = pdavis_cv.PolarFrame(
-        quad, variance=np.full_like(quad, 30), t_us=7, valid=valid)
-    found = planes(["aop", "sigma_aop", "dolp_debiased"], None, image)
-    colours = palettes()
-    ramp, greys, hues = (np.array(colours["colours"][name], int)
-                         for name in ("viridis", "grey", "hue"))
-    part = np.minimum(found["dolp"][..., None] / 254 / colours["full_dolp"], 1)
-    part[~valid] = 1
-    show = types.SimpleNamespace(white=50.0)
-    for drawn, name in ((ramp[found["dolp"]], "dolp"),
-                        (ramp[found["dolp_debiased"]], "dolp_debiased"),
-                        (greys[found["sigma_aop"]], "sigma_aop"),
-                        (hues[found["aop"]] * part, "aop_faded")):
-        picture = pane(f"{name}_bgr", show, image)[..., ::-1].astype(int)
-        # A part in 255 of a turn of hue is six of its colours.
-        seen = valid if name == "sigma_aop" else np.ones_like(valid)
-        assert np.abs(drawn - picture)[seen].max() <= 7, name
+def test_levels_that_are_asked_for_are_those_of_the_picture(served):
+    link, file, _ = opened(served)
+    with link, file:
+        _, image = served.site.show.latest(0, 1)
+        low, high = (float(value) for value in np.quantile(image.s0, (0.3, 0.6)))
+        sent(link, json.dumps({"panes": ["s0"], "levels": [low, high]}).encode())
+        told, found = parted(message(file)[1])
+        assert told["levels"] == [low, high]
+        assert set(found["s0"][image.valid & (image.s0 < low)]) == {0}
+        assert set(found["s0"][image.valid & (image.s0 > high)]) == {254}
 
 
-def test_values_are_those_of_the_mean_stokes_vector():
-    quad = np.ones((4, 4, 4), np.float32)
-    quad[0], quad[2] = 1.5, 0.5
-    variance = np.full_like(quad, 1e-4)
-    image = pdavis_cv.PolarFrame(quad, variance=variance, t_us=7)
-    found = values(image, (1, 1, 2, 2))
-    assert found["pixels"] == 4
-    assert found["dolp"] == pytest.approx(0.5)
-    assert found["aop_deg"] == pytest.approx(0, abs=1e-4)
-    assert found["aop_sigma_deg"] == pytest.approx(
-        np.degrees(float(image.sigma_aop[1, 1])), rel=1e-5)
-    assert values(image, (99, -5, 0, 0))["x"] == 3
-    assert values(pdavis_cv.PolarFrame(quad, valid=np.zeros((4, 4), bool)),
-                  (0, 0, 2, 2))["pixels"] == 0
+@pytest.mark.parametrize("options", [
+    {"roi": (2, 1, 9, 6)}, {"roi": (2, 0, 10, 8), "demosaic": "superpixel"}])
+def test_regions_are_in_pixels_of_the_sensor_whatever_is_shown(recording, options):
+    whole = OPTIONS | {name: options[name] for name in options.keys() - {"roi"}}
+    with serve(recording, port=0, **whole) as running:
+        expected = frame(running, regions="4,2,4,4")[0]["values"][0]
+        pixels = expected["pixels"]
+    with serve(recording, port=0, **whole, roi=options["roi"]) as running:
+        told = frame(running, regions="4,2,4,4;1,2,4,4")[0]
+    assert told["status"]["roi"] == list(options["roi"])
+    assert pixels == 16 / told["status"]["step"]**2
+    for name, value in expected.items():
+        assert told["values"][0][name] == pytest.approx(value, rel=1e-5), name
+    # Never the values of the part of a region that is inside.
+    assert told["values"][1] == {"pixels": 0, "t_us": told["t_us"]}
 
 
 def test_a_snapshot_holds_all_that_is_known_of_the_image(served, recording):
@@ -189,12 +186,9 @@ def test_a_seek_that_follows_the_last_image_is_not_played_on_from(served):
     assert show.status()["index"] == 3
 
 
-def test_method_rate_and_region_can_be_changed(served):
+def test_method_and_rate_can_be_changed(served):
     assert command(served, "method", "frames")[1]["method"] == "frames"
     assert command(served, "fps", 30)[1]["fps"] == 30
-    told = command(served, "roi", [2, 2, 4, 4])[1]
-    assert (told["width"], told["height"]) == (4, 4)
-    assert command(served, "roi", None)[1]["width"] == 12
 
 
 @pytest.mark.parametrize(("what", "value", "message"), [
@@ -202,7 +196,7 @@ def test_method_rate_and_region_can_be_changed(served):
     ("seek", 1e300, "seek must be finite"), ("speed", 0, "speed must lie in"),
     ("method", 7, "method must be a name"),
     ("method", "magic", "method must be one of"),
-    ("roi", [0, 0, 99, 99], "roi"), ("fps", -1, "fps must lie in")])
+    ("roi", [0, 0, 4, 4], "do must be one of"), ("fps", -1, "fps must lie in")])
 def test_a_command_that_cannot_be_is_refused(served, what, value, message):
     status, told = command(served, what, value)
     assert status == 400
@@ -312,10 +306,10 @@ def test_a_socket_gives_an_image_for_each_message(served):
         # While it waits for the next image it is asked for the newest again.
         sent(link, json.dumps({"after": told["number"], "id": 2}).encode())
         sent(link, b"hello", kind=9)
-        sent(link, b'{"panes": ["aop"], "region": [1, 1, 2, 2], "id": 3}')
+        sent(link, b'{"panes": ["aop"], "regions": [[1, 1, 2, 2]], "id": 3}')
         told, found = parted(message(file)[1])
         assert (told["id"], list(found)) == (3, ["aop", "dolp"])
-        assert told["values"]["x"] == 1
+        assert len(told["values"]) == 1
         sent(link, b"", kind=8)
         assert file.read() == b""
 
@@ -323,7 +317,11 @@ def test_a_socket_gives_an_image_for_each_message(served):
 @pytest.mark.parametrize(("data", "message_"), [
     (b"no", "Expecting value"), (b"[]", "must be {"), (b'{"panes": 7}', "panes"),
     (b'{"panes": ["no"]}', "quantity must be one"), (b'{"after": 1.5}', "after"),
-    (b'{"region": [1, 2, 3]}', "region"), (b"[" * 3000, ""), (b"x" * 5000, "at most"),
+    (b'{"regions": [[1, 2, 3]]}', "regions"),
+    (b'{"regions": [[1, 2, 3, 0]]}', "regions must not be empty"),
+    (b'{"regions": 7}', "regions must be a list"),
+    (b'{"levels": [2, 1]}', "black below white"), (b'{"levels": 3}', "levels"),
+    (b'{"levels": [NaN, 1]}', "levels"), (b"[" * 3000, ""), (b"x" * 5000, "at most"),
     (b'{"panes": [' + b'"s0", ' * 99 + b'"s0"]}', "at most")])
 def test_what_a_socket_does_not_take_ends_it(served, data, message_):
     link, file, _ = opened(served)
@@ -369,7 +367,7 @@ def test_a_silent_socket_is_closed(served, monkeypatch):
     ("/frame", {"Sec_Fetch_Site": "same-origin"}, 200),
     ("/../pyproject.toml", {}, 404), ("/%2e%2e/%2e%2e/etc/passwd", {}, 404),
     ("/page.html", {}, 404), ("/frame?after=x", {}, 400), ("/frame?panes=no", {}, 400),
-    ("/frame?region=1,2", {}, 400), ("/stream.mjpg?output=no", {}, 400),
+    ("/frame?regions=1,2", {}, 400), ("/stream.mjpg?output=no", {}, 400),
     ("/frame?panes=" + ",".join(["s0"] * 99), {}, 400)])
 def test_strangers_and_nonsense_are_refused(served, path, headers, status):
     got, body = ask(served, path, **headers)

@@ -19,7 +19,15 @@ from urllib.parse import parse_qs, urlsplit
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import QUANTITIES
 from pdavis_cv.viewer.page import page
-from pdavis_cv.viewer.panes import archive, missing, palettes, planes, values
+from pdavis_cv.viewer.panes import (
+    archive,
+    levels_of,
+    missing,
+    palettes,
+    planes,
+    saturated,
+)
+from pdavis_cv.viewer.regions import MOST_REGIONS, Region, values
 from pdavis_cv.viewer.site import Site
 from pdavis_cv.viewer.socket import accepted_key, binary, closing, received
 
@@ -51,10 +59,12 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+_SCRIPTS = ("pictures.js", "regions.js", "page.js")
 _FILES = {"/": ("page.html", "text/html; charset=utf-8"),
-          "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-          "/page.css": ("page.css", "text/css; charset=utf-8")}
-_PUBLIC = ("/page.js", "/page.css")
+          "/page.css": ("page.css", "text/css; charset=utf-8"),
+          **{f"/{name}": (name, "text/javascript; charset=utf-8")
+             for name in _SCRIPTS}}
+_PUBLIC = tuple(_FILES.keys() - {"/"})
 """Files that are served without a token, as every copy of the library has them."""
 
 
@@ -235,8 +245,9 @@ class Handler(BaseHTTPRequestHandler):
         asked = _Asked.of({
             "panes": [name for name in self.query.get("panes", "").split(",") if name],
             "after": _whole("after", self.query.get("after", "0")),
-            "region": [_whole("region", part)
-                       for part in self.query.get("region", "").split(",") if part]})
+            "regions": [[_whole("regions", part) for part in region.split(",")]
+                        for region in self.query.get("regions", "").split(";")
+                        if region]})
         with self._place():
             number, image = self._site.show.latest(asked.after, POLL_S)
             self._send(b"".join(self._parts(asked, number, image)),
@@ -311,11 +322,12 @@ class Handler(BaseHTTPRequestHandler):
             told["t_us"] = image.t_us
             told["height"], told["width"] = image.s0.shape
             told["missing"] = missing(asked.panes, image)
-            for name, plane in planes(asked.panes, show, image).items():
+            told["levels"] = levels = asked.levels or levels_of(show, image)
+            told["saturated"] = saturated(show, image)
+            for name, plane in planes(asked.panes, show, image, levels).items():
                 told["planes"].append(name)
                 parts.append(plane.data)
-            if asked.region is not None:
-                told["values"] = values(image, asked.region)
+            told["values"] = values(image, asked.regions)
         text = json.dumps(told).encode()
         text += b" " * (-len(text) % 4)
         return [struct.pack("<I", len(text)), text, *parts]
@@ -391,11 +403,16 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Asked:
-    """A page's request: the number of its last image, panes to draw, and a region."""
+    """A page's request.
+
+    The number of its last image, the panes to draw, regions in sensor pixels, and the
+    values of S0 to show black and white (None: those of the image itself).
+    """
 
     after: int
     panes: tuple[str, ...]
-    region: tuple[int, int, int, int] | None
+    regions: tuple[Region, ...]
+    levels: tuple[float, float] | None
     id: int
 
     @classmethod
@@ -403,19 +420,42 @@ class _Asked:
         """Parse a request from a JSON value; raise ValueError if it is invalid."""
         if not isinstance(given, dict):
             raise ValueError('what is asked for must be {"after": number, ...}')
-        panes, region = given.get("panes", []), given.get("region")
-        if not isinstance(panes, list) or not all(isinstance(n, str) for n in panes):
+        panes, regions = (_listed(name, given, most) for name, most in (
+            ("panes", len(QUANTITIES)), ("regions", MOST_REGIONS)))
+        if not all(isinstance(name, str) for name in panes):
             raise ValueError("panes must be a list of names")
-        if len(panes) > len(QUANTITIES):
-            raise ValueError(
-                f"panes must be at most {len(QUANTITIES)}, got {len(panes)}")
-        if region and not (isinstance(region, list) and len(region) == 4):
-            raise ValueError("region must be x,y,width,height, got "
-                             f"{str(region)[:40]!r}")
-        x, y, width, height = (_integer("region", part) for part in region or (0,) * 4)
         return cls(_integer("after", given.get("after", 0)), tuple(panes),
-                   (x, y, width, height) if region else None,
-                   _integer("id", given.get("id", 0)))
+                   tuple(_region(one) for one in regions),
+                   _levels(given.get("levels")), _integer("id", given.get("id", 0)))
+
+
+def _listed(name: str, given: dict[str, Any], most: int) -> list[Any]:
+    value = given.get(name, [])
+    if not isinstance(value, list):
+        raise ValueError(f"{name} must be a list, got {str(value)[:40]!r}")
+    if len(value) > most:
+        raise ValueError(f"{name} must be at most {most}, got {len(value)}")
+    return value
+
+
+def _region(given: Any) -> Region:
+    if not isinstance(given, list) or len(given) != 4:
+        raise ValueError(f"regions must be x,y,width,height, got {str(given)[:40]!r}")
+    x, y, width, height = (_integer("regions", part) for part in given)
+    if width < 1 or height < 1:
+        raise ValueError(f"regions must not be empty, got {width}x{height}")
+    return x, y, width, height
+
+
+def _levels(given: Any) -> tuple[float, float] | None:
+    if given is None:
+        return None
+    if not isinstance(given, list) or len(given) != 2 or not all(
+            isinstance(value, (int, float)) and abs(value) < MOST_WHOLE
+            for value in given) or not given[0] < given[1]:
+        raise ValueError("levels must be two numbers, black below white, got "
+                         f"{str(given)[:40]!r}")
+    return float(given[0]), float(given[1])
 
 
 def _integer(name: str, value: Any) -> int:

@@ -9,5 +9,5 @@ __all__ = ["page"]
 
 @functools.cache
 def page(name: str) -> bytes:
-    """Return a file of the page: ``page.html``, ``page.js`` or ``page.css``."""
+    """Return a file of the page, such as ``page.html``."""
     return files("pdavis_cv.viewer").joinpath(name).read_bytes()

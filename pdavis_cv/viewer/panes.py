@@ -1,4 +1,4 @@
-"""Pictures and values of one image, for the page and the stream."""
+"""Pictures of one image, for the page and the stream."""
 from __future__ import annotations
 
 import io
@@ -25,12 +25,16 @@ from pdavis_cv.render.colours import (
     table_of,
     through_table,
 )
-from pdavis_cv.stokes_vector import aop, dolp
 from pdavis_cv.viewer.show import Show
 
-__all__ = ["archive", "jpeg", "missing", "palettes", "pane", "planes", "values"]
+__all__ = ["archive", "jpeg", "levels_of", "missing", "palettes", "pane", "planes",
+           "saturated"]
 
 JPEG_QUALITY = 95
+PERCENTILES = (0.5, 99.5)
+"""Of S0's pixels, shown black and white unless the page says.  Saturated ones count, as
+they are bright at least."""
+_MOST_SAMPLES = 100_000
 
 
 NONE = 255
@@ -50,14 +54,43 @@ _HUES = _numbers(len(HUE_TABLE) - 2, _HIDDEN)
 _RAMP = _numbers(_PARTS, _PARTS)
 
 
-def _plane(one: Quantity, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
+def levels_of(show: Show, image: PolarFrame) -> tuple[float, float]:
+    """Return the values of S0 to show black and white, from `PERCENTILES` of an image.
+
+    Parameters
+    ----------
+    show : Show
+        Its white level stands in where no pixel is known.
+    image : PolarFrame
+
+    Returns
+    -------
+    (float, float)
+        In the unit of S0; the second is the larger.
+    """
+    known = image.s0[np.isfinite(image.s0) & (image.s0 > 0)]
+    if not known.size:
+        return 0.0, 2 * show.white
+    known = known[::-(-known.size // _MOST_SAMPLES)]
+    low, high = (float(value) for value in np.percentile(known, PERCENTILES))
+    return low, max(high, low + 1e-3 * abs(low) + 1e-9)
+
+
+def saturated(show: Show, image: PolarFrame) -> float:
+    """Return the part of the pixels whose S0 / 2 reaches the converter's full scale."""
+    return float(np.mean(image.s0 >= 2 * 254.5 / 255 * show.white))
+
+
+def _plane(
+    one: Quantity, show: Show, image: PolarFrame, levels: tuple[float, float]
+) -> NDArray[np.uint8]:
     """Return a quantity as numbers that the page colours itself.
 
-    Pictures would take three times as long to receive.  Numbers of intensities and of
-    events are grey values; those of others map the quantity's range to 0 .. 254, or are
-    `NONE`.
+    Pictures would take three times as long to receive.  Numbers of events are grey
+    values; those of others map the quantity's range, or S0's levels, to 0 .. 254, or
+    are `NONE`.
     """
-    if one.light or one.colours == "events":
+    if one.colours == "events":
         return np.ascontiguousarray(
             pane(f"{one.name}_bgr", show, image)[..., 0])
     values = one.plane(image)
@@ -69,15 +102,18 @@ def _plane(one: Quantity, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
             _kernels.hue_bgr, values, image.valid, AOP_SCALE, _HUES)
         picture[image.valid & ~known_aop(image)] = _HIDDEN
     else:
-        low, high = one.ends(show.white if one.unit == INTENSITY else 1.0)
+        low, high = levels if one.name == "s0" else one.ends(
+            show.white if one.unit == INTENSITY else 1.0)
         picture = through_table(
             _kernels.ramp_bgr, (values - np.float32(low)) / np.float32(high - low),
             image.valid, _PARTS - 1, _RAMP)
     return np.ascontiguousarray(picture[..., 0])
 
 
-def planes(names: Iterable[str], show: Show, image: PolarFrame
-           ) -> dict[str, NDArray[np.uint8]]:
+def planes(
+    names: Iterable[str], show: Show, image: PolarFrame,
+    levels: tuple[float, float] | None = None,
+) -> dict[str, NDArray[np.uint8]]:
     """Return the planes that a page needs; AoP also needs DoLP, which fades it.
 
     Parameters
@@ -88,6 +124,8 @@ def planes(names: Iterable[str], show: Show, image: PolarFrame
         The source of events and settings.
     image : PolarFrame
         The image.
+    levels : (float, float), optional
+        Values of S0 that are shown black and white; default: those of `levels_of`.
 
     Returns
     -------
@@ -101,7 +139,10 @@ def planes(names: Iterable[str], show: Show, image: PolarFrame
     wanted = [quantity(name) for name in names]
     if any(one.colours == "hue" for one in wanted):
         wanted.append(quantity("dolp"))
-    return {one.name: _plane(one, show, image) for one in dict.fromkeys(wanted)}
+    if levels is None and any(one.name == "s0" for one in wanted):
+        levels = levels_of(show, image)
+    return {one.name: _plane(one, show, image, levels or (0.0, 1.0))
+            for one in dict.fromkeys(wanted)}
 
 
 def missing(names: Iterable[str], image: PolarFrame) -> list[str]:
@@ -116,9 +157,9 @@ def palettes() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``quantities``: name, title, colours and the texts at the ends of the legend of
-        each; ``colours``: 256 colours of a plane's numbers, by the name of the colours;
-        ``full_dolp``: DoLP from which AoP has its full colour.
+        ``quantities``: name, symbol, title, unit, colours and the texts at the ends of
+        the legend of each; ``colours``: 256 colours of a plane's numbers, by the name
+        of the colours; ``full_dolp``: DoLP from which AoP has its full colour.
     """
     middle = (np.arange(_HIDDEN, dtype=np.float32) + 0.5) * np.float32(
         math.pi / _HIDDEN)
@@ -131,8 +172,9 @@ def palettes() -> dict[str, Any]:
 
     return {
         "quantities": [
-            {"name": one.name, "title": one.title, "ends": _ends(one),
-             "colours": "tone" if one.light or one.colours == "events" else one.colours}
+            {"name": one.name, "symbol": one.symbol or one.name, "title": one.title,
+             "unit": one.unit, "ends": _ends(one),
+             "colours": "tone" if one.colours == "events" else one.colours}
             for one in QUANTITIES.usable().values() if one.pane],
         "colours": {"tone": tones, "hue": rgb(np.append(
                         aop_bgr(middle[None]), np.zeros((1, 1, 3), np.uint8), 1)),
@@ -143,6 +185,8 @@ def palettes() -> dict[str, Any]:
 
 def _ends(one: Quantity) -> list[str]:
     """Return the texts at the ends of a quantity's legend."""
+    if one.name == "s0":        # the page has fields for its levels there
+        return ["", ""]
     if one.light:
         return ["0", "full scale"]
     if one.unit == "rad":
@@ -189,46 +233,6 @@ def jpeg(picture: NDArray[np.uint8]) -> bytes:
     if not done:
         raise ValueError("cv2 could not encode a picture")
     return bytes(data)
-
-
-def values(image: PolarFrame, region: tuple[int, int, int, int]) -> dict[str, Any]:
-    """Return the mean values of a region of an image, for a trace or a pointer.
-
-    Parameters
-    ----------
-    image : PolarFrame
-        The image.
-    region : (int, int, int, int)
-        (x, y, width, height) in the image's pixels; clamped to it.
-
-    Returns
-    -------
-    dict of str to number or None
-        Angle and degree of the mean Stokes vector over valid pixels, and the root mean
-        square of the pixels' sigmas, which is that of a single pixel, not of the mean.
-    """
-    height, width = image.s0.shape
-    x = min(max(region[0], 0), width - 1)
-    y = min(max(region[1], 0), height - 1)
-    part = (slice(y, min(max(y + region[3], y + 1), height)),
-            slice(x, min(max(x + region[2], x + 1), width)))
-    valid = image.valid[part]
-    count = int(np.count_nonzero(valid))
-    found: dict[str, Any] = {"x": x, "y": y, "pixels": count, "t_us": image.t_us}
-    if not count:
-        return found
-    s0, s1, s2 = (np.array([[plane[part][valid].mean(dtype=np.float64)]])
-                  for plane in (image.s0, image.s1, image.s2))
-    found |= {"s0": s0.item(), "aop_deg": math.degrees(aop(s1, s2).item()),
-              "dolp": dolp(s0, s1, s2).item(),
-              "quad": [float(plane[part][valid].mean()) for plane in image.quad]}
-    for name, sigma, scale in (("aop_sigma_deg", image.sigma_aop, 180 / math.pi),
-                               ("dolp_sigma", image.sigma_dolp, 1.0)):
-        if sigma is not None:
-            rms = math.sqrt(float(np.mean(np.square(sigma[part][valid], dtype=float))))
-            found[name] = scale * rms if math.isfinite(rms) else None
-    return {name: None if isinstance(value, float) and not math.isfinite(value)
-            else value for name, value in found.items()}
 
 
 def archive(image: PolarFrame) -> bytes:

@@ -18,6 +18,7 @@ from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion, FusionOptions
 from pdavis_cv.live import Session, open_source
 from pdavis_cv.live.session import DEFAULT_FPS, KEPT_EVENTS_US
+from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Problem, Recording, Source
@@ -33,11 +34,14 @@ class Show(ABC):
 
     Attributes
     ----------
+    name : str
+        Of the recording's file, else the source's format.
     white : float
-        Value of S0 / 2 that is shown white.
+        Value of S0 / 2 at full scale of the converter; white in streams.
     """
 
     live: bool
+    name: str
     white: float
 
     @property
@@ -75,8 +79,11 @@ class Show(ABC):
         fusion = self.fusion
         height, width = fusion.shape
         rate = fusion.options.rate
-        return {"live": self.live, "method": fusion.method, "methods": list(METHODS),
-                "width": width, "height": height, "roi": fusion.provenance["roi"],
+        provenance = fusion.provenance
+        return {"live": self.live, "name": self.name, "method": fusion.method,
+                "methods": list(METHODS), "width": width, "height": height,
+                "roi": provenance["roi"],
+                "step": 2 if provenance["demosaic"] in HALF_SIZE else 1,
                 "fps": None if rate is None else float(rate), **self._own_status()}
 
     def command(self, name: str, value: Any) -> None:
@@ -102,8 +109,7 @@ class Show(ABC):
     def commands(self) -> dict[str, Callable[[Any], None]]:
         """Return what may be commanded, by name."""
         return {"method": lambda value: self.change(method=_text(value)),
-                "fps": lambda value: self.change(fps=_number("fps", value)),
-                "roi": lambda value: self.change(roi=value)}
+                "fps": lambda value: self.change(fps=_number("fps", value))}
 
 
 def show_of(
@@ -146,6 +152,7 @@ class LiveShow(Show):
         self, session: Session, owned: bool, record_to: str | os.PathLike[str]
     ) -> None:
         self._session, self._owned, self._folder = session, owned, Path(record_to)
+        self.name = session.info.format
 
     @property
     def white(self) -> float:  # type: ignore[override]
@@ -219,6 +226,7 @@ class FileShow(Show):
         self, recording: Recording, owned: bool, options: dict[str, Any]
     ) -> None:
         self._recording, self._owned = recording, owned
+        self.name = recording.name
         self._options = FusionOptions().replace(**{"fps": DEFAULT_FPS, **options})
         self._cursor = Cursor(Fusion(recording, self._options))
         self._first = first_frame(recording)
