@@ -237,6 +237,25 @@ def test_a_light_sheet_is_dark_text_on_white():
     np.testing.assert_array_equal((dark == MARK).all(-1), (light == MARK).all(-1))
 
 
+@pytest.mark.parametrize("width", [346, 692, 1384, 2448])
+def test_text_and_legends_are_as_large_as_the_picture_needs(width):
+    picture = np.full((200, width, 3), MARK, np.uint8)
+    style = render.DARK.sized(width)
+    sheet = render.panel(picture, "HIH", legend="faded", style=style)
+    top = np.flatnonzero((sheet == MARK).all(-1).any(1))[0]
+    text = np.flatnonzero((sheet[:top] > 128).any((1, 2)))
+    assert (np.ptp(text) + 1) / width == pytest.approx(10 / 346, rel=0.25)
+    coloured = np.ptp(sheet[top + 200:].astype(int), axis=-1).max(0) > 40
+    assert np.count_nonzero(coloured) / width == pytest.approx(70 / 346, rel=0.2)
+
+
+@pytest.mark.parametrize("legend", ["aop", "faded", "hsv", "dolp", "grey"])
+def test_a_legend_says_how_pixels_look_that_are_not_valid(legend):
+    picture = np.full((20, 300, 3), MARK, np.uint8)
+    sheet = render.panel(picture, "t", legend=legend)
+    assert np.count_nonzero((sheet == render.INVALID).all(-1)) == 100
+
+
 @pytest.mark.parametrize("shape", [(6, 7), (40, 9), (9, 300), (131, 86)])
 def test_panels_of_any_size_stand_in_one_line(shape):
     picture = np.full((*shape, 3), MARK, np.uint8)

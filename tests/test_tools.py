@@ -255,6 +255,33 @@ def test_one_image_is_one_picture_and_several_are_numbered(tmp_path):
     assert only_files(tmp_path)[:3] == ["x.png", "y-00000.png", "y-00001.png"]
 
 
+def test_figures_and_scaled_pictures_have_the_sizes_asked_for(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    common = ("--layout", "pdavis", "--quantities", "s0", "--method", "frames", "--at",
+              "0.1")
+    for name in ("x.pdf", "x.svg", "x.png"):
+        assert run("export", SAMPLE, "-o", tmp_path / name, *common,
+                   "--width-mm", "85", "--pixel-um", "0.7") == 0
+    assert cv2.imread(str(tmp_path / "x.png")).shape[1] == int(85 / 25.4 * 300)
+    assert run("export", SAMPLE, "-o", tmp_path / "x.png", *common, "--scale", "3",
+               "--bare") == 0
+    assert cv2.imread(str(tmp_path / "x.png")).shape == (780, 1038, 3)
+    assert only_files(tmp_path) == ["x.pdf", "x.png", "x.svg"]
+    for options, message in ((("x.webm", "--width-mm", "85"), "are for .pdf, .svg"),
+                             (("x.pdf", "--scale", "2"), "a figure has a width")):
+        assert run("export", SAMPLE, "-o", tmp_path / options[0], *common,
+                   *options[1:]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_a_video_fills_a_screen(tmp_path):
+    assert run("export", example_recording("fan"), "-o", tmp_path / "x.mp4", "--stop",
+               "0.1", "--method", "frames", "--quantities", "aop,dolp") == 0
+    video = cv2.VideoCapture(str(tmp_path / "x.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_HEIGHT) >= 504     # 9 x 56, and text
+    video.release()
+
+
 def test_the_top_of_dolp_colours_the_same_numbers_otherwise(tmp_path):
     path = tmp_path / "dolp.png"
     assert run("export", SAMPLE, "-o", path, "--layout", "pdavis", "--at", "0.1",

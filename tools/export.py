@@ -2,11 +2,11 @@
 
 The suffix of OUT determines the output: .webm (browsers play it), .mp4 (H.264, which
 slide programs play, where PyAV has an encoder, else VP9), .mkv and .avi a colour video;
-.webp and .gif the same for slides; .png pictures, numbered if there are several; .npy
-float arrays (AoP in radians); .ome.tif, .h5 and .npz stacks with names, units, times
-and provenance, which --resume can continue.  With --lossless, .mkv or .avi hold one
-quantity in 16 bits (FFV1).  Times, units and scales of these and of .npy are written to
-a .json file next to it.
+.webp and .gif the same for slides; .png pictures and .pdf or .svg figures for print,
+numbered if there are several; .npy float arrays (AoP in radians); .ome.tif, .h5 and
+.npz stacks with names, units, times and provenance, which --resume can continue.  With
+--lossless, .mkv or .avi hold one quantity in 16 bits (FFV1).  Times, units and scales
+of these and of .npy are written to a .json file next to it.
 """
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,10 @@ _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
 _COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
 _PLANE = (".mkv", ".avi")
+_LEAST_WIDTH, _LEAST_HEIGHT = 240, 480
+"""Pixels of a panel: below, captions do not fit; of a video, on a projector."""
+_FIGURE_PIXELS = 700    # of a panel of a figure with a scale bar, whose text is pixels
+_WIDTH_MM, _DPI = 180.0, 300.0
 
 
 @command
@@ -58,10 +63,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     suffix = args.out.suffix.lower()
     if args.what == "aop-events":
         return _aop_events(args, suffix)
-    if suffix not in (*_COLOUR, ".png", ".npy", *_STACKS):
+    if suffix not in (*_COLOUR, *export.FIGURES, ".npy", *_STACKS):
         raise UsageError(
-            f"-o must end in {', '.join(_COLOUR)}, .png, .npy, {', '.join(_STACKS)}, "
-            f"got {args.out}")
+            f"-o must end in {', '.join((*_COLOUR, *export.FIGURES))}, .npy, "
+            f"{', '.join(_STACKS)}, got {args.out}")
+    if figure(args) and find_spec("matplotlib") is None:
+        raise UsageError("a figure needs matplotlib: pip install matplotlib")
     if args.resume and suffix not in _STACKS:
         raise UsageError(f"--resume continues {', '.join(_STACKS)}, got {args.out}")
     if args.lossless and (suffix not in _PLANE or len(args.quantities) != 1):
@@ -103,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines, facts = _write_arrays(args, frames, recording)
         elif suffix in _STACKS:
             lines, facts = _write_stack(args, frames, recording, first[0])
-        elif suffix == ".png":
+        elif suffix in export.FIGURES:
             lines, facts = _write_pictures(
                 args, frames, Sheet(args, recording, first[0]), single=len(first) == 1)
         elif args.lossless:
@@ -192,8 +199,20 @@ def _parser() -> argparse.ArgumentParser:
         "--mask-sigma", type=positive, metavar="DEG",
         help="grey out AoP with a larger standard deviation (needs kalman)")
     look.add_argument(
-        "--background", choices=("dark", "light"), default="dark",
-        help="background of the pictures, to which AoP fades; light is for print")
+        "--background", choices=("dark", "light"),
+        help="background of the pictures, to which AoP fades; default dark, light in "
+             "figures")
+    look.add_argument(
+        "--scale", type=within(1, 32), metavar="N",
+        help="each pixel becomes N x N; default: panels at least 240 pixels wide, in "
+             "videos also 480 high; text and legends grow along")
+    look.add_argument(
+        "--width-mm", type=positive, metavar="MM",
+        help="width of a figure in print: .pdf and .svg (text as text), or .png; "
+             f"default {_WIDTH_MM:g}")
+    look.add_argument(
+        "--dpi", type=positive, metavar="N",
+        help=f"pixels per inch of a figure in .png; default {_DPI:g}")
     look.add_argument("--title", default="", help="a line above each picture")
     look.add_argument(
         "--per-row", type=within(1, 64), metavar="N",
@@ -275,24 +294,58 @@ class Sheet:
         self.ranges = {name: QUANTITIES[name].shown(self.white) for name in
                        args.quantities} | _ranges(args)
         self.fading = _ranges(args).get("dolp", (0.0, render.FULL_COLOUR_DOLP))
-        self.style = render.LIGHT if args.background == "light" else render.DARK
+        ground = args.background or ("light" if figure(args) else "dark")
+        self.style = render.LIGHT if ground == "light" else render.DARK
         self._masked = args.mask_dolp is not None or args.mask_sigma is not None
-        # enlarge small images, so that they are visible and captions fit
-        scale = max(1, -(-240 // first.shape[1]))
+        suffix = args.out.suffix.lower()
+        self.columns = args.per_row or len(args.quantities)
+        scale = args.scale or _scale(first.shape, moving=suffix in _COLOUR)
+        if not args.bare:
+            self.style = self.style.sized(scale * first.shape[1])
         pixel_um = args.pixel_um and args.pixel_um * (
             2 if first.provenance.get("demosaic") in HALF_SIZE else 1)
+        self.panels = [self._panel(name) for name in args.quantities]
+        self._scale = args.scale or 1
         self._sheet = None if args.bare else render.PanelSheet(
-            [self._panel(name) for name in args.quantities],
-            columns=args.per_row or len(args.quantities), scale=scale,
+            self.panels, columns=self.columns, scale=scale,
             keep=export.VideoFile.ahead + 1, style=self.style,
             mark=None if pixel_um is None else functools.partial(
                 render.draw_scale_bar, pixel_um=pixel_um, scale=scale))
+        self._pixel_um = pixel_um
+
+    def write(self, path: Path, frame: PolarFrame) -> None:
+        """Write the picture or figure of one image."""
+        if not figure(self.args):
+            export.write_png(path, self.picture(frame), self.facts)
+            return
+        pictures = self._pictures(frame)
+        if self._pixel_um is not None:
+            scale = -(-_FIGURE_PIXELS // frame.shape[1])
+            pictures = [render.scale_bar(
+                one.repeat(scale, 0).repeat(scale, 1), self._pixel_um, scale=scale)
+                for one in pictures]
+        export.write_figure(
+            path, pictures, self.panels, width_mm=self.args.width_mm or _WIDTH_MM,
+            columns=self.columns, title=self._title(frame), style=self.style,
+            dpi=self.args.dpi or _DPI, facts=self.facts)
+
+    def _title(self, frame: PolarFrame) -> str:
+        seconds = (frame.t_us or 0) / 1e6 - self.origin_us / 1e6
+        method = frame.provenance["method"]
+        return f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
 
     def picture(self, frame: PolarFrame) -> Picture:
         """Compose the picture of one image.
 
         Its memory is reused, but not before a video has encoded it.
         """
+        pictures = self._pictures(frame)
+        if self._sheet is None:
+            whole = render.tile(pictures, columns=self.columns, gap=0)
+            return whole.repeat(self._scale, 0).repeat(self._scale, 1)
+        return self._sheet.draw(pictures, self._title(frame).rstrip())
+
+    def _pictures(self, frame: PolarFrame) -> list[Picture]:
         names = self.args.quantities
         places = (None,) * len(names) if self._sheet is None else self._sheet.places
         at_once = {name: place for name, place in zip(names, places, strict=True)
@@ -302,15 +355,8 @@ class Sheet:
             saturated=self.saturated)
         if "aop" in drawn and self.args.aop == "faded":
             self._fade(drawn["aop"], frame)
-        pictures = [drawn[name] if name in drawn else self._colour(frame, name, place)
-                    for name, place in zip(names, places, strict=True)]
-        if self._sheet is None:
-            return render.tile(
-                pictures, columns=self.args.per_row or len(names), gap=0)
-        seconds = (frame.t_us or 0) / 1e6 - self.origin_us / 1e6
-        method = frame.provenance["method"]
-        line = f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
-        return self._sheet.draw(pictures, line.rstrip())
+        return [drawn[name] if name in drawn else self._colour(frame, name, place)
+                for name, place in zip(names, places, strict=True)]
 
     def _usual(self, name: str) -> bool:
         """Return whether `draw_polarization` draws the picture of a quantity."""
@@ -348,12 +394,32 @@ class Sheet:
             legend = "aop" if self.args.aop == "full" else self.args.aop
             return render.Panel(one.title, legend, end=f"{self.fading[1]:g}")
         low, high = self.ranges[name]
-        unit = "" if one.unit == "1" else f" {one.unit}"
+        unit = self.unit if one.unit == INTENSITY else one.unit
+        unit = "" if unit == "1" else f" {unit}"
         if one.unit == "rad":
             low, high, unit = math.degrees(low), math.degrees(high), " deg"
         return render.Panel(
             one.title, "dolp" if one.colours == "viridis" else "grey", f"{low:.4g}",
             f"{high:.4g}{unit}")
+
+
+def figure(args: argparse.Namespace) -> bool:
+    """Return whether the output is a figure of a physical size."""
+    suffix = args.out.suffix.lower()
+    sized = (args.width_mm, args.dpi) != (None, None)
+    if sized and suffix not in export.FIGURES:
+        raise UsageError(
+            f"--width-mm and --dpi are for {', '.join(export.FIGURES)}, got {args.out}")
+    found: bool = suffix in (".pdf", ".svg") or sized
+    if found and (args.bare or args.scale):
+        raise UsageError("--bare and --scale are for pictures; a figure has a width")
+    return found
+
+
+def _scale(shape: tuple[int, ...], *, moving: bool) -> int:
+    """Return the scale at which an image is visible, and a video on a projector."""
+    height, width = shape
+    return max(-(-_LEAST_WIDTH // width), -(-_LEAST_HEIGHT // height) if moving else 1)
 
 
 def _white(frame: PolarFrame, top: float | None) -> float:
@@ -435,7 +501,7 @@ def _write_pictures(
         path = args.out
         if not single:
             path = path.with_stem(f"{path.stem}-{i:05d}")
-        export.write_png(path, sheet.picture(frame), sheet.facts)
+        sheet.write(path, frame)
         written.append(path)
     last = f" .. {written[-1].name}" if len(written) > 1 else ""
     return [f"wrote {written[0]}{last}; white is {sheet.white:g} {sheet.unit}"], {

@@ -3,6 +3,7 @@ from pdavis_cv._beside import write_beside
 from pdavis_cv.export.animation import ANIMATIONS, AnimationFile, moving_file
 from pdavis_cv.export.aop_events import AopEventsFile, read_aop_events
 from pdavis_cv.export.arrays import ArrayFile
+from pdavis_cv.export.figure import FIGURES, write_figure
 from pdavis_cv.export.files import write_json
 from pdavis_cv.export.hdf5 import Hdf5File
 from pdavis_cv.export.labelled import to_xarray
@@ -16,6 +17,7 @@ from pdavis_cv.quantities import plane
 
 __all__ = [
     "ANIMATIONS",
+    "FIGURES",
     "AnimationFile",
     "AopEventsFile",
     "ArrayFile",
@@ -33,6 +35,7 @@ __all__ = [
     "to_xarray",
     "write_beside",
     "write_csv",
+    "write_figure",
     "write_jaer_csv",
     "write_json",
     "write_npz",

@@ -16,7 +16,7 @@ from pdavis_cv.render.colours import (
     dolp_bgr,
     grey_bgr,
 )
-from pdavis_cv.render.legends import even, panel, tile
+from pdavis_cv.render.legends import DARK, even, panel, tile
 from pdavis_cv.render.overlay import fade_aop, reliable
 from pdavis_cv.render.tone import ToneCurve
 
@@ -70,13 +70,14 @@ def summary(image: PolarFrame) -> Picture:
     colour = aop_bgr(image.aop, image.valid)
     fade_aop(colour, image)
     scale = max(1, -(-_LEAST_WIDTH // image.shape[1]))
+    style = DARK.sized(scale * image.shape[1])
     return tile([
         panel(grey.bgr(image.s0, image.valid), "S0", legend="grey",
-              end=f"{grey.white:.4g}", scale=scale),
+              end=f"{grey.white:.4g}", scale=scale, style=style),
         panel(colour, "AoP, black where DoLP is 0", legend="faded",
-              end=f"{FULL_COLOUR_DOLP:g}", scale=scale),
-        panel(dolp_bgr(image.dolp, image.valid), "DoLP", legend="dolp", scale=scale)],
-        columns=3)
+              end=f"{FULL_COLOUR_DOLP:g}", scale=scale, style=style),
+        panel(dolp_bgr(image.dolp, image.valid), "DoLP", legend="dolp", scale=scale,
+              style=style)], columns=3, style=style)
 
 
 def png_of(picture: Image) -> bytes:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
-from pdavis_cv.render.colours import Picture, aop_bgr, dolp_bgr, fade, grey_bgr
+from pdavis_cv.render.colours import INVALID, Picture, aop_bgr, dolp_bgr, fade, grey_bgr
 
 __all__ = [
     "DARK",
@@ -32,10 +32,18 @@ __all__ = [
 
 
 class Style(NamedTuple):
-    """Grey values of background and text around pictures, 0..255."""
+    """Grey values of background and text around pictures, 0..255, and their size.
+
+    Text, legends and gaps are `zoom` times as large as for a picture of 346 pixels.
+    """
 
     ground: int
     ink: int
+    zoom: int = 1
+
+    def sized(self, width: int) -> Style:
+        """Return the style whose text suits pictures of a width in pixels."""
+        return self._replace(zoom=max(1, round(width / 346)))
 
 
 DARK = Style(0, 235)
@@ -44,7 +52,7 @@ LIGHT = Style(255, 20)
 """Dark text on white, for print and slides."""
 
 LINE = 20
-"""Height of a line of text."""
+"""Height of a line of text, at zoom 1."""
 
 
 def aop_legend(
@@ -164,7 +172,7 @@ def tile(
     title : str
         One line above all pictures.
     gap : int
-        Pixels between and around the pictures.
+        Pixels between and around the pictures, at zoom 1.
     style : Style
         `DARK` or `LIGHT`.
 
@@ -177,6 +185,7 @@ def tile(
     width = max(picture.shape[1] for picture in pictures)
     rows = -(-len(pictures) // columns)
     columns = min(columns, len(pictures))
+    gap *= style.zoom
     sheet = np.full(
         (rows * (height + gap) + gap, columns * (width + gap) + gap, 3), style.ground,
         np.uint8)
@@ -245,7 +254,8 @@ def even(picture: Image) -> Image:
     return padded
 
 
-def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int:
+def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235,
+            zoom: int = 1) -> int:
     """Write text into a picture.
 
     Parameters
@@ -258,6 +268,8 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int
         Left end of the base line.
     grey : int
         Grey value of the text.
+    zoom : int
+        Its size; see `Style`.
 
     Returns
     -------
@@ -265,50 +277,63 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235) -> int
         Width of the text in pixels.
     """
     cv2 = opencv()
-    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.42
-    cv2.putText(picture, text, (x, y), font, size, (grey, grey, grey), 1, cv2.LINE_AA)
-    return text_width(text)
+    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom,
+                (grey, grey, grey), zoom, cv2.LINE_AA)
+    return text_width(text, zoom)
 
 
 @functools.lru_cache(1024)
-def text_width(text: str) -> int:
+def text_width(text: str, zoom: int = 1) -> int:
     """Return the width of a line of text in pixels."""
     cv2 = opencv()
-    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)[0][0])
+    return int(cv2.getTextSize(
+        text, cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom, zoom)[0][0])
 
 
 def _line(text: str, style: Style = DARK) -> Picture:
-    strip = np.full((LINE, text_width(text) + 8, 3), style.ground, np.uint8)
-    caption(strip, text, 4, 14, style.ink)
+    zoom = style.zoom
+    strip = np.full(
+        (LINE * zoom, text_width(text, zoom) + 8 * zoom, 3), style.ground, np.uint8)
+    caption(strip, text, 4 * zoom, 14 * zoom, style.ink, zoom)
+    return strip
+
+
+def _swatch(style: Style) -> Picture:
+    """Return the line that explains the colour of pixels that are not valid."""
+    zoom = style.zoom
+    strip = stack([_line("     not valid", style)], style=style)
+    strip[5 * zoom:15 * zoom, 4 * zoom:14 * zoom] = INVALID
     return strip
 
 
 @functools.lru_cache
-def _aop_strip(kind: str, end: str, style: Style, radius: int = 30) -> Picture:
-    margin, middle = 40, 16 + radius
+def _aop_strip(kind: str, end: str, style: Style) -> Picture:
+    zoom = style.zoom
+    radius, margin = 30 * zoom, 40 * zoom
+    middle = 16 * zoom + radius
     words = "" if kind == "aop" else f"DoLP 0 .. {end} at the rim"
-    width = max(2 * (radius + margin), text_width(words) + 8)
     strip = np.full(
-        (radius + 20 + (LINE if words else 0), width, 3), style.ground, np.uint8)
-    strip[16:middle, margin:margin + 2 * radius] = aop_legend(
+        (radius + 20 * zoom, 2 * (radius + margin), 3), style.ground, np.uint8)
+    strip[16 * zoom:middle, margin:margin + 2 * radius] = aop_legend(
         radius, style.ground, colours="hsv" if kind == "hsv" else "even",
         faded=kind != "aop")
-    for text, x, y in (("180", margin - 28, middle), ("135", 24, 24),
-                       ("90", margin + radius - 7, 12), ("45", 100, 24),
-                       ("0 deg", margin + 2 * radius + 4, middle),
-                       (words, 4, middle + LINE - 2)):
-        caption(strip, text, x, y, style.ink)
-    return strip
+    for text, x, y in (("180", 12, 46), ("135", 24, 24), ("90", 63, 12),
+                       ("45", 100, 24), ("0 deg", 104, 46)):
+        caption(strip, text, x * zoom, y * zoom, style.ink, zoom)
+    lines = [_line(words, style)] if words else []
+    return stack([strip, *lines, _swatch(style)], style=style)
 
 
 @functools.lru_cache
-def _bar_strip(
-    kind: str, start: str, end: str, style: Style, width: int = 120
-) -> Picture:
-    left = 10 + text_width(start)
+def _bar_strip(kind: str, start: str, end: str, style: Style) -> Picture:
+    zoom = style.zoom
+    left, width = 10 * zoom + text_width(start, zoom), 120 * zoom
+    right = left + width + 6 * zoom
     strip = np.full(
-        (50, left + width + 12 + text_width(end), 3), style.ground, np.uint8)
-    strip[20:34, left:left + width] = bar_legend(width, 14, kind=kind)
-    caption(strip, start, 4, 31, style.ink)
-    caption(strip, end, left + width + 6, 31, style.ink)
-    return strip
+        (50 * zoom, right + 6 * zoom + text_width(end, zoom), 3), style.ground,
+        np.uint8)
+    strip[20 * zoom:34 * zoom, left:left + width] = bar_legend(
+        width, 14 * zoom, kind=kind)
+    caption(strip, start, 4 * zoom, 31 * zoom, style.ink, zoom)
+    caption(strip, end, right, 31 * zoom, style.ink, zoom)
+    return stack([strip, _swatch(style)], style=style)

@@ -11,7 +11,7 @@ from pdavis_cv._checks import MOST_SIDE, sensor_shape, whole_number
 from pdavis_cv.events import as_events
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import FULL_COLOUR_DOLP, Picture, fade
-from pdavis_cv.render.legends import caption, text_width
+from pdavis_cv.render.legends import DARK, caption, text_width
 
 __all__ = ["HIDDEN_SIGMA_DEG", "draw_scale_bar", "events_on", "fade_aop", "known_aop",
            "reliable", "scale_bar"]
@@ -187,16 +187,17 @@ def draw_scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> None
         Picture pixels per sensor pixel.
     """
     height, width = picture.shape[:2]
+    zoom = DARK.sized(width).zoom
     longest = width / 3 / scale * pixel_um
     power = 10.0 ** np.floor(np.log10(longest))
     length = next(m * power for m in (5, 2, 1) if m * power <= longest)
     pixels = max(1, round(length / pixel_um * scale))
-    right, bottom = width - 8, height - 8
+    right, bottom = width - 8 * zoom, height - 8 * zoom
     text = f"{length:g} um" if length < 1000 else f"{length / 1000:g} mm"
-    left = max(0, min(right - (pixels + text_width(text)) // 2,
-                      width - text_width(text) - 2))
-    wide = max(pixels, text_width(text)) + 8
-    ground = picture[max(0, bottom - 24):, max(0, right - wide):]
+    room = text_width(text, zoom)
+    left = max(0, min(right - (pixels + room) // 2, width - room - 2 * zoom))
+    wide = max(pixels, room) + 8 * zoom
+    ground = picture[max(0, bottom - 24 * zoom):, max(0, right - wide):]
     ground //= 3    # so that bar and text are visible on any colour
-    picture[bottom - 3:bottom, right - pixels:right] = 235
-    caption(picture, text, left, bottom - 8)
+    picture[bottom - 3 * zoom:bottom, right - pixels:right] = 235
+    caption(picture, text, left, bottom - 8 * zoom, zoom=zoom)

@@ -91,13 +91,14 @@ class PanelSheet:
             BGR of even size; the `keep`-th call after this one overwrites it.
         """
         sizes = [picture.shape for picture in pictures]
-        width = max(text_width(title) + 8, self._width)
+        zoom = self.style.zoom
+        width = max(text_width(title, zoom) + 8 * zoom, self._width)
         if not title or not self._ring or sizes != self._sizes or (
                 width + width % 2 != self._ring[0][0].shape[1]):
             return self._composed(pictures, title)
         sheet, slots = self._ring[0]
-        sheet[:LINE] = self.style.ground
-        caption(sheet, title, 4, 14, self.style.ink)
+        sheet[:LINE * zoom] = self.style.ground
+        caption(sheet, title, 4 * zoom, 14 * zoom, self.style.ink, zoom)
         step = self.scale
         for slot, picture in zip(slots, pictures, strict=True):
             if picture is not slot:
@@ -119,15 +120,16 @@ class PanelSheet:
         if not title:
             return sheet
         self._sizes = [picture.shape for picture in pictures]
-        height = max(part.shape[0] for part in panels) + _GAP
-        width = max(part.shape[1] for part in panels) + _GAP
-        self._width = min(self.columns, len(panels)) * width + _GAP
+        line, gap = LINE * self.style.zoom, _GAP * self.style.zoom
+        height = max(part.shape[0] for part in panels) + gap
+        width = max(part.shape[1] for part in panels) + gap
+        self._width = min(self.columns, len(panels)) * width + gap
         corners = []
         for i, part in enumerate(panels):
             row, column = divmod(i, min(self.columns, len(panels)))
             corners.append((
-                LINE + _GAP + row * height + LINE,
-                _GAP + column * width + (width - _GAP - part.shape[1]) // 2))
+                line + gap + row * height + line,
+                gap + column * width + (width - gap - part.shape[1]) // 2))
         self._ring.clear()
         for kept in (sheet, *(sheet.copy() for _ in range(self.keep - 1))):
             self._ring.append((kept, [

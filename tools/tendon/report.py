@@ -348,7 +348,10 @@ def _mean_maps(mean: MeanStokes) -> render.Picture:
     scale = max(1, -(-_LEAST_WIDTH // angle.shape[1]))
     colours = render.aop_bgr(angle, valid)
     render.fade(colours, degree, valid, top=top)
+    style = render.DARK.sized(scale * angle.shape[1])
     return render.tile([
-        render.panel(colours, "mean AoP", legend="faded", end=f"{top:g}", scale=scale),
+        render.panel(colours, "mean AoP", legend="faded", end=f"{top:g}", scale=scale,
+                     style=style),
         render.panel(render.dolp_bgr(degree, valid, top=top), "mean DoLP",
-                     legend="dolp", end=f"{top:g}", scale=scale)], columns=2)
+                     legend="dolp", end=f"{top:g}", scale=scale, style=style)],
+        columns=2, style=style)

@@ -1,0 +1,165 @@
+"""Figures for print: pictures in a file of a physical size, with text as text."""
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Facts
+from pdavis_cv.export.provenance import embed_png, to_json
+from pdavis_cv.render import INVALID, LIGHT, Panel, Style, aop_legend, bar_legend
+from pdavis_cv.render.colours import Picture
+
+__all__ = ["FIGURES", "write_figure"]
+
+FIGURES = (".pdf", ".svg", ".png")
+_MM = 25.4          # per inch
+_MARGIN, _GAP = 1.0, 2.0            # mm
+_LINE, _WHEEL, _BAR = 3.4, 5.0, 2.0  # mm: a line of text, the wheel's radius, a bar
+_POINTS = 7.0       # size of text; smaller where a line must fit its panel
+_FINE = 200         # pixels of a legend's radius or height, smooth at any zoom
+
+
+def write_figure(
+    path: str | os.PathLike[str], pictures: Sequence[Picture],
+    panels: Sequence[Panel], *, width_mm: float, columns: int, title: str = "",
+    style: Style = LIGHT, dpi: float = 300, facts: Facts | None = None,
+) -> None:
+    """Write pictures with titles and legends as a figure of a given width.
+
+    In PDF and SVG the pictures keep their own pixels, and text stays text.
+
+    Parameters
+    ----------
+    path : path
+        ``.pdf``, ``.svg`` or ``.png``; appears when it is complete.
+    pictures : sequence of ndarray of uint8, shape (H, W, 3)
+        BGR, all of one shape.
+    panels : sequence of Panel
+        Title and legend of each.
+    width_mm : float
+        Width of the figure, millimetres; its height follows.
+    columns : int
+        Number of pictures per row.
+    title : str
+        A line above all.
+    style : Style
+        Of background and text.
+    dpi : float
+        Pixels per inch of a PNG.
+    facts : mapping of str to object, optional
+        Provenance to embed.
+
+    Raises
+    ------
+    ImportError
+        If matplotlib is missing.
+    ValueError
+        If the suffix is another.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in FIGURES:
+        raise ValueError(f"figure must end in {', '.join(FIGURES)}, got {suffix!r}")
+    try:
+        from matplotlib import rc_context
+    except ModuleNotFoundError:
+        raise ImportError("a figure needs matplotlib: pip install matplotlib") from None
+    page = _Page(pictures, width_mm, columns, title, style)
+    for i, (picture, panel) in enumerate(zip(pictures, panels, strict=True)):
+        page.panel(i, picture, panel)
+    with write_beside(path) as part, rc_context({
+            "pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "pdavis_cv"}):
+        text = "" if facts is None else to_json(facts)
+        page.figure.savefig(
+            part, format=suffix[1:], dpi=dpi, facecolor=page.ground, metadata={
+                ".pdf": {"Creator": "pdavis_cv", "Subject": text, "CreationDate": None},
+                ".svg": {"Creator": "pdavis_cv", "Description": text, "Date": None},
+                ".png": {}}[suffix])
+        if suffix == ".png" and facts is not None:
+            part.write_bytes(embed_png(part.read_bytes(), facts))
+
+
+class _Page:
+    """A figure that is filled in millimetres from the top left."""
+
+    def __init__(self, pictures: Sequence[Picture], width_mm: float, columns: int,
+                 title: str, style: Style) -> None:
+        from matplotlib.figure import Figure
+        self.style = style
+        self.ground, self.ink = (str(grey / 255) for grey in (style.ground, style.ink))
+        self.columns = min(columns, len(pictures))
+        self.width = (width_mm - 2 * _MARGIN + _GAP) / self.columns - _GAP
+        height, width = pictures[0].shape[:2]
+        self.tall = self.width * height / width
+        self.top = _MARGIN + (_LINE if title else 0)
+        self.step = _LINE + self.tall + 0.8 + _LINE + _WHEEL + 2 * _LINE + _GAP
+        rows = -(-len(pictures) // self.columns)
+        self.size = (width_mm, self.top + rows * self.step - _GAP + _MARGIN)
+        self.figure = Figure(figsize=(self.size[0] / _MM, self.size[1] / _MM))
+        if title:
+            self._text(title, _MARGIN, _MARGIN, width_mm - 2 * _MARGIN)
+
+    def panel(self, place: int, picture: Picture, panel: Panel) -> None:
+        """Draw a picture, its title above and its legend below."""
+        row, column = divmod(place, self.columns)
+        left = _MARGIN + column * (self.width + _GAP)
+        top = self.top + row * self.step
+        self._text(panel.title, left, top, self.width)
+        self._image(picture, left, top + _LINE, self.width, self.tall)
+        below = top + _LINE + self.tall + 0.8
+        if panel.legend in ("aop", "faded", "hsv"):
+            below = self._wheel(panel, left, below)
+        elif panel.legend is not None:
+            bar = min(self.width, 25.0)
+            self._image(bar_legend(_FINE * 4, _FINE // 4, kind=panel.legend),
+                        left, below, bar, _BAR)
+            self._text(panel.start, left, below + _BAR, bar / 3)
+            self._text(panel.end, left + bar, below + _BAR, bar * 2 / 3, align="right")
+            below += _BAR + _LINE
+        self._swatch(left, below)
+
+    def _wheel(self, panel: Panel, left: float, top: float) -> float:
+        middle, side = left + _WHEEL + 6, top + _LINE
+        self._image(aop_legend(
+            _FINE, self.style.ground, faded=panel.legend != "aop",
+            colours="hsv" if panel.legend == "hsv" else "even"),
+            middle - _WHEEL, side, 2 * _WHEEL, _WHEEL)
+        for text, x, y, align in (
+                ("180°", middle - _WHEEL - 0.5, side + _WHEEL - _LINE, "right"),
+                ("90°", middle, top, "center"),
+                ("0°", middle + _WHEEL + 0.5, side + _WHEEL - _LINE, "left")):
+            self._text(text, x, y, 6, align=align)
+        if panel.legend != "aop":
+            self._text(f"DoLP {panel.end} at the rim", left, side + _WHEEL, self.width)
+        return side + _WHEEL + _LINE
+
+    def _swatch(self, left: float, top: float) -> None:
+        from matplotlib.patches import Rectangle
+        colour = tuple(part / 255 for part in INVALID[::-1])
+        axes = self._axes(left, top + 0.7, _BAR, _BAR)
+        axes.add_patch(Rectangle((0, 0), 1, 1, color=colour))
+        self._text("not valid", left + _BAR + 0.7, top, self.width - _BAR)
+
+    def _axes(self, left: float, top: float, width: float, height: float) -> Any:
+        across, down = self.size
+        axes = self.figure.add_axes(
+            (left / across, 1 - (top + height) / down, width / across, height / down))
+        axes.set_axis_off()
+        return axes
+
+    def _image(self, picture: Picture, left: float, top: float, width: float,
+               height: float) -> None:
+        self._axes(left, top, width, height).imshow(
+            picture[..., ::-1], interpolation="none", aspect="auto")
+
+    def _text(self, text: str, left: float, top: float, room: float, *,
+              align: str = "left") -> None:
+        across, down = self.size
+        drawn = self.figure.text(
+            left / across, 1 - (top + _LINE / 2) / down, text, size=_POINTS, ha=align,
+            va="center_baseline", color=self.ink, parse_math=False)
+        wide = drawn.get_window_extent().width / self.figure.dpi * _MM
+        if wide > room:
+            drawn.set_fontsize(_POINTS * room / wide)

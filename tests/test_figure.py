@@ -1,0 +1,68 @@
+"""Figures for print: their size, their pictures and their text."""
+import base64
+import re
+import zlib
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+
+from pdavis_cv import export, render
+
+pytest.importorskip("matplotlib")
+
+POINTS = 72 / 25.4
+SVG = "{http://www.w3.org/2000/svg}"
+PICTURES = [np.random.default_rng(i).integers(0, 256, (30, 40, 3), np.uint8)
+            for i in range(3)]
+PANELS = [render.Panel("intensity S0", "grey", "0", "36 DN/ms"),
+          render.Panel("angle of polarization", "faded", end="0.25"),
+          render.Panel("degree of linear polarization", "dolp")]
+
+
+def write(path, **more):
+    export.write_figure(path, PICTURES, PANELS, width_mm=85, columns=3,
+                        title="still.png   frames", facts={"method": "frames"}, **more)
+
+
+def test_a_pdf_is_as_wide_as_asked_and_holds_pictures_and_text(tmp_path):
+    write(tmp_path / "a.pdf")
+    data = (tmp_path / "a.pdf").read_bytes()
+    assert data.startswith(b"%PDF")
+    box = [float(x) for x in re.search(rb"/MediaBox \[([^]]*)\]", data)[1].split()]
+    assert box[2] == pytest.approx(85 * POINTS, abs=0.01)
+    sizes = re.findall(rb"/Width (\d+)", data), re.findall(rb"/Height (\d+)", data)
+    assert (sizes[0].count(b"40"), sizes[1].count(b"30")) == (3, 3)
+    page = b"".join(zlib.decompress(stream) for stream in re.findall(
+        rb"stream\n(\x78.*?)endstream", data, re.S)[:1])
+    assert page.count(b" Tf") >= 10
+    assert b'"method": "frames"' in data
+
+
+def test_an_svg_holds_its_pictures_pixel_by_pixel_and_text_as_text(tmp_path):
+    write(tmp_path / "a.svg")
+    root = ElementTree.parse(tmp_path / "a.svg").getroot()
+    assert float(root.get("width").removesuffix("pt")) == pytest.approx(
+        85 * POINTS, abs=0.01)
+    words = {"".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")}
+    assert words >= {"intensity S0", "angle of polarization", "not valid", "0°", "90°",
+                     "degree of linear polarization", "36 DN/ms", "still.png   frames"}
+    embedded = [cv2.imdecode(np.frombuffer(base64.b64decode(
+        image.get("{http://www.w3.org/1999/xlink}href").split(",")[1]), np.uint8), 1)
+        for image in root.iter(f"{SVG}image")]
+    for picture in PICTURES:
+        assert any(np.array_equal(one, picture) or np.array_equal(one[::-1], picture)
+                   for one in embedded)
+
+
+def test_a_png_has_the_pixels_of_its_millimetres(tmp_path):
+    write(tmp_path / "a.png", dpi=254)
+    assert cv2.imread(str(tmp_path / "a.png")).shape[1] == 850
+    assert export.read_embedded(tmp_path / "a.png") == {"method": "frames"}
+
+
+def test_a_figure_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"must end in \.pdf, \.svg, \.png, got '\.p'"):
+        write(tmp_path / "a.p")
+    assert not list(tmp_path.iterdir())
