@@ -359,3 +359,13 @@ def test_the_fan_sheet_shows_the_angle_of_each_row():
     for angle in (0.3, 1.2):
         colour = render.aop_bgr(np.array([[angle]]))[0, 0]
         assert np.count_nonzero((sheet == colour).all(-1)) >= 600
+
+
+def test_angles_that_are_masked_do_not_look_as_if_they_were_not_valid():
+    weak, valid = light(0.3, 0.1), np.arange(600).reshape(20, 30) >= 30
+    image = PolarFrame(weak.quad, valid=valid)
+    sheet = render.fan_sheet([("a", image, lambda p, v: render.grey_bgr(p, 30))],
+                             least_dolp=0.2)
+    # the first row of AoP and of DoLP, and two legends of 10 x 10
+    assert np.count_nonzero((sheet == render.INVALID).all(-1)) == 2 * 30 + 2 * 100
+    assert np.count_nonzero((sheet == render.MASKED).all(-1)) >= 19 * 30

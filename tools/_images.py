@@ -26,6 +26,8 @@ from pdavis_cv.fusion.grid import grid_count, grid_us
 
 from ._common import UsageError, covered
 
+_SCREEN = 480, 1280     # rows that an image should have, columns it may have
+
 __all__ = [
     "facts_of",
     "full_scale",
@@ -33,6 +35,7 @@ __all__ = [
     "held_at",
     "light_unit",
     "of_frames",
+    "screen_scale",
     "told_if_nothing",
     "tone_of",
     "warn_of_nothing",
@@ -122,6 +125,12 @@ def light_unit(recording: Recording) -> str:
     """Return the unit of intensities: DN, if the frames' exposure is not known."""
     frame = next((f for packet in recording.packets() for f in packet.frames), None)
     return "DN" if frame is not None and not frame.exposure_ms else "DN/ms"
+
+
+def screen_scale(shape: tuple[int, ...]) -> int:
+    """Return how many times larger an image fills a screen or a projector's picture."""
+    height, width = shape
+    return max(1, min(-(-_SCREEN[0] // height), _SCREEN[1] // width))
 
 
 def told_if_nothing(

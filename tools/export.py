@@ -40,7 +40,7 @@ from ._common import (
     start_of,
     tell,
 )
-from ._images import full_scale, light_unit, told_if_nothing
+from ._images import full_scale, light_unit, screen_scale, told_if_nothing
 from ._options import add_file, add_fuse_options, fuse_options, opened
 from ._values import numbers, positive, seconds, within
 
@@ -50,8 +50,7 @@ _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
 _COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
 _PLANE = (".mkv", ".avi")
-_LEAST_WIDTH, _LEAST_HEIGHT = 240, 480
-"""Pixels of a panel: below, captions do not fit; of a video, on a projector."""
+_LEAST_WIDTH = 240      # of a panel: below, captions do not fit
 _FIGURE_PIXELS = 700    # of a panel of a figure with a scale bar, whose text is pixels
 _WIDTH_MM, _DPI = 180.0, 300.0
 
@@ -299,7 +298,9 @@ class Sheet:
         self._masked = args.mask_dolp is not None or args.mask_sigma is not None
         suffix = args.out.suffix.lower()
         self.columns = args.per_row or len(args.quantities)
-        scale = args.scale or _scale(first.shape, moving=suffix in _COLOUR)
+        scale = args.scale or max(
+            -(-_LEAST_WIDTH // first.shape[1]),
+            screen_scale(first.shape) if suffix in _COLOUR else 1)
         if not args.bare:
             self.style = self.style.sized(scale * first.shape[1])
         pixel_um = args.pixel_um and args.pixel_um * (
@@ -378,11 +379,11 @@ class Sheet:
             good = render.reliable(frame, least_dolp=self.args.mask_dolp,
                                    most_sigma_deg=self.args.mask_sigma)
             picture = render.aop_bgr(
-                frame.aop, good, out,
+                frame.aop, frame.valid, out,
                 colours="hsv" if self.args.aop == "hsv" else "even")
             if self.args.aop != "full":
                 self._fade(picture, frame)
-            picture[~good] = render.INVALID
+            picture[frame.valid & ~good] = render.MASKED
             return picture
         low, high = self.ranges[name]
         return render.quantity_bgr(
@@ -414,12 +415,6 @@ def figure(args: argparse.Namespace) -> bool:
     if found and (args.bare or args.scale):
         raise UsageError("--bare and --scale are for pictures; a figure has a width")
     return found
-
-
-def _scale(shape: tuple[int, ...], *, moving: bool) -> int:
-    """Return the scale at which an image is visible, and a video on a projector."""
-    height, width = shape
-    return max(-(-_LEAST_WIDTH // width), -(-_LEAST_HEIGHT // height) if moving else 1)
 
 
 def _white(frame: PolarFrame, top: float | None) -> float:

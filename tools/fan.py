@@ -34,6 +34,7 @@ from ._images import (
     grid_times,
     held_at,
     of_frames,
+    screen_scale,
     told_if_nothing,
     tone_of,
 )
@@ -89,8 +90,8 @@ def _parser() -> argparse.ArgumentParser:
     look = parser.add_argument_group("pictures")
     look.add_argument("--slow", type=number, default=20.0, metavar="FACTOR",
                       help="factor of slow motion; default 20")
-    look.add_argument("--scale", type=within(1, 64), default=1, metavar="N",
-                      help="enlarge each pixel; default 1")
+    look.add_argument("--scale", type=within(1, 64), metavar="N",
+                      help="enlarge each pixel; default: panels fill a screen")
     look.add_argument("--mask-dolp", type=number, default=0.3, metavar="DOLP",
                       help="grey out AoP of weaker polarization; default 0.3")
     look.add_argument("--still", type=Path, metavar="PNG",
@@ -158,7 +159,8 @@ def make_fan(
                     (str(fused.provenance["method"]), fused, tones[1].seen),
                     *(next(beside) if beside is not None else ())]
             picture = render.fan_sheet(
-                rows, scale=args.scale, least_dolp=args.mask_dolp,
+                rows, scale=args.scale or screen_scale(rows[0][1].shape),
+                least_dolp=args.mask_dolp,
                 title=_title(args, recording, t - origin))
             if video.count == len(times) // 2:
                 still = picture

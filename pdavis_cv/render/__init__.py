@@ -4,6 +4,7 @@ from pdavis_cv.render.chart import Line, chart
 from pdavis_cv.render.colours import (
     FULL_COLOUR_DOLP,
     INVALID,
+    MASKED,
     Picture,
     aop_bgr,
     dolp_bgr,
@@ -49,6 +50,7 @@ __all__ = [
     "HIDDEN_SIGMA_DEG",
     "INVALID",
     "LIGHT",
+    "MASKED",
     "Line",
     "Panel",
     "PanelSheet",

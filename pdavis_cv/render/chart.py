@@ -45,6 +45,7 @@ class Line:
 def chart(
     lines: Sequence[Line], size: tuple[int, int], *, span_s: tuple[float, float],
     limits: tuple[float, float], now_s: float | None = None, title: str = "",
+    zoom: int = 1,
 ) -> Picture:
     """Draw traces.
 
@@ -60,6 +61,8 @@ def chart(
         Later samples are not drawn; a cursor marks this time.
     title : str
         ASCII, above the chart.
+    zoom : int
+        Size of text and lines; see `Style`.
 
     Returns
     -------
@@ -77,25 +80,27 @@ def chart(
     if not (t1 > t0 and high > low):
         raise ValueError(f"axes must not be empty, got {span_s} s and {limits}")
     picture = np.zeros((height, width, 3), np.uint8)
-    plot_width, plot_height = width - _LEFT - 8, height - _TOP - _BOTTOM
+    x0, y0 = _LEFT * zoom, _TOP * zoom
+    plot_width, plot_height = width - x0 - 8 * zoom, height - y0 - _BOTTOM * zoom
 
     def place(t: ArrayLike, v: ArrayLike) -> NDArray[np.int32]:
-        x = _LEFT + (np.asarray(t, np.float64) - t0) / (t1 - t0) * plot_width
-        y = _TOP + (high - np.asarray(v, np.float64)) / (high - low) * plot_height
-        y = np.clip(np.nan_to_num(y), _TOP, _TOP + plot_height)
+        x = x0 + (np.asarray(t, np.float64) - t0) / (t1 - t0) * plot_width
+        y = y0 + (high - np.asarray(v, np.float64)) / (high - low) * plot_height
+        y = np.clip(np.nan_to_num(y), y0, y0 + plot_height)
         return np.rint(np.stack((x, y), axis=-1)).astype(np.int32)
 
-    frame = (_LEFT, _TOP), (_LEFT + plot_width, _TOP + plot_height)
-    cv2.rectangle(picture, *frame, (90, 90, 90), 1)
+    frame = (x0, y0), (x0 + plot_width, y0 + plot_height)
+    cv2.rectangle(picture, *frame, (90, 90, 90), zoom)
     for value in (low, high):
         text = f"{value:.3g}"
-        caption(picture, text, _LEFT - 6 - text_width(text),
-                int(place(t0, value)[1]) + 5, 180)
+        caption(picture, text, x0 - 6 * zoom - text_width(text, zoom),
+                int(place(t0, value)[1]) + 5 * zoom, 180, zoom)
     for end, text in ((t0, f"{t0:.3g}"), (t1, f"{t1:.3g} s")):
-        caption(picture, text, min(int(place(end, low)[0]), width - text_width(text)),
-                height - 7, 180)
-    caption(picture, title, _LEFT, 14)
-    x = _LEFT + text_width(title) + 20
+        caption(picture, text, min(int(place(end, low)[0]),
+                                   width - text_width(text, zoom)),
+                height - 7 * zoom, 180, zoom)
+    caption(picture, title, x0, 14 * zoom, zoom=zoom)
+    x = x0 + text_width(title, zoom) + 20 * zoom
     for line in lines:
         t, v = np.asarray(line.t_s, np.float64), np.asarray(line.values, np.float64)
         seen = (t >= t0) & (t <= (t1 if now_s is None else min(now_s, t1)))
@@ -111,17 +116,20 @@ def chart(
         finite = seen & np.isfinite(v)
         for piece in _runs(finite):
             points = place(t[piece], v[piece])
-            cv2.polylines(picture, [points], False, line.colour, 1, cv2.LINE_AA)
+            cv2.polylines(picture, [points], False, line.colour, zoom, cv2.LINE_AA)
         if line.dots:
             for point in place(t[finite], v[finite]):
-                cv2.circle(picture, tuple(int(c) for c in point), 2, line.colour, -1)
+                cv2.circle(picture, tuple(int(c) for c in point), 2 * zoom,
+                           line.colour, -1)
         if line.label:
-            cv2.line(picture, (x, 10), (x + 14, 10), line.colour, 2)
-            x += 18 + caption(picture, line.label, x + 18, 14) + 16
+            cv2.line(picture, (x, 10 * zoom), (x + 14 * zoom, 10 * zoom), line.colour,
+                     2 * zoom)
+            x += 34 * zoom + caption(
+                picture, line.label, x + 18 * zoom, 14 * zoom, zoom=zoom)
     if now_s is not None and t0 <= now_s <= t1:
         top, bottom = place((now_s, now_s), (high, low))
         cv2.line(picture, tuple(int(c) for c in top), tuple(int(c) for c in bottom),
-                 (200, 200, 200), 1)
+                 (200, 200, 200), zoom)
     return np.asarray(picture, np.uint8)
 
 

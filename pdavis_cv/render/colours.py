@@ -17,6 +17,7 @@ from pdavis_cv.render.cyclic import even_hues, hsv_hues
 __all__ = [
     "FULL_COLOUR_DOLP",
     "INVALID",
+    "MASKED",
     "Picture",
     "aop_bgr",
     "dolp_bgr",
@@ -30,6 +31,9 @@ INVALID = (200, 40, 20)
 """Colour of pixels that are not valid, BGR: a blue that is far from all colours of
 data, also of faded ones, and for eyes that do not tell red from green."""
 
+
+MASKED = (96, 96, 96)
+"""Colour of valid pixels whose AoP the user does not want to see, BGR."""
 
 FULL_COLOUR_DOLP = 0.25
 """DoLP from which on a faded AoP has its full colour; chosen for tissue and sky."""

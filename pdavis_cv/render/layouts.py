@@ -11,6 +11,7 @@ from pdavis_cv._types import Image
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import (
     FULL_COLOUR_DOLP,
+    MASKED,
     Picture,
     aop_bgr,
     dolp_bgr,
@@ -130,19 +131,21 @@ def fan_sheet(
         BGR of even size.
     """
     sheets = []
-    height = rows[0][1].shape[0]
+    height, width = rows[0][1].shape
+    style = DARK.sized(width * scale)
     for i, (name, frame, grey) in enumerate(rows):
         good = reliable(frame, least_dolp=least_dolp)
-        colour = aop_bgr(frame.aop, good)
+        colour = aop_bgr(frame.aop, frame.valid)
+        colour[frame.valid & ~good] = MASKED
         last = i == len(rows) - 1
         sheets.append(tile([
             panel(_to_height(picture, height, scale), f"{name}: {what}",
-                  legend=legend if last else None)
+                  legend=legend if last else None, style=style)
             for picture, what, legend in (
                 (grey(frame.quad[0], frame.valid), "I0", None),
                 (colour if marks is None or i else marks(colour), "AoP", "aop"),
                 (dolp_bgr(frame.dolp, frame.valid), "DoLP", "dolp"))],
-            columns=3, title="" if i else title))
+            columns=3, title="" if i else title, style=style))
     return _below(*sheets)
 
 
@@ -193,11 +196,13 @@ def tendon_sheet(
     colour = dolp_bgr(fused.dolp, fused.valid, top=top).repeat(
         scale, axis=0).repeat(scale, axis=1)
     name = str(fused.provenance.get("method", "fused"))
+    style = DARK.sized(colour.shape[1])
     upper = tile([
-        panel(grey(held.s0, held.valid), "frame: S0", scale=scale),
-        panel(events, "events: ON white, OFF black", scale=scale),
+        panel(grey(held.s0, held.valid), "frame: S0", scale=scale, style=style),
+        panel(events, "events: ON white, OFF black", scale=scale, style=style),
         panel(colour if marks is None else marks(colour), f"{name}: DoLP",
-              legend="dolp", end=f"{top:.3g}")], columns=3, title=title)
+              legend="dolp", end=f"{top:.3g}", style=style)],
+        columns=3, title=title, style=style)
     return _below(upper, below)
 
 

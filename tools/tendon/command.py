@@ -139,8 +139,8 @@ def _parser() -> argparse.ArgumentParser:
     look.add_argument("--no-video", action="store_true", help="write no video")
     look.add_argument("--slow", type=number, default=4.0, metavar="FACTOR",
                       help="factor of slow motion; default 4")
-    look.add_argument("--scale", type=within(1, 64), default=1, metavar="N",
-                      help="enlarge each pixel; default 1")
+    look.add_argument("--scale", type=within(1, 64), metavar="N",
+                      help="enlarge each pixel; default: panels fill a screen")
     look.add_argument("--pixel-um", type=number, metavar="UM",
                       help="size of a pixel in the object, for a scale bar")
     add_json_option(parser)

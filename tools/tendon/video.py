@@ -10,7 +10,7 @@ import numpy as np
 from pdavis_cv import EVENT_DTYPE, PolarFrame, Recording, render
 from pdavis_cv.mosaic import HALF_SIZE
 
-from .._images import tone_of
+from .._images import screen_scale, tone_of
 from .findings import Findings
 
 __all__ = ["TendonSheet"]
@@ -87,20 +87,23 @@ class TendonSheet:
                 lines.append(render.Line(
                     found.seconds(found.frames.t_us), found.frames.table["dolp"][i],
                     (150, 150, 150), "frames" if i == 0 else "", dots=True))
-        wide = 3 * (image.shape[1] * self.args.scale + 8) + 8
+        enlarged = self.args.scale or screen_scale(image.shape)
+        zoom = render.DARK.sized(image.shape[1] * enlarged).zoom
+        wide = 3 * (image.shape[1] * enlarged + 8 * zoom) + 8 * zoom
         below = render.chart(
-            lines, (160, max(wide, 480)), span_s=(begin, begin + span),
-            limits=self.limits, now_s=now, title="DoLP")
+            lines, (160 * zoom, max(wide, 480)), zoom=zoom,
+            span_s=(begin, begin + span), limits=self.limits, now_s=now, title="DoLP")
         title = (f"{self._source}   t = {now:.3f} s   load {found.load_hz:.3g} Hz   "
                  f"{self.args.slow:g} x slower   {self._fps:g} images/s")
         return render.tendon_sheet(
             frame, events, image, below, grey=self.tone.seen, top=self.top,
-            scale=self.args.scale, title=title, marks=self._mark(left, top, scale))
+            scale=enlarged, title=title,
+            marks=self._mark(left, top, scale, enlarged))
 
-    def _mark(self, left: int, top: int, scale: int) -> Any:
+    def _mark(self, left: int, top: int, scale: int, enlarged: int) -> Any:
         def mark(picture: render.Picture) -> render.Picture:
             cv2 = render.opencv()
-            size = self.args.scale / scale
+            size = enlarged / scale
             picture = np.ascontiguousarray(picture)
             for i, roi in enumerate(self.found.fused.rois):
                 rings = [np.rint((ring - (left, top)) * size).astype(np.int32)
@@ -108,6 +111,6 @@ class TendonSheet:
                 cv2.polylines(picture, rings, True, _COLOURS[i % len(_COLOURS)], 1)
             if self.args.pixel_um is not None:
                 picture = render.scale_bar(picture, self.args.pixel_um * scale,
-                                           scale=self.args.scale)
+                                           scale=enlarged)
             return picture
         return mark
