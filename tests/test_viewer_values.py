@@ -1,4 +1,6 @@
-"""The viewer's numbers: colours, contrast, and values of regions with their errors."""
+"""The numbers of the viewer: messages, colours, contrast, and values of regions."""
+import io
+import struct
 import types
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from pdavis_cv import Layout, PolarFrame, demosaic
 from pdavis_cv.viewer.panes import levels_of, palettes, pane, planes
 from pdavis_cv.viewer.regions import values
+from pdavis_cv.viewer.socket import MOST_REQUEST, received
 
 
 def test_colours_of_planes_are_those_of_the_pictures():
@@ -88,3 +91,14 @@ def _image(quad, variance, method):
     return PolarFrame(
         quad, variance=variance, t_us=7,
         provenance={"demosaic": method, "roi": (0, 0, 40, 32)})
+
+
+@pytest.mark.parametrize("length", [0, 1, 125, 126, 127, 128, 255, 256, MOST_REQUEST])
+def test_a_message_of_any_length_is_received(length):
+    head = (bytes((0x80 | length,)) if length < 126
+            else struct.pack(">BH", 0xFE, length))
+    file = io.BytesIO(b"\x81" + head + bytes(4) + b"x" * length + b"\x81\x81....y")
+    assert received(file) == b"x" * length
+    assert received(file) == bytes((ord("y") ^ ord("."),))
+    with pytest.raises(ValueError, match="at most"):
+        received(io.BytesIO(b"\x81\xff" + struct.pack(">Q", MOST_REQUEST + 1)))

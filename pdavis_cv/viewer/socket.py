@@ -79,9 +79,9 @@ def received(file: Readable) -> bytes | None:
         kind, length = head[0] & 0x0F, head[1] & ~_MASKED
         if not head[0] & _FINAL or head[0] & _RESERVED or not head[1] & _MASKED:
             raise ValueError("a message must be whole, plain and masked")
-        if length == _MIDDLE:
-            length, = struct.unpack(">H", _exactly(file, 2))
-        if length == _LONG or length > MOST_REQUEST:
+        if length >= _MIDDLE:       # the length follows, in two bytes or in eight
+            length = int.from_bytes(_exactly(file, 2 if length == _MIDDLE else 8))
+        if length > MOST_REQUEST:
             raise ValueError(f"a message is at most {MOST_REQUEST} bytes")
         mask = _exactly(file, 4)
         data = bytes(byte ^ mask[i % 4]
