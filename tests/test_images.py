@@ -152,13 +152,13 @@ def test_colour_video_of_grey_is_grey(tmp_path):
 def test_what_is_not_a_grey_image_is_refused(tmp_path):
     colour = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "colour.png"), colour)
+    for name in ("junk.png", "junk.tif", "junk.mkv"):
+        (tmp_path / name).write_bytes(b"\0 no image")
     (tmp_path / "text.png").write_text("no image")
-    (tmp_path / "text.tif").write_text("no image")
-    (tmp_path / "text.mkv").write_text("no video")
     cases = {
         "colour.png": "the image must be grey, got 3 channels",
-        "text.png": "cannot be decoded", "text.mkv": "not a video",
-        "text.tif": "not a TIFF",
+        "junk.png": "cannot be decoded", "junk.mkv": "not a video",
+        "junk.tif": "not a TIFF", "text.png": "text, but no lines of events",
         "none.png": "no such file", "none_%02d.png": "no such file",
         "none_*.png": "no such file", "": "a folder, give a pattern"}
     for name, reason in cases.items():
