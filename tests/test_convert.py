@@ -1,4 +1,6 @@
 """pdavis convert, and HDF5 in the layouts of E2P and DSEC."""
+import json
+
 import numpy as np
 import pytest
 from test_aedat2_writer import recording as davis
@@ -9,6 +11,7 @@ import pdavis_cv
 from pdavis_cv import Layout, RecordingError, open_recording, write_aedat4
 from pdavis_cv.recording.hdf5.writer import write_hdf5
 from pdavis_cv.tools.convert import main
+from pdavis_cv.tools.export import main as export_main
 
 h5py = pytest.importorskip("h5py")
 
@@ -93,6 +96,24 @@ def test_conversions_keep_events_frames_and_times(tmp_path, chain, capsys):
             frame.dn, np.where(other.dn < 1023, np.minimum(other.dn, 1020), 1023))
         assert (frame.mid_us, frame.available_us) == (other.mid_us, other.available_us)
     assert "not kept: 1 triggers" in capsys.readouterr().out
+
+
+def test_what_was_assumed_of_frames_is_said_beside_the_output(tmp_path, capsys):
+    np.save(tmp_path / "x.npy", np.full((3, 8, 12), 700, np.uint16))
+    given = [str(tmp_path / "x.npy"), "--layout", "sony"]
+    assert main([*given, str(tmp_path / "a.aedat4")]) == 0
+    assert "rate assumed (25 per second)" in capsys.readouterr().out
+    assert main([*given, str(tmp_path / "b.aedat4"), "--json",
+                 "--source-fps", "50", "--bits", "10"]) == 0
+    assert json.loads(capsys.readouterr().out)["assumed"] == []
+    assert export_main([*given, "-o", str(tmp_path / "x.h5")]) == 0
+    with h5py.File(tmp_path / "x.h5") as file:
+        assert file["s0"].attrs["units"] == "DN"
+        assert file["aop"].attrs["units"] == "rad"
+    assert export_main([*given, "-o", str(tmp_path / "y.h5"),
+                 "--exposure-us", "10000"]) == 0
+    with h5py.File(tmp_path / "y.h5") as file:
+        assert file["s0"].attrs["units"] == "DN/ms"
 
 
 def test_mistakes_are_one_line(tmp_path, capsys):

@@ -5,6 +5,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from pdavis_cv.recording.facts import assumptions
 from pdavis_cv.recording.passing import passing
 from pdavis_cv.recording.registry import FORMATS, writer_for
 
@@ -36,11 +37,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         lost = write(out, passing(
             recording, lambda packets: progress_in_time(packets, *ends)), **options)
         problems = recording.problems
+        # The output states as known what was assumed to read the input.
+        assumed = assumptions(recording.info.facts)
     tell(args, [
-        f"wrote {out}",
+        f"wrote {out}", *assumed,
         *(f"not kept: {count:,} {what}" for what, count in lost.items()),
         *(f"found: {one.kind} ({one.count:,}): {one.message}" for one in problems)],
-        wrote=[out], not_kept=lost, problems=[
+        wrote=[out], assumed=assumed, not_kept=lost, problems=[
             {"kind": one.kind, "count": one.count, "message": one.message}
             for one in problems])
     return 0

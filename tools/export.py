@@ -549,7 +549,8 @@ def _write_stack(
     args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording,
     first: PolarFrame,
 ) -> tuple[list[str], dict[str, Any]]:
-    facts = export.provenance(first.provenance, recording)
+    facts = export.provenance(first.provenance, recording, units=dict(
+        zip(args.quantities, _units(args.quantities, recording), strict=True)))
     kind = _STACKS[args.out.suffix.lower()]
     with kind(args.out, args.quantities, facts, pixel_um=args.pixel_um,
               resume=args.resume) as file:

@@ -37,7 +37,8 @@ class StackFile(ABC):
     quantities : sequence of str
         Names from `pdavis_cv.QUANTITIES`, or ``"quad"`` and ``"stokes"``.
     facts : mapping of str to object
-        Provenance, written into the file; see `provenance`.
+        Provenance, written into the file; see `provenance`.  Its ``units`` replace
+        those of the quantities, for intensities without an exposure.
     pixel_um : float, optional
         Size of a pixel in the object, micrometres.
     resume : bool
@@ -70,7 +71,8 @@ class StackFile(ABC):
         if pixel_um is not None and not (np.isfinite(pixel_um) and pixel_um > 0):
             raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
         self.pixel_um = pixel_um
-        self.units = {one.name: one.unit for one in self._chosen}
+        self.units = {one.name: one.unit for one in self._chosen} | dict(
+            (facts or {}).get("units", {}))
         self.facts = {**(facts or {}), "units": self.units}
         self.times_us: list[int] = []
         self.shape: tuple[int, int] | None = None
