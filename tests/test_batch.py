@@ -26,6 +26,7 @@ from pdavis_cv import (
 from pdavis_cv.batch.jobs import Job, describe
 from pdavis_cv.batch.results import Results
 from pdavis_cv.batch.worker import _deadline, _OutOfTimeError
+from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.tools.main import main
 
 PLAIN = FusionOptions(method="cf", layout="pdavis")
@@ -183,7 +184,7 @@ def test_a_recording_that_fails_is_a_row(three, tmp_path):
     table = run([*three, tmp_path / "bad.aedat4", tmp_path / "gone.aedat4"],
                 tmp_path / "out")
     assert [row["state"] for row in table] == ["done"] * 3 + ["failed"] * 2
-    assert "bad.aedat4: not a video" in table[3]["error"]
+    assert "bad.aedat4: byte 0: not a recording" in table[3]["error"]
     assert "gone.aedat4: cannot be opened" in table[4]["error"]
     assert [row["attempt"] for row in table] == [1] * 5
     assert len(table.failed) == 2
@@ -304,6 +305,14 @@ def test_damage_is_told_in_the_row(data_dir, tmp_path):
     assert row["state"] == "done"
     assert row["problems"] > 0
     assert any("hurt.aedat4" in text for text in row["warnings"])
+
+
+def test_what_was_assumed_is_told_in_the_row(tmp_path):
+    np.save(tmp_path / "x.npy", np.full((3, 8, 12), 700, np.uint16))
+    rows = [run([tmp_path / "x.npy"], tmp_path / "out",
+                stated=SourceOptions(layout="sony", **known))[0]
+            for known in ({"full_scale_dn": 1000}, {"source_fps": 50, "bits": 10})]
+    assert [row["warnings"] for row in rows] == [["rate assumed (25 per second)"], []]
 
 
 def test_a_work_must_return_figures(three, tmp_path):

@@ -24,6 +24,7 @@ from pdavis_cv.batch.results import DONE, FAILED
 from pdavis_cv.batch.stored import results_at
 from pdavis_cv.errors import PdavisError, PdavisWarning
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.facts import assumptions
 from pdavis_cv.recording.open import open_recording
 
 __all__ = ["Row", "failed_row", "perform"]
@@ -86,7 +87,8 @@ def perform(
         except Exception as error:
             row["error"] = _message(error)
             again = not isinstance(error, _PERMANENT)
-    row |= {"warnings": collected, "wall_s": round(time.perf_counter() - start, 3),
+    row |= {"warnings": [*row["warnings"], *collected],
+            "wall_s": round(time.perf_counter() - start, 3),
             "cpu_s": round(time.process_time() - cpu, 3), "peak_mib": _peak_mib()}
     try:
         results.mark(job.name, {"row": row, "provenance": _provenance(job)})
@@ -118,7 +120,7 @@ def _provenance(job: Job) -> dict[str, Any]:
 
 
 def _run_work(job: Job, folder: Path) -> Row:
-    """Call the work; return its figures and the number of problems of the recording."""
+    """Call the work; return figures, what was assumed, and the number of problems."""
     if not getattr(job.work, "opens", True):
         return {"figures": _plain(job.work(job.source, job.options, folder))}
     stated = job.stated
@@ -128,6 +130,7 @@ def _run_work(job: Job, folder: Path) -> Row:
     with source as recording:
         figures = job.work(recording, job.options, folder)
         return {"figures": _plain(figures),
+                "warnings": assumptions(recording.info.facts),
                 "problems": sum(one.count for one in recording.problems)}
 
 
