@@ -25,6 +25,10 @@ import boundary_scenes  # noqa: E402
 
 import pdavis_cv  # noqa: E402
 from pdavis_cv import analysis, render  # noqa: E402
+from pdavis_cv.reconstruct.denoise import EventDenoiser  # noqa: E402
+from pdavis_cv.reconstruct.events import EventHighPass  # noqa: E402
+from pdavis_cv.reconstruct.frames import FrameHold  # noqa: E402
+from pdavis_cv.reconstruct.redundancy import EventRedundancy  # noqa: E402
 from pdavis_cv.simulation.ideal import rotating_polarizer  # noqa: E402
 
 ALLOWED = (TypeError, ValueError, pdavis_cv.PdavisError)
@@ -210,7 +214,7 @@ def table():
         return run
 
     def denoised(packet=events, **arguments):
-        return p.EventDenoiser(**arguments).filter(packet)
+        return EventDenoiser(**arguments).filter(packet)
 
     def angles(packet=events, **arguments):
         return p.AopEvents(**arguments).add(packet)
@@ -289,10 +293,10 @@ def table():
     for name, method, more in (
             ("KalmanFilter", p.KalmanFilter, {"lookahead_us": 5000}),
             ("ComplementaryFilter", p.ComplementaryFilter, {"cutoff_hz": 1.0}),
-            ("EventHighPass", p.EventHighPass, {"cutoff_hz": 0.5, "radius": 1}),
-            ("EventRedundancy", p.EventRedundancy, {
+            ("EventHighPass", EventHighPass, {"cutoff_hz": 0.5, "radius": 1}),
+            ("EventRedundancy", EventRedundancy, {
                 "cutoff_hz": 0.5, "response": cell_response()}),
-            ("FrameHold", p.FrameHold, {})):
+            ("FrameHold", FrameHold, {})):
         accepted = inspect.signature(method).parameters
         given = {k: v for k, v in (both | more).items() if k in accepted}
         rows.append((name, read(method), {

@@ -49,7 +49,7 @@ def pulled():
 
 
 def opener(recordings):
-    return lambda path, **options: recordings[str(path)]
+    return lambda path, *facts, **options: recordings[str(path)]
 
 
 @pytest.mark.parametrize(("rpm", "method"), [
@@ -117,8 +117,8 @@ def test_fan_shows_a_real_sony_mosaic_beside(
         tmp_path, wheel, monkeypatch, data_dir, name):
     real = fan.open_recording
     opens_by(
-        monkeypatch, lambda path, **options: wheel[0] if str(path) == "a"
-        else real(path, **options))
+        monkeypatch, lambda path, *facts, **options: wheel[0] if str(path) == "a"
+        else real(path, *facts, **options))
     still = tmp_path / "s.png"
     assert fan.main(["a", "-o", str(tmp_path / "f.webm"), "--fps", "10", "--method",
                      "cf", "--beside", str(data_dir / name), "--beside-layout", "sony",
@@ -328,7 +328,7 @@ def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
 
     opens_by(monkeypatch, opener({"a": wheel[0]}))
     monkeypatch.setattr(PolarFrame, "dolp", property(stop))
-    assert fan.main(["a", "-o", str(tmp_path / "fan.webm"), "--fps", "40"]) == 1
+    assert fan.main(["a", "-o", str(tmp_path / "fan.webm"), "--fps", "40"]) == 130
     assert list(tmp_path.iterdir()) == []
     assert "interrupted" in capsys.readouterr().err
 

@@ -380,6 +380,9 @@ def observed(method: str | Factory, seen: list[Estimate]) -> Factory:
             return seen[0]
 
         one.read = seen_read  # type: ignore[method-assign]
+        # What a method does to share an image with a second thread passes by `read`.
+        one.begin_read = functools.partial(  # type: ignore[method-assign]
+            Reconstructor.begin_read, one)
         return one
 
     return watched
