@@ -125,13 +125,17 @@ def test_fan_shows_a_real_sony_mosaic_beside(
                      "--still", str(still)]) == 0
     picture = cv2.imread(str(still))
     mosaic = cv2.imread(str(data_dir / name), cv2.IMREAD_UNCHANGED)
-    small = cv2.resize(mosaic[1::2, 1::2], (76, 64), interpolation=cv2.INTER_AREA)
-    # Its intensity at 0 degrees is found in the sheet, which fills a screen.
-    matches = [cv2.matchTemplate(
-        np.ascontiguousarray(picture[:, :, 0]),
-        cv2.resize(small, None, fx=k, fy=k, interpolation=cv2.INTER_NEAREST),
-        cv2.TM_CCOEFF_NORMED).max() for k in range(1, 5)]
-    assert max(matches) > 0.7
+    # Its intensity at 0 degrees is found in the sheet, as high as the wheel's panels.
+    channel, best = mosaic[1::2, 1::2], 0.0
+    for scale in range(1, 13):
+        height = scale * wheel[0].info.sensor_size[0]
+        width = round(height * channel.shape[1] / channel.shape[0])
+        if height < picture.shape[0] and width < picture.shape[1]:
+            best = max(best, cv2.matchTemplate(
+                np.ascontiguousarray(picture[:, :, 0]),
+                cv2.resize(channel, (width, height), interpolation=cv2.INTER_AREA),
+                cv2.TM_CCOEFF_NORMED).max())
+    assert best > 0.7
 
 
 def load_csv(path, scene, offset=0.2, skew=50e-6):
