@@ -12,7 +12,7 @@ import pytest
 from aedat31_bytes import aedat31_file
 
 import pdavis_cv
-from pdavis_cv import ApsFrame, Layout, VideoCapture, open_recording
+from pdavis_cv import ApsFrame, Layout, VideoCapture, batch, open_recording
 from pdavis_cv.recording.registry import FORMATS
 from pdavis_cv.registry import loaded
 from pdavis_cv.tools.main import main
@@ -234,6 +234,14 @@ def test_light_of_an_unknown_exposure_is_in_dn(tmp_path, capsys, stated, unit):
     assert main(["export", str(tmp_path / "shot_%d.png"), "--layout", "sony", *stated,
                  "-o", str(tmp_path / "x.npy"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["units"] == [unit, "rad", "1"]
+    exposure_us = float(stated[1]) if stated else None
+    with open_recording(tmp_path / "shot_%d.png", layout=Layout.SONY,
+                        exposure_us=exposure_us) as recording:
+        batch.Export(suffix=".npz", quantities=("quad", "dolp"))(
+            recording, pdavis_cv.FusionOptions(), tmp_path)
+    with np.load(tmp_path / "images.npz") as file:
+        units = json.loads(str(file["provenance"]))["units"]
+    assert (units["i0"], units["dolp"]) == (unit, "1")
 
 
 def test_an_assumed_rate_is_said_beside_what_it_changes(tmp_path, capsys):

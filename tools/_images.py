@@ -33,7 +33,6 @@ __all__ = [
     "full_scale",
     "grid_times",
     "held_at",
-    "light_unit",
     "of_frames",
     "screen_scale",
     "told_if_nothing",
@@ -119,12 +118,6 @@ def full_scale(recording: Recording) -> float | None:
         return None
     frame = next((f for packet in recording.packets() for f in packet.frames), None)
     return None if frame is None else frame.full_scale_dn / (frame.exposure_ms or 1.0)
-
-
-def light_unit(recording: Recording) -> str:
-    """Return the unit of intensities: DN, if the frames' exposure is not known."""
-    frame = next((f for packet in recording.packets() for f in packet.frames), None)
-    return "DN" if frame is not None and not frame.exposure_ms else "DN/ms"
 
 
 def screen_scale(shape: tuple[int, ...]) -> int:

@@ -40,7 +40,7 @@ from ._common import (
     start_of,
     tell,
 )
-from ._images import full_scale, light_unit, screen_scale, told_if_nothing
+from ._images import full_scale, screen_scale, told_if_nothing
 from ._options import add_file, add_fuse_options, fuse_options, opened
 from ._values import numbers, positive, seconds, within
 
@@ -118,7 +118,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines, facts = _write_video(
                 args, frames, rate, Sheet(args, recording, first[0]))
         lines += first[0].provenance["assumed"]
-        units = _units(args.quantities, recording)
+        units = [*export.units(args.quantities, recording).values()]
         if options["fps"] is None and args.at is None and (
                 recording.info.event_count != 0 and recording.info.frame_count != 0):
             lines.append(
@@ -287,7 +287,7 @@ class Sheet:
         self.source = recording.name
         self.facts = export.provenance(first.provenance, recording)
         top = full_scale(recording)
-        self.unit = light_unit(recording)
+        self.unit = export.light_unit(recording)
         self.white = float(args.white or _white(first, top))
         self.saturated = math.inf if top is None else top / 2
         self.ranges = {name: QUANTITIES[name].shown(self.white) for name in
@@ -508,7 +508,7 @@ def _write_plane(
     recording: Recording, first: PolarFrame,
 ) -> tuple[list[str], dict[str, Any]]:
     name = args.quantities[0]
-    one, (unit,) = QUANTITIES[name], _units([name], recording)
+    one, unit = QUANTITIES[name], export.units([name], recording)[name]
     low, high = _ranges(args).get(name) or _natural_range(one, recording)
     log = _Log(frames, recording)
     facts = export.provenance(
@@ -529,13 +529,6 @@ def _write_plane(
                    "playing_fps": rate, "clipped": video.clipped, **video.scale}
 
 
-def _units(names: Sequence[str], recording: Recording) -> list[str]:
-    """Return the units of quantities; that of intensities depends on the recording."""
-    light = light_unit(recording)
-    return [light if QUANTITIES[name].unit == INTENSITY else QUANTITIES[name].unit
-            for name in names]
-
-
 def _natural_range(one: Quantity, recording: Recording) -> tuple[float, float]:
     """Return the largest range of a quantity that the camera's converter allows."""
     top = full_scale(recording) if one.unit == INTENSITY else 1.0
@@ -549,8 +542,8 @@ def _write_stack(
     args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording,
     first: PolarFrame,
 ) -> tuple[list[str], dict[str, Any]]:
-    facts = export.provenance(first.provenance, recording, units=dict(
-        zip(args.quantities, _units(args.quantities, recording), strict=True)))
+    facts = export.provenance(first.provenance, recording, units=export.units(
+        args.quantities, recording))
     kind = _STACKS[args.out.suffix.lower()]
     with kind(args.out, args.quantities, facts, pixel_um=args.pixel_um,
               resume=args.resume) as file:
@@ -579,7 +572,7 @@ def _write_arrays(
             shape = planes.shape
     beside = log.write(
         args.out, axes="T, quantity, row, column", quantities=names,
-        units=_units(names, recording), invalid="NaN")
+        units=[*export.units(names, recording).values()], invalid="NaN")
     size = " x ".join(map(str, (file.count, *shape)))
     lines = [f"wrote {args.out}: float32, {size} ({', '.join(names)})",
              f"wrote {beside}: times and scale"]

@@ -142,7 +142,8 @@ def _facts(info: RecordingInfo) -> Iterator[tuple[str, str]]:
 def _count(count: int | None, rate: float | None) -> str:
     if count is None:
         return "not known without --scan"
-    return f"{count:,}" + ("" if rate is None else f" ({rate:,.5g} per second)")
+    return f"{count:,}" + (
+        "" if rate is None or count == 1 else f" ({rate:,.5g} per second)")
 
 
 def _plain(value: Any) -> Any:

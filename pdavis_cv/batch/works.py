@@ -107,7 +107,8 @@ class Export(_Part):
         """Write ``images`` with the suffix, and with OpenCV ``preview.png``."""
         images = pdavis_cv.fuse(recording, self._of(recording, options))
         first = _first(images)
-        facts = export.provenance(first.provenance, recording)
+        facts = export.provenance(
+            first.provenance, recording, units=export.units(self.quantities, recording))
         path = folder / f"images{self.suffix}"
         with _STACKS[self.suffix](path, self.quantities, facts) as file:
             file.add(first)

@@ -9,7 +9,12 @@ from pdavis_cv.export.hdf5 import Hdf5File
 from pdavis_cv.export.labelled import to_xarray
 from pdavis_cv.export.npz import NpzFile, write_npz
 from pdavis_cv.export.ometiff import OmeTiffFile
-from pdavis_cv.export.provenance import provenance, read_embedded
+from pdavis_cv.export.provenance import (
+    light_unit,
+    provenance,
+    read_embedded,
+    units,
+)
 from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.export.tables import write_csv, write_jaer_csv, write_traces
 from pdavis_cv.export.video import PlaneVideo, VideoFile, write_png
@@ -27,12 +32,14 @@ __all__ = [
     "PlaneVideo",
     "StackFile",
     "VideoFile",
+    "light_unit",
     "moving_file",
     "plane",
     "provenance",
     "read_aop_events",
     "read_embedded",
     "to_xarray",
+    "units",
     "write_beside",
     "write_csv",
     "write_figure",

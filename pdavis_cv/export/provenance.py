@@ -6,7 +6,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,9 +15,11 @@ import numpy as np
 import pdavis_cv
 from pdavis_cv._types import Facts
 from pdavis_cv.export.files import plain
-from pdavis_cv.recording.base import Source
+from pdavis_cv.quantities import INTENSITY, chosen
+from pdavis_cv.recording.base import Recording, Source
 
-__all__ = ["embed", "embed_png", "provenance", "read_embedded", "to_json"]
+__all__ = ["embed", "embed_png", "light_unit", "provenance", "read_embedded",
+           "to_json", "units"]
 
 # Identifies our box in MP4; random, version 4.
 _UUID = bytes.fromhex("6f0c5f1e2a4b4f6e9c3d70646176697a")
@@ -29,6 +31,19 @@ _SEGMENT, _TAGS = b"\x18\x53\x80\x67", b"\x12\x54\xc3\x67"
 _TAG, _TARGETS, _SIMPLE = b"\x73\x73", b"\x63\xc0", b"\x67\xc8"
 _NAME, _STRING = b"\x45\xa3", b"\x44\x87"
 _LONGEST = 64  # largest number of elements of an array that is written out
+
+
+def light_unit(recording: Recording) -> str:
+    """Return the unit of intensities: DN, if the frames' exposure is not known."""
+    frame = next((f for packet in recording.packets() for f in packet.frames), None)
+    return "DN" if frame is not None and not frame.exposure_ms else INTENSITY
+
+
+def units(names: Iterable[str], recording: Recording) -> dict[str, str]:
+    """Return the units of quantities; that of intensities depends on the recording."""
+    light = light_unit(recording)
+    return {one.name: light if one.unit == INTENSITY else one.unit
+            for one in chosen(names)}
 
 
 def provenance(
